@@ -1,0 +1,67 @@
+"""Arrays inside frozen results: read-only float64, with shapes checked where data enters."""
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["BoolArray", "FloatArray", "IntArray", "freeze_arrays", "readonly", "symmetric"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+def readonly(
+    values: ArrayLike, shape: tuple[int | None, ...] | None = None, name: str = "array"
+) -> FloatArray:
+    """Return a read-only float64 view (or copy) of `values`, its shape checked.
+
+    Parameters
+    ----------
+    values : array_like
+        Anything numpy turns into float64.
+    shape : tuple of int or None, optional
+        Required shape; None stands for any length along that axis.
+    name : str
+        Used in the error message.
+
+    Raises
+    ------
+    ValueError
+        The shape differs from the one required.
+
+    Examples
+    --------
+    >>> readonly([1, 2, 3], (3,)).flags.writeable
+    False
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if shape is not None and not _fits(array.shape, shape):
+        wanted = "(" + ", ".join("n" if n is None else str(n) for n in shape) + ")"
+        raise ValueError(f"{name} has shape {array.shape}, expected {wanted}")
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(actual) == len(wanted) and all(
+        w is None or a == w for a, w in zip(actual, wanted, strict=True)
+    )
+
+
+def freeze_arrays(instance: Any) -> None:
+    """Make every array field of a frozen dataclass read-only; call it from ``__post_init__``."""
+    for field in fields(instance):
+        value = getattr(instance, field.name)
+        if isinstance(value, np.ndarray):
+            view = value.view()
+            view.setflags(write=False)
+            object.__setattr__(instance, field.name, view)
+
+
+def symmetric(matrix: FloatArray) -> FloatArray:
+    """Return the symmetric part of a (stack of) square matrices, so that covariances stay exact."""
+    return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))

@@ -1,0 +1,119 @@
+"""Files: written whole or not at all, and never outside the folder they belong to."""
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.errors import SessionError
+
+__all__ = ["atomic_path", "inside", "json_text", "sha256_of", "write_json", "write_text"]
+
+HASH_CHUNK_BYTES = 1 << 20
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; rename it over `path` when the block ends well.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written (read-only, disk full); an older file stays as it was.
+    """
+    final = Path(path)
+    temporary: Path | None = None
+    try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{final.stem}-", suffix=final.suffix)
+        os.close(handle)
+        temporary = Path(name)
+        temporary.chmod(0o644)
+        yield temporary
+        temporary.replace(final)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SessionError(
+            f"cannot write {final}: {reason}. Free some space or choose another folder; "
+            "an older file of that name is unchanged."
+        ) from error
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write `text` as UTF-8, whole or not at all."""
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """Return `data` as JSON; arrays become lists and every non-finite number becomes null.
+
+    Examples
+    --------
+    >>> print(json_text({"sigma": float("nan"), "center": np.array([1.0, 2.0])}))
+    {
+      "sigma": null,
+      "center": [
+        1.0,
+        2.0
+      ]
+    }
+    """
+    return json.dumps(_plain(data), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
+    """Write `data` as JSON (see `json_text`), whole or not at all."""
+    write_text(path, json_text(data) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | list | tuple | set | frozenset):
+        items = value.tolist() if isinstance(value, np.ndarray) else value
+        return [_plain(v) for v in items] if not isinstance(items, float | int | str) else _plain(items)
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def sha256_of(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file as hexadecimal digits."""
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as stream:
+        while chunk := stream.read(HASH_CHUNK_BYTES):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def inside(folder: str | os.PathLike[str], name: str) -> Path:
+    """Return `folder`/`name`, refusing a name that would leave the folder.
+
+    Raises
+    ------
+    SessionError
+        `name` is absolute or climbs out of `folder`.
+    """
+    base = Path(folder).resolve()
+    path = (base / name).resolve()
+    if not path.is_relative_to(base):
+        raise SessionError(f"{name!r} points outside {base}; give a path inside that folder.")
+    return path
