@@ -1,0 +1,24 @@
+"""Star catalogs: opened by a one-line spec, asked for the stars within a cone.
+
+table           the stars themselves, with sigmas
+specs           spec -> catalog
+bundled         Hipparcos and Gaia DR3 from two data packages, merged by `merge`, kept in the user's cache
+npz             a file of the user's own arrays
+astrometry_net  index files
+status          what is available here
+"""
+
+from opnav_workbench.catalog.indexed import Catalog
+from opnav_workbench.catalog.priors import UNKNOWN_MOTION_MAS_YR
+from opnav_workbench.catalog.specs import open_catalog
+from opnav_workbench.catalog.status import CatalogStatus, catalog_status
+from opnav_workbench.catalog.table import StarTable
+
+__all__ = [
+    "UNKNOWN_MOTION_MAS_YR",
+    "Catalog",
+    "CatalogStatus",
+    "StarTable",
+    "catalog_status",
+    "open_catalog",
+]

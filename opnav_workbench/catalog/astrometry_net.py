@@ -1,0 +1,271 @@
+"""Index files of Astrometry.net as a star catalog, as Debian's packages astrometry-data-* install them.
+
+An index file is a FITS file. Its star tree stores unit vectors as opaque bytes in the byte order that the
+header card ENDIAN tells: the table ``kdtree_data_stars`` has n rows of three numbers, and
+``kdtree_range_stars`` seven doubles: lower corner (3), upper corner (3) and the number of tree units per
+data unit. Integer rows decode as ``lower + row / scale``; ``KDT_DATA`` names the type (double, float, u32,
+u16). Magnitudes, and in the Gaia series also motions, stand in the FITS table of AN_FILE 'TAGALONG', row by
+row beside the tree.
+
+Series 4100 and the Debian packages hold Tycho-2 (epoch J2000.0, no motions); series 5000 and 5200 hold Gaia
+DR2 (J2015.5, with a column ref_epoch). A star that several files share (neighboring tiles, scales) counts
+once.
+
+Source: the README of series 5000 and the file headers themselves (program build-astrometry-index).
+"""
+
+import glob
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+from numpy.typing import NDArray
+
+from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
+from opnav_workbench.catalog.priors import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.errors import CatalogError
+from opnav_workbench.geometry import radec_from_unit
+
+__all__ = ["open_astrometry_net"]
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """What a magnitude column says of the catalog that an index was made from."""
+
+    name: str
+    epoch_jyear: float
+    sigma_mas: float  # position, one axis, at the epoch
+
+
+# Columns in order of preference. Tycho-2: 60 mas over all stars (Hog et al. 2000, A&A 355, L27); Gaia DR2:
+# below 0.1 mas at G < 17 (Lindegren et al. 2018, A&A 616, A2). Any other column says nothing of its catalog.
+BANDS = {
+    "phot_g_mean_mag": Band("G", 2015.5, 0.1),
+    "MAG_VT": Band("VT", 2000.0, 60.0),
+    "MAG_BT": Band("BT", 2000.0, 60.0),
+}
+OTHER_BAND = Band("", 2000.0, 100.0)
+RELEASES = {2015.0: "Gaia DR1", 2015.5: "Gaia DR2", 2016.0: "Gaia DR3"}  # by reference epoch
+TREE_TYPES = {"double": "f8", "float": "f4", "u32": "u4", "u16": "u2"}
+BYTE_ORDERS = {"04:03:02:01": "<", "01:02:03:04": ">"}
+UNIT_TOLERANCE = 1e-3  # a direction decoded from 16 bit integers has a length within 3e-5 of one
+RANGE_DOUBLES = 7
+MOTION_COLUMNS = ("pmra", "pmra_error", "pmdec", "pmdec_error", "parallax", "parallax_error")
+OPTION = re.compile(r"\?(\w+)=([^?]*)$")
+
+Header = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stars:
+    """The stars of index files; arrays of n rows, astrometry in mas, nan where unknown."""
+
+    xyz: FloatArray
+    mag: FloatArray
+    band: NDArray[np.str_]
+    epoch_jyear: FloatArray
+    sigma_mas: FloatArray
+    source: IntArray  # Gaia source id, 0 where there is none
+    astrometry: FloatArray  # (n, 6) in the order of MOTION_COLUMNS
+
+
+def open_astrometry_net(argument: str) -> IndexedCatalog:
+    """Open index files as a catalog.
+
+    Parameters
+    ----------
+    argument : str
+        A glob pattern of index files, then optionally ``?epoch=JYEAR`` for positions of another epoch
+        than the files say: ``/usr/share/astrometry/index-tycho2-07.*.fits?epoch=2000``.
+
+    Raises
+    ------
+    CatalogError
+        No file matches, or one is not an index file or tells no magnitudes.
+    """
+    pattern, epoch = _options(argument)
+    names = glob.glob(str(Path(pattern).expanduser()))  # noqa: PTH207 - Path.glob takes no absolute pattern
+    files = [Path(name) for name in sorted(names)]
+    if not files:
+        raise CatalogError(
+            f"no file matches {pattern}; give index files, such as those that Debian's package "
+            "astrometry-data-tycho2-07 puts into /usr/share/astrometry."
+        )
+    stars = _distinct([_read(file, epoch) for file in files])
+    ra, dec = radec_from_unit(stars.xyz)
+    known = _motion_known(stars)
+    speed = np.where(known, np.hypot(stars.astrometry[:, 0], stars.astrometry[:, 2]), 0.0)
+    return IndexedCatalog(
+        name=f"astrometry-net:{argument}",
+        facts={
+            "files": [str(file) for file in files],
+            "bands": sorted(set(np.unique(stars.band).tolist())),
+            "n_with_motion": int(np.count_nonzero(known)),
+        },
+        ra_rad=ra,
+        dec_rad=dec,
+        mag=stars.mag,
+        build=partial(_rows, stars, ra, dec),
+        motion=MotionBound(
+            float(speed.max()) * RAD_PER_MAS, float(stars.epoch_jyear.min()), float(stars.epoch_jyear.max())
+        ),
+    )
+
+
+def _options(argument: str) -> tuple[str, float | None]:
+    found = OPTION.search(argument)
+    if found is None:
+        return argument, None
+    key, value = found.groups()
+    try:
+        epoch = float(value)
+    except ValueError:
+        epoch = np.nan
+    if key != "epoch" or not np.isfinite(epoch):
+        raise CatalogError(
+            f"unknown option {found.group()} in {argument}; write ?epoch=2000.0 (a Julian year)."
+        )
+    return argument[: found.start()], epoch
+
+
+def _read(file: Path, epoch: float | None) -> _Stars:
+    try:
+        with warnings.catch_warnings(), fits.open(file, memmap=True) as hdus:
+            warnings.simplefilter("ignore")  # a shortened file warns first and is refused below
+            tables = {hdu.header.get("TTYPE1", hdu.name): hdu for hdu in hdus[1:]}
+            tags = [hdu for hdu in hdus[1:] if hdu.header.get("AN_FILE") == "TAGALONG"]
+            xyz, quantum_mas = _directions(file, hdus[0].header, tables)
+            columns = {} if not tags else {c.name: np.asarray(tags[0].data[c.name]) for c in tags[0].columns}
+    except (OSError, TypeError, ValueError, KeyError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise CatalogError(
+            f"{file} is not a whole Astrometry.net index file ({reason}); copy it again or narrow the glob."
+        ) from error
+    return _tagged(file, xyz, quantum_mas, columns, epoch)
+
+
+def _directions(file: Path, primary: Header, tables: Mapping[str, Any]) -> tuple[FloatArray, float]:
+    """Return the stars' unit vectors (n, 3) and the step of their storage in mas."""
+    data, limits = tables["kdtree_data_stars"], tables["kdtree_range_stars"]
+    tree = tables["kdtree_header_stars"].header if "kdtree_header_stars" in tables else {}
+    order = BYTE_ORDERS[str(tree.get("ENDIAN", primary.get("ENDIAN", "04:03:02:01"))).strip()]
+    kind = str(tree.get("KDT_DATA", "")).strip() or {24: "double", 12: "u32", 6: "u16"}[data.header["NAXIS1"]]
+    rows = _bytes_as(file, data, order + TREE_TYPES[kind]).reshape(-1, 3)
+    box = _bytes_as(file, limits, order + "f8")
+    if box.size != RANGE_DOUBLES:
+        raise ValueError(f"kdtree_range_stars holds {box.size} numbers, not {RANGE_DOUBLES}")
+    integers = rows.dtype.kind == "u"
+    xyz = box[:3] + rows / box[6] if integers else rows.astype(np.float64)
+    length = np.linalg.norm(xyz, axis=1)
+    if not np.all(np.abs(length - 1.0) < UNIT_TOLERANCE):
+        raise ValueError(
+            f"its star vectors have lengths from {length.min():.4g} to {length.max():.4g}, not 1"
+        )
+    step = 1.0 / float(box[6]) if integers else float(np.finfo(rows.dtype).eps)
+    return xyz / length[:, None], step / RAD_PER_MAS
+
+
+def _bytes_as(file: Path, hdu: Any, dtype: str) -> NDArray[Any]:
+    """Return the bytes of a one-column table as numbers; astropy would take them for text."""
+    size = int(hdu.header["NAXIS1"]) * int(hdu.header["NAXIS2"])
+    with file.open("rb") as stream:
+        stream.seek(hdu.fileinfo()["datLoc"])
+        content = stream.read(size)
+    if len(content) != size or size == 0:
+        raise ValueError(f"{hdu.header['TTYPE1']} has {len(content)} of {size} bytes")
+    return np.frombuffer(content, dtype=dtype)
+
+
+def _tagged(
+    file: Path, xyz: FloatArray, quantum_mas: float, columns: Mapping[str, NDArray[Any]], epoch: float | None
+) -> _Stars:
+    name = _magnitude_column(file, columns)
+    if len(columns[name]) != len(xyz):
+        raise CatalogError(
+            f"{file} has {len(xyz)} stars but {len(columns[name])} magnitudes; copy the file again."
+        )
+    n, band = len(xyz), BANDS.get(name, OTHER_BAND)
+    epochs = np.asarray(columns.get("ref_epoch", np.full(n, band.epoch_jyear)), dtype=np.float64)
+    astrometry = [np.asarray(columns.get(c, np.full(n, np.nan)), dtype=np.float64) for c in MOTION_COLUMNS]
+    return _Stars(
+        xyz=xyz,
+        mag=columns[name].astype(np.float64),
+        band=np.full(n, band.name or name),
+        epoch_jyear=epochs if epoch is None else np.full(n, epoch),
+        # A value rounded to a step errs evenly within half a step: sigma = step / sqrt(12).
+        sigma_mas=np.full(n, np.hypot(band.sigma_mas, quantum_mas / np.sqrt(12.0))),
+        source=np.asarray(columns.get("source_id", np.zeros(n)), dtype=np.int64),
+        astrometry=np.stack(astrometry, axis=-1),
+    )
+
+
+def _magnitude_column(file: Path, columns: Mapping[str, NDArray[Any]]) -> str:
+    """Return the first known magnitude column, or else the first that is named like one."""
+    for name in (*BANDS, *(name for name in columns if "mag" in name.lower())):
+        if name in columns:
+            return name
+    raise CatalogError(
+        f"{file} tells no magnitudes (columns beside the stars: {', '.join(columns) or 'none'}); use files "
+        "with a TAGALONG table, such as Debian's astrometry-data-tycho2 or series 5200, not 5200-LITE."
+    )
+
+
+def _distinct(parts: list[_Stars]) -> _Stars:
+    """Join files and drop the copies of a star: one catalog entry has the same coordinates to the bit."""
+    whole = _Stars(*(np.concatenate([getattr(p, f) for p in parts]) for f in _Stars.__slots__))
+    keep = np.isfinite(whole.mag)
+    if len(parts) > 1:
+        order = np.lexsort(whole.xyz.T)
+        copies = np.all(whole.xyz[order[1:]] == whole.xyz[order[:-1]], axis=1)
+        keep[order[1:][copies]] = False
+    if not np.any(keep):
+        raise CatalogError("the index files hold no star with a magnitude; choose other files.")
+    return whole if np.all(keep) else _Stars(*(getattr(whole, f)[keep] for f in _Stars.__slots__))
+
+
+def _motion_known(stars: _Stars) -> NDArray[np.bool_]:
+    motion = stars.astrometry[:, :4]
+    return np.asarray(np.all(np.isfinite(motion), axis=1) & np.all(motion[:, 1::2] > 0.0, axis=1))
+
+
+def _rows(stars: _Stars, ra: FloatArray, dec: FloatArray, rows: IntArray) -> StarTable:
+    part = _Stars(*(getattr(stars, f)[rows] for f in _Stars.__slots__))
+    pmra, pmra_sigma, pmdec, pmdec_sigma, parallax, parallax_sigma = part.astrometry.T
+    moving = _motion_known(part)
+    near = np.isfinite(parallax) & (parallax_sigma > 0.0)
+    sigma_mas = [
+        part.sigma_mas,
+        part.sigma_mas,
+        np.where(near, parallax_sigma, unknown_parallax_sigma_mas(part.mag)),
+        np.where(moving, pmra_sigma, UNKNOWN_MOTION_MAS_YR),
+        np.where(moving, pmdec_sigma, UNKNOWN_MOTION_MAS_YR),
+    ]
+    return StarTable(
+        id=np.array(_names(part, rows), dtype=np.str_),
+        ra_rad=ra[rows],
+        dec_rad=dec[rows],
+        pmra_rad_yr=np.where(moving, pmra, 0.0) * RAD_PER_MAS,
+        pmdec_rad_yr=np.where(moving, pmdec, 0.0) * RAD_PER_MAS,
+        parallax_rad=np.where(near, parallax, 0.0) * RAD_PER_MAS,
+        rv_km_s=np.full(len(rows), np.nan),
+        mag=part.mag,
+        band=part.band,
+        epoch_jyear=part.epoch_jyear,
+        sigma=np.stack(sigma_mas, axis=-1) * RAD_PER_MAS,
+        motion_known=moving,
+    )
+
+
+def _names(part: _Stars, rows: IntArray) -> list[str]:
+    releases = [RELEASES.get(epoch, "Gaia") for epoch in part.epoch_jyear.tolist()]
+    named = zip(part.source.tolist(), releases, rows.tolist(), strict=True)
+    return [f"{release} {source}" if source > 0 else f"row:{row}" for source, release, row in named]

@@ -1,0 +1,152 @@
+"""A table of catalog stars: what a catalog says of them, with sigmas, in radians and Julian years.
+
+Frame  J2000 (ICRS), position at each star's own epoch, motion in RA with the factor cos(dec)
+Units  rad, rad/yr, km/s, magnitudes
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable
+from numpy.typing import ArrayLike, NDArray
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.errors import CatalogError
+
+__all__ = ["StarTable"]
+
+N_PARAMETERS = 5  # RA cos(dec), dec, parallax, motion in RA cos(dec), motion in dec
+_KINDS: dict[str, Any] = {
+    "id": np.str_,
+    "band": np.str_,
+    "motion_known": np.bool_,
+}  # every other column is float64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarTable:
+    """Catalog stars, one row a star; every column is read-only and has the same length n.
+
+    Parameters
+    ----------
+    id : (n,) str
+        The catalog's name of the star, such as ``HIP 70890`` or ``row:17``.
+    ra_rad, dec_rad : (n,) float
+        Position at `epoch_jyear`, J2000 (ICRS).
+    pmra_rad_yr, pmdec_rad_yr : (n,) float
+        Proper motion, rad per Julian year, with cos(dec) in RA; 0 where `motion_known` is False.
+    parallax_rad : (n,) float
+        Parallax; 0 where unknown, and then its sigma is that of a star of this magnitude.
+    rv_km_s : (n,) float
+        Radial velocity, positive when receding; nan where unknown.
+    mag : (n,) float
+        Magnitude in `band`.
+    band : (n,) str
+        Passband of `mag`, such as ``G``, ``Hp``, ``VT``.
+    epoch_jyear : (n,) float
+        Julian epoch of position and motion, such as 2016.0.
+    sigma : (n, 5) float
+        1 sigma of (RA cos(dec), dec, parallax, motion in RA cos(dec), motion in dec), rad and rad/yr.
+    motion_known : (n,) bool
+        False where the catalog gives no motion and `sigma` holds what such a star may do.
+
+    Raises
+    ------
+    CatalogError
+        A column differs in length from the others, or `sigma` is not (n, 5).
+
+    Examples
+    --------
+    >>> table = StarTable.empty()
+    >>> len(table), table.covariance.shape
+    (0, (0, 5, 5))
+    """
+
+    id: NDArray[np.str_]
+    ra_rad: FloatArray
+    dec_rad: FloatArray
+    pmra_rad_yr: FloatArray
+    pmdec_rad_yr: FloatArray
+    parallax_rad: FloatArray
+    rv_km_s: FloatArray
+    mag: FloatArray
+    band: NDArray[np.str_]
+    epoch_jyear: FloatArray
+    sigma: FloatArray
+    motion_known: BoolArray
+
+    def __post_init__(self) -> None:
+        n = np.size(self.ra_rad)
+        for field in fields(self):
+            column: NDArray[Any] = np.asarray(
+                getattr(self, field.name), dtype=_KINDS.get(field.name, np.float64)
+            )
+            wanted = (n, N_PARAMETERS) if field.name == "sigma" else (n,)
+            if column.shape != wanted:
+                raise CatalogError(
+                    f"star column {field.name} has shape {column.shape}, expected {wanted}; "
+                    "give every column one value a star."
+                )
+            object.__setattr__(self, field.name, column)
+        freeze_arrays(self)
+
+    def __len__(self) -> int:
+        return int(self.ra_rad.size)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (n, 5, 5) of the parameters of `sigma`, rad and rad/yr; correlations are not carried."""
+        matrix = np.zeros((len(self), N_PARAMETERS, N_PARAMETERS))
+        matrix[:, range(N_PARAMETERS), range(N_PARAMETERS)] = self.sigma**2
+        matrix.setflags(write=False)
+        return matrix
+
+    def take(self, rows: ArrayLike | slice) -> Self:
+        """Return the rows chosen by an index array (in its order), a boolean mask (n,) or a slice."""
+        chosen = rows if isinstance(rows, slice) else np.asarray(rows)
+        if isinstance(chosen, np.ndarray) and chosen.size == 0 and chosen.dtype != np.bool_:
+            chosen = chosen.astype(np.int64)  # an empty list becomes float64 and could not index
+        return type(self)(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+    @classmethod
+    def concatenate(cls, tables: Sequence["StarTable"]) -> Self:
+        """Return the rows of all `tables` one after the other."""
+        parts = list(tables) or [cls.empty()]
+        return cls(**{f.name: np.concatenate([getattr(t, f.name) for t in parts]) for f in fields(cls)})
+
+    @classmethod
+    def empty(cls) -> Self:
+        """Return a table without stars."""
+        columns: dict[str, Any] = {
+            f.name: np.empty(0, dtype=_KINDS.get(f.name, np.float64)) for f in fields(cls)
+        }
+        return cls(**{**columns, "sigma": np.empty((0, N_PARAMETERS))})
+
+    def to_qtable(self) -> QTable:
+        """Return the stars as an astropy QTable for people: degrees, mas, mas/yr, with descriptions."""
+        mas, motion = u.mas, u.mas / u.yr
+        table = QTable(meta={"frame": "ICRS (J2000)"})
+        table["id"] = np.array(self.id)
+        for name, values, given, shown, description in (
+            ("ra", self.ra_rad, u.rad, u.deg, "right ascension at epoch"),
+            ("dec", self.dec_rad, u.rad, u.deg, "declination at epoch"),
+            ("pmra", self.pmra_rad_yr, u.rad / u.yr, motion, "proper motion in RA times cos(dec)"),
+            ("pmdec", self.pmdec_rad_yr, u.rad / u.yr, motion, "proper motion in dec"),
+            ("parallax", self.parallax_rad, u.rad, mas, "parallax"),
+            ("rv", self.rv_km_s, u.km / u.s, u.km / u.s, "radial velocity, nan where unknown"),
+            ("mag", self.mag, u.mag, u.mag, "magnitude in band"),
+            ("epoch", self.epoch_jyear, u.yr, u.yr, "Julian epoch of position and motion"),
+            ("sigma_ra", self.sigma[:, 0], u.rad, mas, "1 sigma of RA times cos(dec)"),
+            ("sigma_dec", self.sigma[:, 1], u.rad, mas, "1 sigma of dec"),
+            ("sigma_parallax", self.sigma[:, 2], u.rad, mas, "1 sigma of parallax"),
+            ("sigma_pmra", self.sigma[:, 3], u.rad / u.yr, motion, "1 sigma of pmra"),
+            ("sigma_pmdec", self.sigma[:, 4], u.rad / u.yr, motion, "1 sigma of pmdec"),
+        ):
+            table[name] = (values * given).to(shown)
+            table[name].info.description = description
+        table["band"] = np.array(self.band)
+        table["motion_known"] = np.array(self.motion_known)
+        return table

@@ -1,0 +1,77 @@
+"""Vector geometry of a camera in space: pure functions of arrays, without state and without kernels.
+
+rotations     directions, attitudes, RA/Dec/twist, quaternions, rotation vectors
+aberration    stellar aberration and its exact inverse
+spacemotion   a star's direction at an epoch and from a place, with its covariance
+conics        limb and terminator of a triaxial ellipsoid, and the ellipse that a limb draws
+"""
+
+from opnav_workbench.geometry.aberration import (
+    SPEED_OF_LIGHT_KM_S,
+    Convention,
+    apparent_direction,
+    geometric_direction,
+)
+from opnav_workbench.geometry.conics import (
+    Ellipse,
+    ellipse_from_conic,
+    limb_cone,
+    limb_points,
+    sphere_center_offset,
+    terminator_points,
+)
+from opnav_workbench.geometry.rotations import (
+    angle_between,
+    camera_from_j2000,
+    checked_rotation,
+    matrix_from_quaternion,
+    pointing_angles,
+    quaternion_from_matrix,
+    radec_from_unit,
+    rotation_from_vector,
+    tangent_basis,
+    unit,
+    unit_from_radec,
+    vector_from_rotation,
+)
+from opnav_workbench.geometry.spacemotion import (
+    AU_KM,
+    JULIAN_YEAR_S,
+    KM_S_PER_AU_YEAR,
+    et_from_jyear,
+    jyear_from_et,
+    propagate,
+    propagate_covariance,
+)
+
+__all__ = [
+    "AU_KM",
+    "JULIAN_YEAR_S",
+    "KM_S_PER_AU_YEAR",
+    "SPEED_OF_LIGHT_KM_S",
+    "Convention",
+    "Ellipse",
+    "angle_between",
+    "apparent_direction",
+    "camera_from_j2000",
+    "checked_rotation",
+    "ellipse_from_conic",
+    "et_from_jyear",
+    "geometric_direction",
+    "jyear_from_et",
+    "limb_cone",
+    "limb_points",
+    "matrix_from_quaternion",
+    "pointing_angles",
+    "propagate",
+    "propagate_covariance",
+    "quaternion_from_matrix",
+    "radec_from_unit",
+    "rotation_from_vector",
+    "sphere_center_offset",
+    "tangent_basis",
+    "terminator_points",
+    "unit",
+    "unit_from_radec",
+    "vector_from_rotation",
+]

@@ -1,0 +1,185 @@
+"""One figure a picture: stretched frame with predicted and observed places, residual vectors, residual against magnitude.
+
+Predicted places are yellow circles, observed ones blue crosses, rejected ones vermilion squares: shape and colour
+together, from a palette that colour-blind readers can tell apart (Okabe & Ito).
+"""
+
+from pathlib import Path
+
+import numpy as np
+from astropy.visualization import AsinhStretch, ZScaleInterval
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.files import atomic_path
+from opnav_workbench.report.frame_view import Panels, panels_of
+from opnav_workbench.session import ImageSession
+
+__all__ = ["summary_figure", "write_summary"]
+
+PREDICTED, OBSERVED, REJECTED, BODY = "#F0E442", "#56B4E9", "#D55E00", "#CC79A7"
+PIXEL_COLOR, LINE_COLOR = "#0072B2", "#D55E00"
+DPI = 110
+# Residual vectors are drawn so that the longest is this share of the picture's smaller side.
+VECTOR_SHARE = 0.12
+
+
+def write_summary(session: ImageSession, path: str | Path) -> None:
+    """Write the summary figure as a PNG, whole or not at all."""
+    figure = summary_figure(session)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=DPI, format="png")
+
+
+def summary_figure(session: ImageSession) -> Figure:
+    """Draw a session's summary (the paper's Figures 10 and 12 for this picture).
+
+    Parameters
+    ----------
+    session : ImageSession
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not tied to any window.
+    """
+    panels = panels_of(session.context.frame.image_dn.shape)
+    figure = Figure(figsize=panels.size_inch, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(_title(session), fontsize=11, x=0.01, ha="left")
+    _draw_picture(panels, figure, session)
+    vectors, before, after = panels.plots(figure)
+    _draw_vectors(vectors, session)
+    _draw_residuals(before, after, session)
+    return figure
+
+
+def _title(session: ImageSession) -> str:
+    context, pointing = session.context, session.state.pointing
+    first = f"{context.frame.path.name}   {context.camera.name}   {session.inputs.utc} UTC   {context.frame.exposure_s:g} s"
+    if pointing is None:
+        return f"{first}\npointing not determined"
+    return (
+        f"{first}\n"
+        f"RA {np.degrees(pointing.ra_rad):.5f}°  Dec {np.degrees(pointing.dec_rad):+.5f}°  "
+        f"twist {np.degrees(pointing.twist_rad):.4f}°   moved {pointing.delta_pixel:+.2f} px, "
+        f"{pointing.delta_line:+.2f} lines, {np.degrees(pointing.delta_twist_rad):+.4f}°   "
+        f"{pointing.n_stars} star{'s' * (pointing.n_stars != 1)}, rms {pointing.rms_px:.3f} px"
+    )
+
+
+def _draw_picture(panels: Panels, figure: Figure, session: ImageSession) -> None:
+    image = session.context.frame.image_dn
+    good = np.where(session.context.bad, np.nan, image)
+    low, high = ZScaleInterval().get_limits(good[np.isfinite(good)])
+    top = np.nanpercentile(good, 99.9)
+    scaled = AsinhStretch(0.05)(np.clip((good - low) / max(top - low, high - low), 0.0, 1.0))
+    for axes, first, last in panels.pictures(figure):
+        axes.imshow(
+            scaled[:, first:last],
+            cmap="gray",
+            origin="upper",
+            interpolation="nearest",
+            extent=(first - 0.5, last - 0.5, image.shape[0] - 0.5, -0.5),
+        )
+        _draw_marks(axes, session, first, last)
+        axes.set_ylabel("line")
+    axes.set_xlabel("pixel")
+
+
+def _draw_marks(axes: Axes, session: ImageSession, first: int, last: int) -> None:
+    state, (n_line, _) = session.state, session.context.frame.image_dn.shape
+    radius = 0.018 * min(n_line * 2, last - first)
+    marks = [(p, PREDICTED, "o", "") for p in _star_places(session)]
+    marks += [(p, OBSERVED if used else REJECTED, "x" if used else "s", "") for p, used in _observed(session)]
+    for body in state.observables:
+        marks.append((body.predicted_px, BODY, "D", body.name))
+        if body.observed_px is not None:
+            marks.append((body.observed_px, OBSERVED, "x", ""))
+    size = max(4.0, radius)
+    for place, color, marker, label in marks:
+        if not np.isfinite(place).all() or not first - 0.5 <= place[0] < last - 0.5:
+            continue
+        filled = {"markerfacecolor": "none"} if marker != "x" else {}
+        axes.plot(*place, marker, color=color, markersize=size * 1.6, markeredgewidth=1.1, **filled)
+        if label:
+            axes.annotate(label, place, (7, 7), textcoords="offset points", color=color, fontsize=8)
+    axes.set_xlim(first - 0.5, last - 0.5)
+    axes.set_ylim(n_line - 0.5, -0.5)
+
+
+def _star_places(session: ImageSession) -> FloatArray:
+    stars = session.state.a_priori
+    if stars is None:
+        return np.empty((0, 2))
+    return session.context.camera.project(stars.directions @ session.camera_from_j2000.T)
+
+
+def _observed(session: ImageSession) -> list[tuple[FloatArray, bool]]:
+    state = session.state
+    if state.centers is None:
+        return []
+    return [
+        (center, status.status == "used")
+        for center, status in zip(state.centers.pixel_line, state.status, strict=True)
+        if status.status in ("used", "rejected", "blended", "saturated")
+    ]
+
+
+def _draw_vectors(axes: Axes, session: ImageSession) -> None:
+    n_line, n_pixel = session.context.frame.image_dn.shape
+    axes.set(xlim=(-0.5, n_pixel - 0.5), ylim=(n_line - 0.5, -0.5), xlabel="pixel", ylabel="line")
+    if n_pixel / n_line < 4:
+        axes.set_aspect("equal")
+    pointing, stars = session.state.pointing, session.state.a_priori
+    if pointing is None or stars is None or not pointing.used.any():
+        axes.set_title("residual vectors: no pointing", fontsize=9)
+        return
+    used = pointing.used
+    places, residual = _star_places(session)[used], pointing.residual_px[used]
+    longest = max(float(np.hypot(*residual.T).max()), 1e-6)
+    scale = _round_scale(VECTOR_SHARE * max(min(n_line, n_pixel), 0.05 * n_pixel) / longest)
+    axes.quiver(
+        *places.T, *(residual * scale).T, angles="xy", scale_units="xy", scale=1.0, color=PIXEL_COLOR, width=0.004
+    )
+    axes.plot(*places.T, "o", color=PREDICTED, markeredgecolor="k", markersize=4)
+    axes.set_title(f"residuals, observed − predicted, × {scale:g}", fontsize=9)
+
+
+def _round_scale(scale: float) -> float:
+    """Largest of 1, 2, 5 x 10^k that is not above `scale`."""
+    power = 10.0 ** np.floor(np.log10(scale))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= scale * (1.0 + 1e-9)))
+
+
+def _draw_residuals(before: Axes, after: Axes, session: ImageSession) -> None:
+    stars, centers, pointing = session.state.a_priori, session.state.centers, session.state.pointing
+    for axes, title in ((before, "before repointing"), (after, "after repointing")):
+        axes.axhline(0.0, color="0.6", linewidth=0.8)
+        axes.set_title(title, fontsize=9)
+        axes.set_xlabel("magnitude")
+        axes.set_ylabel("observed − predicted, px")
+    if stars is None or centers is None:
+        return
+    shown = session.state.mask("used")
+    sigma = np.sqrt(np.diagonal(centers.covariance_px2, axis1=1, axis2=2))
+    _points(before, stars.mag, centers.pixel_line - stars.pixel_line, sigma, shown)
+    if pointing is not None:
+        _points(after, stars.mag, centers.pixel_line - _star_places(session), sigma, shown)
+    after.legend(fontsize=8, loc="best")
+
+
+def _points(axes: Axes, mag: FloatArray, residual: FloatArray, sigma: FloatArray, shown: FloatArray) -> None:
+    for column, (name, color, marker) in enumerate((("pixel", PIXEL_COLOR, "o"), ("line", LINE_COLOR, "s"))):
+        axes.errorbar(
+            mag[shown],
+            residual[shown, column],
+            sigma[shown, column],
+            fmt=marker,
+            color=color,
+            markersize=4,
+            linewidth=0.8,
+            label=name,
+        )

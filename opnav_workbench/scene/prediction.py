@@ -1,0 +1,220 @@
+"""Predicted places of stars and bodies on the detector.
+
+Flow   catalog rows or body states -> apparent directions (J2000) -> camera frame -> (pixel, line)
+Frame  J2000 until ``camera_from_j2000`` is applied; covariances of catalog places in px^2
+Units  km, km/s, rad, px
+
+A star's direction carries space motion, parallax at the spacecraft and stellar aberration; a body's carries light
+time (in the state it comes with) and the same stellar aberration, so that both share one convention.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.camera import Camera
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.geometry import (
+    angle_between,
+    apparent_direction,
+    limb_points,
+    propagate,
+    propagate_covariance,
+    radec_from_unit,
+)
+from opnav_workbench.scene.observer import Observer
+
+__all__ = ["BodyPrediction", "StarPrediction", "apparent_stars", "predict_body", "predict_stars"]
+
+LIMB_POINTS = 180  # one point every 2 deg: the polygon's area is short of the ellipse's by 2e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarPrediction:
+    """Predicted stars, brightest first as in the table they came from.
+
+    Attributes
+    ----------
+    id : (n,) array of str
+        Catalog designations.
+    mag : (n,) array
+        Catalog magnitudes.
+    directions : (n, 3) array
+        Apparent unit vectors, J2000.
+    pixel_line : (n, 2) array
+        Predicted centers, px.
+    covariance_px2 : (n, 2, 2) array
+        The catalog's share of the uncertainty, px^2.
+    on_detector : (n,) array of bool
+    """
+
+    id: np.ndarray
+    mag: FloatArray
+    directions: FloatArray
+    pixel_line: FloatArray
+    covariance_px2: FloatArray
+    on_detector: BoolArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def __len__(self) -> int:
+        return len(self.mag)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyPrediction:
+    """A body's predicted place, size and limb.
+
+    Attributes
+    ----------
+    name : str
+    pixel_line : (2,) array
+        Projected center of figure, px (nan behind the camera).
+    direction : (3,) array
+        Apparent unit vector of the center, J2000.
+    range_km : float
+    diameter_px : float
+        Diameter of the circle with the area of the projected limb; 0 for a star, nan without radii.
+    phase_rad : float
+        Sun - body - spacecraft angle; nan where no Sun direction is known.
+    limb_px : (k, 2) array
+        The projected limb (k = 0 for a star or a body without radii).
+    on_detector : bool
+    """
+
+    name: str
+    pixel_line: FloatArray
+    direction: FloatArray
+    range_km: float
+    diameter_px: float
+    phase_rad: float
+    limb_px: FloatArray
+    on_detector: bool
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def apparent_stars(stars: StarTable, et: float, observer: Observer) -> FloatArray:
+    """Apparent J2000 unit vectors (n, 3) of catalog stars as the observer sees them at `et`."""
+    geometric = propagate(
+        stars.ra_rad,
+        stars.dec_rad,
+        stars.pmra_rad_yr,
+        stars.pmdec_rad_yr,
+        stars.parallax_rad,
+        stars.rv_km_s,
+        stars.epoch_jyear,
+        et,
+        observer.position_km,
+    )
+    return apparent_direction(geometric, observer.velocity_km_s)
+
+
+def predict_stars(
+    stars: StarTable,
+    et: float,
+    observer: Observer,
+    camera: Camera,
+    camera_from_j2000: FloatArray,
+    margin_px: float = 0.0,
+) -> StarPrediction:
+    """Predict the places of catalog stars, keeping those within `margin_px` of the detector.
+
+    Parameters
+    ----------
+    stars : StarTable
+        n catalog rows.
+    et : float
+        TDB seconds past J2000.
+    observer : Observer
+        Barycentric state of the spacecraft.
+    camera : Camera
+    camera_from_j2000 : (3, 3) array
+    margin_px : float
+        Stars up to this far outside the detector are kept (with ``on_detector`` False).
+    """
+    directions = apparent_stars(stars, et, observer)
+    in_camera = directions @ camera_from_j2000.T
+    pixel_line = camera.project(in_camera)
+    keep = camera.on_detector(pixel_line, margin_px)
+    chosen = stars.take(keep)
+    return StarPrediction(
+        id=np.asarray(chosen.id),
+        mag=chosen.mag,
+        directions=directions[keep],
+        pixel_line=pixel_line[keep],
+        covariance_px2=_catalog_covariance(
+            chosen, et, observer, directions[keep], camera, camera_from_j2000
+        ),
+        on_detector=camera.on_detector(pixel_line[keep]),
+    )
+
+
+def _catalog_covariance(
+    stars: StarTable,
+    et: float,
+    observer: Observer,
+    directions: FloatArray,
+    camera: Camera,
+    camera_from_j2000: FloatArray,
+) -> FloatArray:
+    """Covariances (n, 2, 2) px^2 of the predicted places that stem from the catalog."""
+    sky = propagate_covariance(
+        stars.covariance, stars.epoch_jyear, et, stars.ra_rad, stars.dec_rad, observer.position_km
+    )
+    ra, dec = radec_from_unit(directions)
+    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
+    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
+    tangent = np.stack([east, north], axis=-1)
+    jacobian = camera.project_jacobian(directions @ camera_from_j2000.T) @ camera_from_j2000 @ tangent
+    return jacobian @ sky @ np.swapaxes(jacobian, -1, -2)
+
+
+def predict_body(
+    target: TargetState, observer: Observer, camera: Camera, camera_from_j2000: FloatArray
+) -> BodyPrediction:
+    """Predict a body's center, size, phase and limb on the detector."""
+    range_km = float(np.linalg.norm(target.position_km))
+    direction = apparent_direction(target.position_km / range_km, observer.velocity_km_s)
+    pixel_line = camera.project((camera_from_j2000 @ direction)[None])[0]
+    limb = _limb_px(target, observer, camera, camera_from_j2000)
+    return BodyPrediction(
+        name=target.name,
+        pixel_line=pixel_line,
+        direction=direction,
+        range_km=range_km,
+        diameter_px=_diameter(target, limb),
+        phase_rad=_phase(target),
+        limb_px=limb,
+        on_detector=bool(camera.on_detector(pixel_line[None])[0]),
+    )
+
+
+def _limb_px(
+    target: TargetState, observer: Observer, camera: Camera, camera_from_j2000: FloatArray
+) -> FloatArray:
+    if target.radii_km is None or not np.all(np.asarray(target.radii_km) > 0.0):
+        return np.empty((0, 2))
+    body_from_j2000 = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
+    # The limb is geometric; aberration then moves each of its points as it moves the stars.
+    points = limb_points(target.position_km, target.radii_km, body_from_j2000.T, LIMB_POINTS)
+    apparent = apparent_direction(points, observer.velocity_km_s)
+    return camera.project(apparent @ camera_from_j2000.T)
+
+
+def _diameter(target: TargetState, limb_px: FloatArray) -> float:
+    if len(limb_px) == 0:
+        return 0.0 if target.is_star else float("nan")
+    x, y = (limb_px - limb_px[0]).T
+    area = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    return float(2.0 * np.sqrt(area / np.pi))
+
+
+def _phase(target: TargetState) -> float:
+    if target.sun_position_km is None:
+        return float("nan")
+    return float(angle_between(np.asarray(target.sun_position_km), -np.asarray(target.position_km)))

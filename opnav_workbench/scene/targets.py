@@ -1,0 +1,77 @@
+"""Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry."""
+
+import numpy as np
+
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.errors import KernelError
+from opnav_workbench.geometry import AU_KM, propagate, propagate_covariance, radec_from_unit
+from opnav_workbench.scene.observer import Observer
+from opnav_workbench.spice import body_attitude, body_radii_km, state
+
+__all__ = ["body_target", "star_target_at"]
+
+SUN = 10
+# A star without parallax is put here (1 Mpc): partials with respect to the spacecraft then vanish, as they should.
+NO_PARALLAX_RAD = 1e-6 / 206264.80624709636
+
+
+def body_target(name: str, spacecraft: int, et: float) -> TargetState:
+    """Return a solar-system body's state from the active `KernelSet`, light time removed by iteration (``CN``).
+
+    Radii and orientation are taken where a PCK has them; a body without them is a point.
+
+    Raises
+    ------
+    KernelError
+        The ephemeris of the body or the spacecraft does not cover `et`.
+    """
+    seen = state(name, et, spacecraft, correction="CN")
+    emitted = et - seen.light_time_s
+    try:
+        radii = body_radii_km(name)
+        attitude = body_attitude(name, emitted)
+    except KernelError:
+        radii, attitude = None, None
+    try:
+        sun = state(SUN, emitted, name).position_km
+    except KernelError:
+        sun = None
+    return TargetState(
+        name=name,
+        position_km=seen.position_km,
+        radii_km=radii,
+        body_from_j2000=attitude,
+        sun_position_km=sun,
+    )
+
+
+def star_target_at(name: str, stars: StarTable, row: int, et: float, observer: Observer) -> TargetState:
+    """Return catalog row `row` of `stars` as a target: at its distance, moved to `et`, seen from the observer."""
+    star = stars.take(np.array([row]))
+    direction = propagate(
+        star.ra_rad,
+        star.dec_rad,
+        star.pmra_rad_yr,
+        star.pmdec_rad_yr,
+        star.parallax_rad,
+        star.rv_km_s,
+        star.epoch_jyear,
+        et,
+        observer.position_km,
+    )[0]
+    sky = propagate_covariance(
+        star.covariance, star.epoch_jyear, et, star.ra_rad, star.dec_rad, observer.position_km
+    )[0]
+    range_km = AU_KM / max(float(star.parallax_rad[0]), NO_PARALLAX_RAD)
+    ra, dec = (float(a) for a in radec_from_unit(direction))
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    tangent = np.stack([east, north], axis=-1) * range_km
+    return TargetState(
+        name=name,
+        position_km=direction * range_km,
+        covariance_km2=tangent @ sky @ tangent.T,
+        magnitude=float(star.mag[0]),
+        is_star=True,
+    )

@@ -1,0 +1,84 @@
+"""What stays the same through a session: the picture, its camera, its noise, and where the inputs come from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import ImageError
+from opnav_workbench.image import Background, Frame, KeywordMap, estimate_background, pixel_noise, read_image
+from opnav_workbench.mission import Mission
+from opnav_workbench.session.settings import Settings
+from opnav_workbench.starcenters import ShapePrior
+
+__all__ = ["Context", "open_context"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """A picture ready for measuring.
+
+    Attributes
+    ----------
+    frame : Frame
+    camera : Camera
+    mission : Mission
+    background : Background
+    signal_dn : (n_line, n_pixel) array
+        Picture minus background level.
+    noise_dn : (n_line, n_pixel) array
+        One-sigma noise of the background in each pixel; the stars' own shot noise is added by the fit.
+    bad : (n_line, n_pixel) array of bool
+        Pixels that no measurement may use.
+    settings : Settings
+    """
+
+    frame: Frame
+    camera: Camera
+    mission: Mission
+    background: Background
+    signal_dn: FloatArray
+    noise_dn: FloatArray
+    bad: BoolArray
+    settings: Settings
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def camera_psf(self) -> ShapePrior:
+        """The camera file's PSF as a prior for the first fit."""
+        psf = self.camera.psf
+        return ShapePrior.from_sigma(psf.sigma_px, psf.sigma_sigma_px)
+
+
+def open_context(path: str | Path, mission: Mission, settings: Settings) -> Context:
+    """Read a picture and prepare it.
+
+    Raises
+    ------
+    ImageError, CameraError
+        See `opnav_workbench.image.read_image` and `Mission.camera_for`.
+    """
+    frame = read_image(path, KeywordMap(**mission.keywords))
+    camera = mission.camera_for(frame.header)
+    _check_size(frame, camera)
+    saturated = frame.saturated
+    if camera.saturation_dn is not None:
+        saturated = saturated | (frame.image_dn >= camera.saturation_dn)
+        frame = frame.with_saturated(saturated)
+    background = estimate_background(frame.image_dn, frame.bad | saturated)
+    noise = pixel_noise(background, camera.read_noise_dn, camera.gain_e_per_dn)
+    signal = np.where(frame.bad, 0.0, frame.image_dn - background.level_dn)
+    return Context(frame, camera, mission, background, signal, noise, frame.bad, settings)
+
+
+def _check_size(frame: Frame, camera: Camera) -> None:
+    n_line, n_pixel = frame.image_dn.shape
+    if (n_line, n_pixel) != (camera.n_line, camera.n_pixel):
+        raise ImageError(
+            f"{frame.path.name} has {n_pixel} x {n_line} pixels, but {camera.name} makes {camera.n_pixel} x "
+            f"{camera.n_line}; choose the mission file that describes this picture (--mission)."
+        )

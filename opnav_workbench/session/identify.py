@@ -1,0 +1,139 @@
+"""Which detection is which star: the field's shift and twist against the a priori pointing.
+
+Before the pointing is solved, detections are matched with the predicted pattern of stars and small bodies; after it,
+the solved pointing says where each star is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.scene import predict_body
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.state import Inputs, SessionState
+from opnav_workbench.starcenters import Identification, detect, identify
+
+__all__ = ["FieldMatch", "identify_field"]
+
+DETECTION_SNR = 5.0
+# A body larger than this is not a point of the pattern, and its limb would add false detections.
+MAX_POINT_DIAMETER_PX = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldMatch:
+    """Where each predicted star is expected on the picture.
+
+    Attributes
+    ----------
+    found : bool
+    expected_px : (n, 2) array
+    visible : (n,) array of bool
+        Expected on the detector.
+    shift_px : (2,) array
+        Observed minus a priori place of the field at the detector's center.
+    radius_px : float
+        How far from the expected place a star may lie.
+    messages : tuple of str
+    """
+
+    found: bool
+    expected_px: FloatArray
+    visible: BoolArray
+    shift_px: FloatArray
+    radius_px: float
+    messages: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def identify_field(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
+    """Locate the star field, from the solved pointing if there is one, else from the pattern of detections."""
+    if state.a_priori is None or len(state.a_priori) == 0:
+        return _nothing(context, state, "no catalog star is predicted near this field")
+    if state.pointing is not None:
+        return _from_pointing(context, state)
+    return _from_pattern(context, inputs, state)
+
+
+def _from_pointing(context: Context, state: SessionState) -> FieldMatch:
+    assert state.a_priori is not None
+    assert state.pointing is not None
+    pointing = state.pointing
+    expected = context.camera.project(state.a_priori.directions @ pointing.camera_from_j2000.T)
+    return FieldMatch(
+        found=True,
+        expected_px=expected,
+        visible=context.camera.on_detector(expected),
+        shift_px=np.array([pointing.delta_pixel, pointing.delta_line]),
+        radius_px=context.settings.refined_radius_px,
+    )
+
+
+def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
+    assert state.a_priori is not None
+    stars, camera, settings = state.a_priori, context.camera, context.settings
+    detections = detect(
+        context.signal_dn, context.noise_dn, context.bad, camera.psf.sigma_px, threshold_snr=DETECTION_SNR
+    )
+    points, mags = _pattern(context, inputs, state)
+    match = identify(
+        points,
+        mags,
+        detections,
+        zero_point_mag=_zero_point(context),
+        max_shift_px=settings.max_shift_px,
+        max_twist_rad=np.radians(settings.max_twist_deg),
+        center_px=camera.center_pixel_line,
+    )
+    if not match.found:
+        return _nothing(context, state, match.message)
+    expected = match.apply(stars.pixel_line)
+    return FieldMatch(
+        found=True,
+        expected_px=expected,
+        visible=camera.on_detector(expected),
+        shift_px=match.shift_px,
+        radius_px=settings.search_radius_px,
+        messages=_caution(match),
+    )
+
+
+def _zero_point(context: Context) -> float | None:
+    """Magnitude of a star of 1 DN in this exposure."""
+    zero_point = context.camera.zero_point_mag
+    return None if zero_point is None else zero_point + 2.5 * float(np.log10(context.frame.exposure_s))
+
+
+def _pattern(context: Context, inputs: Inputs, state: SessionState) -> tuple[FloatArray, FloatArray]:
+    """Predicted places and magnitudes of stars and point-like bodies (magnitude nan where unknown)."""
+    assert state.a_priori is not None
+    points, mags = [state.a_priori.pixel_line], [state.a_priori.mag]
+    for target in inputs.targets.values():
+        body = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
+        if body.on_detector and body.diameter_px <= MAX_POINT_DIAMETER_PX:
+            points.append(body.pixel_line[None])
+            mags.append(np.array([np.nan if target.magnitude is None else target.magnitude]))
+    return np.concatenate(points), np.concatenate(mags)
+
+
+def _caution(match: Identification) -> tuple[str, ...]:
+    return (match.message,) if match.message else ()
+
+
+def _nothing(context: Context, state: SessionState, why: str) -> FieldMatch:
+    count = 0 if state.a_priori is None else len(state.a_priori)
+    message = (
+        f"{context.frame.path.name}: the star field is not identified: {why}. The a priori pointing stands; "
+        "take a deeper catalog (--catalog) or widen the search (max_shift_px)."
+    )
+    return FieldMatch(
+        found=False,
+        expected_px=np.full((count, 2), np.nan),
+        visible=np.zeros(count, dtype=bool),
+        shift_px=np.full(2, np.nan),
+        radius_px=0.0,
+        messages=(message,),
+    )

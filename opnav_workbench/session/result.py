@@ -1,0 +1,151 @@
+"""The result of a session as plain values: the layout of ``result.json``."""
+
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench import __version__
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.geometry import quaternion_from_matrix
+from opnav_workbench.observables import Observable
+from opnav_workbench.pointing import PointingSolution
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.gather import InputSource
+from opnav_workbench.session.state import Inputs, SessionState
+from opnav_workbench.spice import KernelSet
+
+__all__ = ["result_dict"]
+
+
+def result_dict(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
+    """Return everything found as plain values; residual = observed minus predicted, missing values are None."""
+    frame = context.frame
+    status, messages = overall_status(state)
+    return {
+        "image": frame.path.name,
+        "sha256": frame.sha256,
+        "utc": inputs.utc,
+        "et": inputs.et,
+        "exposure_s": frame.exposure_s,
+        "mission": context.mission.name,
+        "camera": context.camera.name,
+        "status": status,
+        "messages": [*frame.messages, *state.messages, *messages],
+        "pointing": _pointing(state.pointing),
+        "stars": _stars(context, state),
+        "bodies": [_body(o) for o in state.observables],
+        "provenance": _provenance(context, source, inputs, state),
+    }
+
+
+def overall_status(state: SessionState) -> tuple[str, list[str]]:
+    """Return ``ok``, ``partial`` or ``failed``, and the messages that say what is missing."""
+    if state.pointing is None:
+        return "failed", ["pointing not determined"]
+    missing = []
+    if not state.pointing.twist_solved:
+        missing.append("twist not determined by the stars; it is held at its a priori value")
+    missing += [f"{o.name} ({o.method}): {o.status}" for o in state.observables if o.status != "ok"]
+    return ("partial" if missing else "ok"), missing
+
+
+def _pointing(p: PointingSolution | None) -> dict[str, Any] | None:
+    if p is None:
+        return None
+    return {
+        "ra_deg": np.degrees(p.ra_rad),
+        "dec_deg": np.degrees(p.dec_rad),
+        "twist_deg": np.degrees(p.twist_rad),
+        "quaternion_camera_from_j2000": quaternion_from_matrix(p.camera_from_j2000),
+        "covariance_rad2": p.covariance_rad2,
+        "delta_pixel": p.delta_pixel,
+        "delta_line": p.delta_line,
+        "delta_twist_deg": np.degrees(p.delta_twist_rad),
+        "iterations": [
+            {
+                "delta_pixel": i.delta_pixel,
+                "delta_line": i.delta_line,
+                "delta_twist_deg": np.degrees(i.delta_twist_rad),
+            }
+            for i in p.iterations
+        ],
+        "rms_px": p.rms_px,
+        "n_stars": p.n_stars,
+        "model": p.model,
+        "excess_sigma_px": p.excess_sigma_px,
+        "chi2_reduced": p.chi2_reduced,
+        "twist_solved": p.twist_solved,
+    }
+
+
+def _stars(context: Context, state: SessionState) -> list[dict[str, Any]]:
+    stars, centers = state.a_priori, state.centers
+    if stars is None:
+        return []
+    predicted = stars.pixel_line
+    if state.pointing is not None:
+        predicted = context.camera.project(stars.directions @ state.pointing.camera_from_j2000.T)
+    rows = []
+    for i in range(len(stars)):
+        seen = centers is not None and state.status[i].status in ("used", "rejected", "saturated", "blended")
+        observed = centers.pixel_line[i] if centers is not None and seen else None
+        rows.append(
+            {
+                "id": str(stars.id[i]),
+                "mag": stars.mag[i],
+                "a_priori": stars.pixel_line[i],
+                "predicted": predicted[i],
+                "observed": observed,
+                "sigma_px": None if centers is None or not seen else _sigmas(centers.covariance_px2[i]),
+                "residual_px": None if observed is None else observed - predicted[i],
+                "snr": None if centers is None else centers.snr[i],
+                "status": state.status[i].status,
+                "reason": state.status[i].reason,
+                "method": None if centers is None else centers.method,
+            }
+        )
+    return rows
+
+
+def _sigmas(covariance: FloatArray) -> FloatArray:
+    return np.sqrt(np.diag(covariance))
+
+
+def _body(o: Observable) -> dict[str, Any]:
+    return {
+        "name": o.name,
+        "method": o.method,
+        "a_priori": o.a_priori_px,
+        "predicted": o.predicted_px,
+        "observed": o.observed_px,
+        "residual_px": o.residual_px,
+        "covariance_px2": o.covariance_px2,
+        "covariance_with_pointing_px2": o.total_covariance_px2,
+        "diameter_px": o.diameter_px,
+        "measured_diameter_px": None,
+        "partials_px_per_km": o.partials_px_per_km,
+        "ra_deg": o.ra_deg,
+        "dec_deg": o.dec_deg,
+        "apparent_ra_deg": o.apparent_ra_deg,
+        "apparent_dec_deg": o.apparent_dec_deg,
+        "residual_arcsec": o.residual_arcsec,
+        "snr": o.snr,
+        "status": o.status,
+        "messages": o.messages,
+    }
+
+
+def _provenance(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
+    active = KernelSet.active()
+    return {
+        "version": __version__,
+        "kernels": [] if active is None else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()],
+        "catalog": source.catalog,
+        "attitude_source": inputs.attitude_source,
+        "observer_source": inputs.observer.source,
+        "settings": context.settings.to_dict(),
+        "decisions": [
+            {"star": star, "verdict": verdict, "reason": reason}
+            for star, (verdict, reason) in state.decisions.items()
+        ],
+    }

@@ -1,0 +1,319 @@
+"""ImageSession: one picture, one analyst's (or one night's) way through it.
+
+Every method is one step: a pure function makes a new frozen state, the journal gains an entry, and the older state
+stays for `undo`.  Widgets, notebooks and the command line call these same methods.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from astropy.table import QTable
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import json_text, write_json
+from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.observables import observables_table, write_ecsv
+from opnav_workbench.scene import StarPrediction
+from opnav_workbench.session import steps_bodies, steps_stars, storage
+from opnav_workbench.session.context import Context, open_context
+from opnav_workbench.session.gather import InputSource, gather, gather_target
+from opnav_workbench.session.journal import JournalEntry, entry
+from opnav_workbench.session.result import result_dict
+from opnav_workbench.session.settings import Settings
+from opnav_workbench.session.state import Inputs, SessionState
+
+__all__ = ["ImageSession"]
+
+Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
+
+STEPS: dict[str, Step] = {
+    "predict": steps_stars.predict,
+    "find_stars": steps_stars.find_stars,
+    "reject_stars": steps_stars.reject_stars,
+    "accept_stars": steps_stars.accept_stars,
+    "repoint": steps_bodies.repoint,
+    "find_body": steps_bodies.find_body,
+    "observables": steps_bodies.observables,
+}
+SESSION_FILE = "session.json"
+RESULT_FILE = "result.json"
+TABLE_FILE = "observables.ecsv"
+
+
+class ImageSession:
+    """One picture and all that is done with it.
+
+    Build it with `open` or `resume`.  Read `state`, `journal` and `result()` at any time.
+
+    Examples
+    --------
+    ::
+
+        with opnav.KernelSet("approach.tm"):
+            s = opnav.ImageSession.open("lor_0299.fit", mission="new_horizons")
+            s.predict()
+            s.find_stars()
+            s.repoint(model="euler")
+            s.find_body("PLUTO", method="unresolved")
+            s.observables()
+            s.save("run/lor_0299")
+    """
+
+    def __init__(self, context: Context, source: InputSource, inputs: Inputs) -> None:
+        self._context = context
+        self._source = source
+        self._inputs = inputs
+        self._states: list[SessionState] = [SessionState()]
+        self._journal: list[JournalEntry] = []
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        mission: str | Path | Mission,
+        *,
+        catalog: str = "bundled",
+        target_stars: str | Path | None = None,
+        attitude: str = "auto",
+        settings: Settings | None = None,
+    ) -> "ImageSession":
+        """Open a picture.
+
+        Parameters
+        ----------
+        path : path to a FITS or VICAR/PDS3 picture
+        mission : str, path or Mission
+            Mission name (``new_horizons``) or path of a mission YAML.
+        catalog : str
+            Catalog spec: ``bundled``, ``npz:FILE``, ``astrometry-net:GLOB``.
+        target_stars : path, optional
+            YAML star list whose stars can be targets; default the mission's own list.
+        attitude : {"auto", "kernels", "header"}
+            Where the a priori attitude comes from; ``auto`` takes the kernels where the active `KernelSet` has a CK
+            for the camera, else the header.
+        settings : Settings, optional
+
+        Raises
+        ------
+        ImageError, MissionError, CameraError, CatalogError, KernelError
+            One line that says what is wrong and what to do.
+        """
+        mission = mission if isinstance(mission, Mission) else load_mission(mission)
+        context = open_context(path, mission, settings or Settings())
+        source = InputSource(catalog, None if target_stars is None else Path(target_stars), attitude)
+        return cls(context, source, gather(context, source))
+
+    # -- what stands -------------------------------------------------------------------------------------------
+
+    @property
+    def context(self) -> Context:
+        """The picture, its camera, background and settings."""
+        return self._context
+
+    @property
+    def inputs(self) -> Inputs:
+        """What kernels, header and catalog gave."""
+        return self._inputs
+
+    @property
+    def state(self) -> SessionState:
+        """The present, immutable state."""
+        return self._states[-1]
+
+    @property
+    def journal(self) -> tuple[JournalEntry, ...]:
+        """All steps and decisions in order, undone ones and the undoing included."""
+        return tuple(self._journal)
+
+    @property
+    def camera_from_j2000(self) -> FloatArray:
+        """Best known attitude (3, 3): solved, else a priori."""
+        return steps_bodies.attitude(self._inputs, self.state)
+
+    # -- steps -------------------------------------------------------------------------------------------------
+
+    def predict(self) -> StarPrediction:
+        """Predict catalog stars around the a priori field; drops what was found before.
+
+        Returns
+        -------
+        StarPrediction
+        """
+        self._step("predict", {}, "", lambda s: f"{_count(s.a_priori)} stars on or near the detector")
+        assert self.state.a_priori is not None
+        return self.state.a_priori
+
+    def find_stars(
+        self,
+        initial: str = "matched_filter",
+        final: str = "least_squares",
+        search_radius_px: float | None = None,
+    ) -> None:
+        """Identify the field and fit the star centers; with a solved pointing the search is around it.
+
+        Parameters
+        ----------
+        initial : {"matched_filter", "cross_correlation"}
+        final : {"least_squares", "matched_filter", "cross_correlation"}
+        search_radius_px : float, optional
+            How far from its expected place a star may lie; default from the settings.
+        """
+        parameters = {"initial": initial, "final": final, "search_radius_px": search_radius_px}
+        self._step("find_stars", parameters, "", lambda s: f"{int(s.mask('used').sum())} stars found")
+
+    def reject_stars(self, ids: Sequence[str], reason: str) -> None:
+        """Reject stars by catalog id; the reason stands in the journal and in the result."""
+        self._step("reject_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} rejected")
+
+    def accept_stars(self, ids: Sequence[str], reason: str = "") -> None:
+        """Accept stars by catalog id, outranking any automatic rejection."""
+        self._step("accept_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} accepted")
+
+    def repoint(self, model: str = "euler") -> None:
+        """Solve the camera attitude from the stars in use.
+
+        Parameters
+        ----------
+        model : {"euler", "image_plane"}
+        """
+        self._step("repoint", {"model": model}, "", _pointing_line)
+
+    def find_body(self, name: str, method: str = "unresolved", search_radius_px: float | None = None) -> None:
+        """Find a body's center.
+
+        Parameters
+        ----------
+        name : str
+            SPICE body name, or a star of the target list.
+        method : {"unresolved"}
+        search_radius_px : float, optional
+            Default from the predicted uncertainty.
+        """
+        if name not in self._inputs.targets:
+            self._inputs = gather_target(self._context, self._source, self._inputs, name)
+        parameters = {"name": name, "method": method, "search_radius_px": search_radius_px}
+        self._step("find_body", parameters, "", lambda s: f"{name}: {s.bodies[-1].status}")
+
+    def observables(self) -> QTable:
+        """Compute the observables of all bodies found so far.
+
+        Returns
+        -------
+        astropy.table.QTable
+            One row a body and method: O, C, O-C, sigmas, partials, with units and descriptions.
+        """
+        self._step("observables", {}, "", lambda s: f"{len(s.observables)} observables")
+        return observables_table(self.state.observables)
+
+    def undo(self) -> JournalEntry:
+        """Take back the last step; the journal keeps both.
+
+        Returns
+        -------
+        JournalEntry
+            The entry of the step undone.
+
+        Raises
+        ------
+        SessionError
+            Nothing is left to undo.
+        """
+        undone = self._standing()
+        if not undone:
+            raise SessionError("nothing to undo: no step has been taken yet.")
+        self._states.pop()
+        self._journal.append(entry("undo", {"step": undone[-1].step}, "", f"{undone[-1].step} undone"))
+        return undone[-1]
+
+    def _standing(self) -> list[JournalEntry]:
+        """Journal entries whose effect still stands."""
+        standing: list[JournalEntry] = []
+        for item in self._journal:
+            if item.step == "undo":
+                standing.pop()
+            else:
+                standing.append(item)
+        return standing
+
+    def _step(
+        self, name: str, parameters: dict[str, Any], reason: str, outcome: Callable[[SessionState], str]
+    ) -> None:
+        state = STEPS[name](self._context, self._inputs, self.state, parameters)
+        self._states.append(state)
+        self._journal.append(entry(name, parameters, reason, outcome(state)))
+
+    # -- files -------------------------------------------------------------------------------------------------
+
+    def result(self) -> dict[str, Any]:
+        """Return everything found so far as plain values, in the layout of ``result.json``."""
+        return result_dict(self._context, self._source, self._inputs, self.state)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write ``result.json``, ``observables.ecsv`` and ``session.json`` into `folder`.
+
+        Returns
+        -------
+        Path
+            The folder.
+
+        Raises
+        ------
+        SessionError
+            The folder cannot be written; older files in it are unchanged.
+        """
+        target = Path(folder)
+        write_json(target / RESULT_FILE, self.result())
+        write_ecsv(self.state.observables, target / TABLE_FILE)
+        write_json(target / SESSION_FILE, storage.session_dict(self._context, self._source, self._inputs, self._journal))
+        return target
+
+    @classmethod
+    def resume(cls, folder: str | Path, image: str | Path | None = None) -> "ImageSession":
+        """Continue a saved session: the journal's steps are replayed on the picture; kernels are not needed.
+
+        Parameters
+        ----------
+        folder : path that `save` wrote
+        image : path, optional
+            Where the picture is now, if it has moved.
+
+        Raises
+        ------
+        SessionError
+            No readable ``session.json``, or the picture is missing or another one (SHA-256 differs).
+        """
+        saved = storage.load_session(Path(folder) / SESSION_FILE, image)
+        session = cls(saved.context, saved.source, saved.inputs)
+        session._replay(saved.journal)
+        return session
+
+    def _replay(self, journal: Iterable[JournalEntry]) -> None:
+        for item in journal:
+            if item.step == "undo":
+                self._states.pop()
+            elif item.step in STEPS:
+                step = STEPS[item.step]
+                self._states.append(step(self._context, self._inputs, self.state, dict(item.parameters)))
+            else:
+                raise SessionError(f"session.json names an unknown step {item.step!r}; it was written by a newer version.")
+            self._journal.append(item)
+
+    def to_json(self) -> str:
+        """Return `result` as JSON text."""
+        return json_text(self.result())
+
+
+def _count(stars: StarPrediction | None) -> int:
+    return 0 if stars is None else len(stars)
+
+
+def _pointing_line(state: SessionState) -> str:
+    pointing = state.pointing
+    if pointing is None:
+        return "pointing not determined"
+    return (
+        f"pointing moved by {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines; "
+        f"rms {pointing.rms_px:.3f} px with {pointing.n_stars} stars"
+    )

@@ -1,0 +1,69 @@
+"""What a session may be told to do differently; every threshold with its unit and reason."""
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from opnav_workbench.errors import SessionError
+
+__all__ = ["Settings"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Thresholds of a session.
+
+    Attributes
+    ----------
+    max_shift_px : float
+        How far the a priori pointing may be off; the paper speaks of "more than 40 pixels".
+    max_twist_deg : float
+        How far the a priori twist may be off; 0.2 deg was measured on LORRI frames.
+    search_radius_px : float
+        How far from its expected place a star is searched once the field is identified.
+    refined_radius_px : float
+        The same once the pointing is solved: the expected place is then known to a fraction of a pixel.
+    min_snr : float
+        A star below this signal-to-noise ratio counts as not detected: noise alone exceeds 5 sigma within the
+        search area once in about 1e5 stars.
+    max_magnitude_error : float
+        A detection this much (mag) off the frame's own zero point is not the catalog star: colours of late-type stars
+        reach 2.5 mag between V and a broad red band.
+    blend_radius_px : float
+        Two catalog stars nearer than this are not separate pictures of stars.
+    blend_magnitude : float
+        ... unless the fainter is this much (mag) fainter, when it moves the center by less than 3 % of their distance.
+    max_stars : int
+        At most so many stars, the brightest, are used.
+    mag_limit : float
+        Faintest catalog magnitude asked for.
+    """
+
+    max_shift_px: float = 60.0
+    max_twist_deg: float = 0.5
+    search_radius_px: float = 4.0
+    refined_radius_px: float = 2.5
+    min_snr: float = 5.0
+    max_magnitude_error: float = 2.5
+    blend_radius_px: float = 4.0
+    blend_magnitude: float = 4.0
+    max_stars: int = 300
+    mag_limit: float = 30.0
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Settings":
+        """Build settings from a mapping.
+
+        Raises
+        ------
+        SessionError
+            A name is not a setting (all settings are listed).
+        """
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise SessionError(f"unknown setting {', '.join(unknown)}; settings are {', '.join(sorted(known))}.")
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as plain values."""
+        return asdict(self)

