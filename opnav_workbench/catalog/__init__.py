@@ -11,6 +11,7 @@ status          what is available here
 from opnav_workbench.catalog.indexed import Catalog
 from opnav_workbench.catalog.priors import UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.specs import open_catalog
+from opnav_workbench.catalog.star_list import read_star_list
 from opnav_workbench.catalog.status import CatalogStatus, catalog_status
 from opnav_workbench.catalog.table import StarTable
 
@@ -21,4 +22,5 @@ __all__ = [
     "StarTable",
     "catalog_status",
     "open_catalog",
+    "read_star_list",
 ]

@@ -11,7 +11,8 @@ cos Dec. Time runs in `et` or Julian years with J2000.0 = et 0; TDB and TCB, 16 
 
 Source: ESA (1997), The Hipparcos and Tycho Catalogues, vol. 1, sections 1.2.8 and 1.5.5; Lindegren et al.
 (2012), A&A 538, A78, eq. 4, doi:10.1051/0004-6361/201117905. As in those catalogues, the change of the light
-time that comes with the star's own motion is part of the observed proper motion and radial velocity.
+time that comes with the star's own motion is part of the observed proper motion and radial velocity; its
+second order, 0.1 mas after 20 years for the fastest stars on the sky, is left out.
 """
 
 from typing import NamedTuple

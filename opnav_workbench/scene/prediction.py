@@ -23,6 +23,7 @@ from opnav_workbench.geometry import (
     propagate,
     propagate_covariance,
     radec_from_unit,
+    tangent_basis,
 )
 from opnav_workbench.scene.observer import Observer
 
@@ -166,10 +167,7 @@ def _catalog_covariance(
     sky = propagate_covariance(
         stars.covariance, stars.epoch_jyear, et, stars.ra_rad, stars.dec_rad, observer.position_km
     )
-    ra, dec = radec_from_unit(directions)
-    east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
-    north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
-    tangent = np.stack([east, north], axis=-1)
+    tangent = np.stack(tangent_basis(*radec_from_unit(directions)), axis=-1)
     jacobian = camera.project_jacobian(directions @ camera_from_j2000.T) @ camera_from_j2000 @ tangent
     return jacobian @ sky @ np.swapaxes(jacobian, -1, -2)
 

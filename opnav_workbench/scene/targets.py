@@ -5,7 +5,7 @@ import numpy as np
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import KernelError
-from opnav_workbench.geometry import AU_KM, propagate, propagate_covariance, radec_from_unit
+from opnav_workbench.geometry import AU_KM, propagate, propagate_covariance, radec_from_unit, tangent_basis
 from opnav_workbench.scene.observer import Observer
 from opnav_workbench.spice import body_attitude, body_radii_km, state
 
@@ -64,10 +64,7 @@ def star_target_at(name: str, stars: StarTable, row: int, et: float, observer: O
         star.covariance, star.epoch_jyear, et, star.ra_rad, star.dec_rad, observer.position_km
     )[0]
     range_km = AU_KM / max(float(star.parallax_rad[0]), NO_PARALLAX_RAD)
-    ra, dec = (float(a) for a in radec_from_unit(direction))
-    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
-    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
-    tangent = np.stack([east, north], axis=-1) * range_km
+    tangent = np.stack(tangent_basis(*radec_from_unit(direction)), axis=-1) * range_km
     return TargetState(
         name=name,
         position_km=direction * range_km,

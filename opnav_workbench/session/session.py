@@ -145,6 +145,22 @@ class ImageSession:
         assert self.state.a_priori is not None
         return self.state.a_priori
 
+    def add_target(self, name: str) -> None:
+        """Take a body or target star into the predicted scene, so that identification expects it there.
+
+        Parameters
+        ----------
+        name : str
+            SPICE body name, or a star of the target list.
+
+        Raises
+        ------
+        KernelError
+            Neither kernels nor the star list know it.
+        """
+        if name not in self._inputs.targets:
+            self._inputs = gather_target(self._context, self._source, self._inputs, name)
+
     def find_stars(
         self,
         initial: str = "matched_filter",
@@ -191,8 +207,7 @@ class ImageSession:
         search_radius_px : float, optional
             Default from the predicted uncertainty.
         """
-        if name not in self._inputs.targets:
-            self._inputs = gather_target(self._context, self._source, self._inputs, name)
+        self.add_target(name)
         parameters = {"name": name, "method": method, "search_radius_px": search_radius_px}
         self._step("find_body", parameters, "", lambda s: f"{name}: {s.bodies[-1].status}")
 

@@ -3,14 +3,30 @@
 Nothing outside the package's SPICE layer touches the pool, and there only through `KernelSet` and `spice_call`.
 """
 
+import contextlib
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import spiceypy
 
-__all__ = ["LOCK", "LoadedFile", "Snapshot", "active", "capture", "loaded_files", "opened", "restore"]
+__all__ = [
+    "LOCK",
+    "LoadedFile",
+    "Opened",
+    "PoolValue",
+    "Snapshot",
+    "active",
+    "capture",
+    "isolated",
+    "loaded_files",
+    "opened",
+    "pool_names",
+    "pool_value",
+    "restore",
+]
 
 LOCK = threading.RLock()  # around every call into spiceypy
 NAMES_PER_CALL = 5000  # pool variable names fetched at a time; the pool holds 26 003 at most
@@ -92,6 +108,17 @@ def restore(before: Snapshot) -> None:
     _restore_variables(before.variables)
     if failures:
         raise failures[0]
+
+
+@contextlib.contextmanager
+def isolated() -> Iterator[None]:
+    """Give the block an empty pool, and bring everything back afterwards. Call it with the lock held."""
+    before = capture()
+    spiceypy.kclear()
+    try:
+        yield
+    finally:
+        restore(before)
 
 
 def _names_to_load(before: Snapshot) -> list[str]:

@@ -74,17 +74,15 @@ def estimate_psf_error(centers: StarCenters, *, min_snr: float = WELL_EXPOSED_SN
     """Return the relative error of the Gaussian PSF model that the misfit of well-exposed stars tells of.
 
     The excess of chi-square over its degrees of freedom is f^2 sum(star^2 / variance), and the sum is close to the
-    square of the star's signal-to-noise ratio without that error. 0 where the fits agree with the noise.
+    square of the star's signal-to-noise ratio. 0 where the fits agree with the noise.
     """
     good = well_exposed(centers, min_snr)
     if not good.any():
         return 0.0
     chi2, freedom = centers.chi2_reduced[good], centers.degrees_of_freedom[good]
-    factor = misfit_factor(chi2, freedom)
-    if np.median(factor) <= 1.0:
+    if np.median(misfit_factor(chi2, freedom)) <= 1.0:
         return 0.0
-    formal_snr = centers.snr[good] * np.sqrt(factor)
-    error = np.sqrt(np.maximum(chi2 - 1.0, 0.0) * freedom) / formal_snr
+    error = np.sqrt(np.maximum(chi2 - 1.0, 0.0) * freedom) / centers.snr[good]
     return float(min(np.median(error), MAX_PSF_ERROR))
 
 

@@ -1,8 +1,13 @@
 """One table of flags for everything that can befall a star's center."""
 
+from collections.abc import Mapping
 from enum import IntFlag
 
-__all__ = ["StarFlag", "describe_flags"]
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, IntArray
+
+__all__ = ["StarFlag", "combine_flags", "describe_flags"]
 
 
 class StarFlag(IntFlag):
@@ -32,7 +37,7 @@ _MEANING = {
     StarFlag.EDGE: "the box reaches over the edge of the detector",
     StarFlag.BAD_PIXELS: "bad pixels within the star were left out",
     StarFlag.LOW_SNR: "signal-to-noise ratio too low for a center",
-    StarFlag.AT_BOUND: "the center or shape stopped at the limit of its search range",
+    StarFlag.AT_BOUND: "the center stopped at the limit of its search area",
     StarFlag.BLENDED: "another star lies within the star's image",
     StarFlag.COSMIC_RAY: "sharper than the point spread function",
     StarFlag.NOT_FINITE: "no center: too few usable pixels",
@@ -48,3 +53,11 @@ def describe_flags(flags: int) -> str:
     'the box reaches over the edge of the detector; signal-to-noise ratio too low for a center'
     """
     return "; ".join(text for flag, text in _MEANING.items() if flags & flag) or "ok"
+
+
+def combine_flags(conditions: Mapping[StarFlag, BoolArray], n: int) -> IntArray:
+    """Return (n,) flag values: the sum of the flags whose condition (n,) holds."""
+    flags = np.zeros(n, np.int64)
+    for flag, condition in conditions.items():
+        flags |= np.where(condition, int(flag), 0)
+    return flags

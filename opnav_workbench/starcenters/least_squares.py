@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.starcenters.boxes import Boxes, Pixels, check_image, check_points, cut_boxes
-from opnav_workbench.starcenters.flags import StarFlag
+from opnav_workbench.starcenters.flags import StarFlag, combine_flags
 from opnav_workbench.starcenters.levenberg import Evaluation, Solution, solve_batched
 from opnav_workbench.starcenters.psf import box_integrals, ellipse_from_shape
 from opnav_workbench.starcenters.results import NoiseModel, ShapePrior, StarCenters
@@ -94,16 +94,19 @@ def fit_gaussian(
     noise_model : NoiseModel, optional
         With it, the shot noise of the fitted star is added to `noise_dn`, which then must not hold it already.
     psf_error : float
-        Relative error of the Gaussian as a model of the PSF; that fraction of the star, per pixel, is added to the noise.
+        Relative error of the Gaussian as a model of the PSF. The covariance allows for that fraction of the star in each
+        pixel (see `estimate_psf_error`); the weights stay those of the noise, so that the centers do not depend on it.
     search_radius_px : float
         The brightest point of the search area starts the fit; the center stays within it, along each axis.
     inflate_misfit : bool
-        Scale a star's covariance by its reduced chi-square where that is significantly above 1 (see `misfit_factor`).
+        Scale the covariance of center and shape by the reduced chi-square (less what `psf_error` explains) where that is
+        significantly above 1 (see `misfit_factor`).
 
     Returns
     -------
     StarCenters
-        Covariance is the inverse of the normal matrix, prior included, shape and background marginalized.
+        Covariance is the inverse of the normal matrix, prior included, shape and background marginalized; flux sigma
+        and signal-to-noise ratio tell of the noise alone.
 
     Raises
     ------
@@ -128,7 +131,7 @@ def fit_gaussian(
 
     first_guess = brightest_pixel(pixels, start, prior, search_radius_px)
     boxes = cut_boxes(pixels, first_guess, size)
-    model = _StarModel.of(boxes, noise_model, psf_error, parameters)
+    model = _StarModel.of(boxes, noise_model, parameters)
     guess = model.linear_start(first_guess, prior)
     lower, upper = _bounds(guess, start, prior, search_radius_px)
     mean, information = np.zeros_like(guess), np.zeros_like(guess)
@@ -158,16 +161,15 @@ class _StarModel:
     basis: FloatArray  # (b, m) level, and slopes about the middle of the box
     size: int
     gain: float  # e/DN, infinite without shot noise
-    psf_error: float
 
     @classmethod
-    def of(cls, boxes: Boxes, noise: NoiseModel | None, psf_error: float, parameters: int) -> "_StarModel":
+    def of(cls, boxes: Boxes, noise: NoiseModel | None, parameters: int) -> "_StarModel":
         n, size = len(boxes.first), boxes.size
         line, pixel = np.indices((size, size), dtype=float).reshape(2, -1) - (size - 1) / 2
         basis = np.stack([np.ones(size * size), pixel, line])[: parameters - LEVEL]
         gain = np.inf if noise is None else noise.gain_e_per_dn
         data, variance = boxes.data_dn.reshape(n, -1), boxes.variance_dn2.reshape(n, -1)
-        return cls(boxes.first.astype(float), data, variance, basis, size, gain, psf_error)
+        return cls(boxes.first.astype(float), data, variance, basis, size, gain)
 
     def __call__(self, index: IntArray, p: FloatArray) -> Evaluation:
         psf = box_integrals(p[:, PIXEL : LINE + 1], p[:, SCALE : E2 + 1], self.first[index], self.size)
@@ -181,15 +183,10 @@ class _StarModel:
         jacobian[:, LEVEL:] = self.basis
         star = flux * jacobian[:, FLUX]
         residual = self.data[index] - star - p[:, LEVEL:] @ self.basis
-        return Evaluation(residual, 1.0 / self._noise_variance(index, star), jacobian)
-
-    def _noise_variance(self, index: IntArray, star: FloatArray) -> FloatArray:
         variance = self.variance[index]
         if np.isfinite(self.gain):
             variance = variance + np.maximum(star, 0.0) / self.gain
-        if self.psf_error > 0.0:
-            variance = variance + (self.psf_error * star) ** 2
-        return variance
+        return Evaluation(residual, 1.0 / variance, jacobian)
 
     def linear_start(self, center: FloatArray, prior: ShapePrior) -> FloatArray:
         """Return parameters with flux and background level solved linearly at `center` and the prior's shape."""
@@ -208,6 +205,17 @@ class _StarModel:
         p[:, PIXEL : LINE + 1] = center
         p[:, SCALE : E2 + 1] = shape
         return p
+
+    def with_psf_error(self, p: FloatArray, covariance: FloatArray, error: float) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance with the error of the PSF model propagated through the fit, and the chi2 it adds.
+
+        With C the inverse normal matrix the fit is linear in the data by C J' W; their error adds C J'W V WJ C.
+        """
+        state = self(np.arange(len(p)), p)
+        psf_variance = (error * p[:, FLUX, None] * state.jacobian[:, FLUX]) ** 2
+        gain = np.matmul(covariance, state.jacobian * state.weight[:, None, :])
+        added = np.matmul(gain * psf_variance[:, None, :], np.swapaxes(gain, 1, 2))
+        return covariance + added, np.sum(state.weight * psf_variance, axis=1)
 
     def background_at(self, center: FloatArray, p: FloatArray) -> FloatArray:
         """Return the background (DN) at `center`; (n,)."""
@@ -242,10 +250,14 @@ def _results(
     freedom = np.where(finite, freedom, 0.0)
     blank = np.where(finite, 1.0, np.nan)
     chi2_reduced = solution.chi2 / np.maximum(freedom, 1.0) * blank
-    if inflate:
-        covariance = covariance * misfit_factor(chi2_reduced, freedom)[:, None, None]
     flux_sigma = np.sqrt(covariance[:, FLUX, FLUX]) * blank
     snr = p[:, FLUX] / flux_sigma
+    explained = np.ones(len(p))
+    if psf_error > 0.0:
+        covariance, excess = model.with_psf_error(p, covariance, psf_error)
+        explained = 1.0 + excess / np.maximum(freedom, 1.0)
+    if inflate:
+        covariance = covariance * misfit_factor(chi2_reduced / explained, freedom)[:, None, None]
     center = p[:, PIXEL : LINE + 1]
     return StarCenters(
         pixel_line=center * blank[:, None],
@@ -289,15 +301,12 @@ def _flags(
         StarFlag.EDGE: boxes.outside.any(axis=(1, 2)),
         StarFlag.BAD_PIXELS: (boxes.bad & core).any(axis=(1, 2)),
         StarFlag.LOW_SNR: low,
-        StarFlag.AT_BOUND: solution.at_bound[:, PIXEL : E2 + 1].any(axis=1),
+        StarFlag.AT_BOUND: solution.at_bound[:, PIXEL : LINE + 1].any(axis=1),
         StarFlag.BLENDED: _blended(center, prior),
         StarFlag.COSMIC_RAY: cosmic,
         StarFlag.NOT_FINITE: ~finite,
     }
-    flags = np.zeros(len(p), np.int64)
-    for flag, condition in conditions.items():
-        flags |= np.where(condition, int(flag), 0)
-    return flags
+    return combine_flags(conditions, len(p))
 
 
 def _blended(center: FloatArray, prior: ShapePrior) -> BoolArray:

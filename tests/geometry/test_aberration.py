@@ -84,7 +84,7 @@ def test_inverse_round_trip(convention, w, around, beta):
     apparent = geo.apparent_direction(direction, velocity, convention)
     assert np.linalg.norm(apparent) == pytest.approx(1.0, rel=0, abs=4e-16)
     back = geo.geometric_direction(apparent, velocity, convention)
-    # Astern of a fast observer directions crowd together by (1 - beta) / (1 + beta) and rounding grows with it.
+    # Directions astern of a fast observer spread by up to (1 + beta) / (1 - beta), and rounding with them.
     assert geo.angle_between(back, direction) < ROUNDING_RAD * (1.0 if beta < 0.01 else 3.0 / (1.0 - beta))
 
 

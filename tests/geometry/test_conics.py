@@ -108,7 +108,7 @@ def test_terminator_runs_from_limb_to_limb(radii, position):
 
 @pytest.mark.parametrize("phase_deg", [20.0, 60.0, 90.0, 130.0])
 def test_terminator_of_a_far_sphere_bulges_by_the_cosine_of_the_phase(phase_deg):
-    """Middle of the arc: R cos(phase) from the center on the night side (gibbous) or the day side (crescent)."""
+    """Middle of the arc: R cos(phase) from the center, toward night (gibbous) or day (crescent)."""
     phase = np.radians(phase_deg)
     sun = 1e9 * np.array([np.sin(phase), 0.0, -np.cos(phase)])
     arc = geo.terminator_points([0, 0, 1e7], [1000.0] * 3, np.eye(3), sun, n=181)
@@ -138,7 +138,7 @@ def test_whole_terminator_is_seen_from_behind_a_near_lamp():
 
 
 def test_a_viewer_inside_the_body_is_refused():
-    with pytest.raises(ValueError, match="camera is not outside the body: 0.5 body radii"):
+    with pytest.raises(ValueError, match=r"camera is not outside the body: 0\.5 body radii"):
         geo.limb_cone([0, 0, 30.0], FLAT_KM, np.eye(3))
     with pytest.raises(ValueError, match="camera is not outside"):
         geo.limb_points([0, 0, 60.0], FLAT_KM, np.eye(3))
@@ -239,8 +239,8 @@ def test_sphere_center_offset_needs_a_closed_limb(off_axis, radius):
 
 
 def test_limb_of_a_barely_resolved_body_keeps_its_size():
-    """One LORRI pixel across at the corner of the picture: the ellipse is still good to 1e-8 of itself."""
+    """One LORRI pixel across at the corner of the picture: its size is still good to 1e-5 of itself."""
     position, radius = 1e9 * geo.unit([3.6e-3, 0.0, 1.0]), 2500.0
     ellipse = geo.ellipse_from_conic(geo.limb_cone(position, [radius] * 3, np.eye(3)))
-    assert ellipse.semi_axes[1] == pytest.approx(2.5e-6, rel=2e-5)
+    assert ellipse.semi_axes[1] == pytest.approx(2.5e-6 * (1 + 3.6e-3**2 / 2), rel=1e-5)
     np.testing.assert_allclose(ellipse.center, [3.6e-3, 0.0], rtol=0, atol=1e-13)

@@ -127,7 +127,7 @@ def test_pointing_agrees_with_spice_euler_angles(ra, dec, twist):
 
 
 def test_focal_axes_of_lorri_point_where_they_should():
-    """At (RA 0, Dec 0) and twist 0 line runs north; LORRI shows the sky so that pixel then runs west... of -Z."""
+    """At (RA 0, Dec 0) and twist 0 line runs north and pixel west; a quarter turn brings line to the east."""
     attitude = geo.camera_from_j2000(0.0, 0.0, 0.0, LORRI)
     np.testing.assert_allclose(attitude.T @ [0, 0, -1], [1, 0, 0], atol=1e-15)  # boresight
     np.testing.assert_allclose(attitude.T @ [0, 1, 0], [0, 0, 1], atol=1e-15)  # line: north

@@ -1,0 +1,197 @@
+"""A target as the spacecraft sees it, with everything that predicting and measuring its picture needs.
+
+Frame  J2000; the body-fixed frame enters through ``body_from_j2000`` only
+Units  km, km^2, rad, mag
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.errors import CatalogError, KernelError
+from opnav_workbench.geometry import AU_KM, radec_from_unit, tangent_basis
+
+__all__ = ["MIN_PARALLAX_RAD", "TargetState", "star_target"]
+
+# A star whose parallax is unknown or not positive is put at 1 Mpc (1 microarcsecond): its partials with respect
+# to the spacecraft's position then vanish, as they should, and stay finite.
+MIN_PARALLAX_RAD = 1e-6 / 206264.80624709636
+ROTATION_TOLERANCE = 1e-6  # a matrix this far from orthonormal turns a limb by less than a microradian
+SYMMETRY_TOLERANCE = 1e-9  # relative; what is left of rounding when a covariance is propagated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetState:
+    """A body, or a star used as a target, seen from the spacecraft at mid-exposure; arrays are read-only.
+
+    Attributes
+    ----------
+    name : str
+    position_km : (3,) array
+        Spacecraft to body center, J2000: light time removed, stellar aberration not applied.
+    radii_km : (3,) array or None
+        Semi-axes along the body's x, y, z; None for a star or a body of unknown size.
+    body_from_j2000 : (3, 3) array or None
+        Rotation to the body-fixed frame when the light left, ``v_body = body_from_j2000 @ v_j2000``.
+    sun_position_km : (3,) array or None
+        Body to Sun, J2000.
+    covariance_km2 : (3, 3) array or None
+        A priori covariance of `position_km`, J2000.
+    magnitude : float or None
+        Expected V magnitude.
+    is_star : bool
+        True for a star used as a target.
+
+    Raises
+    ------
+    KernelError
+        A field of the wrong shape or not finite, a body at the spacecraft, a negative radius, a matrix that does
+        not rotate, a covariance that is none.
+
+    Examples
+    --------
+    >>> TargetState("PLUTO", [0.0, 3e6, 4e6], radii_km=[1188.3, 1188.3, 1188.3]).range_km
+    5000000.0
+    """
+
+    name: str
+    position_km: FloatArray
+    radii_km: FloatArray | None = None
+    body_from_j2000: FloatArray | None = None
+    sun_position_km: FloatArray | None = None
+    covariance_km2: FloatArray | None = None
+    magnitude: float | None = None
+    is_star: bool = False
+
+    def __post_init__(self) -> None:
+        shapes = {
+            "position_km": (3,),
+            "radii_km": (3,),
+            "body_from_j2000": (3, 3),
+            "sun_position_km": (3,),
+            "covariance_km2": (3, 3),
+        }
+        for field, shape in shapes.items():
+            value = getattr(self, field)
+            if value is not None:
+                object.__setattr__(self, field, _finite(self.name, field, value, shape))
+        self._check_values()
+        freeze_arrays(self)
+
+    def _check_values(self) -> None:
+        if not self.name:
+            raise KernelError("a target needs a name; give the body's SPICE name or the star's designation")
+        if not self.range_km > 0.0:
+            raise KernelError(
+                f"{self.name} is at the spacecraft (range 0 km); choose another target or observer"
+            )
+        if self.radii_km is not None and np.any(self.radii_km < 0.0):
+            raise KernelError(
+                f"{self.name} has a negative radius, {self.radii_km.tolist()} km; check its PCK"
+            )
+        if self.body_from_j2000 is not None:
+            _check_rotation(self.name, self.body_from_j2000)
+        if self.covariance_km2 is not None:
+            _check_covariance(self.name, self.covariance_km2)
+
+    @property
+    def range_km(self) -> float:
+        """Distance from the spacecraft to the body's center."""
+        return float(np.linalg.norm(self.position_km))
+
+    @property
+    def direction(self) -> FloatArray:
+        """Unit vector (3,) toward the body, J2000, without stellar aberration."""
+        return np.asarray(self.position_km / self.range_km)
+
+
+def star_target(
+    name: str,
+    direction: ArrayLike,
+    parallax_rad: float,
+    *,
+    covariance_rad2: ArrayLike | None = None,
+    magnitude: float | None = None,
+) -> TargetState:
+    """Return a star as a target: at the distance of its parallax, so that its partials are finite.
+
+    Parameters
+    ----------
+    name : str
+        The star's designation.
+    direction : (3,) array_like
+        Toward the star as seen from the spacecraft, J2000, of any length: space motion and parallax applied,
+        stellar aberration not (`opnav_workbench.geometry.propagate` gives it).
+    parallax_rad : float
+        Annual parallax; unknown (nan), zero and negative ones count as `MIN_PARALLAX_RAD`.
+    covariance_rad2 : (2, 2) array_like, optional
+        Covariance of the direction toward east and north.
+    magnitude : float, optional
+
+    Raises
+    ------
+    CatalogError
+        The direction is zero or not finite, or the covariance is not (2, 2).
+
+    Examples
+    --------
+    >>> star = star_target("Proxima Cen", [0.0, 0.0, 2.0], np.radians(0.7685 / 3600.0))
+    >>> print(f"{star.range_km / 3.0857e13:.3f} pc")
+    1.301 pc
+    """
+    vector = np.asarray(direction, float)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not (np.isfinite(length) and length > 0.0):
+        raise CatalogError(
+            f"{name}: direction {vector.tolist()} is none; give three finite numbers, not all zero"
+        )
+    unit = vector / length
+    range_km = AU_KM / (parallax_rad if parallax_rad > MIN_PARALLAX_RAD else MIN_PARALLAX_RAD)
+    return TargetState(
+        name=name,
+        position_km=unit * range_km,
+        covariance_km2=None
+        if covariance_rad2 is None
+        else _sky_covariance(name, unit, range_km, covariance_rad2),
+        magnitude=magnitude,
+        is_star=True,
+    )
+
+
+def _sky_covariance(name: str, unit: FloatArray, range_km: float, covariance_rad2: ArrayLike) -> FloatArray:
+    sky = np.asarray(covariance_rad2, float)
+    if sky.shape != (2, 2):
+        raise CatalogError(
+            f"{name}: covariance of the direction has shape {sky.shape}, expected (2, 2) east, north"
+        )
+    tangent = np.stack(tangent_basis(*radec_from_unit(unit)), axis=-1) * range_km
+    return symmetric(tangent @ sky @ tangent.T)
+
+
+def _finite(name: str, field: str, value: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    array = np.asarray(value, float)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise KernelError(f"{name}: {field} is {array.tolist()}; expected {shape} finite numbers")
+    return array
+
+
+def _check_rotation(name: str, matrix: FloatArray) -> None:
+    error = float(np.max(np.abs(matrix @ matrix.T - np.eye(3))))
+    determinant = float(np.linalg.det(matrix))
+    if error > ROTATION_TOLERANCE or determinant < 0.0:
+        raise KernelError(
+            f"{name}: body_from_j2000 is no rotation (off by {error:.3g}, determinant {determinant:.6g}); "
+            "check the PCK or frame kernel"
+        )
+
+
+def _check_covariance(name: str, matrix: FloatArray) -> None:
+    scale = float(np.max(np.abs(matrix)))
+    lowest = float(np.linalg.eigvalsh(symmetric(matrix))[0])
+    if np.max(np.abs(matrix - matrix.T)) > SYMMETRY_TOLERANCE * scale or lowest < -SYMMETRY_TOLERANCE * scale:
+        raise KernelError(
+            f"{name}: covariance_km2 is not symmetric or has a negative eigenvalue ({lowest:.3g} km^2); "
+            "give a covariance matrix in J2000"
+        )

@@ -1,0 +1,55 @@
+"""The ``opnav`` program: its commands, and how errors reach a person (one line, no traceback)."""
+
+import sys
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from opnav_workbench import __version__
+from opnav_workbench.cli.demo import demo
+from opnav_workbench.cli.doctor import doctor
+from opnav_workbench.cli.process import process
+from opnav_workbench.errors import OpNavError
+
+__all__ = ["EXIT_BAD_INPUT", "EXIT_SOME_FAILED", "app", "main"]
+
+EXIT_BAD_INPUT = 2
+EXIT_SOME_FAILED = 3
+
+app = typer.Typer(
+    name="opnav",
+    help="Optical navigation: stars give the pointing, the pointing gives the target's direction.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+app.command()(demo)
+app.command()(process)
+app.command()(doctor)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"opnav_workbench {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")] = False,
+) -> None:
+    """Optical navigation: stars give the pointing, the pointing gives the target's direction."""
+
+
+def main() -> None:
+    """Run the program; a known error is one line on standard error and exit status 2."""
+    try:
+        app()
+    except OpNavError as error:
+        Console(stderr=True, soft_wrap=True).print(f"[bold red]error:[/] {error}", highlight=False)
+        sys.exit(EXIT_BAD_INPUT)
+    except KeyboardInterrupt:
+        Console(stderr=True).print("stopped; finished images are kept.")
+        sys.exit(130)

@@ -1,0 +1,82 @@
+"""``opnav process``: pictures in, pointing and observables out."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from opnav_workbench.cli.summary import Reporter
+from opnav_workbench.headless import Decisions, Outcome, Policy, load_decisions, process_image
+from opnav_workbench.mission import load_mission
+from opnav_workbench.pointing import MODELS
+from opnav_workbench.session import ATTITUDE_SOURCES
+from opnav_workbench.spice import KernelSet
+
+__all__ = ["EXIT_SOME_FAILED", "process", "run_images"]
+
+EXIT_SOME_FAILED = 3
+
+EXAMPLE = """Solve pointing and target centers of pictures.
+
+[bold]Example[/]
+
+  opnav process lor_*.fit --mission new_horizons --kernels approach.tm --targets PLUTO,CHARON --out run
+
+Writes OUT/<picture>/ with result.json, observables.ecsv, session.json and summary.png.
+Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
+"""
+
+
+def process(
+    images: Annotated[list[Path], typer.Argument(help="Pictures (FITS, VICAR).", show_default=False)],
+    mission: Annotated[str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)],
+    kernels: Annotated[
+        str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
+    ] = None,
+    catalog: Annotated[str, typer.Option(help="bundled | npz:FILE | astrometry-net:GLOB")] = "bundled",
+    targets: Annotated[
+        str | None,
+        typer.Option(help="Targets, comma-separated; default the mission's, with kernels.", show_default=False),
+    ] = None,
+    target_stars: Annotated[
+        Path | None, typer.Option(help="YAML star list for stars that are targets.", show_default=False)
+    ] = None,
+    decisions: Annotated[
+        Path | None, typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False)
+    ] = None,
+    attitude: Annotated[str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))] = "auto",
+    model: Annotated[str, typer.Option(help="Pointing model: " + " | ".join(MODELS))] = "euler",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
+) -> None:
+    policy = Policy(
+        mission=load_mission(mission),
+        catalog=catalog,
+        targets=None if targets is None else [t.strip() for t in targets.split(",") if t.strip()],
+        target_stars=target_stars,
+        attitude=attitude,
+        model=model,
+        decisions=load_decisions(decisions) if decisions else Decisions(),
+    )
+    with ExitStack() as stack:
+        if kernels is not None:
+            stack.enter_context(KernelSet(kernels))
+        outcomes = run_images(images, policy, out)
+    if any(outcome.failed for outcome in outcomes):
+        raise typer.Exit(EXIT_SOME_FAILED)
+
+
+process.__doc__ = EXAMPLE
+
+
+def run_images(images: Sequence[Path], policy: Policy, out: Path) -> list[Outcome]:
+    """Process pictures one after the other with progress, and print what came out."""
+    outcomes = []
+    with Reporter(len(images)) as reporter:
+        for image in images:
+            outcome = process_image(image, policy, out, lambda words, name=image.name: reporter.say(name, words))
+            reporter.done(outcome)
+            outcomes.append(outcome)
+    reporter.table(outcomes, out)
+    return outcomes

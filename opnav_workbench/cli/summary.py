@@ -1,0 +1,128 @@
+"""What the command line prints: progress on standard error, results as tables on standard output."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from opnav_workbench.headless import Outcome
+
+__all__ = ["Reporter"]
+
+STYLES = {"ok": "green", "partial": "yellow", "failed": "bold red"}
+
+
+class Reporter:
+    """Progress while pictures are processed, then their table."""
+
+    def __init__(self, total: int) -> None:
+        self._out = Console(soft_wrap=False)
+        self._err = Console(stderr=True, soft_wrap=True)
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=self._err,
+            transient=True,
+            disable=not self._err.is_terminal,
+        )
+        self._task = self._progress.add_task("", total=total)
+
+    def __enter__(self) -> "Reporter":
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def say(self, name: str, words: str) -> None:
+        """Show what is being done."""
+        self._progress.update(self._task, description=f"{escape(name)}: {escape(words)}")
+
+    def done(self, outcome: Outcome) -> None:
+        """Count a picture; one that failed is named at once, with its reason."""
+        self._progress.advance(self._task)
+        if outcome.failed:
+            self._err.print(f"[bold red]failed:[/] {escape(_named(outcome))}", highlight=False)
+
+    def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
+        """Print one row a picture, one row a target, and where the files are."""
+        self._out.print(_pointing_table(outcomes))
+        bodies = [(o, body) for o in outcomes for body in o.result.get("bodies", ())]
+        if bodies:
+            self._out.print(_body_table(bodies))
+        for outcome in outcomes:
+            if not outcome.failed:
+                for message in outcome.result["messages"]:
+                    self._out.print(f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}", highlight=False)
+        self._out.print(f"Results: {escape(str(out))}", highlight=False, soft_wrap=True)
+
+
+def _named(outcome: Outcome) -> str:
+    """The reason, led by the picture's name once."""
+    name = outcome.image.name
+    return outcome.error if name in outcome.error else f"{name}: {outcome.error}"
+
+
+def _pointing_table(outcomes: Sequence[Outcome]) -> Table:
+    table = Table(title="Pointing", title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table.add_column("picture", overflow="fold")
+    table.add_column("status")
+    for name in ("stars", "Δpixel", "Δline", "Δtwist°", "rms px", "RA°", "Dec°", "twist°"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for outcome in outcomes:
+        status = outcome.result["status"]
+        row = [escape(outcome.image.stem), f"[{STYLES[status]}]{status}[/]"]
+        table.add_row(*row, *_pointing_cells(outcome.result.get("pointing")))
+    return table
+
+
+def _pointing_cells(p: dict[str, Any] | None) -> list[str]:
+    if p is None:
+        return ["–"] * 8
+    return [
+        str(p["n_stars"]),
+        f"{p['delta_pixel']:+.2f}",
+        f"{p['delta_line']:+.2f}",
+        f"{p['delta_twist_deg']:+.4f}",
+        f"{p['rms_px']:.3f}",
+        f"{p['ra_deg']:.5f}",
+        f"{p['dec_deg']:+.5f}",
+        f"{p['twist_deg']:.3f}",
+    ]
+
+
+def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]]) -> Table:
+    table = Table(title="Targets", title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for name in ("picture", "target", "method", "status"):
+        table.add_column(name, overflow="fold")
+    for name in ("pixel", "line", "σ px", "O−C pixel", "O−C line", "RA°", "Dec°"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for outcome, body in rows:
+        cells = [escape(outcome.image.stem), escape(body["name"]), body["method"], body["status"]]
+        table.add_row(*cells, *_body_cells(body))
+    return table
+
+
+def _body_cells(body: dict[str, Any]) -> list[str]:
+    if body["observed"] is None:
+        return ["–"] * 7
+    sigma = [body["covariance_px2"][i][i] ** 0.5 for i in (0, 1)]
+    return [
+        f"{body['observed'][0]:.3f}",
+        f"{body['observed'][1]:.3f}",
+        f"{sigma[0]:.3f} {sigma[1]:.3f}",
+        f"{body['residual_px'][0]:+.3f}",
+        f"{body['residual_px'][1]:+.3f}",
+        f"{body['ra_deg']:.6f}",
+        f"{body['dec_deg']:+.6f}",
+    ]

@@ -1,0 +1,110 @@
+"""Attitudes of a pointing plan: the camera held on targets or on a fixed direction, as predicted and as flown.
+
+Frames  ``camera_from_j2000``; where things fall on the detector is counted in pixels of the boresight's scale,
+        without distortion: a plan does not need more.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.geometry.rotations import (
+    camera_from_j2000,
+    pointing_angles,
+    radec_from_unit,
+    unit,
+    unit_from_radec,
+)
+from opnav_workbench.spice.scenario import AttitudeError, Scenario, Window
+from opnav_workbench.spice.states import state
+from opnav_workbench.spice.trajectories import utc_to_et
+
+__all__ = ["aim", "disturbed", "window_attitudes"]
+
+AIM_STEPS = 6  # each step gains three digits and more for offsets within a degree
+
+
+def aim(
+    direction: ArrayLike, twist_rad: float, focal_from_camera: ArrayLike, offset_rad: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Return the attitude (3, 3) in which a J2000 direction appears at an offset from the boresight.
+
+    Parameters
+    ----------
+    direction : (3,) array_like
+        J2000, of any length.
+    twist_rad : float
+        Position angle of increasing line, east of J2000 north, at the boresight.
+    focal_from_camera : (3, 3) array_like
+        Rows: increasing pixel, increasing line and boresight, unit vectors in the camera frame.
+    offset_rad : (2,) tuple
+        Tangents of the offset along pixel and line.
+
+    Raises
+    ------
+    ValueError
+        A zero direction, or `focal_from_camera` not orthonormal.
+
+    Examples
+    --------
+    >>> focal = np.diag([1.0, 1.0, -1.0])
+    >>> seen = focal @ aim([1.0, 0.0, 0.0], 0.3, focal, (1e-3, -2e-3)) @ [1.0, 0.0, 0.0]
+    >>> (seen[:2] / seen[2]).round(12).tolist()
+    [0.001, -0.002]
+    """
+    wanted = unit(direction)
+    offset = unit([*offset_rad, 1.0])
+    boresight = wanted
+    for _ in range(AIM_STEPS):
+        ra, dec = radec_from_unit(boresight)
+        attitude = camera_from_j2000(float(ra), float(dec), twist_rad, focal_from_camera)
+        # Where the offset points now, in J2000; the boresight moves by what is missing.
+        seen = attitude.T @ np.asarray(focal_from_camera, float).T @ offset
+        boresight = unit(boresight + wanted - seen)
+    return attitude
+
+
+def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, FloatArray]:
+    """Return epochs (n,) and predicted ``camera_from_j2000`` (n, 3, 3) of one window of a pointing plan.
+
+    Needs an active `KernelSet` with the scenario's LSK and SPK. Targets are taken where they appear: light time
+    and stellar aberration included.
+
+    Raises
+    ------
+    KernelError
+        A target's state is not covered.
+    """
+    camera = scenario.pointed_instrument
+    offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in window.offset_px)
+    start, end = utc_to_et(window.start), utc_to_et(window.end)
+    et = np.append(np.arange(start, end, window.step_s), end)
+    if len(et) > 2 and et[-1] - et[-2] < 1e-3 * window.step_s:  # noqa: PLR2004 (rounding left a sliver)
+        et = np.delete(et, -2)
+    attitudes = [
+        aim(_direction(scenario, window, t), math.radians(window.twist_deg), camera.focal_from_camera, offset)
+        for t in et
+    ]
+    return et, np.array(attitudes)
+
+
+def _direction(scenario: Scenario, window: Window, et: float) -> FloatArray:
+    if window.ra_deg is not None and window.dec_deg is not None:
+        return unit_from_radec(math.radians(window.ra_deg), math.radians(window.dec_deg))
+    observer = scenario.spacecraft.id
+    seen = [state(scenario.body_id(b), et, observer, "J2000", "CN+S").position_km for b in window.track]
+    return np.asarray(np.sum(unit(seen), axis=0))
+
+
+def disturbed(predicted: FloatArray, error: AttitudeError, scenario: Scenario) -> FloatArray:
+    """Return flown attitudes (n, 3, 3): the predicted boresight's sky shifted on the detector, and the twist changed."""
+    camera = scenario.pointed_instrument
+    offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in error.shift_px)
+    flown = []
+    for attitude in predicted:
+        ra, dec, twist = pointing_angles(attitude, camera.focal_from_camera)
+        turned = twist + math.radians(error.twist_deg)
+        flown.append(aim(unit_from_radec(ra, dec), turned, camera.focal_from_camera, offset))
+    return np.array(flown)
