@@ -35,6 +35,8 @@ MAX_ITERATIONS = 50  # Newton needs 3 to 6; more means that the point has no ori
 class Distortion(ABC):
     """An optical distortion; every method takes (..., 2) mm, and a point it cannot map becomes nan."""
 
+    __slots__ = ()
+
     @abstractmethod
     def distort(self, xy_mm: ArrayLike) -> FloatArray:
         """Return the point on the detector (..., 2) mm, of ideal coordinates (..., 2) mm."""
@@ -51,6 +53,8 @@ class Distortion(ABC):
 class DirectDistortion(Distortion):
     """A distortion whose coefficients give distorted from ideal coordinates."""
 
+    __slots__ = ()
+
     def undistort(self, xy_mm: ArrayLike) -> FloatArray:
         """Return the ideal coordinates by Newton's method, converged to 1e-12 mm (nan where it cannot be)."""
         return _newton(self.distort, self.jacobian, np.asarray(xy_mm, dtype=np.float64))
@@ -58,6 +62,8 @@ class DirectDistortion(Distortion):
 
 class InverseDistortion(Distortion):
     """A distortion whose coefficients give ideal from distorted coordinates."""
+
+    __slots__ = ()
 
     @abstractmethod
     def undistort_jacobian(self, xy_mm: ArrayLike) -> FloatArray:

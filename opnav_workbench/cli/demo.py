@@ -11,31 +11,22 @@ from rich.table import Table
 from opnav_workbench.cli.process import EXIT_SOME_FAILED, run_images
 from opnav_workbench.headless import Policy
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import Comparison, PictureRequest, Truth, compare, simulate_picture
+from opnav_workbench.rehearsal import (
+    DEMO_CATALOG,
+    DEMO_KERNELS,
+    DEMO_MISSION,
+    DEMO_PICTURES,
+    DEMO_TARGETS,
+    Comparison,
+    Truth,
+    compare,
+    simulate_picture,
+)
 from opnav_workbench.spice import KernelSet
 
-__all__ = ["PICTURES", "demo"]
+__all__ = ["demo"]
 
-MISSION = "new_horizons"
-KERNELS = "new_horizons/pluto_approach"
-CATALOG = "bundled"
-TARGETS = ("PLUTO", "CHARON")
 AGREES_SIGMAS = 3.0
-
-# Ten weeks before the encounter: Pluto just under and Charon well under two pixels wide, 9 pixels apart.
-UTC = "2015-04-09T12:00:00.000"
-PICTURES = (
-    PictureRequest(
-        name="lorri_demo",
-        utc=UTC,
-        header={"INSTRU": "lor", "SFORMAT": "4X4"},
-        exposure_s=0.1,
-        targets=TARGETS,
-        sigma_px=0.6,
-        sky_dn=1.0,
-        seed=20150409,
-    ),
-)
 
 
 def demo(
@@ -43,19 +34,19 @@ def demo(
     seed: Annotated[int, typer.Option(help="Another seed makes another pointing error and noise.")] = 0,
 ) -> None:
     console = Console(soft_wrap=False)
-    mission = load_mission(MISSION)
+    mission = load_mission(DEMO_MISSION)
     console.print(
         "Simulating New Horizons on approach to Pluto: real stars, Pluto and Charon, detector noise,\n"
         "and a pointing error that the solver does not know.",
         highlight=False,
     )
-    with KernelSet(KERNELS):
-        truths = [simulate_picture(r.reseeded(seed), mission, CATALOG, out / "pictures") for r in PICTURES]
-        policy = Policy(mission=mission, catalog=CATALOG, targets=TARGETS)
+    with KernelSet(DEMO_KERNELS):
+        truths = [simulate_picture(r.reseeded(seed), mission, DEMO_CATALOG, out / "pictures") for r in DEMO_PICTURES]
+        policy = Policy(mission=mission, catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
         outcomes = run_images([truth.picture for truth in truths], policy, out)
     ok = True
-    for truth, outcome in zip(truths, outcomes, strict=True):
-        rows = compare(truth, outcome.result, mission.camera_for(_request(truth).header))
+    for request, truth, outcome in zip(DEMO_PICTURES, truths, outcomes, strict=True):
+        rows = compare(truth, outcome.result, mission.camera_for(request.header))
         console.print(_table(truth, rows))
         ok &= bool(rows) and all(abs(row.sigmas) <= AGREES_SIGMAS for row in rows)
     console.print(
@@ -77,10 +68,6 @@ Works offline, in well under a minute, with the same code that processes flight 
 
   opnav demo --out opnav_demo
 """
-
-
-def _request(truth: Truth) -> PictureRequest:
-    return next(r for r in PICTURES if r.name == truth.picture.stem)
 
 
 def _table(truth: Truth, rows: Sequence[Comparison]) -> Table:

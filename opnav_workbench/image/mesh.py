@@ -57,10 +57,10 @@ class Mesh:
         return np.column_stack([grid_pixel.ravel(), grid_line.ravel()])
 
     def upsample(self, values: FloatArray) -> FloatArray:
-        """Spread tile values (k_line, k_pixel) over the picture, bilinear and linear beyond the outer centers."""
+        """Spread tile values (k,) over the picture, bilinear and linear beyond the outer centers."""
         along_line = _linear_weights(self.line_start + (self.tile_line - 1) / 2.0, self.shape[0])
         along_pixel = _linear_weights(self.pixel_start + (self.tile_pixel - 1) / 2.0, self.shape[1])
-        return np.asarray(along_line @ values @ along_pixel.T)
+        return np.asarray(along_line @ values.reshape(self.tiles) @ along_pixel.T)
 
 
 def make_mesh(shape: tuple[int, int], box_px: int) -> Mesh:

@@ -1,7 +1,7 @@
 """Approach pictures: what a spacecraft in the active kernel set sees, with a pointing error that only the truth knows."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,10 @@ class PictureRequest:
     sigma_px: float
     sky_dn: float
     seed: int
+
+    def reseeded(self, offset: int) -> "PictureRequest":
+        """Return the request with its seed moved by `offset`."""
+        return replace(self, seed=self.seed + offset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,18 +2,16 @@
 
 import numpy as np
 
-from opnav_workbench.bodies import TargetState
+from opnav_workbench.bodies import TargetState, star_target
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import KernelError
-from opnav_workbench.geometry import AU_KM, propagate, propagate_covariance, radec_from_unit, tangent_basis
+from opnav_workbench.geometry import propagate, propagate_covariance
 from opnav_workbench.scene.observer import Observer
 from opnav_workbench.spice import body_attitude, body_radii_km, state
 
 __all__ = ["body_target", "star_target_at"]
 
 SUN = 10
-# A star without parallax is put here (1 Mpc): partials with respect to the spacecraft then vanish, as they should.
-NO_PARALLAX_RAD = 1e-6 / 206264.80624709636
 
 
 def body_target(name: str, spacecraft: int, et: float) -> TargetState:
@@ -63,12 +61,6 @@ def star_target_at(name: str, stars: StarTable, row: int, et: float, observer: O
     sky = propagate_covariance(
         star.covariance, star.epoch_jyear, et, star.ra_rad, star.dec_rad, observer.position_km
     )[0]
-    range_km = AU_KM / max(float(star.parallax_rad[0]), NO_PARALLAX_RAD)
-    tangent = np.stack(tangent_basis(*radec_from_unit(direction)), axis=-1) * range_km
-    return TargetState(
-        name=name,
-        position_km=direction * range_km,
-        covariance_km2=tangent @ sky @ tangent.T,
-        magnitude=float(star.mag[0]),
-        is_star=True,
+    return star_target(
+        name, direction, float(star.parallax_rad[0]), covariance_rad2=sky, magnitude=float(star.mag[0])
     )

@@ -1,13 +1,14 @@
 """What goes into text kernels: pool variables for clocks, frames, cameras and bodies, from plain numbers.
 
-Every function returns a mapping for `write_text_kernel`; mappings of several things merge with ``|``, except names
-(`name_assignments` takes all of them at once).
+Every function returns a mapping for `write_text_kernel`; mappings of several things merge with ``|``, except
+names: `name_assignments` takes all of them at once.
 
-Source: NAIF Required Readings: SCLK, Frames, PCK, NAIF IDs; facts of existing camera kernels for the IK keywords.
+Source: NAIF Required Readings on SCLK, Frames, PCK and NAIF IDs; IK keywords as existing camera kernels have them.
 """
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -75,8 +76,10 @@ def sclk_assignments(
     rows = [(int(tick), float(time), float(rate)) for tick, time, rate in correlation]
     if clock_id >= 0:
         raise KernelError(f"clock id {clock_id} is not negative; SPICE takes the spacecraft's id, as -98.")
-    if not rows or any(b[0] <= a[0] or b[1] <= a[1] for a, b in zip(rows, rows[1:], strict=False)):
-        raise KernelError(f"clock {clock_id}: correlation needs at least one row, with ticks and times increasing.")
+    if not rows or any(b[0] <= a[0] or b[1] <= a[1] for a, b in pairwise(rows)):
+        raise KernelError(
+            f"clock {clock_id}: the correlation needs a row at least, with ticks and times increasing."
+        )
     spans = partitions or [(0, counts * subcounts - 1)]
     values = {
         "SCLK_DATA_TYPE": (1,),

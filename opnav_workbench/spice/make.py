@@ -35,9 +35,9 @@ def make_kernels(
 ) -> Path:
     """Write all kernels of a scenario and return the path of their metakernel.
 
-    The folder then holds LSK, SCLK, FK, IK, PCK, the SPK of the spacecraft, the SPK of the bodies and the CK with
-    the predicted attitudes, named after the scenario, and ``NAME.tm``. Its paths are relative: SPICE's own tools
-    load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the same bytes.
+    The folder then holds LSK, SCLK, FK, IK, PCK, the SPK of the spacecraft, the SPK of the bodies and the CK
+    with the predicted attitudes, named after the scenario, and ``NAME.tm``. Its paths are relative: SPICE's own
+    tools load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the same bytes.
 
     Parameters
     ----------
@@ -74,7 +74,8 @@ def make_kernels(
                 Path(temporary, name).replace(folder / name)
     except OSError as error:
         raise KernelError(
-            f"cannot write kernels into {folder}: {error.strerror or error}; free some space or choose another folder."
+            f"cannot write kernels into {folder}: {error.strerror or error}; "
+            "free some space or choose another folder."
         ) from error
     return folder / f"{content.name}.tm"
 
@@ -86,8 +87,8 @@ class _Builder:
         self.scenario = scenario
         self.folder = folder
         self.comment = (
-            f"Scenario {scenario.name} of mission {scenario.mission}, written by opnav_workbench.\n"
-            f"{' '.join(scenario.description.split())}\n"
+            f"Scenario {scenario.name} of mission {scenario.mission}, written by opnav_workbench.\n\n"
+            f"{' '.join(scenario.description.split())}\n\n"
         )
 
     def build(self, *, actual: bool) -> list[str]:
@@ -100,7 +101,9 @@ class _Builder:
             attitudes = self._attitudes(f"{stem}_predicted.bc", f"{stem}_actual.bc" if actual else None)
         metakernels = [f"{stem}.tm", f"{stem}_actual.tm"][: len(attitudes)]
         for metakernel, ck in zip(metakernels, attitudes, strict=True):
-            self._text("MK", metakernel, metakernel_assignments([*common, ck]), "Load it from inside its folder.")
+            self._text(
+                "MK", metakernel, metakernel_assignments([*common, ck]), "Load it from inside its folder."
+            )
         return [*common, *attitudes, *reversed(metakernels)]
 
     def _leap_seconds(self) -> str:
@@ -129,7 +132,9 @@ class _Builder:
         segments = spk_segments(s)
         for name, of_spacecraft in zip(names, (False, True), strict=True):
             chosen = [i for i, x in enumerate(segments) if (x.target == s.spacecraft.id) is of_spacecraft]
-            sources = (f"{segments[i].target} about {segments[i].center}: {s.trajectories[i].source}" for i in chosen)
+            sources = (
+                f"{segments[i].target} about {segments[i].center}: {s.trajectories[i].source}" for i in chosen
+            )
             comment = self.comment + "\n".join(sources)
             write_spk(self.folder / name, [segments[i] for i in chosen], comment)
         return names
@@ -180,7 +185,9 @@ def _clock(scenario: Scenario) -> dict[str, Any]:
 def _frames(scenario: Scenario) -> dict[str, Any]:
     craft, clock_id = scenario.spacecraft, scenario.clock.id
     named = [(name, thing.id) for thing in (craft, *scenario.bodies) for name in (*thing.aliases, thing.name)]
-    values = to.name_assignments(named) | to.bus_frame_assignments(craft.frame.name, craft.frame.id, craft.id, clock_id)
+    values = to.name_assignments(named) | to.bus_frame_assignments(
+        craft.frame.name, craft.frame.id, craft.id, clock_id
+    )
     for frame in scenario.frames:
         values |= to.camera_frame_assignments(frame.name, frame.id, craft.id, frame.relative_to, frame.matrix)
     for body in scenario.bodies:

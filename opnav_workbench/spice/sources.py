@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import spiceypy
+
 from opnav_workbench.errors import KernelError
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.spice import pool
@@ -126,8 +128,8 @@ def _checked(path: Path, listed_in: Path | None) -> Iterator[KernelFile]:
 def _listed(metakernel: Path) -> list[Path]:
     """Return the files that a metakernel lists, as absolute paths; SPICE itself parses the text."""
     request = Request(f"reading the metakernel {metakernel}")
-    with pool.LOCK, pool.isolated(), spice_call(request, needs_kernels=False):
-        pool.spiceypy.ldpool(str(metakernel))
+    with spice_call(request, needs_kernels=False), pool.isolated():
+        spiceypy.ldpool(str(metakernel))
         names, values, symbols = (_texts(pool.pool_value(v)) for v in META_VARIABLES)
     if len(values) != len(symbols):
         raise KernelError(

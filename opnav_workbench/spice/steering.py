@@ -1,7 +1,7 @@
-"""Attitudes of a pointing plan: the camera held on targets or on a fixed direction, as predicted and as flown.
+"""Attitudes of a pointing plan: the camera held on targets or a fixed direction, as predicted and as flown.
 
-Frames  ``camera_from_j2000``; where things fall on the detector is counted in pixels of the boresight's scale,
-        without distortion: a plan does not need more.
+Frames  ``camera_from_j2000``; places on the detector are counted in pixels of the boresight's scale, without
+        distortion: a plan does not need more.
 """
 
 import math
@@ -17,17 +17,22 @@ from opnav_workbench.geometry.rotations import (
     unit,
     unit_from_radec,
 )
-from opnav_workbench.spice.scenario import AttitudeError, Scenario, Window
+from opnav_workbench.spice.scenario import Scenario
+from opnav_workbench.spice.scenario_parts import AttitudeError, Window
 from opnav_workbench.spice.states import state
 from opnav_workbench.spice.trajectories import utc_to_et
 
 __all__ = ["aim", "disturbed", "window_attitudes"]
 
-AIM_STEPS = 6  # each step gains three digits and more for offsets within a degree
+AIM_STEPS = 12  # each gains the offset's size in radians: five are plenty within a degree, 12 for ten degrees
+AIM_TOLERANCE = 1e-15  # rad: rounding
 
 
 def aim(
-    direction: ArrayLike, twist_rad: float, focal_from_camera: ArrayLike, offset_rad: tuple[float, float] = (0.0, 0.0)
+    direction: ArrayLike,
+    twist_rad: float,
+    focal_from_camera: ArrayLike,
+    offset_rad: tuple[float, float] = (0.0, 0.0),
 ) -> FloatArray:
     """Return the attitude (3, 3) in which a J2000 direction appears at an offset from the boresight.
 
@@ -62,7 +67,10 @@ def aim(
         attitude = camera_from_j2000(float(ra), float(dec), twist_rad, focal_from_camera)
         # Where the offset points now, in J2000; the boresight moves by what is missing.
         seen = attitude.T @ np.asarray(focal_from_camera, float).T @ offset
-        boresight = unit(boresight + wanted - seen)
+        missing = wanted - seen
+        if np.abs(missing).max() < AIM_TOLERANCE:
+            break
+        boresight = unit(boresight + missing)
     return attitude
 
 
@@ -81,7 +89,7 @@ def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, Fl
     offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in window.offset_px)
     start, end = utc_to_et(window.start), utc_to_et(window.end)
     et = np.append(np.arange(start, end, window.step_s), end)
-    if len(et) > 2 and et[-1] - et[-2] < 1e-3 * window.step_s:  # noqa: PLR2004 (rounding left a sliver)
+    if len(et) > 2 and et[-1] - et[-2] < 1e-3 * window.step_s:  # rounding left a sliver
         et = np.delete(et, -2)
     attitudes = [
         aim(_direction(scenario, window, t), math.radians(window.twist_deg), camera.focal_from_camera, offset)
@@ -99,7 +107,7 @@ def _direction(scenario: Scenario, window: Window, et: float) -> FloatArray:
 
 
 def disturbed(predicted: FloatArray, error: AttitudeError, scenario: Scenario) -> FloatArray:
-    """Return flown attitudes (n, 3, 3): the predicted boresight's sky shifted on the detector, and the twist changed."""
+    """Return flown attitudes (n, 3, 3): predicted ones with the sky shifted on the detector and twist added."""
     camera = scenario.pointed_instrument
     offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in error.shift_px)
     flown = []

@@ -1,14 +1,13 @@
-"""SPICE text kernels: assignments to lines that every reader of text kernels accepts, written whole or not at all.
+"""SPICE text kernels: assignments as lines that every reader of them accepts, written whole or not at all.
 
-Source: NAIF, Kernel Required Reading, "Text Kernel Specifications" (132 characters a line, 32 a name, 80 a string;
-strings in quotes, quotes inside doubled; MK strings continued with ``+``).
+Source: NAIF, Kernel Required Reading, "Text Kernel Specifications": 132 characters a line, 32 a name, 80 a
+string; strings in quotes, quotes inside doubled; metakernel strings continued with ``+``.
 """
 
 import math
 import os
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -35,7 +34,7 @@ MARKERS = ("\\begindata", "\\begintext")
 def write_text_kernel(
     path: str | os.PathLike[str], kind: TextKind, assignments: Mapping[str, Any], comment: str = ""
 ) -> None:
-    """Write a SPICE text kernel.
+    r"""Write a SPICE text kernel.
 
     Parameters
     ----------
@@ -57,6 +56,7 @@ def write_text_kernel(
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder, "moon.tpc")
     ...     write_text_kernel(path, "PCK", {"BODY901_RADII": (606.0, 606.0, 606.0)}, "Nimmo et al. (2017).")
@@ -65,11 +65,11 @@ def write_text_kernel(
     <BLANKLINE>
     Nimmo et al. (2017).
     <BLANKLINE>
-    \\begindata
+    \begindata
     <BLANKLINE>
     BODY901_RADII                = ( 606.0, 606.0, 606.0 )
     <BLANKLINE>
-    \\begintext
+    \begintext
     """
     if kind not in KINDS:
         raise KernelError(f"{kind!r} is not a kind of text kernel; choose one of {', '.join(KINDS)}.")
@@ -88,7 +88,7 @@ def comment_lines(comment: str) -> list[str]:
     lines: list[str] = []
     for line in comment.encode("ascii", "replace").decode().expandtabs().splitlines():
         if line.strip().startswith(MARKERS):
-            raise KernelError(f"comment line {line.strip()!r} would switch the kernel's data on or off; reword it.")
+            raise KernelError(f"comment line {line.strip()!r} would switch data on or off; reword it.")
         lines += textwrap.wrap(line, LINE_CHARS, drop_whitespace=True) or [""]
     return lines
 
@@ -129,8 +129,8 @@ def _packed(items: list[str]) -> Iterator[str]:
     """Put as many values on a line as fit, three of them at most: vectors, matrix rows and clock triplets."""
     row: list[str] = []
     for item in items:
-        if len(row) == 3 or (row and len(", ".join([*row, item])) + len(INDENT) > LINE_CHARS):  # noqa: PLR2004
-            yield INDENT + ", ".join(row)
+        if len(row) == 3 or (row and len(", ".join([*row, item])) + len(INDENT) >= LINE_CHARS):
+            yield INDENT + ", ".join(row) + ","
             row = []
         row.append(item)
     yield INDENT + ", ".join(row)
@@ -160,9 +160,11 @@ def _texts(name: str, value: Any, kind: str) -> Iterator[str]:
 
 def _string(name: str, value: str, kind: str) -> Iterator[str]:
     if not value or not value.isascii() or not value.isprintable():
-        raise KernelError(f"{name}: {value!r} is empty or holds characters that are not printable ASCII.")
+        raise KernelError(f"{name}: {value!r} is empty or not all printable ASCII.")
     if len(value) > STRING_CHARS and kind != "MK":
-        raise KernelError(f"{name}: a string of {len(value)} characters; SPICE keeps {STRING_CHARS}. Shorten it.")
+        raise KernelError(
+            f"{name}: a string of {len(value)} characters; SPICE keeps {STRING_CHARS}. Shorten it."
+        )
     while len(value) > STRING_CHARS:
         yield _quoted(value[: STRING_CHARS - 1] + "+")
         value = value[STRING_CHARS - 1 :]
@@ -178,7 +180,7 @@ def _number(name: str, value: Any) -> str:
         raise KernelError(f"{name}: {value!r} is neither a number nor a string; SPICE knows nothing else.")
     if isinstance(value, int | np.integer):
         if abs(int(value)) > EXACT_INTEGER:
-            raise KernelError(f"{name}: {value} is beyond 2^53, the largest whole number SPICE keeps exactly.")
+            raise KernelError(f"{name}: {value} is beyond 2^53, SPICE's largest exact whole number.")
         return str(int(value))
     if not math.isfinite(value):
         raise KernelError(f"{name}: {value} is not finite; leave the variable out or give a number.")

@@ -1,4 +1,4 @@
-"""Trajectories of a scenario as SPK segments: tabulated states, Kepler orbits, the Sun and the Earth from a series."""
+"""Trajectories of a scenario as SPK segments: tables of states, Kepler orbits, Sun and Earth from a series."""
 
 import math
 from datetime import UTC, datetime
@@ -10,7 +10,8 @@ import spiceypy
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import MissionError
 from opnav_workbench.spice.guard import spice_call
-from opnav_workbench.spice.scenario import KeplerOrbit, ModelOrbit, Scenario, StateTable
+from opnav_workbench.spice.scenario import Scenario
+from opnav_workbench.spice.scenario_parts import KeplerOrbit, ModelOrbit, StateTable
 from opnav_workbench.spice.time import et_from_utc
 from opnav_workbench.spice.writing import SpkSegment
 
@@ -81,7 +82,7 @@ def _grid(scenario: Scenario, step_s: float, field: str) -> FloatArray:
     start, end = utc_to_et(scenario.span.start) - MARGIN_S, utc_to_et(scenario.span.end) + MARGIN_S
     n = math.ceil((end - start) / step_s) + 1
     if n > MAX_STATES:
-        raise MissionError(f"{field}: the table would have {n} states, the limit is {MAX_STATES}; take longer steps.")
+        raise MissionError(f"{field}: a table of {n} states, the limit is {MAX_STATES}; take longer steps.")
     return start + step_s * np.arange(n)
 
 
@@ -96,7 +97,13 @@ def _kepler_step(orbit: KeplerOrbit) -> float:
 
 def _kepler_states(orbit: KeplerOrbit, et: FloatArray) -> FloatArray:
     angles = (orbit.inclination_deg, orbit.node_deg, orbit.argument_deg, orbit.mean_anomaly_deg)
-    elements = [orbit.periapsis_km, orbit.eccentricity, *np.radians(angles), et_from_tdb(orbit.epoch), orbit.gm_km3_s2]
+    elements = [
+        orbit.periapsis_km,
+        orbit.eccentricity,
+        *np.radians(angles),
+        et_from_tdb(orbit.epoch),
+        orbit.gm_km3_s2,
+    ]
     with spice_call("Kepler orbit"):
         return np.array([spiceypy.conics(elements, t) for t in et])
 
@@ -105,5 +112,5 @@ def _model_states(orbit: ModelOrbit, et: FloatArray) -> FloatArray:
     heliocentric, barycentric = erfa.epv00(J2000_JD, et / DAY_S)
     earth, sun = barycentric, np.empty(barycentric.shape, barycentric.dtype)
     sun["p"], sun["v"] = earth["p"] - heliocentric["p"], earth["v"] - heliocentric["v"]
-    chosen = sun if orbit.target == 10 else earth  # noqa: PLR2004 (NAIF's id of the Sun)
+    chosen = sun if orbit.target == 10 else earth  # NAIF's ids
     return np.hstack([chosen["p"] * AU_KM, chosen["v"] * (AU_KM / DAY_S)])

@@ -5,9 +5,8 @@ Every writer checks its input first, writes under a temporary name and renames: 
 Source: NAIF, SPK Required Reading (types 9 and 13), CK Required Reading (type 3), Rotations Required Reading.
 """
 
-import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,21 +16,25 @@ import spiceypy
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
-from opnav_workbench.errors import KernelError, SessionError
-from opnav_workbench.files import atomic_path
+from opnav_workbench.errors import KernelError
 from opnav_workbench.geometry.rotations import (
     matrix_from_quaternion,
     quaternion_from_matrix,
     vector_from_rotation,
 )
 from opnav_workbench.spice.guard import spice_call
-from opnav_workbench.spice.text_kernels import comment_lines, write_text_kernel
+from opnav_workbench.spice.newfile import (
+    as_kernel_error,
+    check_epochs,
+    check_finite,
+    new_daf,
+    require_frame,
+)
+from opnav_workbench.spice.text_kernels import write_text_kernel
 
 __all__ = ["SpkSegment", "write_ck", "write_spk", "write_text_kernel"]
 
-WINDOW_STATES = 6  # states an interpolation looks at: beyond, polynomials swing between unevenly spaced epochs
-TITLE_CHARS = 60  # DAF internal file name
-NEWLINE = 1  # SPICE stores one mark an end of line in the comment area
+WINDOW_STATES = 6  # states an interpolation looks at: with more, uneven epochs make it swing
 MIN_STATES = 2
 
 
@@ -64,11 +67,11 @@ class SpkSegment:
             The states cannot make a segment.
         """
         label = f"SPK segment of {self.target} about {self.center}"
-        with _as_kernel_error(label):
+        with as_kernel_error(label):
             object.__setattr__(self, "et", readonly(self.et, (None,), "et"))
             object.__setattr__(self, "states", readonly(self.states, (len(self.et), 6), "states"))
-            _check_epochs(self.et, MIN_STATES)
-            _check_finite(self.states, "states")
+            check_epochs(self.et, MIN_STATES)
+            check_finite(self.states, "states")
             if self.target == self.center:
                 raise ValueError("target and center are the same body")
             if self.interpolation not in {"hermite", "lagrange"}:
@@ -113,8 +116,8 @@ def write_spk(path: str | os.PathLike[str], segments: Sequence[SpkSegment], comm
     if not segments:
         raise KernelError(f"{path}: no segments; an SPK needs one at least.")
     for segment in segments:
-        _require_frame(segment.frame)
-    with _new_daf(path, spiceypy.spkopn, spiceypy.spkcls, comment) as handle:
+        require_frame(segment.frame)
+    with new_daf(path, spiceypy.spkopn, spiceypy.spkcls, comment) as handle:
         for segment in segments:
             _add_spk_segment(handle, segment)
 
@@ -122,9 +125,8 @@ def write_spk(path: str | os.PathLike[str], segments: Sequence[SpkSegment], comm
 def _add_spk_segment(handle: int, s: SpkSegment) -> None:
     write = spiceypy.spkw13 if s.interpolation == "hermite" else spiceypy.spkw09
     title = f"{s.target} about {s.center}, {s.interpolation} {s.degree}"
-    write(
-        handle, s.target, s.center, s.frame, s.et[0], s.et[-1], title, s.degree, len(s.et), s.states, s.et
-    )
+    et, states = s.et.copy(), s.states.copy()  # spiceypy takes no read-only arrays
+    write(handle, s.target, s.center, s.frame, et[0], et[-1], title, s.degree, len(et), states, et)
 
 
 def write_ck(
@@ -169,29 +171,31 @@ def write_ck(
     Raises
     ------
     KernelError
-        Epochs, attitudes or rates that make no CK; a clock that is not loaded or does not run at these epochs;
+        Epochs, attitudes or rates that make no CK; a clock that is not loaded or not running then;
         a frame that SPICE does not know; a folder that cannot be written.
     """
-    with _as_kernel_error(f"CK of {structure_id}"):
+    with as_kernel_error(f"CK of {structure_id}"):
         times = readonly(et, (None,), "et")
-        _check_epochs(times, 1)
+        check_epochs(times, 1)
         matrices = _matrices(frame_from_reference, len(times))
         starts = _interval_starts(times, max_gap_s, interval_starts)
-        rates = _rates(times, matrices, starts) if angular_rates is None else readonly(
-            angular_rates, (len(times), 3), "angular_rates"
+        rates = (
+            _rates(times, matrices, starts)
+            if angular_rates is None
+            else readonly(angular_rates, (len(times), 3), "angular_rates")
         )
-        _check_finite(rates, "angular_rates")
-    _require_frame(reference)
+        check_finite(rates, "angular_rates")
+    require_frame(reference)
     ticks = _ticks(spacecraft_id, times)
-    with _new_daf(path, spiceypy.ckopn, spiceypy.ckcls, comment) as handle:
+    with new_daf(path, spiceypy.ckopn, spiceypy.ckcls, comment) as handle:
         spiceypy.ckw03(
             handle, ticks[0], ticks[-1], structure_id, reference, True, f"{structure_id} from {reference}",
-            len(times), ticks, quaternion_from_matrix(matrices), rates, len(starts), ticks[starts],
+            len(times), ticks, quaternion_from_matrix(matrices), rates.copy(), len(starts), ticks[starts],
         )  # fmt: skip
 
 
 def angular_rates_from_attitudes(et: FloatArray, frame_from_reference: FloatArray) -> FloatArray:
-    """Return the angular velocity (n, 3), rad/s in the reference frame, of attitudes (n, 3, 3) at epochs (n,).
+    """Return angular velocities (n, 3), rad/s in the reference frame, of attitudes (n, 3, 3) at epochs (n,).
 
     Second order in the step inside; at the ends the mean rate of the first and last step.
 
@@ -248,67 +252,8 @@ def _interval_starts(et: FloatArray, max_gap_s: float | None, extra: Sequence[in
 def _ticks(spacecraft_id: int, et: FloatArray) -> FloatArray:
     with spice_call(f"clock of {spacecraft_id}"):
         ticks = np.array([spiceypy.sce2c(spacecraft_id, t) for t in et])
-    with _as_kernel_error(f"clock of {spacecraft_id}"):
+    with as_kernel_error(f"clock of {spacecraft_id}"):
         if np.any(np.diff(ticks) <= 0.0):
             i = int(np.argmin(np.diff(ticks)))
             raise ValueError(f"epochs {et[i]} and {et[i + 1]} fall on the same clock tick; space them out")
     return ticks
-
-
-def _check_epochs(et: FloatArray, least: int) -> None:
-    if len(et) < least:
-        raise ValueError(f"{len(et)} epochs, at least {least} are needed")
-    _check_finite(et, "et")
-    late = np.flatnonzero(np.diff(et) <= 0.0)
-    if len(late):
-        i = int(late[0])
-        raise ValueError(f"epochs must increase: number {i + 1} is {et[i + 1]}, after {et[i]}; sort them")
-
-
-def _check_finite(values: FloatArray, name: str) -> None:
-    bad = np.argwhere(~np.isfinite(values))
-    if len(bad):
-        raise ValueError(f"{name}{bad[0].tolist()} is not finite ({len(bad)} such values)")
-
-
-def _require_frame(frame: str) -> None:
-    with spice_call(f"frame {frame}"):
-        known = spiceypy.namfrm(frame) != 0
-    if not known:
-        raise KernelError(f"frame {frame!r} is unknown to SPICE; load the FK that defines it, or use J2000.")
-
-
-@contextlib.contextmanager
-def _as_kernel_error(label: str) -> Iterator[None]:
-    try:
-        yield
-    except ValueError as error:
-        raise KernelError(f"{label}: {error}.") from error
-
-
-@contextlib.contextmanager
-def _new_daf(
-    path: str | os.PathLike[str],
-    start: Callable[[str, str, int], int],
-    finish: Callable[[int], None],
-    comment: str,
-) -> Iterator[int]:
-    """Yield the handle of a new file under a temporary name; leave no handle open and no half-written file."""
-    lines = comment_lines(comment)
-    final = Path(path)
-    try:
-        with atomic_path(final) as temporary, spice_call(f"writing {final}"):
-            temporary.unlink()  # SPICE makes the file itself, and refuses one that exists
-            size = sum(len(line) + NEWLINE for line in lines)
-            handle = start(str(temporary), final.name[:TITLE_CHARS], size)
-            try:
-                if lines:
-                    spiceypy.dafac(handle, lines)
-                yield handle
-                finish(handle)
-            except BaseException:
-                with contextlib.suppress(spiceypy.SpiceyError):
-                    spiceypy.dafcls(handle)
-                raise
-    except SessionError as error:
-        raise KernelError(str(error)) from error

@@ -1,0 +1,303 @@
+"""The camera: from a direction in the instrument's SPICE frame to (pixel, line), and back.
+
+Flow   direction -> focal axes (a, b, c) -> X = f a/c, Y = f b/c (mm) -> distortion -> pixel = center + K (x, y)
+Axes   rows of ``focal_from_camera``: unit vectors, in the camera's SPICE frame, of increasing pixel, of increasing line
+       and of the boresight toward the sky. They are data: LORRI looks along -Z, MVIC along -X, OCAMS along +Z, and a
+       determinant of -1 (detector read out mirrored) changes nothing else.
+Units  mm on the focal plane, px on the detector, rad on the sky
+
+Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import BoolArray, FloatArray, readonly
+from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2
+from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.errors import CameraError
+from opnav_workbench.geometry.rotations import checked_rotation, unit
+
+__all__ = ["Camera"]
+
+# A distortion polynomial folds back far from the detector; directions out there must not appear on it.
+MIN_SLOPE = 0.1  # smallest stretch d(distorted)/d(ideal) that still belongs to the camera's own branch
+BRANCH_RAYS = 16
+BRANCH_RADII = 200
+BRANCH_MAX_TANGENT = 20.0  # 87 deg from the boresight
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Camera:
+    """A frame camera in one readout mode. Every array is read-only.
+
+    Attributes
+    ----------
+    name : str
+        Camera and mode, such as ``LORRI 4x4``.
+    frame : str
+        The instrument's SPICE frame, in which directions are given.
+    instrument_id : int
+        NAIF id of the instrument.
+    n_pixel, n_line : int
+        Detector size, horizontal and vertical.
+    focal_length_mm : float
+    center_pixel_line : (2,) array
+        Where the boresight falls, px (0-based, integer = pixel center).
+    pixel_from_mm : (2, 2) array
+        [[Kx, Kxy], [Kyx, Ky]], px/mm.
+    focal_from_camera : (3, 3) array
+        Rows: increasing pixel, increasing line, boresight; unit vectors in the camera's SPICE frame.
+    distortion : Distortion
+        Acts on mm, between gnomonic projection and `pixel_from_mm`.
+    psf : PsfPrior
+        Width of the point spread function before pixel integration.
+    attitude_sigma : AttitudeSigma
+        One-sigma errors of the a priori attitude.
+    bits : int or None
+        Bits of the analog-digital converter. None, here and below: not known, see `require`.
+    gain_e_per_dn, read_noise_dn : float or None
+        Electrons per data number, and read noise in data numbers.
+    saturation_dn : float or None
+        Level (after bias subtraction) from which a pixel counts as saturated.
+    zero_point_mag : float or None
+        V magnitude of a star that gives 1 DN/s.
+    aperture_m : float or None
+        Diameter of the entrance pupil.
+    exposure_limits : ExposureLimits or None
+        Shortest and longest exposure, s.
+    source : str
+        Where the values come from.
+
+    Raises
+    ------
+    CameraError
+        A value no camera can have; the message names the field.
+
+    Examples
+    --------
+    >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
+    >>> camera.project([[0.0, 0.0, 1.0], [0.001, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    array([[511.5, 511.5],
+           [611.5, 511.5],
+           [  nan,   nan]])
+    >>> camera.unproject([[611.5, 511.5]]).round(6)
+    array([[0.001, 0.   , 1.   ]])
+    """
+
+    name: str
+    frame: str
+    instrument_id: int
+    n_pixel: int
+    n_line: int
+    focal_length_mm: float
+    center_pixel_line: FloatArray
+    pixel_from_mm: FloatArray
+    focal_from_camera: FloatArray
+    distortion: Distortion = field(default_factory=NoDistortion)
+    psf: PsfPrior = field(default_factory=PsfPrior)
+    attitude_sigma: AttitudeSigma = field(default_factory=AttitudeSigma)
+    bits: int | None = None
+    gain_e_per_dn: float | None = None
+    read_noise_dn: float | None = None
+    saturation_dn: float | None = None
+    zero_point_mag: float | None = None
+    aperture_m: float | None = None
+    exposure_limits: ExposureLimits | None = None
+    source: str = ""
+    _branch_mm: float = field(init=False, repr=False, default=np.inf)  # ideal radius up to which distortion holds
+
+    def __post_init__(self) -> None:
+        self._set_array("center_pixel_line", (2,))
+        self._set_array("pixel_from_mm", (2, 2))
+        self._set_array("focal_from_camera", (3, 3))
+        self._check_values()
+        object.__setattr__(self, "_branch_mm", _branch_radius_mm(self.distortion, self.focal_length_mm))
+        if not np.isfinite(self.unproject(self._corners())).all():
+            raise CameraError(
+                f"{self.name}: the distortion folds over inside the detector; check coefficients and their units."
+            )
+
+    def _set_array(self, name: str, shape: tuple[int, ...]) -> None:
+        try:
+            array = readonly(np.array(getattr(self, name), dtype=np.float64), shape, name)
+        except (TypeError, ValueError) as error:
+            raise CameraError(f"{self.name}: {error}.") from error
+        if not np.isfinite(array).all():
+            raise CameraError(f"{self.name}: {name} holds a value that is not finite: {array.tolist()}.")
+        object.__setattr__(self, name, array)
+
+    def _check_values(self) -> None:
+        for name in ("n_pixel", "n_line", "focal_length_mm"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise CameraError(f"{self.name}: {name} is {getattr(self, name)}; give a positive number.")
+        if np.linalg.det(self.pixel_from_mm) == 0.0:
+            raise CameraError(f"{self.name}: pixel_from_mm {self.pixel_from_mm.tolist()} is singular; give px/mm.")
+        axes = self.focal_from_camera
+        try:
+            checked_rotation(axes * (np.sign(np.linalg.det(axes)) or 1.0))
+        except ValueError as error:
+            raise CameraError(
+                f"{self.name}: focal_from_camera is not three orthogonal unit rows (pixel, line, boresight): {error}"
+            ) from error
+
+    @classmethod
+    def from_yaml(cls, path: str | PathLike[str]) -> Self:
+        """Read a camera file; see `opnav_workbench.camera.loading` for its schema.
+
+        Raises
+        ------
+        CameraError
+            The file cannot be read or breaks the schema; the message names file and field.
+        """
+        from opnav_workbench.camera.loading import camera_fields  # noqa: PLC0415 - it builds on the model's parts
+
+        return cls(**camera_fields(path))
+
+    @classmethod
+    def from_ik(cls, values: Mapping[str, Sequence[Any]], instrument_id: int, **overrides: Any) -> Self:
+        """Build a camera from the ``INS<id>_*`` variables of a SPICE instrument kernel.
+
+        Parameters
+        ----------
+        values : mapping of str to sequence
+            Pool variables, with or without the ``INS<id>_`` prefix.
+        instrument_id : int
+            NAIF id, such as -98301.
+        **overrides
+            Fields of `Camera` that replace, or add to, what the kernel gives; `pixel_direction` and
+            `line_direction`, vectors (3,) in the instrument frame, replace the detector axes.
+
+        Raises
+        ------
+        CameraError
+            The variables do not determine a camera; the message says which are missing.
+        """
+        from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik  # noqa: PLC0415 - as above
+
+        return cls(**camera_fields_from_ik(values, instrument_id, **overrides))
+
+    def require(self, name: str) -> float:
+        """Return a number that not every camera file knows, such as ``gain_e_per_dn``.
+
+        Raises
+        ------
+        CameraError
+            It is not known.
+        """
+        value = getattr(self, name)
+        if value is None:
+            raise CameraError(f"{self.name}: {name} is not known, and this needs it; give it in the camera file.")
+        return float(value)
+
+    @property
+    def boresight(self) -> FloatArray:
+        """Unit vector (3,) toward the sky at `center_pixel_line`, camera frame."""
+        return self.focal_from_camera[2]
+
+    @property
+    def pixel_scale_rad(self) -> float:
+        """Angle of one pixel at the boresight without distortion, rad (geometric mean of both axes)."""
+        return float(1.0 / (self.focal_length_mm * np.sqrt(abs(np.linalg.det(self.pixel_from_mm)))))
+
+    @property
+    def half_diagonal_rad(self) -> float:
+        """Angle from the boresight to the farthest detector corner, rad."""
+        cosine = self.unproject(self._corners()) @ self.boresight
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
+
+    def on_detector(self, pixel_line: ArrayLike, margin_px: float = 0.0) -> BoolArray:
+        """Tell for points (..., 2) px whether they fall on a pixel, or within `margin_px` of one; nan does not."""
+        points = np.asarray(pixel_line, dtype=np.float64)
+        edge = 0.5 + margin_px
+        size = np.array([self.n_pixel, self.n_line])
+        return np.asarray(((points >= -edge) & (points <= size - 1.0 + edge)).all(axis=-1))
+
+    def project(self, directions: ArrayLike) -> FloatArray:
+        """Return where directions fall on the detector plane.
+
+        Parameters
+        ----------
+        directions : (..., 3) array_like
+            Vectors of any length, camera frame.
+
+        Returns
+        -------
+        (..., 2) array
+            (pixel, line); nan for directions at or behind the image plane, or so far from the boresight that the
+            distortion model does not hold.
+        """
+        ideal = self._gnomonic(np.asarray(directions, dtype=np.float64))
+        return np.asarray(self.center_pixel_line + self.distortion.distort(ideal) @ self.pixel_from_mm.T)
+
+    def project_jacobian(self, directions: ArrayLike) -> FloatArray:
+        """Return d(pixel, line)/d(direction), (..., 2, 3), at vectors (..., 3) of any length; nan as in `project`."""
+        vectors = np.asarray(directions, dtype=np.float64)
+        ideal = self._gnomonic(vectors)
+        depth = vectors @ self.boresight
+        slope = np.zeros((*ideal.shape[:-1], 2, 3))
+        slope[..., 0, 0] = slope[..., 1, 1] = self.focal_length_mm
+        slope[..., 2] = -ideal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            gnomonic = slope / depth[..., None, None]
+        return np.asarray(self.pixel_from_mm @ self.distortion.jacobian(ideal) @ gnomonic @ self.focal_from_camera)
+
+    def unproject(self, pixel_line: ArrayLike) -> FloatArray:
+        """Return the unit vectors (..., 3), camera frame, that points (..., 2) of (pixel, line) look along.
+
+        Points outside the reach of the distortion model become nan.
+        """
+        return unit(self._rays(self._ideal(pixel_line)) @ self.focal_from_camera)
+
+    def unproject_jacobian(self, pixel_line: ArrayLike) -> FloatArray:
+        """Return d(unit vector)/d(pixel, line), (..., 3, 2), at points (..., 2); nan as in `unproject`."""
+        ideal = self._ideal(pixel_line)
+        rays = self._rays(ideal)
+        length = np.linalg.norm(rays, axis=-1)[..., None, None]
+        along = rays[..., None] / length
+        tangent = (np.eye(3) - along @ np.swapaxes(along, -1, -2))[..., :2] / (length * self.focal_length_mm)
+        undistorted = inverse_2x2(self.distortion.jacobian(ideal)) @ np.linalg.inv(self.pixel_from_mm)
+        return np.asarray(self.focal_from_camera.T @ tangent @ undistorted)
+
+    def _gnomonic(self, vectors: FloatArray) -> FloatArray:
+        """Ideal focal-plane coordinates (..., 2) mm; nan where the camera cannot see."""
+        a_b_c = vectors @ self.focal_from_camera.T
+        depth = np.where(a_b_c[..., 2] > 0.0, a_b_c[..., 2], np.nan)
+        with np.errstate(over="ignore"):
+            return self._in_reach(self.focal_length_mm * a_b_c[..., :2] / depth[..., None])
+
+    def _ideal(self, pixel_line: ArrayLike) -> FloatArray:
+        offset = np.asarray(pixel_line, dtype=np.float64) - self.center_pixel_line
+        return self._in_reach(self.distortion.undistort(offset @ np.linalg.inv(self.pixel_from_mm).T))
+
+    def _in_reach(self, ideal_mm: FloatArray) -> FloatArray:
+        radius = np.hypot(ideal_mm[..., 0], ideal_mm[..., 1])
+        return np.where((radius <= self._branch_mm)[..., None], ideal_mm, np.nan)
+
+    def _rays(self, ideal_mm: FloatArray) -> FloatArray:
+        ones = np.ones((*ideal_mm.shape[:-1], 1))
+        return np.concatenate([ideal_mm / self.focal_length_mm, ones], axis=-1)
+
+    def _corners(self) -> FloatArray:
+        right, bottom = self.n_pixel - 0.5, self.n_line - 0.5
+        return np.array([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+
+
+def _branch_radius_mm(distortion: Distortion, focal_length_mm: float) -> float:
+    """Ideal radius, mm, up to which the distortion maps one to one in every direction; inf where it always does."""
+    radii = focal_length_mm * np.geomspace(1e-3, BRANCH_MAX_TANGENT, BRANCH_RADII)
+    angles = np.linspace(0.0, 2.0 * np.pi, BRANCH_RAYS, endpoint=False)
+    points = radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    with np.errstate(all="ignore"):
+        jacobian = distortion.jacobian(points)
+        half_trace = 0.5 * (jacobian[..., 0, 0] + jacobian[..., 1, 1])
+        half_difference = 0.5 * (jacobian[..., 0, 0] - jacobian[..., 1, 1])
+        shear = 0.5 * (jacobian[..., 0, 1] + jacobian[..., 1, 0])
+        smallest = half_trace - np.hypot(half_difference, shear)  # of the symmetric part's eigenvalues
+    folded = ~(smallest > MIN_SLOPE).all(axis=1)
+    return float(radii[max(int(folded.argmax()) - 1, 0)]) if folded.any() else np.inf

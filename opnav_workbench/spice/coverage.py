@@ -1,0 +1,131 @@
+"""What the loaded kernels cover: SPK windows per body, CK windows per structure, and the frames a CK must cover."""
+
+import functools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import spiceypy
+from spiceypy.utils import support_types
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.spice import pool
+from opnav_workbench.spice.files import kernel_file, segments
+
+__all__ = ["Coverage", "ck_structures", "covered", "loaded_windows", "windows_of"]
+
+WINDOW_SIZES = (2_000, 200_000, 4_000_000)  # doubles; a CK of single pictures has two for each
+CK_FRAME, FIXED_OFFSET_FRAME = 3, 4  # SPICE's frame classes
+LONGEST_CHAIN = 20  # frames; real ones have 2 to 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """When the loaded kernels know one body's position or one structure's attitude."""
+
+    kind: str  # "SPK" or "CK"
+    body: int  # NAIF number of the body, or of the CK structure
+    name: str
+    intervals_et: FloatArray  # (k, 2) start and stop, TDB s past J2000, disjoint and in order
+    paths: tuple[Path, ...]  # the files that contribute
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def path(self) -> Path:
+        """The first of the files that contribute."""
+        return self.paths[0]
+
+    def contains(self, et: float) -> bool:
+        """Tell whether a time lies in a window, ends included."""
+        start, stop = self.intervals_et.T
+        return bool(((start <= et) & (et <= stop)).any())
+
+
+def loaded_windows(kind: str) -> tuple[Coverage, ...]:
+    """Return the coverage of all bodies or structures over all loaded files, lock held.
+
+    Raises
+    ------
+    SpiceyError
+        A CK's clock is not loaded.
+    """
+    files = [f.path for f in pool.loaded_files() if f.kind == kind]
+    bodies = sorted({body for path in files for body in _bodies(path)})
+    return tuple(windows_of(kind, body) for body in bodies)
+
+
+def windows_of(kind: str, body: int) -> Coverage:
+    """Return the merged coverage of one body or structure; without windows if no loaded file holds it; lock held."""
+    paths = tuple(f.path for f in pool.loaded_files() if f.kind == kind and body in _bodies(f.path))
+    return Coverage(kind, body, _name(kind, body), _merged(kind, body, paths), paths)
+
+
+def covered(kind: str, body: int, et: float) -> bool:
+    """Tell whether a loaded file of that kind holds the body or structure at a time, lock held."""
+    return windows_of(kind, body).contains(et)
+
+
+def ck_structures(frame_id: int) -> tuple[int, ...]:
+    """Return the CK structures between a frame and the inertial one, nearest first, lock held.
+
+    A CK may refer to another CK frame (a camera on a mechanism, the mechanism on the spacecraft), so the reference
+    frames of the loaded segments are followed, too.
+    """
+    structures: list[int] = []
+    waiting, seen = [frame_id], set[int]()
+    while waiting and len(seen) < LONGEST_CHAIN:
+        frame = waiting.pop(0)
+        if frame in seen:
+            continue
+        seen.add(frame)
+        _, frame_class, class_id = spiceypy.frinfo(frame)
+        if frame_class == CK_FRAME:
+            structures.append(class_id)
+            waiting.extend(_references(class_id))
+        elif frame_class == FIXED_OFFSET_FRAME:
+            waiting.append(spiceypy.tkfram(class_id)[1])
+    return tuple(structures)
+
+
+def _references(structure: int) -> Iterable[int]:
+    held = (s for f in pool.loaded_files() if f.kind == "CK" for s in segments(f.path))
+    return sorted({s.integers[1] for s in held if s.integers[0] == structure})
+
+
+def _bodies(path: Path) -> frozenset[int]:
+    kernel_file(path)
+    return frozenset(s.integers[0] for s in segments(path))
+
+
+def _name(kind: str, body: int) -> str:
+    if kind == "CK":
+        # A structure is commonly the class number of a frame, and the frame's name then says what it is.
+        frames = [n for n in (spiceypy.frmnam(body),) if n]
+        return frames[0] if frames else str(body)
+    return str(spiceypy.bodc2s(body))
+
+
+def _merged(kind: str, body: int, paths: tuple[Path, ...]) -> FloatArray:
+    fill: Callable[[Any], None]
+    for size in WINDOW_SIZES:
+        window = support_types.SPICEDOUBLE_CELL(size)
+        try:
+            for path in paths:
+                fill = functools.partial(_fill, kind, str(path), body)
+                fill(window)
+            break
+        except spiceypy.SpiceyError as error:
+            if "EXCESS" not in error.short or size == WINDOW_SIZES[-1]:
+                raise
+    return np.array(list(window), float).reshape(-1, 2)
+
+
+def _fill(kind: str, path: str, body: int, window: Any) -> None:
+    if kind == "CK":
+        spiceypy.ckcov(path, body, False, "INTERVAL", 0.0, "TDB", window)
+    else:
+        spiceypy.spkcov(path, body, window)

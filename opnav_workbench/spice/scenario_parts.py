@@ -1,0 +1,281 @@
+"""The parts of a scenario file: spacecraft, clock, frames, cameras, bodies, trajectories and pointing plan.
+
+Calendar times are UTC; tables of states and orbit epochs are TDB unless they say otherwise.
+"""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    StringConstraints,
+    model_validator,
+)
+
+from opnav_workbench.geometry.rotations import checked_rotation
+
+__all__ = [
+    "AttitudeError",
+    "Body",
+    "BodyRef",
+    "Clock",
+    "FileStem",
+    "FixedFrame",
+    "Instrument",
+    "KeplerOrbit",
+    "ModelOrbit",
+    "Pointing",
+    "Span",
+    "Spacecraft",
+    "StateTable",
+    "Strict",
+    "Trajectory",
+    "Window",
+]
+
+FRAME_NAME_CHARS = 26  # SPICE: the pool variable FRAME_<name> has at most 32
+BODY_NAME_CHARS = 36  # SPICE
+CLOCK_COUNTS = 4294967296  # a 32-bit counter of seconds, as spacecraft clocks have
+
+
+def _naive_utc(moment: datetime) -> datetime:
+    return moment if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)
+
+
+def _no_zone(moment: datetime) -> datetime:
+    if moment.tzinfo is not None:
+        raise ValueError("a TDB epoch has no time zone; write it without Z or offset")
+    return moment
+
+
+def _rotation(rows: tuple[Any, ...]) -> tuple[Any, ...]:
+    checked_rotation(rows)
+    return rows
+
+
+def _orthonormal(rows: tuple[Any, ...]) -> tuple[Any, ...]:
+    matrix = np.asarray(rows)
+    checked_rotation(matrix * np.sign(np.linalg.det(matrix) or 1.0))  # mirrored detectors are allowed
+    return rows
+
+
+Utc = Annotated[datetime, AfterValidator(_naive_utc)]
+Tdb = Annotated[datetime, AfterValidator(_no_zone)]
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+RotationRows = Annotated[Matrix3, AfterValidator(_rotation)]
+FocalAxes = Annotated[Matrix3, AfterValidator(_orthonormal)]
+FrameName = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_+-]*$", max_length=FRAME_NAME_CHARS)]
+BodyName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9][A-Z0-9_ +./-]*$", max_length=BODY_NAME_CHARS)]
+FileStem = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
+Keyword = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_/]*$", max_length=22)]
+BodyRef = int | str  # a NAIF id, or a name of this scenario
+Row = tuple[datetime, float, float, float, float, float, float]
+
+
+class Strict(BaseModel):
+    """Unknown fields are errors: they are misspelt ones. Values are frozen and finite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Span(Strict):
+    """The time that the kernels serve."""
+
+    start: Utc
+    end: Utc
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.end <= self.start:
+            raise ValueError(f"end {self.end.isoformat()} is not after start {self.start.isoformat()}")
+        return self
+
+
+class NamedFrame(Strict):
+    """A frame that a CK orients."""
+
+    name: FrameName
+    id: int
+
+
+class Spacecraft(Strict):
+    """A spacecraft and its bus frame, the one that its CK gives."""
+
+    name: BodyName
+    id: Annotated[int, Field(lt=0)]
+    aliases: tuple[BodyName, ...] = ()
+    frame: NamedFrame
+
+
+class Clock(Strict):
+    """A two-field spacecraft clock, ``seconds:subcounts``, tied to time by `start` or by `correlation`."""
+
+    id: Annotated[int, Field(lt=0)]
+    subcounts: PositiveInt = 65536
+    counts: PositiveInt = CLOCK_COUNTS
+    time_system: Literal["TDB", "TDT"] = "TDB"
+    start: Utc | None = None  # the clock reads zero
+    partitions: tuple[tuple[int, int], ...] = ()  # first and last tick of each; none: one that never ends
+    correlation: tuple[tuple[int, Tdb, PositiveFloat], ...] = ()  # tick, time, seconds per count
+
+    @model_validator(mode="after")
+    def _tied_once(self) -> Self:
+        if (self.start is None) == (not self.correlation):
+            raise ValueError("give either start or correlation, not both and not neither")
+        return self
+
+
+class FixedFrame(Strict):
+    """A frame mounted on another: ``v_frame = matrix @ v_relative``."""
+
+    name: FrameName
+    id: int
+    relative_to: FrameName
+    matrix: RotationRows
+
+
+class Instrument(Strict):
+    """A camera: detector and optics as plain numbers; further IK keywords as they are."""
+
+    name: BodyName
+    id: Annotated[int, Field(lt=0)]
+    frame: FrameName
+    focal_length_mm: PositiveFloat
+    pixel_size_um: PositiveFloat
+    n_pixel: PositiveInt
+    n_line: PositiveInt
+    center_pixel_line: tuple[float, float] | None = None  # none: the middle of the detector
+    focal_from_camera: FocalAxes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    fov_half_angles_deg: tuple[PositiveFloat, PositiveFloat] | None = None  # none: from the detector
+    keywords: Mapping[Keyword, float | str | tuple[float, ...] | tuple[str, ...]] = {}
+
+    @property
+    def pixel_scale_rad(self) -> float:
+        """Angle of one pixel at the boresight."""
+        return self.pixel_size_um * 1e-3 / self.focal_length_mm
+
+
+class BodyFrame(Strict):
+    """A body-fixed frame that SPICE does not know by itself."""
+
+    name: FrameName
+    id: int
+
+
+class Body(Strict):
+    """A natural body; what is left out does not enter the PCK."""
+
+    name: BodyName
+    id: int
+    aliases: tuple[BodyName, ...] = ()
+    source: str
+    radii_km: tuple[PositiveFloat, PositiveFloat, PositiveFloat] | None = None
+    gm_km3_s2: PositiveFloat | None = None
+    pole_ra_deg: tuple[float, ...] = ()  # value at J2000, then rate per Julian century
+    pole_dec_deg: tuple[float, ...] = ()
+    prime_meridian_deg: tuple[float, ...] = ()  # value at J2000, then rate per day
+    frame: BodyFrame | None = None
+
+    @model_validator(mode="after")
+    def _whole_rotation(self) -> Self:
+        given = [bool(self.pole_ra_deg), bool(self.pole_dec_deg), bool(self.prime_meridian_deg)]
+        if any(given) and not all(given):
+            raise ValueError("pole_ra_deg, pole_dec_deg and prime_meridian_deg belong together: give all")
+        return self
+
+
+class _Trajectory(Strict):
+    target: BodyRef
+    center: BodyRef
+    source: str
+    frame: FrameName = "J2000"
+
+
+class StateTable(_Trajectory):
+    """States at epochs, between which SPICE interpolates."""
+
+    kind: Literal["states"]
+    time_scale: Literal["TDB", "UTC"] = "TDB"
+    rows: Annotated[tuple[Row, ...], Field(min_length=2)]  # epoch, km, km/s
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for i, (a, b) in enumerate(pairwise(row[0] for row in self.rows)):
+            if b.tzinfo is not None or b <= a:
+                raise ValueError(
+                    f"rows.{i + 1}: {b.isoformat()} must be after {a.isoformat()} and have no zone"
+                )
+        return self
+
+
+class KeplerOrbit(_Trajectory):
+    """An unperturbed orbit, tabulated over the span."""
+
+    kind: Literal["kepler"]
+    epoch: Tdb
+    gm_km3_s2: PositiveFloat
+    periapsis_km: PositiveFloat
+    eccentricity: Annotated[float, Field(ge=0.0)]
+    inclination_deg: float
+    node_deg: float
+    argument_deg: float
+    mean_anomaly_deg: float
+    step_s: PositiveFloat | None = None  # none: fine enough for interpolation to 1e-6 of the periapsis
+
+
+class ModelOrbit(_Trajectory):
+    """The Sun or the Earth about the Solar System barycenter: the series of `erfa.epv00`, good to 14 km."""
+
+    kind: Literal["epv00"]
+    target: Literal[10, 399]
+    center: Literal[0] = 0
+    source: str = "ERFA epv00 (Simon et al. series)"
+
+
+Trajectory = Annotated[StateTable | KeplerOrbit | ModelOrbit, Field(discriminator="kind")]
+
+
+class Window(Strict):
+    """A time during which the camera is held on something: targets, or a fixed direction."""
+
+    start: Utc
+    end: Utc
+    step_s: PositiveFloat = 600.0
+    track: tuple[BodyRef, ...] = ()  # several: the middle of their directions
+    ra_deg: float | None = None
+    dec_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
+    twist_deg: float = 0.0  # position angle of increasing line, east of J2000 north
+    offset_px: tuple[float, float] = (0.0, 0.0)  # pixel, line of what is tracked, from the boresight
+
+    @model_validator(mode="after")
+    def _one_aim(self) -> Self:
+        if self.end <= self.start:
+            raise ValueError(f"end {self.end.isoformat()} is not after start {self.start.isoformat()}")
+        fixed = self.ra_deg is not None and self.dec_deg is not None
+        if fixed == bool(self.track) or (self.ra_deg is None) != (self.dec_deg is None):
+            raise ValueError("give either track or both of ra_deg and dec_deg")
+        return self
+
+
+class AttitudeError(Strict):
+    """How the flown attitude differs from the predicted one; see `delta_pixel, delta_line, delta_twist`."""
+
+    shift_px: tuple[float, float] = (0.0, 0.0)  # where the boresight's sky moves on the detector
+    twist_deg: float = 0.0
+
+
+class Pointing(Strict):
+    """The plan for one camera; what carries it follows."""
+
+    instrument: BodyName
+    windows: Annotated[tuple[Window, ...], Field(min_length=1)]
+    actual: AttitudeError | None = None
