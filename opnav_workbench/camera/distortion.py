@@ -4,8 +4,8 @@ Flow   direction -> ideal (x, y) mm -> here -> distorted (x, y) mm -> pixel
 Axes   x along increasing pixel, y along increasing line, origin at the boresight
 Units  mm in and out; what the coefficients carry stands with each model
 
-A model is written in one direction, the one its coefficients are published in; the other is found by Newton's method
-with the analytic Jacobian.
+A model is written in one direction, the one its coefficients are published in; the other is found by Newton's
+method with the analytic Jacobian.
 """
 
 from abc import ABC, abstractmethod
@@ -29,6 +29,7 @@ __all__ = [
 ]
 
 CONVERGED_MM = 1e-12  # five orders below what 1e-6 px needs, four above rounding on a 30 mm detector
+ROUNDING = 4.0 * np.finfo(np.float64).eps  # a point far off the detector cannot be known better
 MAX_ITERATIONS = 50  # Newton needs 3 to 6; more means that the point has no origin under this model
 
 
@@ -70,7 +71,7 @@ class InverseDistortion(Distortion):
         """Return d(ideal)/d(distorted) (..., 2, 2) at points on the detector (..., 2) mm."""
 
     def distort(self, xy_mm: ArrayLike) -> FloatArray:
-        """Return the point on the detector by Newton's method, converged to 1e-12 mm (nan where it cannot be)."""
+        """Return the point on the detector by Newton's method (nan where it does not converge)."""
         return _newton(self.undistort, self.undistort_jacobian, np.asarray(xy_mm, dtype=np.float64))
 
     def jacobian(self, xy_mm: ArrayLike) -> FloatArray:
@@ -79,7 +80,8 @@ class InverseDistortion(Distortion):
 
 
 def undistort(distortion: Distortion, xy_mm: ArrayLike) -> FloatArray:
-    """Return the ideal coordinates (..., 2) mm of points (..., 2) mm on the detector; nan where there are none.
+    """Return the ideal coordinates (..., 2) mm of points (..., 2) mm on the detector; nan where there are
+    none.
 
     Examples
     --------
@@ -127,8 +129,8 @@ class OwenDistortion(DirectDistortion):
 
     References
     ----------
-    Owen, "Methods of optical navigation", AAS 11-215 (2011); Owen and O'Connell, JPL IOM 343L-11-002 (2011), in the
-    comments of NAIF kernel nh_lorri_v201.ti, whose signs (line axis along +Y of NH_LORRI) these are.
+    Owen, "Methods of optical navigation", AAS 11-215 (2011); Owen and O'Connell, JPL IOM 343L-11-002 (2011),
+    in the comments of NAIF kernel nh_lorri_v201.ti, whose signs (line axis along +Y of NH_LORRI) these are.
     """
 
     e1_per_mm: float = 0.0
@@ -157,10 +159,15 @@ class OwenDistortion(DirectDistortion):
         pinwheel = (self.e1_per_mm + self.e3_per_mm3 * r2) * r
         steep = 2.0 * self.e2_per_mm2 + 4.0 * self.e4_per_mm4 * r2
         radial_x, radial_y = steep * x + self.e6_per_mm, steep * y + self.e5_per_mm
-        # d(pinwheel)/dx = (e1/r + 3 e3 r) x; at the center e1 r has a kink, but it is multiplied by y = 0 there
+        # d(pinwheel)/dx = (e1/r + 3 e3 r) x; at the center e1 r has a kink, but it is multiplied by y = 0
+        # there
         twist = np.divide(self.e1_per_mm, r, out=np.zeros_like(r), where=r > 0.0) + 3.0 * self.e3_per_mm3 * r
-        top = np.stack([1.0 + radial + radial_x * x - twist * x * y, radial_y * x - pinwheel - twist * y * y], -1)
-        low = np.stack([radial_x * y + pinwheel + twist * x * x, 1.0 + radial + radial_y * y + twist * x * y], -1)
+        top = np.stack(
+            [1.0 + radial + radial_x * x - twist * x * y, radial_y * x - pinwheel - twist * y * y], -1
+        )
+        low = np.stack(
+            [radial_x * y + pinwheel + twist * x * x, 1.0 + radial + radial_y * y + twist * x * y], -1
+        )
         return np.stack([top, low], axis=-2)
 
 
@@ -168,8 +175,8 @@ class OwenDistortion(DirectDistortion):
 class BrownDistortion(DirectDistortion):
     """The Brown-Conrady model in the full form of OpenCV: rational radial, tangential and thin-prism terms.
 
-    Coefficients are dimensionless: they act on tangents of angles (x, y)/focal_mm. OpenCV's ``fx, fy`` divided by the
-    focal length are the diagonal of ``Camera.pixel_from_mm``.
+    Coefficients are dimensionless: they act on tangents of angles (x, y)/focal_mm. OpenCV's ``fx, fy``
+    divided by the focal length are the diagonal of ``Camera.pixel_from_mm``.
 
     Parameters
     ----------
@@ -203,7 +210,9 @@ class BrownDistortion(DirectDistortion):
 
     def __post_init__(self) -> None:
         if not self.focal_mm > 0.0:
-            raise CameraError(f"Brown distortion: focal_mm is {self.focal_mm}; give a positive focal length in mm.")
+            raise CameraError(
+                f"Brown distortion: focal_mm is {self.focal_mm}; give a positive focal length in mm."
+            )
 
     def _radial(self, r2: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Radial factor and its derivative by r^2."""
@@ -236,11 +245,13 @@ class BrownDistortion(DirectDistortion):
         shear = 2.0 * (x * y * slope + self.p1 * x + self.p2 * y)
         uu = radial + 2.0 * x * x * slope + 2.0 * self.p1 * y + 6.0 * self.p2 * x + prism_u * x
         vv = radial + 2.0 * y * y * slope + 6.0 * self.p1 * y + 2.0 * self.p2 * x + prism_v * y
-        return np.stack([np.stack([uu, shear + prism_u * y], -1), np.stack([shear + prism_v * x, vv], -1)], axis=-2)
+        return np.stack(
+            [np.stack([uu, shear + prism_u * y], -1), np.stack([shear + prism_v * x, vv], -1)], axis=-2
+        )
 
 
 def inverse_2x2(matrices: FloatArray) -> FloatArray:
-    """Return the inverses of matrices (..., 2, 2); a singular one becomes nan or inf, without an exception."""
+    """Return the inverses of matrices (..., 2, 2); a singular one becomes nan or inf, and no exception."""
     a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         adjugate = np.stack([np.stack([d, -b], -1), np.stack([-c, a], -1)], axis=-2)
@@ -248,25 +259,24 @@ def inverse_2x2(matrices: FloatArray) -> FloatArray:
 
 
 def _newton(
-    function: Callable[[FloatArray], FloatArray], jacobian: Callable[[FloatArray], FloatArray], target: FloatArray
+    function: Callable[[FloatArray], FloatArray],
+    jacobian: Callable[[FloatArray], FloatArray],
+    target: FloatArray,
 ) -> FloatArray:
-    """Solve function(x) = target for points (..., 2), starting at the target; nan where it does not converge."""
+    """Solve function(x) = target for points (..., 2), from the target on; nan where that does not converge."""
     goal = target.reshape(-1, 2)
     points = goal.copy()
-    open_ = np.arange(len(goal))
+    tolerance = CONVERGED_MM + ROUNDING * np.abs(goal).max(axis=-1, initial=0.0)
+    finite = np.isfinite(goal).all(axis=-1)
+    points[~finite] = np.nan
+    pending = np.flatnonzero(finite)
     with np.errstate(all="ignore"):
         for _ in range(MAX_ITERATIONS):
-            error = function(points[open_]) - goal[open_]
-            open_, error = _still_open(open_, error)
-            if len(open_) == 0:
+            error = function(points[pending]) - goal[pending]
+            far = ~(np.abs(error).max(axis=-1, initial=0.0) < tolerance[pending])
+            pending, error = pending[far], error[far]
+            if len(pending) == 0:
                 break
-            step = inverse_2x2(jacobian(points[open_])) @ error[..., None]
-            points[open_] -= step[..., 0]
-    points[open_] = np.nan
-    points[~np.isfinite(goal).all(axis=1)] = np.nan
+            points[pending] -= (inverse_2x2(jacobian(points[pending])) @ error[..., None])[..., 0]
+    points[pending] = np.nan
     return points.reshape(target.shape)
-
-
-def _still_open(index: np.ndarray, error: FloatArray) -> tuple[np.ndarray, FloatArray]:
-    far = ~(np.abs(error).max(axis=-1, initial=0.0) < CONVERGED_MM)
-    return index[far], error[far]

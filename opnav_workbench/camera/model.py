@@ -1,9 +1,9 @@
 """The camera: from a direction in the instrument's SPICE frame to (pixel, line), and back.
 
-Flow   direction -> focal axes (a, b, c) -> X = f a/c, Y = f b/c (mm) -> distortion -> pixel = center + K (x, y)
-Axes   rows of ``focal_from_camera``: unit vectors, in the camera's SPICE frame, of increasing pixel, of increasing line
-       and of the boresight toward the sky. They are data: LORRI looks along -Z, MVIC along -X, OCAMS along +Z, and a
-       determinant of -1 (detector read out mirrored) changes nothing else.
+Flow   direction -> focal axes (a, b, c) -> X = f a/c, Y = f b/c (mm) -> distortion -> center + K (x, y)
+Axes   rows of ``focal_from_camera``: unit vectors, in the camera's SPICE frame, of increasing pixel, of
+       increasing line and of the boresight toward the sky. They are data: LORRI looks along -Z, MVIC along
+       -X, OCAMS along +Z, and a determinant of -1 (detector read out mirrored) changes nothing else.
 Units  mm on the focal plane, px on the detector, rad on the sky
 
 Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
@@ -81,6 +81,7 @@ class Camera:
 
     Examples
     --------
+    >>> from opnav_workbench.resources import kernels_meta_dir
     >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
     >>> camera.project([[0.0, 0.0, 1.0], [0.001, 0.0, 1.0], [0.0, 0.0, -1.0]])
     array([[511.5, 511.5],
@@ -110,7 +111,9 @@ class Camera:
     aperture_m: float | None = None
     exposure_limits: ExposureLimits | None = None
     source: str = ""
-    _branch_mm: float = field(init=False, repr=False, default=np.inf)  # ideal radius up to which distortion holds
+    _branch_mm: float = field(
+        init=False, repr=False, default=np.inf
+    )  # ideal radius up to which distortion holds
 
     def __post_init__(self) -> None:
         self._set_array("center_pixel_line", (2,))
@@ -120,7 +123,7 @@ class Camera:
         object.__setattr__(self, "_branch_mm", _branch_radius_mm(self.distortion, self.focal_length_mm))
         if not np.isfinite(self.unproject(self._corners())).all():
             raise CameraError(
-                f"{self.name}: the distortion folds over inside the detector; check coefficients and their units."
+                f"{self.name}: the distortion folds over inside the detector; check its coefficients and units."
             )
 
     def _set_array(self, name: str, shape: tuple[int, ...]) -> None:
@@ -137,13 +140,15 @@ class Camera:
             if not 0.0 < getattr(self, name) < np.inf:
                 raise CameraError(f"{self.name}: {name} is {getattr(self, name)}; give a positive number.")
         if np.linalg.det(self.pixel_from_mm) == 0.0:
-            raise CameraError(f"{self.name}: pixel_from_mm {self.pixel_from_mm.tolist()} is singular; give px/mm.")
+            raise CameraError(
+                f"{self.name}: pixel_from_mm {self.pixel_from_mm.tolist()} is singular; give px/mm."
+            )
         axes = self.focal_from_camera
         try:
             checked_rotation(axes * (np.sign(np.linalg.det(axes)) or 1.0))
         except ValueError as error:
             raise CameraError(
-                f"{self.name}: focal_from_camera is not three orthogonal unit rows (pixel, line, boresight): {error}"
+                f"{self.name}: focal_from_camera needs orthogonal unit rows (pixel, line, boresight): {error}"
             ) from error
 
     @classmethod
@@ -155,7 +160,9 @@ class Camera:
         CameraError
             The file cannot be read or breaks the schema; the message names file and field.
         """
-        from opnav_workbench.camera.loading import camera_fields  # noqa: PLC0415 - it builds on the model's parts
+        from opnav_workbench.camera.loading import camera_fields  # noqa: PLC0415 - it builds on the model's
+
+        parts
 
         return cls(**camera_fields(path))
 
@@ -192,13 +199,15 @@ class Camera:
         """
         value = getattr(self, name)
         if value is None:
-            raise CameraError(f"{self.name}: {name} is not known, and this needs it; give it in the camera file.")
+            raise CameraError(
+                f"{self.name}: {name} is not known, and this needs it; give it in the camera file."
+            )
         return float(value)
 
     @property
     def boresight(self) -> FloatArray:
         """Unit vector (3,) toward the sky at `center_pixel_line`, camera frame."""
-        return self.focal_from_camera[2]
+        return np.asarray(self.focal_from_camera[2])
 
     @property
     def pixel_scale_rad(self) -> float:
@@ -212,7 +221,7 @@ class Camera:
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
 
     def on_detector(self, pixel_line: ArrayLike, margin_px: float = 0.0) -> BoolArray:
-        """Tell for points (..., 2) px whether they fall on a pixel, or within `margin_px` of one; nan does not."""
+        """Tell for points (..., 2) px whether they fall on a pixel, or within `margin_px` of one (nan: no)."""
         points = np.asarray(pixel_line, dtype=np.float64)
         edge = 0.5 + margin_px
         size = np.array([self.n_pixel, self.n_line])
@@ -229,14 +238,17 @@ class Camera:
         Returns
         -------
         (..., 2) array
-            (pixel, line); nan for directions at or behind the image plane, or so far from the boresight that the
-            distortion model does not hold.
+            (pixel, line); nan for directions at or behind the image plane, or so far from the boresight that
+            the distortion model does not hold.
         """
         ideal = self._gnomonic(np.asarray(directions, dtype=np.float64))
         return np.asarray(self.center_pixel_line + self.distortion.distort(ideal) @ self.pixel_from_mm.T)
 
     def project_jacobian(self, directions: ArrayLike) -> FloatArray:
-        """Return d(pixel, line)/d(direction), (..., 2, 3), at vectors (..., 3) of any length; nan as in `project`."""
+        """Return d(pixel, line)/d(direction), (..., 2, 3), at vectors (..., 3) of any length.
+
+        Elements are nan where `project` is.
+        """
         vectors = np.asarray(directions, dtype=np.float64)
         ideal = self._gnomonic(vectors)
         depth = vectors @ self.boresight
@@ -245,7 +257,9 @@ class Camera:
         slope[..., 2] = -ideal
         with np.errstate(divide="ignore", invalid="ignore"):
             gnomonic = slope / depth[..., None, None]
-        return np.asarray(self.pixel_from_mm @ self.distortion.jacobian(ideal) @ gnomonic @ self.focal_from_camera)
+        return np.asarray(
+            self.pixel_from_mm @ self.distortion.jacobian(ideal) @ gnomonic @ self.focal_from_camera
+        )
 
     def unproject(self, pixel_line: ArrayLike) -> FloatArray:
         """Return the unit vectors (..., 3), camera frame, that points (..., 2) of (pixel, line) look along.
@@ -289,7 +303,7 @@ class Camera:
 
 
 def _branch_radius_mm(distortion: Distortion, focal_length_mm: float) -> float:
-    """Ideal radius, mm, up to which the distortion maps one to one in every direction; inf where it always does."""
+    """Ideal radius, mm, up to which distortion maps one to one in every direction; inf where it always does."""
     radii = focal_length_mm * np.geomspace(1e-3, BRANCH_MAX_TANGENT, BRANCH_RADII)
     angles = np.linspace(0.0, 2.0 * np.pi, BRANCH_RAYS, endpoint=False)
     points = radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -1,4 +1,4 @@
-"""Distortion given by polynomials: the SIP convention of FITS headers, and the Legendre series of New Horizons' MVIC."""
+"""Distortion given by polynomials: the SIP convention of FITS headers, and the Legendre series of MVIC."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,8 @@ from opnav_workbench.errors import CameraError
 __all__ = ["ForwardSipDistortion", "LegendreDistortion", "SipDistortion"]
 
 LEGENDRE_DEGREE = 5
-# Degrees (in x, in y) of the MVIC coefficients as the kernel lists them: total degree 1 to 5, x degree rising.
+# Degrees (in x, in y) of the MVIC coefficients as the kernel lists them: total degree 1 to 5, x degree
+# rising.
 LEGENDRE_TERMS = tuple((i, n - i) for n in range(1, LEGENDRE_DEGREE + 1) for i in range(n + 1))
 SIP_MAX_ORDER = 9  # the SIP convention's own limit
 
@@ -57,18 +58,22 @@ class _SipPolynomials:
     def _map_jacobian(self, xy_mm: ArrayLike) -> FloatArray:
         u, v = np.moveaxis(np.asarray(xy_mm, dtype=np.float64) @ self.pixel_from_mm.T, -1, 0)
         rows = [
-            np.stack([polynomial.polyval2d(u, v, polynomial.polyder(c, axis=axis)) for axis in (0, 1)], axis=-1)
+            np.stack(
+                [polynomial.polyval2d(u, v, polynomial.polyder(c, axis=axis)) for axis in (0, 1)], axis=-1
+            )
             for c in (self.f, self.g)
         ]
-        return np.asarray(np.eye(2) + np.linalg.inv(self.pixel_from_mm) @ np.stack(rows, axis=-2) @ self.pixel_from_mm)
+        return np.asarray(
+            np.eye(2) + np.linalg.inv(self.pixel_from_mm) @ np.stack(rows, axis=-2) @ self.pixel_from_mm
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SipDistortion(_SipPolynomials, DirectDistortion):
     """SIP distortion from its reverse polynomials AP, BP, which give distorted from ideal pixel offsets.
 
-    Build it with `from_coefficients` or `from_keywords`. The inverse is numerical: forward coefficients A, B of the same
-    header agree with it to their fit error only.
+    Build it with `from_coefficients` or `from_keywords`. The inverse is numerical: forward coefficients A, B
+    of the same header agree with it to their fit error only.
 
     References
     ----------
@@ -137,7 +142,9 @@ def _square(coefficients: SipCoefficients) -> FloatArray:
     """Coefficients as a matrix [p, q]."""
     order = max((p + q for p, q in coefficients), default=0)
     if order > SIP_MAX_ORDER:
-        raise CameraError(f"SIP coefficients of order {order}; the convention ends at {SIP_MAX_ORDER}, check the keys.")
+        raise CameraError(
+            f"SIP coefficients of order {order}; the convention ends at {SIP_MAX_ORDER}, check the keys."
+        )
     matrix = np.zeros((max(order, 1) + 1,) * 2)  # at least 2 x 2, so that it has derivatives
     for powers, value in coefficients.items():
         matrix[powers] = value
@@ -148,7 +155,9 @@ def _keyed(keywords: Mapping[str, Any], name: str) -> dict[tuple[int, int], floa
     powers = [(p, q) for p in range(SIP_MAX_ORDER + 1) for q in range(SIP_MAX_ORDER + 1 - p)]
     found = {(p, q): float(keywords[f"{name}_{p}_{q}"]) for p, q in powers if f"{name}_{p}_{q}" in keywords}
     if not found:
-        raise CameraError(f"no SIP coefficients {name}_p_q among these keywords; take a header whose CTYPE ends in -SIP.")
+        raise CameraError(
+            f"no SIP coefficients {name}_p_q among these keywords; take a header whose CTYPE ends in -SIP."
+        )
     return found
 
 
@@ -158,23 +167,24 @@ class LegendreDistortion(InverseDistortion):
 
     With X = x / half_width, Y = y / half_height on the detector, the ideal coordinates are
 
-        x_ideal = half_width  (X + sum of c_x[k] P_i(X) P_j(Y)),   y_ideal = half_height (Y + sum of c_y[k] P_i(X) P_j(Y))
+        x_ideal = half_width (X + sum over k of c_x[k] P_i(X) P_j(Y))
+        y_ideal = half_height (Y + sum over k of c_y[k] P_i(X) P_j(Y))
 
-    over the 20 pairs of degrees (i, j) = (0,1) (1,0) (0,2) (1,1) (2,0) (0,3) ... (5,0). Beyond the calibrated area the
-    correction of the nearest point of its edge applies, because polynomials run away there.
+    over the 20 pairs of degrees (i, j) = (0,1) (1,0) (0,2) (1,1) (2,0) (0,3) ... (5,0). Beyond the
+    calibrated area the correction of the nearest point of its edge applies: polynomials run away there.
 
     Parameters
     ----------
     half_size_mm : (2,) array
-        Half width and half height of the calibrated area, mm; negative where the series' axis runs against the
-        detector's (MVIC: its y axis points to decreasing line).
+        Half width and half height of the calibrated area, mm; negative where the series' axis runs against
+        the detector's (MVIC: its y axis points to decreasing line).
     x_coefficients, y_coefficients : (20,) arrays
         Dimensionless (fractions of half width and half height).
 
     References
     ----------
-    New Horizons instrument addendum kernel mvicAddendum004.ti (``INS-98900_DISTORTION_COEF_X``, ``_Y``; its reference
-    [1] "Calculation of distortion in MVIC frame images"). Order, scale and direction as in the ISIS camera model
+    Instrument addendum kernel mvicAddendum004.ti (``INS-98900_DISTORTION_COEF_X`` and ``_Y``), after
+    "Calculation of distortion in MVIC frame images"; order, scale and direction as in the ISIS camera model
     NewHorizonsMvicFrameCameraDistortionMap.
     """
 
@@ -184,13 +194,19 @@ class LegendreDistortion(InverseDistortion):
 
     def __post_init__(self) -> None:
         count = len(LEGENDRE_TERMS)
-        for name, shape in (("half_size_mm", (2,)), ("x_coefficients", (count,)), ("y_coefficients", (count,))):
+        for name, shape in (
+            ("half_size_mm", (2,)),
+            ("x_coefficients", (count,)),
+            ("y_coefficients", (count,)),
+        ):
             try:
                 object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
             except ValueError as error:
                 raise CameraError(f"Legendre distortion: {error}; give as many values as that.") from error
         if not np.all(self.half_size_mm != 0.0):
-            raise CameraError("Legendre distortion: half_size_mm has a zero; give the calibrated area's half size in mm.")
+            raise CameraError(
+                "Legendre distortion: half_size_mm has a zero; give the calibrated area's half size in mm."
+            )
 
     def _series(self) -> tuple[FloatArray, FloatArray]:
         """Coefficients of both axes as matrices [degree in x, degree in y]."""

@@ -10,7 +10,7 @@ import typer
 from opnav_workbench.cli.summary import Reporter
 from opnav_workbench.headless import Decisions, Outcome, Policy, load_decisions, process_image
 from opnav_workbench.mission import load_mission
-from opnav_workbench.pointing import MODELS
+from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.session import ATTITUDE_SOURCES
 from opnav_workbench.spice import KernelSet
 

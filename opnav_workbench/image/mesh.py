@@ -20,6 +20,7 @@ NOISE_CLIP_SIGMA = 3.0
 # Standard deviation of a unit Gaussian cut at +-3: sqrt(1 - 2 k phi(k) / (2 Phi(k) - 1)).
 NOISE_CLIP_FACTOR = 0.986578
 SHARE_BELOW_ONE_SIGMA = 0.158655
+STEPS_IN_WINDOW = 1.5  # whole numbers: the neighbours on both sides stay in, wherever the level lies between
 CLIP_TOLERANCE = 1e-3  # of the noise: a tenth of the error of a tile's level
 SMALLEST_SAMPLE_PX = 32  # fewer usable pixels than this: the tile says nothing
 SMALLEST_SHARE = 0.1  # nor does a tile with less than a tenth of its pixels left
@@ -111,7 +112,7 @@ def clipped_statistics(tiles: FloatArray, step_dn: float = 0.0) -> tuple[FloatAr
 
     The level is the mean of what lies within two sigma of itself, the noise the standard deviation within three,
     corrected for the cut: both hold where stars or a limb add a bright tail. `step_dn` is the step of whole-number
-    pictures; no window is narrower, or a quiet sky would show no noise at all.
+    pictures; no window is narrower than its neighbours, or a quiet sky would show no noise at all.
     """
     ordered = np.sort(tiles, axis=1)  # nan goes last
     count = np.asarray(np.count_nonzero(~np.isnan(ordered), axis=1), np.int64)
@@ -125,10 +126,11 @@ def clipped_statistics(tiles: FloatArray, step_dn: float = 0.0) -> tuple[FloatAr
 
 def _clip(tiles: "_SortedTiles", step_dn: float) -> tuple[FloatArray, FloatArray]:
     level, noise = tiles.start()
+    narrowest = STEPS_IN_WINDOW * step_dn
     for _ in range(CLIP_PASSES):
         before = level, noise
-        level = tiles.moments(level, np.maximum(LEVEL_CLIP_SIGMA * noise, step_dn))[0]
-        noise = tiles.moments(level, np.maximum(NOISE_CLIP_SIGMA * noise, step_dn))[1] / NOISE_CLIP_FACTOR
+        level = tiles.moments(level, np.maximum(LEVEL_CLIP_SIGMA * noise, narrowest))[0]
+        noise = tiles.moments(level, np.maximum(NOISE_CLIP_SIGMA * noise, narrowest))[1] / NOISE_CLIP_FACTOR
         moved = np.abs(level - before[0]) + np.abs(noise - before[1])
         if np.all(moved <= CLIP_TOLERANCE * noise):
             break

@@ -12,7 +12,6 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
-from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.scene import Observer, StarPrediction
 from opnav_workbench.starcenters.psf import box_integrals
@@ -31,10 +30,8 @@ def electrons_from_magnitude(camera: Camera, mag: FloatArray, exposure_s: float)
     CameraError
         The camera has no zero point or gain.
     """
-    if camera.zero_point_mag is None or camera.gain_e_per_dn is None:
-        raise CameraError(f"{camera.name}: a picture needs zero_point_mag and gain_e_per_dn in the camera file.")
-    rate_dn = 10.0 ** (0.4 * (camera.zero_point_mag - np.asarray(mag, dtype=np.float64)))
-    return rate_dn * exposure_s * camera.gain_e_per_dn
+    rate_dn = 10.0 ** (0.4 * (camera.require("zero_point_mag") - np.asarray(mag, dtype=np.float64)))
+    return rate_dn * exposure_s * camera.require("gain_e_per_dn")
 
 
 def body_points(
@@ -138,9 +135,7 @@ def _add_points(electrons: FloatArray, places: FloatArray, flux_e: FloatArray, s
 
 def _detect(camera: Camera, electrons: FloatArray, sky_dn: float, seed: int) -> FloatArray:
     """Shot noise, read noise (each with its own seed), gain, quantisation and clipping."""
-    gain, read_noise = camera.gain_e_per_dn, camera.read_noise_dn
-    if gain is None or read_noise is None:
-        raise CameraError(f"{camera.name}: a picture needs gain_e_per_dn and read_noise_dn in the camera file.")
+    gain, read_noise = camera.require("gain_e_per_dn"), camera.require("read_noise_dn")
     shot, read = (np.random.default_rng([seed, effect]) for effect in (1, 2))
     collected = shot.poisson(electrons + sky_dn * gain) / gain
     picture = np.rint(collected + read.normal(0.0, read_noise, collected.shape))

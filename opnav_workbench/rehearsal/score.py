@@ -67,7 +67,7 @@ def _attitude(truth: Truth, pointing: Mapping[str, Any], camera: Camera) -> list
 
 
 def _shift(first: FloatArray, second: FloatArray, camera: Camera) -> tuple[float, float, float]:
-    shift = attitude_shift(first, second, camera)
+    shift = attitude_shift(camera, first, second)
     return shift.delta_pixel, shift.delta_line, float(np.degrees(shift.delta_twist_rad))
 
 

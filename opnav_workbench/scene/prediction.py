@@ -8,9 +8,11 @@ A star's direction carries space motion, parallax at the spacecraft and stellar 
 time (in the state it comes with) and the same stellar aberration, so that both share one convention.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies import TargetState
@@ -51,7 +53,7 @@ class StarPrediction:
     on_detector : (n,) array of bool
     """
 
-    id: np.ndarray
+    id: NDArray[np.str_]
     mag: FloatArray
     directions: FloatArray
     pixel_line: FloatArray
@@ -63,6 +65,10 @@ class StarPrediction:
 
     def __len__(self) -> int:
         return len(self.mag)
+
+    def take(self, rows: NDArray[Any]) -> "StarPrediction":
+        """Return some of the stars, by index or mask."""
+        return StarPrediction(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

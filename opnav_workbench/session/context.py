@@ -11,7 +11,7 @@ from opnav_workbench.errors import ImageError
 from opnav_workbench.image import Background, Frame, KeywordMap, estimate_background, pixel_noise, read_image
 from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
-from opnav_workbench.starcenters import ShapePrior
+from opnav_workbench.starcenters import NoiseModel, ShapePrior
 
 __all__ = ["Context", "open_context"]
 
@@ -51,7 +51,15 @@ class Context:
     def camera_psf(self) -> ShapePrior:
         """The camera file's PSF as a prior for the first fit."""
         psf = self.camera.psf
-        return ShapePrior.from_sigma(psf.sigma_px, psf.sigma_sigma_px)
+        return ShapePrior.round_psf(psf.sigma_px, psf.sigma_sigma_px / psf.sigma_px)
+
+    @property
+    def noise_model(self) -> NoiseModel | None:
+        """Read noise and gain for the stars' own shot noise; None where the camera file has no gain."""
+        camera = self.camera
+        if camera.gain_e_per_dn is None or camera.read_noise_dn is None:
+            return None
+        return NoiseModel(camera.read_noise_dn, camera.gain_e_per_dn)
 
 
 def open_context(path: str | Path, mission: Mission, settings: Settings) -> Context:

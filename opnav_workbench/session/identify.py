@@ -12,11 +12,15 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.scene import predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs, SessionState
-from opnav_workbench.starcenters import Identification, detect, identify
+from opnav_workbench.starcenters import detect, identify
+from opnav_workbench.starcenters.identification import SURE
+from opnav_workbench.starcenters.voting import move
 
 __all__ = ["FieldMatch", "identify_field"]
 
 DETECTION_SNR = 5.0
+# Less sure than this is a guess; a single star found by nearness and brightness reaches 0.3 to 0.6.
+MIN_CONFIDENCE = 0.25
 # A body larger than this is not a point of the pattern, and its limb would add false detections.
 MAX_POINT_DIAMETER_PX = 3.0
 
@@ -76,28 +80,28 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     assert state.a_priori is not None
     stars, camera, settings = state.a_priori, context.camera, context.settings
     detections = detect(
-        context.signal_dn, context.noise_dn, context.bad, camera.psf.sigma_px, threshold_snr=DETECTION_SNR
+        context.signal_dn, context.noise_dn, context.bad, camera.psf.sigma_px, DETECTION_SNR, saturated=context.frame.saturated
     )
     points, mags = _pattern(context, inputs, state)
     match = identify(
         points,
         mags,
         detections,
-        zero_point_mag=_zero_point(context),
-        max_shift_px=settings.max_shift_px,
-        max_twist_rad=np.radians(settings.max_twist_deg),
         center_px=camera.center_pixel_line,
+        max_shift_px=settings.max_shift_px,
+        max_twist_rad=float(np.radians(settings.max_twist_deg)),
+        zero_point_mag=_zero_point(context),
     )
-    if not match.found:
+    if match.confidence < MIN_CONFIDENCE:
         return _nothing(context, state, match.message)
-    expected = match.apply(stars.pixel_line)
+    expected = move(stars.pixel_line, camera.center_pixel_line, match.shift_px, match.twist_rad)
     return FieldMatch(
         found=True,
         expected_px=expected,
         visible=camera.on_detector(expected),
         shift_px=match.shift_px,
         radius_px=settings.search_radius_px,
-        messages=_caution(match),
+        messages=(match.message,) if match.confidence < SURE else (),
     )
 
 
@@ -117,10 +121,6 @@ def _pattern(context: Context, inputs: Inputs, state: SessionState) -> tuple[Flo
             points.append(body.pixel_line[None])
             mags.append(np.array([np.nan if target.magnitude is None else target.magnitude]))
     return np.concatenate(points), np.concatenate(mags)
-
-
-def _caution(match: Identification) -> tuple[str, ...]:
-    return (match.message,) if match.message else ()
 
 
 def _nothing(context: Context, state: SessionState, why: str) -> FieldMatch:

@@ -9,7 +9,8 @@ from opnav_workbench.bodies import TargetState
 from opnav_workbench.bodycenters import BodyCenter, find_unresolved
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable, observe
-from opnav_workbench.pointing import MODELS, PointingSolution, solve_pointing
+from opnav_workbench.pointing import PointingSolution, solve_pointing
+from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus

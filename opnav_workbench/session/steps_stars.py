@@ -12,18 +12,23 @@ from opnav_workbench.session.context import Context
 from opnav_workbench.session.identify import FieldMatch, identify_field
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus
 from opnav_workbench.starcenters import (
-    NoiseModel,
+    ShapePrior,
     StarCenters,
     StarFlag,
+    Template,
     correlate,
+    default_box_px,
+    extract_template,
     fit_stars,
-    star_template,
+    gaussian_template,
 )
 
 __all__ = ["accept_stars", "find_stars", "predict", "reject_stars"]
 
 INITIAL_METHODS = ("matched_filter", "cross_correlation")
 FINAL_METHODS = ("least_squares", *INITIAL_METHODS)
+TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the stars it finds
+MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
 
 
 def predict(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
@@ -86,34 +91,54 @@ def _predicted(state: SessionState) -> StarPrediction:
 
 def _measure(
     context: Context, state: SessionState, match: FieldMatch, initial: str, final: str, radius_px: float
-) -> tuple[StarCenters, Any]:
+) -> tuple[StarCenters, ShapePrior]:
     """Coarse centers by correlation around the expected places, then least squares for all stars at once."""
     prior = state.psf or context.camera_psf
-    template = star_template(
-        context.signal_dn, context.bad, match.expected_px, match.visible, prior, method=initial
-    )
+    saturated = context.frame.saturated
     coarse = correlate(
         context.signal_dn,
         context.noise_dn,
         context.bad,
         match.expected_px,
-        template,
+        _template(context, match, prior, initial),
         search_radius_px=radius_px,
         method=initial,
+        saturated=saturated,
     )
     if final != "least_squares":
         return coarse, prior
     start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, match.expected_px)
-    noise = NoiseModel(context.camera.read_noise_dn, context.camera.gain_e_per_dn)
     return fit_stars(
         context.signal_dn,
         context.noise_dn,
         context.bad,
         start,
         prior,
-        saturated=context.frame.saturated,
-        noise=noise,
+        saturated=saturated,
+        noise_model=context.noise_model,
     )
+
+
+def _template(context: Context, match: FieldMatch, prior: ShapePrior, method: str) -> Template:
+    """A Gaussian for cross-correlation; for the matched filter a well-exposed star of this picture, if there is one."""
+    gaussian = gaussian_template(prior.sigma_px, default_box_px(prior.sigma_px))
+    if method == "cross_correlation" or not match.visible.any():
+        return gaussian
+    centers = correlate(
+        context.signal_dn,
+        context.noise_dn,
+        context.bad,
+        match.expected_px[match.visible],
+        gaussian,
+        search_radius_px=match.radius_px,
+        saturated=context.frame.saturated,
+    )
+    clean = centers.usable & (centers.flags == 0) & (centers.snr > TEMPLATE_SNR)
+    if not clean.any():
+        return gaussian
+    best = int(np.argmax(np.where(clean, centers.snr, -np.inf)))
+    radius = default_box_px(prior.sigma_px) / 2.0
+    return extract_template(context.signal_dn, context.bad, centers.pixel_line[best], radius)
 
 
 def _judge(
@@ -167,9 +192,6 @@ def _magnitude_error(
     else:
         error = np.zeros_like(error)
     return np.where(np.isfinite(error), error, np.inf)
-
-
-MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
 
 
 def reject_stars(

@@ -3,7 +3,7 @@
 Every function returns a mapping for `write_text_kernel`; mappings of several things merge with ``|``, except
 names: `name_assignments` takes all of them at once.
 
-Source: NAIF Required Readings on SCLK, Frames, PCK and NAIF IDs; IK keywords as existing camera kernels have them.
+Source: NAIF Required Readings on SCLK, Frames, PCK and NAIF IDs; IK keywords as camera kernels have them.
 """
 
 import math

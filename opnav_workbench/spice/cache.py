@@ -1,4 +1,4 @@
-"""Kernels built from scenario files: made once per scenario text and package version, and kept in the user's cache."""
+"""Kernels built from scenario files: made once per scenario and package version, kept in the user's cache."""
 
 import contextlib
 import hashlib
@@ -63,7 +63,9 @@ def scenario_metakernel(name: str, scenario: Path) -> Path:
 
 
 def _build(scenario: Path, folder: Path) -> None:
-    from opnav_workbench.spice.make import make_kernels  # here: the builder itself loads kernels  # noqa: PLC0415
+    from opnav_workbench.spice.make import make_kernels  # here: the builder itself loads kernels  # noqa:
+
+    PLC0415
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     _remove_stale(folder.parent)

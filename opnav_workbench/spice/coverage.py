@@ -1,7 +1,6 @@
-"""What the loaded kernels cover: SPK windows per body, CK windows per structure, and the frames a CK must cover."""
+"""What the loaded kernels cover: SPK windows per body, CK windows per structure, and a frame's chain of CKs."""
 
-import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,9 @@ from spiceypy.utils import support_types
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.spice import pool
-from opnav_workbench.spice.files import kernel_file, segments
+from opnav_workbench.spice.files import segments
 
-__all__ = ["Coverage", "ck_structures", "covered", "loaded_windows", "windows_of"]
+__all__ = ["Coverage", "ck_structures", "frame_number", "held_structures", "loaded_windows", "windows_of"]
 
 WINDOW_SIZES = (2_000, 200_000, 4_000_000)  # doubles; a CK of single pictures has two for each
 CK_FRAME, FIXED_OFFSET_FRAME = 3, 4  # SPICE's frame classes
@@ -59,21 +58,35 @@ def loaded_windows(kind: str) -> tuple[Coverage, ...]:
 
 
 def windows_of(kind: str, body: int) -> Coverage:
-    """Return the merged coverage of one body or structure; without windows if no loaded file holds it; lock held."""
+    """Return the merged coverage of one body or structure; without windows if no file holds it; lock held."""
     paths = tuple(f.path for f in pool.loaded_files() if f.kind == kind and body in _bodies(f.path))
     return Coverage(kind, body, _name(kind, body), _merged(kind, body, paths), paths)
 
 
-def covered(kind: str, body: int, et: float) -> bool:
-    """Tell whether a loaded file of that kind holds the body or structure at a time, lock held."""
-    return windows_of(kind, body).contains(et)
+def frame_number(frame: str) -> int:
+    """Return the number of a frame, lock held.
+
+    Raises
+    ------
+    SpiceyError
+        The frame is unknown.
+    """
+    number = int(spiceypy.namfrm(frame))
+    if number == 0:
+        spiceypy.pxform("J2000", frame, 0.0)  # fails in SPICE's own words
+    return number
+
+
+def held_structures() -> frozenset[int]:
+    """Return the CK structures for which a loaded file holds any attitude, lock held."""
+    return frozenset(b for f in pool.loaded_files() if f.kind == "CK" for b in _bodies(f.path))
 
 
 def ck_structures(frame_id: int) -> tuple[int, ...]:
     """Return the CK structures between a frame and the inertial one, nearest first, lock held.
 
-    A CK may refer to another CK frame (a camera on a mechanism, the mechanism on the spacecraft), so the reference
-    frames of the loaded segments are followed, too.
+    A CK may refer to another CK frame (a camera on a mechanism, the mechanism on the spacecraft), so the
+    reference frames of the loaded segments are followed, too.
     """
     structures: list[int] = []
     waiting, seen = [frame_id], set[int]()
@@ -97,26 +110,20 @@ def _references(structure: int) -> Iterable[int]:
 
 
 def _bodies(path: Path) -> frozenset[int]:
-    kernel_file(path)
     return frozenset(s.integers[0] for s in segments(path))
 
 
 def _name(kind: str, body: int) -> str:
-    if kind == "CK":
-        # A structure is commonly the class number of a frame, and the frame's name then says what it is.
-        frames = [n for n in (spiceypy.frmnam(body),) if n]
-        return frames[0] if frames else str(body)
-    return str(spiceypy.bodc2s(body))
+    # A CK structure's number is as a rule that of the frame it orients, and the frame's name says what it is.
+    return str((kind == "CK" and spiceypy.frmnam(body)) or spiceypy.bodc2s(body))
 
 
 def _merged(kind: str, body: int, paths: tuple[Path, ...]) -> FloatArray:
-    fill: Callable[[Any], None]
     for size in WINDOW_SIZES:
         window = support_types.SPICEDOUBLE_CELL(size)
         try:
             for path in paths:
-                fill = functools.partial(_fill, kind, str(path), body)
-                fill(window)
+                _fill(kind, str(path), body, window)
             break
         except spiceypy.SpiceyError as error:
             if "EXCESS" not in error.short or size == WINDOW_SIZES[-1]:

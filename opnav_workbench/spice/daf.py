@@ -1,8 +1,8 @@
-"""Binary SPICE kernels read without SPICE: is the file whole, and which segments does it hold?
+"""Binary SPICE kernels read without SPICE: whether a file is whole, and which segments it holds.
 
-SPICE opens a truncated DAF without a word and fails later, or reads zeros. So the file record, the chain of summary
-records and the numbers themselves are looked at before a file is furnished. No checksum exists: a changed digit of a
-plausible number stays unseen.
+SPICE opens a truncated DAF without a word and fails later, or reads zeros. So the file record, the chain of
+summary records and the numbers themselves are looked at before a file is furnished. No checksum exists: a
+changed digit of a plausible number stays unseen.
 
 Source: NAIF, DAF, SPK and CK Required Reading.
 """
@@ -150,7 +150,7 @@ def _fault(segment: Segment, words: FloatArray, kind: str, *, deep: bool) -> str
 
 
 def _chebyshev_holds(values: FloatArray) -> bool:
-    """SPK and PCK types 2 and 3: equal records (midpoint, radius, coefficients), then start, step, size, count."""
+    """SPK and PCK types 2, 3: equal records (midpoint, radius, coefficients), then start, step, size, count."""
     start, step, size, count = values[-4:]
     if not (size >= 3 and count >= 1 and size % 1 == count % 1 == 0 and size * count + 4 == len(values)):
         return False

@@ -1,4 +1,4 @@
-"""One kernel file: its kind from its content, its wholeness and its checksum, each looked up once per file state."""
+"""One kernel file: its kind by its content, its wholeness and its checksum, each found once per file state."""
 
 import functools
 import re
@@ -11,7 +11,19 @@ from opnav_workbench.spice.daf import RECORD_BYTES, Segment, read_segments
 
 __all__ = ["KINDS", "KernelFile", "kernel_file", "looks_like_kernel", "segments"]
 
-KINDS = ("LSK", "SCLK", "PCK", "FK", "IK", "SPK", "CK", "DSK", "EK", "TEXT", "META")  # a folder's loading order
+KINDS = (
+    "LSK",
+    "SCLK",
+    "PCK",
+    "FK",
+    "IK",
+    "SPK",
+    "CK",
+    "DSK",
+    "EK",
+    "TEXT",
+    "META",
+)  # a folder's loading order
 BINARY_KINDS = {b"DAF/SPK": "SPK", b"DAF/CK": "CK", b"DAF/PCK": "PCK", b"DAS/DSK": "DSK", b"DAS/EK": "EK"}
 TEXT_KINDS = {f"KPL/{k}".encode(): k for k in ("LSK", "SCLK", "PCK", "FK", "IK")} | {b"KPL/MK": "META"}
 # Text kernels need no identification word; the suffix then tells the kind.
@@ -56,7 +68,7 @@ def segments(path: Path) -> tuple[Segment, ...]:
 
 
 def looks_like_kernel(path: Path) -> bool:
-    """Tell whether a file of a folder is meant as a kernel, by suffix or by content; labels and notes are not."""
+    """Tell whether a file of a folder is meant as a kernel, by suffix or content; labels and notes are not."""
     if path.suffix.lower() in SUFFIX_KINDS:
         return True
     with path.open("rb") as stream:
@@ -110,7 +122,7 @@ def _text_kind(file: Path, text: bytes) -> str:
         shown = text[:SHOWN_BYTES].decode("ascii", "backslashreplace").split("\n")[0]
         reason = "zero bytes within text" if b"\\begindata" in text else f"it starts with {shown!r}"
         raise KernelError(
-            f"{file} is not a SPICE kernel: {reason} ({len(text)} bytes); fetch it again or give another file."
+            f"{file} is not a SPICE kernel: {reason} ({len(text)} bytes); fetch it again or give another."
         )
     if any(LISTS_KERNELS.search(part.split(b"\\begintext")[0]) for part in text.split(b"\\begindata")[1:]):
         return "META"

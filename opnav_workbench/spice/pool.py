@@ -1,6 +1,7 @@
-"""The CSPICE kernel pool: one for the whole process, not thread-safe, so taken by lock and given back as found.
+"""The CSPICE kernel pool: one per process, not thread-safe, so taken by lock and given back as found.
 
-Nothing outside the package's SPICE layer touches the pool, and there only through `KernelSet` and `spice_call`.
+Nothing outside the package's SPICE layer touches the pool, and there only through `KernelSet` and
+`spice_call`.
 """
 
 import contextlib
@@ -91,7 +92,7 @@ def capture() -> Snapshot:
 
 
 def restore(before: Snapshot) -> None:
-    """Empty the pool and bring back what a snapshot remembers, files and variables. Call it with the lock held.
+    """Empty the pool and bring back what a snapshot remembers, files and variables; lock held.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def _names_to_load(before: Snapshot) -> list[str]:
 
 
 def _restore_variables(wanted: dict[str, PoolValue]) -> None:
-    """Set what is missing or differs: variables that were set by hand, or changed after their file was loaded."""
+    """Set what is missing or differs: variables set by hand, or changed after their file was loaded."""
     for name in set(pool_names("*")) - wanted.keys():
         spiceypy.dvpool(name)
     for name, value in wanted.items():

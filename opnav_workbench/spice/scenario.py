@@ -1,6 +1,6 @@
 """Scenario files: what a mission, its bodies and its pictures' pointing are, as far as SPICE kernels say it.
 
-A scenario is a YAML file (or the mapping read from one) of plain numbers. `make_kernels` turns it into kernels.
+A scenario is a YAML file, or the mapping read from one, of plain numbers; `make_kernels` makes kernels of it.
 """
 
 from collections.abc import Mapping

@@ -33,8 +33,8 @@ __all__ = [
     "KeplerOrbit",
     "ModelOrbit",
     "Pointing",
-    "Span",
     "Spacecraft",
+    "Span",
     "StateTable",
     "Strict",
     "Trajectory",
@@ -52,7 +52,7 @@ def _naive_utc(moment: datetime) -> datetime:
 
 def _no_zone(moment: datetime) -> datetime:
     if moment.tzinfo is not None:
-        raise ValueError("a TDB epoch has no time zone; write it without Z or offset")
+        raise ValueError("this epoch has no time zone; write it without Z or offset")
     return moment
 
 
@@ -78,7 +78,7 @@ BodyName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9][A-Z0-9_ +./-]*$"
 FileStem = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
 Keyword = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_/]*$", max_length=22)]
 BodyRef = int | str  # a NAIF id, or a name of this scenario
-Row = tuple[datetime, float, float, float, float, float, float]
+Row = tuple[Tdb, float, float, float, float, float, float]
 
 
 class Strict(BaseModel):
@@ -210,10 +210,8 @@ class StateTable(_Trajectory):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         for i, (a, b) in enumerate(pairwise(row[0] for row in self.rows)):
-            if b.tzinfo is not None or b <= a:
-                raise ValueError(
-                    f"rows.{i + 1}: {b.isoformat()} must be after {a.isoformat()} and have no zone"
-                )
+            if b <= a:
+                raise ValueError(f"rows.{i + 1}: {b.isoformat()} is not after {a.isoformat()}")
         return self
 
 

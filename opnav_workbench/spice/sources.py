@@ -1,4 +1,4 @@
-"""From what a person names (a scenario, a metakernel, files, a folder) to the kernel files to load, in order."""
+"""From what a person names (a scenario, a metakernel, files, a folder) to the kernel files, in order."""
 
 import difflib
 import os
@@ -44,7 +44,9 @@ def resolve(sources: Sequence[Source]) -> tuple[KernelFile, ...]:
         A name is unknown; files are missing (all are named); a file is no whole kernel; a path is too long.
     """
     if not sources:
-        raise KernelError("no kernel given; give a name from kernels_meta, a metakernel, kernel files or a folder.")
+        raise KernelError(
+            "no kernel given; give a name from kernels_meta, a metakernel, kernel files or a folder."
+        )
     found = [entry for source in sources for entry in _entries(source)]
     missing = [e for e in found if isinstance(e, _Missing)]
     if missing:
@@ -65,7 +67,7 @@ def known_names() -> tuple[str, ...]:
 
 def _entries(source: Source) -> Iterator[KernelFile | _Missing]:
     if isinstance(source, str) and source in known_names():
-        yield from _expand(_named(source), None, ())
+        yield from _expand(_named(source), named=True)
         return
     path = Path(source).expanduser().absolute()
     if path.is_dir():
@@ -73,7 +75,7 @@ def _entries(source: Source) -> Iterator[KernelFile | _Missing]:
     elif isinstance(source, str) and not path.exists() and not path.suffix:
         raise KernelError(_unknown_name(source))
     else:
-        yield from _expand(path, None, ())
+        yield from _expand(path)
 
 
 def _named(name: str) -> Path:
@@ -90,18 +92,21 @@ def _unknown_name(name: str) -> str:
 
 
 def _folder(folder: Path) -> Iterator[KernelFile | _Missing]:
-    """Return all kernels of a folder in loading order; its metakernels are left out, their files stand there."""
+    """Return all kernels of a folder in loading order, but no metakernels: their files stand there, too."""
     files = [p for p in sorted(folder.iterdir()) if p.is_file() and looks_like_kernel(p)]
     entries = [e for p in files for e in _checked(p, None) if e.kind != "META"]
     if not entries:
         inner = ", ".join(sorted(p.name for p in folder.iterdir() if p.is_dir())) or "none"
-        raise KernelError(f"no kernels in the folder {folder}; folders within: {inner}. Give one that holds kernels.")
+        raise KernelError(
+            f"no kernels in the folder {folder}; folders within: {inner}. Give one that holds kernels."
+        )
     yield from sorted(entries, key=lambda e: (KINDS.index(e.kind), e.path.name))
 
 
 def _expand(
-    path: Path, listed_in: Path | None, above: tuple[Path, ...]
+    path: Path, above: tuple[Path, ...] = (), *, named: bool = False
 ) -> Iterator[KernelFile | _Missing]:
+    listed_in = above[-1] if above else None
     if path in above:
         raise KernelError(f"{path} lists itself through {above[-1]}; remove it from KERNELS_TO_LOAD.")
     if not path.is_file():
@@ -110,8 +115,8 @@ def _expand(
     for entry in _checked(path, listed_in):
         yield entry
         if entry.kind == "META":
-            for inner in _listed(path):
-                yield from _expand(inner, path, (*above, path))
+            for inner in _listed(path, here_first=not named):
+                yield from _expand(inner, (*above, path), named=named)
 
 
 def _checked(path: Path, listed_in: Path | None) -> Iterator[KernelFile]:
@@ -119,24 +124,30 @@ def _checked(path: Path, listed_in: Path | None) -> Iterator[KernelFile]:
     if length > LONGEST_PATH_BYTES:
         within = f" (listed in {listed_in})" if listed_in else ""
         raise KernelError(
-            f"the path {path}{within} has {length} bytes, SPICE takes {LONGEST_PATH_BYTES}; move the kernels or "
-            "give them a shorter path by a symbolic link."
+            f"the path {path}{within} has {length} bytes, SPICE takes {LONGEST_PATH_BYTES}; move the kernels "
+            "or give them a shorter path by a symbolic link."
         )
     yield kernel_file(path)
 
 
-def _listed(metakernel: Path) -> list[Path]:
-    """Return the files that a metakernel lists, as absolute paths; SPICE itself parses the text."""
+def _listed(metakernel: Path, *, here_first: bool) -> list[Path]:
+    """Return the files that a metakernel lists, as absolute paths; SPICE itself parses the text.
+
+    Relative paths count from the working folder, as in SPICE, or else from the metakernel's own. The other
+    way round for the package's own metakernels: a file of the same name in the working folder must not slip
+    in.
+    """
     request = Request(f"reading the metakernel {metakernel}")
     with spice_call(request, needs_kernels=False), pool.isolated():
         spiceypy.ldpool(str(metakernel))
         names, values, symbols = (_texts(pool.pool_value(v)) for v in META_VARIABLES)
     if len(values) != len(symbols):
         raise KernelError(
-            f"{metakernel} gives {len(values)} PATH_VALUES for {len(symbols)} PATH_SYMBOLS; give one value a symbol."
+            f"{metakernel} gives {len(values)} PATH_VALUES for {len(symbols)} PATH_SYMBOLS; make them pairs."
         )
     paths = dict(zip(symbols, values, strict=True))
-    return [_located(_substituted(name, paths, metakernel), metakernel) for name in names]
+    folders = (Path.cwd(), metakernel.parent)[:: 1 if here_first else -1]
+    return [_located(_substituted(name, paths, metakernel), folders) for name in names]
 
 
 def _texts(value: pool.PoolValue | None) -> list[str]:
@@ -158,14 +169,14 @@ def _substituted(name: str, paths: dict[str, str], metakernel: Path) -> str:
         rest = match[1]
         symbol = max((s for s in paths if rest.startswith(s)), key=len, default=None)
         if symbol is None:
-            raise KernelError(f"{metakernel} uses the symbol ${rest}; add it to PATH_SYMBOLS and PATH_VALUES.")
+            raise KernelError(
+                f"{metakernel} uses the symbol ${rest}; add it to PATH_SYMBOLS and PATH_VALUES."
+            )
         return paths[symbol] + rest[len(symbol) :]
 
     return re.sub(r"\$(\w+)", value, name)
 
 
-def _located(name: str, metakernel: Path) -> Path:
-    """Find a relative path from the working folder, as SPICE does, or else from the metakernel's own folder."""
-    beside = metakernel.parent / name
-    here = Path(name).absolute()
-    return here if here.exists() else beside
+def _located(name: str, folders: tuple[Path, ...]) -> Path:
+    candidates = [Path(os.path.normpath(folder / name)) for folder in folders]
+    return next((c for c in candidates if c.exists()), candidates[-1])

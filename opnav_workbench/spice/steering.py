@@ -77,8 +77,8 @@ def aim(
 def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, FloatArray]:
     """Return epochs (n,) and predicted ``camera_from_j2000`` (n, 3, 3) of one window of a pointing plan.
 
-    Needs an active `KernelSet` with the scenario's LSK and SPK. Targets are taken where they appear: light time
-    and stellar aberration included.
+    Needs an active `KernelSet` with the scenario's LSK and SPK. Targets are taken where they appear, with
+    light time and stellar aberration.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _direction(scenario: Scenario, window: Window, et: float) -> FloatArray:
 
 
 def disturbed(predicted: FloatArray, error: AttitudeError, scenario: Scenario) -> FloatArray:
-    """Return flown attitudes (n, 3, 3): predicted ones with the sky shifted on the detector and twist added."""
+    """Return flown attitudes (n, 3, 3): predicted ones, sky shifted on the detector and twist added."""
     camera = scenario.pointed_instrument
     offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in error.shift_px)
     flown = []

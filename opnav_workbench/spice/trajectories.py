@@ -1,4 +1,4 @@
-"""Trajectories of a scenario as SPK segments: tables of states, Kepler orbits, Sun and Earth from a series."""
+"""Trajectories of a scenario as SPK segments: tables, Kepler orbits, Sun and Earth from a series."""
 
 import math
 from datetime import UTC, datetime

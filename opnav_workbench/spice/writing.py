@@ -8,7 +8,6 @@ Source: NAIF, SPK Required Reading (types 9 and 13), CK Required Reading (type 3
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -105,6 +104,7 @@ def write_spk(path: str | os.PathLike[str], segments: Sequence[SpkSegment], comm
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> import numpy as np
     >>> et = np.linspace(0.0, 3600.0, 3)
     >>> states = np.column_stack([1e6 + 10.0 * et, 0 * et, 0 * et, 10.0 + 0 * et, 0 * et, 0 * et])

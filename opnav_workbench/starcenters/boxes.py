@@ -1,4 +1,4 @@
-"""Square boxes around stars, cut out of an image all at once; pixels off the detector and bad ones carry no weight."""
+"""Square boxes around stars, cut out of an image all at once; unusable pixels carry no weight."""
 
 from dataclasses import dataclass
 
@@ -72,10 +72,15 @@ def check_image(
     saturated_map = _like(image, False if saturated is None else saturated, "saturated", bool)
     bad_map = bad_map | ~np.isfinite(image) | ~(np.isfinite(noise) & (noise > 0.0))
     if bad_map.all():
-        raise CenterfindingError("no usable pixel: all are masked, not finite, or without a positive noise_dn.")
+        raise CenterfindingError(
+            "no usable pixel: all are masked, not finite, or without a positive noise_dn."
+        )
     unusable = bad_map | saturated_map
     return Pixels(
-        np.where(unusable, 0.0, image), np.where(unusable, np.inf, noise), bad_map & ~saturated_map, saturated_map
+        np.where(unusable, 0.0, image),
+        np.where(unusable, np.inf, noise),
+        bad_map & ~saturated_map,
+        saturated_map,
     )
 
 
@@ -93,7 +98,9 @@ def check_points(pixel_line: ArrayLike, name: str = "start_pixel_line") -> Float
         raise CenterfindingError(f"{name} must have shape (n, 2) (pixel, line), got {points.shape}.")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise CenterfindingError(f"{name} row {row} is {points[row].tolist()}; leave out stars without a position.")
+        raise CenterfindingError(
+            f"{name} row {row} is {points[row].tolist()}; leave out stars without a position."
+        )
     return points
 
 

@@ -1,10 +1,12 @@
 """The PSF of a frame from its well-exposed stars, and the fit that uses it: fit, consensus, fit again.
 
-A star alone does not tell its shape where the image is undersampled, but all stars of a frame share optics and smear. From each
-star's fit the prior is taken out, the stars' own measurements are combined robustly with their scatter, and the result is the
-tighter prior of a second fit. The stars also tell how well a Gaussian describes the PSF.
+A star alone does not tell its shape where the image is undersampled, but all stars of a frame share optics
+and smear. From each star's fit the prior is taken out, the stars' own measurements are combined robustly with
+their scatter, and the result is the tighter prior of a second fit. The stars also tell how well a Gaussian
+describes the PSF.
 
-Reference: the scatter between stars follows DerSimonian & Laird (1986), doi:10.1016/0197-2456(86)90046-2, with medians.
+Reference: the scatter between stars follows DerSimonian & Laird (1986), doi:10.1016/0197-2456(86)90046-2,
+with medians.
 """
 
 from typing import Literal
@@ -50,7 +52,8 @@ def shape_from_stars(
     Returns
     -------
     ShapePrior
-        Its sigmas hold the scatter from star to star and the uncertainty of the mean; never wider than `prior`.
+        Its sigmas hold the scatter from star to star and the uncertainty of the mean; never wider than
+        `prior`.
     """
     good = well_exposed(centers, min_snr)
     if not good.any():
@@ -59,7 +62,8 @@ def shape_from_stars(
     variance = np.diagonal(centers.shape_covariance[good], axis1=1, axis2=2)
     prior_variance = 1.0 / prior.information
     combined = [
-        _combine(fitted[:, k], variance[:, k], float(prior.mean[k]), float(prior_variance[k])) for k in range(3)
+        _combine(fitted[:, k], variance[:, k], float(prior.mean[k]), float(prior_variance[k]))
+        for k in range(3)
     ]
     (scale, sigma_scale), (e1, sigma_e1), (e2, sigma_e2) = combined
     return ShapePrior(
@@ -73,8 +77,8 @@ def shape_from_stars(
 def estimate_psf_error(centers: StarCenters, *, min_snr: float = WELL_EXPOSED_SNR) -> float:
     """Return the relative error of the Gaussian PSF model that the misfit of well-exposed stars tells of.
 
-    The excess of chi-square over its degrees of freedom is f^2 sum(star^2 / variance), and the sum is close to the
-    square of the star's signal-to-noise ratio. 0 where the fits agree with the noise.
+    The excess of chi-square over its degrees of freedom is f^2 sum(star^2 / variance), and the sum is close
+    to the square of the star's signal-to-noise ratio. 0 where the fits agree with the noise.
     """
     good = well_exposed(centers, min_snr)
     if not good.any():
@@ -110,7 +114,8 @@ def fit_stars(
 
     Parameters
     ----------
-    image_dn, noise_dn, bad, start_pixel_line, prior, box_px, background, saturated, noise_model, search_radius_px
+    image_dn, noise_dn, bad, start_pixel_line, prior, box_px, background, saturated, noise_model,
+    search_radius_px
         As in `fit_gaussian`.
 
     Returns
@@ -129,7 +134,8 @@ def fit_stars(
     def fit(shape: ShapePrior, psf_error: float) -> StarCenters:
         return fit_gaussian(
             image_dn, noise_dn, bad, start_pixel_line, shape, box_px=box_px, background=background,
-            saturated=saturated, noise_model=noise_model, psf_error=psf_error, search_radius_px=search_radius_px,
+            saturated=saturated, noise_model=noise_model, psf_error=psf_error,
+            search_radius_px=search_radius_px,
         )  # fmt: skip
 
     first = fit(prior, 0.0)
@@ -137,7 +143,9 @@ def fit_stars(
     return fit(consensus, estimate_psf_error(first)), consensus
 
 
-def _combine(fitted: FloatArray, variance: FloatArray, mean: float, prior_variance: float) -> tuple[float, float]:
+def _combine(
+    fitted: FloatArray, variance: FloatArray, mean: float, prior_variance: float
+) -> tuple[float, float]:
     """Combine one shape parameter over the stars with its prior; return value and sigma for a single star."""
     # A fit's posterior is its own measurement times the prior; divide the prior out again.
     information = np.maximum(1.0 / variance - 1.0 / prior_variance, 1e-6 / prior_variance)

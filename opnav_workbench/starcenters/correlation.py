@@ -1,9 +1,11 @@
 """First centers of stars: matched filter and cross-correlation, batched over the stars with the FFT.
 
-Both correlate a sub-image with a template and fit a paraboloid to the peak. The matched filter divides by the noise of each
-pixel and cuts a circle about the prediction; the cross-correlation takes a plain 16 x 16 sub-image.
+Both correlate a sub-image with a template and fit a paraboloid to the peak. The matched filter divides by the
+noise of each pixel and cuts a circle about the prediction; the cross-correlation takes a plain 16 x 16
+sub-image.
 
-Reference: Jackman & Dumont (2013), AAS 13-443, "The Matched Filter Algorithm", "The Cross-Correlation Algorithm".
+Reference: Jackman & Dumont (2013), AAS 13-443, "The Matched Filter Algorithm", "The Cross-Correlation
+Algorithm".
 """
 
 from typing import Literal
@@ -26,8 +28,8 @@ METHODS = ("matched_filter", "cross_correlation")
 SUB_IMAGE_PX = 16  # of the cross-correlation, as in the paper
 MIN_SNR = 4.0  # below this a peak is as likely noise
 MIN_COVERAGE = 0.3  # part of a star's information that must lie on usable pixels
-# A paraboloid through 3 x 3 samples is no Gaussian. Its error in noise-free simulations at random phase, 1 sigma, falls
-# with the square of the PSF's sigma: 0.06 px at 0.5 px, 0.013 px at 1 px.
+# A paraboloid through 3 x 3 samples is no Gaussian. Its error in noise-free simulations at random phase, 1
+# sigma, falls with the square of the PSF's sigma: 0.06 px at 0.5 px, 0.013 px at 1 px.
 PARABOLOID_ERROR_PX3 = 0.0135
 MAX_PARABOLOID_ERROR_PX = 0.15
 CORE_PX = 1.5  # masked pixels this close to the center touch the measurement itself
@@ -69,7 +71,8 @@ def correlate(
     -------
     StarCenters
         Centers good to about 0.1 px, with an approximate covariance: width of the template, noise, and the
-        paraboloid's own error. The shape is the template's. A peak on the border of the search area is flagged AT_BOUND.
+        paraboloid's own error. The shape is the template's. A peak on the border of the search area is
+        flagged AT_BOUND.
 
     Raises
     ------
@@ -78,8 +81,11 @@ def correlate(
 
     Examples
     --------
-    >>> image = np.zeros((40, 40)); image[10:19, 20:29] += 500.0 * gaussian_template(1.0, 9).values
-    >>> found = correlate(image, 1.0, None, [[21.0, 16.0]], gaussian_template(1.0, 9), search_radius_px=8)
+    >>> from opnav_workbench.starcenters.templates import gaussian_template
+    >>> template = gaussian_template(1.0, 9)
+    >>> image = np.zeros((40, 40))
+    >>> image[10:19, 20:29] += 500.0 * template.values
+    >>> found = correlate(image, 1.0, None, [[21.0, 16.0]], template, search_radius_px=8)
     >>> found.pixel_line.round(2).tolist()
     [[24.0, 14.0]]
     """
@@ -98,7 +104,9 @@ def correlate(
     median = _median(boxes.data_dn, weight)
     data = np.where(weight > 0.0, boxes.data_dn - median[:, None, None], 0.0)
 
-    information = np.maximum(_correlate(weight, template.values**2, template), 0.0)  # of a star's flux at each lag
+    information = np.maximum(
+        _correlate(weight, template.values**2, template), 0.0
+    )  # of a star's flux at each lag
     covered = information > MIN_COVERAGE * information.max(axis=(1, 2), keepdims=True)
     sigma = 1.0 / np.sqrt(np.where(covered, information, np.inf))
     snr = _correlate(weight * data, template.values, template) * sigma
@@ -130,7 +138,7 @@ def correlate(
 
 
 def _middle(template: Template) -> IntArray:
-    """Pixel of the template nearest to its star; index j of a correlation puts that pixel on pixel j of the box."""
+    """Pixel of the template nearest to its star; index j of a correlation puts it on pixel j of the box."""
     return np.rint(template.center).astype(np.int64)
 
 
@@ -149,7 +157,7 @@ def _median(data: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _correlate(boxes: FloatArray, kernel: FloatArray, template: Template) -> FloatArray:
-    """Correlate (n, s, s) boxes with a kernel of the template's size; zero padding keeps opposite borders apart.
+    """Correlate (n, s, s) boxes with a kernel of the template's size; zero padding keeps borders apart.
 
     The inverse FFT of the product of the data's FFT with the complex conjugate of the kernel's.
     """
@@ -180,7 +188,7 @@ def _largest(surface: FloatArray, searched: BoolArray) -> tuple[IntArray, IntArr
 
 
 def _covariance(template: Template, snr: FloatArray) -> FloatArray:
-    """Covariance of a Gaussian's center in uniform noise, 2 (S + 1/12) / snr^2, and the paraboloid's own error."""
+    """Covariance of a Gaussian's center in even noise, 2 (S + 1/12) / snr^2, and the paraboloid's error."""
     major, minor, angle = template.ellipse
     along = np.array([np.cos(angle), np.sin(angle)])
     spread = minor**2 * np.eye(2) + (major**2 - minor**2) * np.outer(along, along)

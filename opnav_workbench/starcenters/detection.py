@@ -1,9 +1,11 @@
 """Blind detection of stars: matched filter over the whole image, local maxima of its signal-to-noise ratio.
 
-With weights w = 1 / noise^2 (0 where masked) and the PSF T at each pixel, flux = (w d * T) / (w * T^2) and its sigma is
-(w * T^2)^-1/2: masked pixels and uneven noise cost what they must. Both correlations are separable for a round PSF.
+With weights w = 1 / noise^2 (0 where masked) and the PSF T at each pixel, flux = (w d * T) / (w * T^2) and
+its sigma is (w * T^2)^-1/2: masked pixels and uneven noise cost what they must. Both correlations are
+separable for a round PSF.
 
-Reference: Zackay & Ofek (2017), doi:10.3847/1538-4357/836/2/187; sharpness after Stetson (1987), doi:10.1086/131977.
+Reference: Zackay & Ofek (2017), doi:10.3847/1538-4357/836/2/187; sharpness after Stetson (1987),
+doi:10.1086/131977.
 """
 
 from dataclasses import dataclass
@@ -83,8 +85,8 @@ def detect(
     Returns
     -------
     Detections
-        Single pixels too sharp for a star are flagged COSMIC_RAY but kept: where the PSF is undersampled a star centered
-        on its pixel looks the same.
+        Single pixels too sharp for a star are flagged COSMIC_RAY but kept: where the PSF is undersampled a
+        star centered on its pixel looks the same.
 
     Raises
     ------
@@ -100,7 +102,9 @@ def detect(
     (1, [41.0, 31.0])
     """
     if not (0.0 < sigma_px < np.inf and 0.0 < threshold_snr < np.inf):
-        raise CenterfindingError(f"PSF sigma and threshold must be positive, got {sigma_px} px and {threshold_snr}.")
+        raise CenterfindingError(
+            f"PSF sigma and threshold must be positive, got {sigma_px} px and {threshold_snr}."
+        )
     pixels = check_image(image_dn, noise_dn, bad, saturated)
     weight = 1.0 / pixels.noise_dn**2
     usable = weight > 0.0
@@ -121,7 +125,9 @@ def detect(
         flux_dn=peak * flux_sigma[line, pixel],
         snr=peak,
         sharpness=sharpness,
-        flags=_flags(pixels, line, pixel, sharpness > 1.0 + COSMIC_RAY_MARGIN + COSMIC_RAY_SIGMAS * sharpness_sigma),
+        flags=_flags(
+            pixels, line, pixel, sharpness > 1.0 + COSMIC_RAY_MARGIN + COSMIC_RAY_SIGMAS * sharpness_sigma
+        ),
     )
     return found.take(np.argsort(-found.flux_dn, kind="stable")[:max_detections])
 
@@ -166,7 +172,7 @@ def _local_maxima(snr: FloatArray, threshold: float) -> tuple[IntArray, IntArray
 def _sharpness(
     pixels: Pixels, data: FloatArray, line: IntArray, pixel: IntArray, kernel: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Part of the 3 x 3 flux in the largest pixel, over that of a star centered on its pixel; and its sigma."""
+    """Part of the 3 x 3 flux in the largest pixel, over that of a star on the pixel's center; its sigma."""
     steps = np.array([-1, 0, 1])
     window = line[:, None, None] + steps[:, None], pixel[:, None, None] + steps
     patch = data[window].reshape(len(line), 9)

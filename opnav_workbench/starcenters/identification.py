@@ -1,14 +1,15 @@
 """Which detection is which star: shift and twist of the a priori pointing, pairs, and how sure they are.
 
-The brightest stars vote for shifts on a grid of twists (`voting`); the best hypotheses are refined, and judged by the
-likelihood of their pairs, in position and magnitude, against detections strewn at random. Confidence is one minus the
-probability of a mistake, which has two parts:
+The brightest stars vote for shifts on a grid of twists (`voting`); the best hypotheses are refined, and
+judged by the likelihood of their pairs, in position and magnitude, against detections strewn at random.
+Confidence is one minus the probability of a mistake, which has two parts:
 
-- chance: how often a random scene of as many detections would show as many pairs somewhere in the searched range, that is
-  (number of independent shifts and twists) x (binomial tail of the pairs);
+- chance: how often a random scene of as many detections would show as many pairs somewhere in the searched
+  range, that is (number of independent shifts and twists) x (binomial tail of the pairs);
 - rivalry: the share of the runner-up in the likelihood.
 
-With one star there is nothing to cross-check: nearest in position among those of the right brightness, and modest confidence.
+With one star there is nothing to cross-check: nearness and brightness choose among the detections, and
+confidence is modest.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,15 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.starcenters.boxes import check_points
 from opnav_workbench.starcenters.detection import Detections
-from opnav_workbench.starcenters.voting import MAGNITUDE_TOLERANCE, Hypothesis, Limits, Scene, move, refine, vote
+from opnav_workbench.starcenters.voting import (
+    MAGNITUDE_TOLERANCE,
+    Hypothesis,
+    Limits,
+    Scene,
+    move,
+    refine,
+    vote,
+)
 
 __all__ = ["Identification", "identify"]
 
@@ -34,8 +43,10 @@ MAGNITUDE_SIGMA = 0.6
 DETECTED_PART = 0.8  # of the stars that are bright enough
 DETECTED_PART_FAINT = 0.3  # of those at the limit of what was detected
 LIMIT_MARGIN_MAG = 0.5
-SINGLE_STAR_CONFIDENCE = 0.6  # nearness and brightness alone; shared among all candidates
+SINGLE_STAR_CONFIDENCE = 0.6  # nearness and brightness alone; shared among the candidates by their likelihood
 SINGLE_STAR_CONFIDENCE_NO_BRIGHTNESS = 0.3
+SINGLE_STAR_SHIFT_PART = 0.25  # 1 sigma of the pointing error along an axis, as part of its limit
+SINGLE_STAR_MAGNITUDE_SIGMA = 0.8  # catalog bands differ from the camera's by this
 SURE = 0.9  # below this the message says that the identification is not sure
 
 
@@ -105,7 +116,7 @@ def identify(
     scene = _scene(predicted_px, magnitude, detections, center_px, zero_point_mag)
     if not (max_shift_px >= 0.0 and max_twist_rad >= 0.0 and tolerance_px > 0.0):
         raise CenterfindingError(
-            f"limits must not be negative, got {max_shift_px} px, {max_twist_rad} rad, tolerance {tolerance_px} px."
+            f"limits must not be negative: {max_shift_px} px, {max_twist_rad} rad, tolerance {tolerance_px} px."
         )
     limits = Limits(max_shift_px, max_twist_rad, tolerance_px)
     if len(scene.predicted_px) == 0:
@@ -113,7 +124,9 @@ def identify(
     if len(scene.detected_px) == 0:
         return _nothing(scene, "no star detected in the image")
     hypotheses = [refine(scene, limits, *guess) for guess in vote(scene, limits)]
-    hypotheses = [h for h in hypotheses if len(h.pairs) > 1 and np.hypot(*h.shift_px) <= max_shift_px + tolerance_px]
+    hypotheses = [
+        h for h in hypotheses if len(h.pairs) > 1 and np.hypot(*h.shift_px) <= max_shift_px + tolerance_px
+    ]
     if len(scene.predicted_px) == 1 or not hypotheses:
         return _single(scene, limits)
     return _judge(scene, limits, hypotheses)
@@ -126,11 +139,14 @@ def _scene(
     center_px: ArrayLike,
     zero_point_mag: float | None,
 ) -> Scene:
-    predicted, magnitudes = check_points(predicted_px, "predicted_px"), np.asarray(magnitude, float).reshape(-1)
+    predicted, magnitudes = (
+        check_points(predicted_px, "predicted_px"),
+        np.asarray(magnitude, float).reshape(-1),
+    )
     center = check_points(center_px, "center_px")
     if len(magnitudes) != len(predicted) or len(center) != 1:
         raise CenterfindingError(
-            f"{len(predicted)} predicted stars need as many magnitudes, got {len(magnitudes)}; and one center."
+            f"{len(predicted)} predicted stars need as many magnitudes, got {len(magnitudes)}, and one center."
         )
     # An unknown magnitude counts as that of the faintest star: it votes last.
     magnitudes = np.nan_to_num(magnitudes, nan=float(np.nanmax(magnitudes, initial=-np.inf)), neginf=0.0)
@@ -145,7 +161,9 @@ def _judge(scene: Scene, limits: Limits, hypotheses: list[Hypothesis]) -> Identi
     """Choose the likeliest hypothesis and say how sure it is."""
     likelihood = np.array([_log_likelihood(scene, h) for h in hypotheses])
     best = hypotheses[int(likelihood.argmax())]
-    rivals = [float(value) for value, h in zip(likelihood, hypotheses, strict=True) if _differs(h, best, limits)]
+    rivals = [
+        float(value) for value, h in zip(likelihood, hypotheses, strict=True) if _differs(h, best, limits)
+    ]
     gap = float(likelihood.max()) - max(rivals, default=-np.inf)
     rivalry = 1.0 / (1.0 + np.exp(min(gap, 700.0)))
     confidence = float(np.clip((1.0 - _chance(scene, limits, best)) * (1.0 - rivalry), 0.0, 1.0))
@@ -162,7 +180,9 @@ def _log_likelihood(scene: Scene, h: Hypothesis) -> float:
     """Log of the likelihood of the pairs over that of the same detections strewn at random."""
     star, detection = h.pairs.T
     density = len(scene.detected_px) / _area(scene)
-    position = -0.5 * (h.distance_px / POSITION_SIGMA_PX) ** 2 - np.log(2.0 * np.pi * POSITION_SIGMA_PX**2 * density)
+    position = -0.5 * (h.distance_px / POSITION_SIGMA_PX) ** 2 - np.log(
+        2.0 * np.pi * POSITION_SIGMA_PX**2 * density
+    )
     seen = scene.detected_mag
     spread = max(float(np.std(seen)), 1.0)
     brightness = np.zeros(len(star))
@@ -206,31 +226,31 @@ def _differs(h: Hypothesis, best: Hypothesis, limits: Limits) -> bool:
 
 
 def _single(scene: Scene, limits: Limits) -> Identification:
-    """The brightest star and the nearest detection of its brightness."""
+    """The brightest star, and the detection that is likeliest by nearness and brightness."""
     inside = np.all((scene.predicted_px > -0.5) & (scene.predicted_px < 2.0 * scene.center_px + 0.5), axis=1)
     star = int(np.argmin(np.where(inside | ~inside.any(), scene.magnitude, np.inf)))
     offset = scene.detected_px - scene.predicted_px[star]
     distance = np.hypot(*offset.T)
     candidates = distance <= limits.max_shift_px
-    most = SINGLE_STAR_CONFIDENCE_NO_BRIGHTNESS
-    if not np.isnan(scene.zero_point_mag):
+    cost = (distance / (limits.max_shift_px * SINGLE_STAR_SHIFT_PART + limits.tolerance_px)) ** 2
+    known = not np.isnan(scene.zero_point_mag)
+    if known:
         difference = scene.detected_mag + scene.zero_point_mag - scene.magnitude[star]
         candidates &= np.abs(difference) <= MAGNITUDE_TOLERANCE
-        most = SINGLE_STAR_CONFIDENCE
+        cost = cost + (difference / SINGLE_STAR_MAGNITUDE_SIGMA) ** 2
+    within = f"within {limits.max_shift_px:g} px of its predicted position"
     if not candidates.any():
-        return _nothing(
-            scene,
-            f"no detection of the star's brightness within {limits.max_shift_px:g} px of its predicted position",
-        )
-    detection = int(np.argmin(np.where(candidates, distance, np.inf)))
-    count = int(candidates.sum())
+        return _nothing(scene, f"no detection {'of the brightness of the star ' if known else ''}{within}")
+    share = np.where(candidates, np.exp(-0.5 * (cost - cost[candidates].min())), 0.0)
+    detection = int(share.argmax())
+    most = SINGLE_STAR_CONFIDENCE if known else SINGLE_STAR_CONFIDENCE_NO_BRIGHTNESS
     message = (
-        f"one star, taken for the nearest of {count} detection(s) "
-        f"{'of its brightness ' if most == SINGLE_STAR_CONFIDENCE else ''}within {limits.max_shift_px:g} px: this rests on "
-        "brightness and nearness only, confirm by eye"
+        f"one star only, chosen among {int(candidates.sum())} detections {within}: this rests on "
+        f"{'brightness and nearness' if known else 'nearness'} only, confirm by eye"
     )
     pairs = np.array([[star, detection]], np.int64)
-    return Identification(offset[detection], 0.0, pairs, most / count, message, _optional(scene.zero_point_mag))
+    confidence = float(most * share[detection] / share.sum())
+    return Identification(offset[detection], 0.0, pairs, confidence, message, _optional(scene.zero_point_mag))
 
 
 def _nothing(scene: Scene, message: str) -> Identification:

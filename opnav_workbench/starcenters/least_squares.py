@@ -3,13 +3,13 @@
 Flow   image, noise, first centers (matched filter, cross-correlation, prediction) -> here -> pointing
 Units  DN, px; flux is the star's total over the whole plane
 
-Estimated are flux, center, log scale and ellipticity of the PSF (with a prior: in an undersampled image they cannot be had from
-one star), and the background as a level or a plane. Pixels are weighted by the expected noise.
+Estimated are flux, center, log scale and ellipticity of the PSF (with a prior: in an undersampled image they
+cannot be had from one star), and the background as a level or a plane. Pixels are weighted by the expected
+noise.
 
 Reference: Jackman & Dumont (2013), AAS 13-443, "The Non-Linear Least Squares Estimator".
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -18,19 +18,18 @@ from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.starcenters.boxes import Boxes, Pixels, check_image, check_points, cut_boxes
+from opnav_workbench.starcenters.boxes import Boxes, check_image, check_points, cut_boxes
 from opnav_workbench.starcenters.flags import StarFlag, combine_flags
-from opnav_workbench.starcenters.levenberg import Evaluation, Solution, solve_batched
-from opnav_workbench.starcenters.psf import box_integrals, ellipse_from_shape
+from opnav_workbench.starcenters.levenberg import Solution, solve_batched
+from opnav_workbench.starcenters.psf import ellipse_from_shape
 from opnav_workbench.starcenters.results import NoiseModel, ShapePrior, StarCenters
 from opnav_workbench.starcenters.search import brightest_pixel
+from opnav_workbench.starcenters.star_model import E2, FLUX, LEVEL, LINE, PIXEL, SCALE, SLOPE_LINE, StarModel
 
 __all__ = ["BACKGROUNDS", "default_box_px", "fit_gaussian", "misfit_factor"]
 
 BACKGROUNDS = ("level", "plane")
 METHOD = "least_squares"
-
-FLUX, PIXEL, LINE, SCALE, E1, E2, LEVEL, SLOPE_PIXEL, SLOPE_LINE = range(9)
 
 SEARCH_RADIUS_PX = 3.0  # matched filters and pointing solutions come closer than this
 MAX_ELLIPTICITY = 0.65  # of e1 and e2 each: |e| < 0.92, an axis ratio of 5; no star image is longer
@@ -92,21 +91,23 @@ def fit_gaussian(
     background : {"level", "plane"}
         What is estimated beside the star.
     noise_model : NoiseModel, optional
-        With it, the shot noise of the fitted star is added to `noise_dn`, which then must not hold it already.
+        With it, the shot noise of the fitted star is added to `noise_dn`, which then must not hold it
+        already.
     psf_error : float
-        Relative error of the Gaussian as a model of the PSF. The covariance allows for that fraction of the star in each
-        pixel (see `estimate_psf_error`); the weights stay those of the noise, so that the centers do not depend on it.
+        Relative error of the Gaussian as a model of the PSF. The covariance allows for that fraction of the
+        star in each pixel (see `estimate_psf_error`); the weights stay those of the noise, so that the
+        centers do not depend on it.
     search_radius_px : float
         The brightest point of the search area starts the fit; the center stays within it, along each axis.
     inflate_misfit : bool
-        Scale the covariance of center and shape by the reduced chi-square (less what `psf_error` explains) where that is
-        significantly above 1 (see `misfit_factor`).
+        Scale the covariance of center and shape by the reduced chi-square (less what `psf_error` explains)
+        where that is significantly above 1 (see `misfit_factor`).
 
     Returns
     -------
     StarCenters
-        Covariance is the inverse of the normal matrix, prior included, shape and background marginalized; flux sigma
-        and signal-to-noise ratio tell of the noise alone.
+        Covariance is the inverse of the normal matrix, prior included, shape and background marginalized;
+        flux sigma and signal-to-noise ratio tell of the noise alone.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def fit_gaussian(
 
     first_guess = brightest_pixel(pixels, start, prior, search_radius_px)
     boxes = cut_boxes(pixels, first_guess, size)
-    model = _StarModel.of(boxes, noise_model, parameters)
+    model = StarModel.of(boxes, noise_model, parameters)
     guess = model.linear_start(first_guess, prior)
     lower, upper = _bounds(guess, start, prior, search_radius_px)
     mean, information = np.zeros_like(guess), np.zeros_like(guess)
@@ -151,79 +152,6 @@ def _check_options(size: int, background: str, psf_error: float, search_radius_p
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _StarModel:
-    """Star plus background in every box; called by the solver with the boxes it still works on."""
-
-    first: FloatArray  # (n, 2)
-    data: FloatArray  # (n, m)
-    variance: FloatArray  # (n, m) infinite where unusable
-    basis: FloatArray  # (b, m) level, and slopes about the middle of the box
-    size: int
-    gain: float  # e/DN, infinite without shot noise
-
-    @classmethod
-    def of(cls, boxes: Boxes, noise: NoiseModel | None, parameters: int) -> "_StarModel":
-        n, size = len(boxes.first), boxes.size
-        line, pixel = np.indices((size, size), dtype=float).reshape(2, -1) - (size - 1) / 2
-        basis = np.stack([np.ones(size * size), pixel, line])[: parameters - LEVEL]
-        gain = np.inf if noise is None else noise.gain_e_per_dn
-        data, variance = boxes.data_dn.reshape(n, -1), boxes.variance_dn2.reshape(n, -1)
-        return cls(boxes.first.astype(float), data, variance, basis, size, gain)
-
-    def __call__(self, index: IntArray, p: FloatArray) -> Evaluation:
-        psf = box_integrals(p[:, PIXEL : LINE + 1], p[:, SCALE : E2 + 1], self.first[index], self.size)
-        k, flux = len(p), p[:, FLUX, None]
-        jacobian = np.empty((k, p.shape[1], self.size**2))
-        jacobian[:, FLUX] = psf.value.reshape(k, -1)
-        for column, derivative in (
-            (PIXEL, psf.d_pixel), (LINE, psf.d_line), (SCALE, psf.d_log_scale), (E1, psf.d_e1), (E2, psf.d_e2),
-        ):  # fmt: skip
-            np.multiply(flux, derivative.reshape(k, -1), out=jacobian[:, column])
-        jacobian[:, LEVEL:] = self.basis
-        star = flux * jacobian[:, FLUX]
-        residual = self.data[index] - star - p[:, LEVEL:] @ self.basis
-        variance = self.variance[index]
-        if np.isfinite(self.gain):
-            variance = variance + np.maximum(star, 0.0) / self.gain
-        return Evaluation(residual, 1.0 / variance, jacobian)
-
-    def linear_start(self, center: FloatArray, prior: ShapePrior) -> FloatArray:
-        """Return parameters with flux and background level solved linearly at `center` and the prior's shape."""
-        n = len(center)
-        shape = np.broadcast_to(prior.mean, (n, 3))
-        psf = box_integrals(center, shape, self.first, self.size).value.reshape(n, -1)
-        w = 1.0 / self.variance
-        s, st, stt = np.sum(w, 1), np.sum(w * psf, 1), np.sum(w * psf**2, 1)
-        sd, std = np.sum(w * self.data, 1), np.sum(w * psf * self.data, 1)
-        det = s * stt - st**2
-        solvable = det > 1e-12 * s * stt
-        det = np.where(solvable, det, 1.0)
-        p = np.zeros((n, LEVEL + len(self.basis)))
-        p[:, FLUX] = np.where(solvable, (s * std - st * sd) / det, 0.0)
-        p[:, LEVEL] = np.where(solvable, (stt * sd - st * std) / det, 0.0)
-        p[:, PIXEL : LINE + 1] = center
-        p[:, SCALE : E2 + 1] = shape
-        return p
-
-    def with_psf_error(self, p: FloatArray, covariance: FloatArray, error: float) -> tuple[FloatArray, FloatArray]:
-        """Return the covariance with the error of the PSF model propagated through the fit, and the chi2 it adds.
-
-        With C the inverse normal matrix the fit is linear in the data by C J' W; their error adds C J'W V WJ C.
-        """
-        state = self(np.arange(len(p)), p)
-        psf_variance = (error * p[:, FLUX, None] * state.jacobian[:, FLUX]) ** 2
-        gain = np.matmul(covariance, state.jacobian * state.weight[:, None, :])
-        added = np.matmul(gain * psf_variance[:, None, :], np.swapaxes(gain, 1, 2))
-        return covariance + added, np.sum(state.weight * psf_variance, axis=1)
-
-    def background_at(self, center: FloatArray, p: FloatArray) -> FloatArray:
-        """Return the background (DN) at `center`; (n,)."""
-        offset = center - self.first - (self.size - 1) / 2
-        basis = np.column_stack([np.ones(len(p)), offset])[:, : len(self.basis)]
-        return np.sum(basis * p[:, LEVEL:], axis=1)
-
-
 def _bounds(
     guess: FloatArray, start: FloatArray, prior: ShapePrior, search_radius_px: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -239,7 +167,7 @@ def _bounds(
 
 
 def _results(
-    solution: Solution, boxes: Boxes, model: _StarModel, prior: ShapePrior, psf_error: float, inflate: bool
+    solution: Solution, boxes: Boxes, model: StarModel, prior: ShapePrior, psf_error: float, inflate: bool
 ) -> StarCenters:
     p, covariance = solution.parameters, solution.covariance
     used = np.isfinite(model.variance).sum(axis=1)
@@ -279,7 +207,8 @@ def _results(
 def misfit_factor(chi2_reduced: FloatArray, degrees_of_freedom: FloatArray) -> FloatArray:
     """Return the reduced chi-square where it is significantly above 1, else 1; (n,).
 
-    Covariances are scaled by it: where the noise does not explain the residuals, neither does it the error of the center.
+    Covariances are scaled by it: where the noise does not explain the residuals, neither does it the error of
+    the center.
     """
     limit = 1.0 + MISFIT_SIGMAS * np.sqrt(2.0 / np.maximum(degrees_of_freedom, 1.0))
     return np.where(chi2_reduced > limit, chi2_reduced, 1.0)
@@ -294,7 +223,9 @@ def _flags(
     radius = np.maximum(CORE_SIGMAS * np.exp(p[:, SCALE]), 1.0)
     core = np.hypot(dx[:, None, :], dy[:, :, None]) <= radius[:, None, None]
     low = ~(snr >= MIN_SNR)
-    cosmic = (p[:, SCALE] < prior.log_scale + np.log(COSMIC_RAY_SCALE)) & (prior.sigma_px >= RESOLVED_SIGMA_PX)
+    cosmic = (p[:, SCALE] < prior.log_scale + np.log(COSMIC_RAY_SCALE)) & (
+        prior.sigma_px >= RESOLVED_SIGMA_PX
+    )
     conditions = {
         StarFlag.NOT_CONVERGED: ~solution.converged,
         StarFlag.SATURATED: (boxes.saturated & core).any(axis=(1, 2)),

@@ -1,11 +1,13 @@
 """Levenberg-Marquardt for many small problems at once: no loop over the problems.
 
-Each of n problems fits q parameters to m data with Gaussian weights and a Gaussian prior on each parameter, within bounds:
-the cost is sum w (d - f(p))^2 + sum I (p - p0)^2. Weights may depend on the parameters (shot noise of the model); they
-are held through a step and renewed after it, so that the solution satisfies the quasi-likelihood equations J' W(p) (d - f) = 0,
-which are unbiased, unlike those with weights taken from the data.
+Each of n problems fits q parameters to m data with Gaussian weights and a Gaussian prior on each parameter,
+within bounds: the cost is sum w (d - f(p))^2 + sum I (p - p0)^2. Weights may depend on the parameters (shot
+noise of the model); they are held through a step and renewed after it, so that the solution satisfies the
+quasi-likelihood equations J' W(p) (d - f) = 0, which are unbiased, unlike those with weights taken from the
+data.
 
-Reference: Nocedal & Wright (2006), Numerical Optimization, chapter 10.3; Nelder & Pregibon (1987), doi:10.1093/biomet/74.2.221.
+Reference: Nocedal & Wright (2006), Numerical Optimization, chapter 10.3; Nelder & Pregibon (1987),
+doi:10.1093/biomet/74.2.221.
 """
 
 from collections.abc import Callable
@@ -141,7 +143,9 @@ def _normal_equations(
     return _information(state) + _diagonal(information), gradient + information * (mean - p)
 
 
-def _damped_step(normal: FloatArray, gradient: FloatArray, free: BoolArray, damping: FloatArray) -> FloatArray:
+def _damped_step(
+    normal: FloatArray, gradient: FloatArray, free: BoolArray, damping: FloatArray
+) -> FloatArray:
     """Solve in units of each parameter's own sigma, so that the damping acts on all parameters alike."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), np.finfo(float).tiny))
     scale = np.where(free & np.isfinite(scale) & (scale < 1e100), scale, 0.0)
@@ -150,7 +154,9 @@ def _damped_step(normal: FloatArray, gradient: FloatArray, free: BoolArray, damp
     return scale * np.linalg.solve(scaled + _diagonal(ridge), (scale * gradient)[:, :, None])[:, :, 0]
 
 
-def _cost(residual: FloatArray, weight: FloatArray, p: FloatArray, mean: FloatArray, information: FloatArray) -> FloatArray:
+def _cost(
+    residual: FloatArray, weight: FloatArray, p: FloatArray, mean: FloatArray, information: FloatArray
+) -> FloatArray:
     return np.sum(weight * residual**2, axis=1) + np.sum(information * (p - mean) ** 2, axis=1)
 
 

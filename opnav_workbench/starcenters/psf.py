@@ -1,17 +1,18 @@
 """The canonical star image: an elliptical Gaussian integrated over detector pixels.
 
-Flow   center and shape of a star -> here -> fraction of its flux in each pixel, with derivatives -> `least_squares`
-Frame  (pixel, line), integer = pixel center; every pixel is a unit square
-Units  px; the integral over the whole plane is 1
+Flow   center and shape of a star -> here -> fraction of its flux in each pixel, with derivatives ->
+`least_squares` Frame  (pixel, line), integer = pixel center; every pixel is a unit square Units  px; the
+integral over the whole plane is 1
 
 With the density g and the edges u, v of a pixel relative to the star's center, the flux in a pixel is
 
-    P = int_v N(v; S_vv) [Phi((u2 - b v) / s) - Phi((u1 - b v) / s)] dv,   b = S_uv / S_vv,   s^2 = S_uu - b S_uv
+    P = int_v N(v; S_vv) [Phi((u2 - b v) / s) - Phi((u1 - b v) / s)] dv,   b = S_uv / S_vv,   s^2 = S_uu - b
+    S_uv
 
-which is exact along u (error function) and Gauss-Legendre along v. The derivatives need no quadrature: by Gauss's theorem
-and by the heat equation (dg/dS_uu = g_uu / 2, dg/dS_uv = g_uv, dg/dS_vv = g_vv / 2) each is a difference of g, or of
-its integral along an edge, between the edges of the pixel; and Stein's identity, (u, v) g = -S grad g, turns the integral of
-g_u along an edge u = const into values that are already there.
+which is exact along u (error function) and Gauss-Legendre along v. The derivatives need no quadrature: by
+Gauss's theorem and by the heat equation (dg/dS_uu = g_uu / 2, dg/dS_uv = g_uv, dg/dS_vv = g_vv / 2) each is a
+difference of g, or of its integral along an edge, between the edges of the pixel; and Stein's identity, (u,
+v) g = -S grad g, turns the integral of g_u along an edge u = const into values that are already there.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,8 @@ from opnav_workbench.errors import CenterfindingError
 __all__ = ["PixelIntegrals", "box_integrals", "covariance_from_shape", "ellipse_from_shape", "pixel_gaussian",
            "shape_from_ellipse"]  # fmt: skip
 
-# Gauss-Legendre nodes per pixel that keep the error of P below 1e-7, by the smallest sigma (px) they are good for.
+# Gauss-Legendre nodes per pixel that keep the error of P below 1e-7, by the smallest sigma (px) they are good
+# for.
 NODES_FOR_SIGMA_PX = ((0.8, 4), (0.5, 6), (0.3, 8), (0.2, 10), (0.0, 20))
 
 SQRT2 = np.sqrt(2.0)
@@ -77,7 +79,9 @@ def shape_from_ellipse(shape: FloatArray) -> FloatArray:
     return np.stack([log_scale, e * np.cos(2.0 * angle), e * np.sin(2.0 * angle)], axis=-1)
 
 
-def pixel_gaussian(center: FloatArray, shape: FloatArray, pixel: FloatArray, line: FloatArray) -> PixelIntegrals:
+def pixel_gaussian(
+    center: FloatArray, shape: FloatArray, pixel: FloatArray, line: FloatArray
+) -> PixelIntegrals:
     """Integrate n elliptical Gaussians over m pixels each, anywhere on the detector.
 
     Parameters
@@ -135,9 +139,16 @@ def box_integrals(center: FloatArray, shape: FloatArray, first: FloatArray, size
     log_scale, e1, e2 = np.moveaxis(np.asarray(shape, float), -1, 0)
     if not np.all(np.hypot(e1, e2) < 1.0) or not np.all(np.isfinite(log_scale)):
         worst = float(np.max(np.hypot(e1, e2), initial=0.0))
-        raise CenterfindingError(f"PSF ellipticity must stay below 1 and its scale finite; largest |e| is {worst:.3g}.")
+        raise CenterfindingError(
+            f"PSF ellipticity must stay below 1 and its scale finite; largest |e| is {worst:.3g}."
+        )
     uu, uv, vv = covariance_from_shape(log_scale, e1, e2)
-    edges = np.asarray(first, float)[:, :, None] - 0.5 + np.arange(size + 1) - np.asarray(center, float)[:, :, None]
+    edges = (
+        np.asarray(first, float)[:, :, None]
+        - 0.5
+        + np.arange(size + 1)
+        - np.asarray(center, float)[:, :, None]
+    )
     u, v = edges[:, 0], edges[:, 1]
     sigma_minor = np.exp(log_scale) * np.sqrt(1.0 - np.hypot(e1, e2))
     value = _values(u, v, uu, uv, vv, _node_count(sigma_minor))
@@ -165,13 +176,17 @@ def _node_count(sigma_minor: FloatArray) -> int:
     return next(nodes for sigma, nodes in NODES_FOR_SIGMA_PX if smallest >= sigma)
 
 
-def _values(u: FloatArray, v: FloatArray, uu: FloatArray, uv: FloatArray, vv: FloatArray, nodes: int) -> FloatArray:
+def _values(
+    u: FloatArray, v: FloatArray, uu: FloatArray, uv: FloatArray, vv: FloatArray, nodes: int
+) -> FloatArray:
     """Integral over each pixel: error function along u, Gauss-Legendre along v."""
     t, weight = np.polynomial.legendre.leggauss(nodes)
     at = 0.5 * (v[:, 1:, None] + v[:, :-1, None]) + 0.5 * t  # (n, lines, nodes)
     slope = (uv / vv)[:, None, None]
     scale = SQRT2 * np.sqrt(uu - uv * uv / vv)[:, None, None]
-    density = np.exp(-0.5 * at * at / vv[:, None, None]) * (0.25 * weight) / (SQRT2PI * np.sqrt(vv))[:, None, None]
+    density = (
+        np.exp(-0.5 * at * at / vv[:, None, None]) * (0.25 * weight) / (SQRT2PI * np.sqrt(vv))[:, None, None]
+    )
     argument = (u / scale[:, 0])[:, None, None, :] - (slope * at / scale)[..., None]
     cumulative = np.matmul(density[:, :, None, :], erf(argument, out=argument))[:, :, 0, :]
     return np.diff(cumulative, axis=-1)

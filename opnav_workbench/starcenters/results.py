@@ -137,8 +137,10 @@ class StarCenters:
     flux_dn: FloatArray  # (n,) total, over the whole plane
     flux_sigma_dn: FloatArray  # (n,)
     background_dn: FloatArray  # (n,) at the star
-    shape: FloatArray  # (n, 3) sigma_major_px, sigma_minor_px, angle_rad of the major axis from +pixel toward +line
-    shape_covariance: FloatArray  # (n, 3, 3) of log scale, e1, e2 (see psf.covariance_from_shape), prior included
+    shape: FloatArray  # (n, 3) sigma_major_px, sigma_minor_px, angle_rad of the major axis from +pixel toward
+    +line shape_covariance: (
+        FloatArray  # (n, 3, 3) of log scale, e1, e2 (see psf.covariance_from_shape), prior included
+    )
     chi2_reduced: FloatArray  # (n,)
     snr: FloatArray  # (n,) flux over its sigma
     degrees_of_freedom: FloatArray  # (n,) pixels used less parameters estimated from them

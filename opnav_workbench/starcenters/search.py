@@ -20,15 +20,18 @@ def brightest_pixel(
 ) -> FloatArray:
     """Return the most significant point within `search_radius_px` of each start, along each axis; (n, 2).
 
-    At every pixel of the search area flux and background level are solved linearly; the pixel where flux over its sigma is
-    largest wins, and a paraboloid gives the fraction. Without a single positive flux the start itself is returned.
+    At every pixel of the search area flux and background level are solved linearly; the pixel where flux over
+    its sigma is largest wins, and a paraboloid gives the fraction. Without a single positive flux the start
+    itself is returned.
     """
     reach = int(np.ceil(search_radius_px))
     half = max(MIN_KERNEL_HALF_PX, int(np.ceil(KERNEL_SIGMAS * prior.sigma_px)))
     if reach == 0 or len(start) == 0:
         return start
     boxes = cut_boxes(pixels, start, 2 * (reach + 1 + half) + 1)
-    kernel = box_integrals(np.zeros((1, 2)), prior.mean[None], np.full((1, 2), -float(half)), 2 * half + 1).value[0]
+    kernel = box_integrals(
+        np.zeros((1, 2)), prior.mean[None], np.full((1, 2), -float(half)), 2 * half + 1
+    ).value[0]
     snr = _significance(boxes.data_dn, boxes.weight, kernel)  # (n, 2 reach + 3, 2 reach + 3)
     origin = boxes.first + half
     dx, dy = np.arange(snr.shape[-1]) + (origin - start)[:, :, None].transpose(1, 0, 2)
@@ -49,7 +52,9 @@ def _significance(data: FloatArray, weight: FloatArray, kernel: FloatArray) -> F
     """Flux over its sigma of a star at each pixel, its background level free; 0 where it cannot be had."""
 
     def correlate(values: FloatArray, taps: FloatArray) -> FloatArray:
-        return np.einsum("nyxij,ij->nyx", sliding_window_view(values, taps.shape, axis=(1, 2)), taps, optimize=True)
+        return np.einsum(
+            "nyxij,ij->nyx", sliding_window_view(values, taps.shape, axis=(1, 2)), taps, optimize=True
+        )
 
     ones = np.ones_like(kernel)
     s, st, stt = correlate(weight, ones), correlate(weight, kernel), correlate(weight, kernel**2)

@@ -22,7 +22,9 @@ class Template:
 
     values: FloatArray  # (size, size) [line, pixel]
     center: FloatArray  # (2,) pixel, line in the template's own coordinates
-    ellipse: FloatArray  # (3,) sigma_major_px, sigma_minor_px, angle_rad of the PSF before integration over pixels
+    ellipse: (
+        FloatArray  # (3,) sigma_major_px, sigma_minor_px, angle_rad of the PSF before integration over pixels
+    )
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -51,7 +53,11 @@ def gaussian_template(sigma_px: float, size: int) -> Template:
         raise CenterfindingError(f"a template needs a positive sigma and size, got {sigma_px} px and {size}.")
     center = np.full((1, 2), (size - 1) / 2.0)
     shape = np.array([[np.log(sigma_px), 0.0, 0.0]])
-    return Template(box_integrals(center, shape, np.zeros((1, 2)), size).value[0], center[0], np.array([sigma_px, sigma_px, 0.0]))
+    return Template(
+        box_integrals(center, shape, np.zeros((1, 2)), size).value[0],
+        center[0],
+        np.array([sigma_px, sigma_px, 0.0]),
+    )
 
 
 def extract_template(
@@ -78,7 +84,9 @@ def extract_template(
     pixels = check_image(image_dn, 1.0, bad)
     center = check_points(pixel_line, "pixel_line")
     if len(center) != 1 or not 1.0 <= radius_px < np.inf:
-        raise CenterfindingError(f"a template needs one star and a radius of at least 1 px, got {radius_px} px.")
+        raise CenterfindingError(
+            f"a template needs one star and a radius of at least 1 px, got {radius_px} px."
+        )
     boxes = cut_boxes(pixels, center, 2 * int(np.ceil(radius_px)) + 3)
     dx, dy = boxes.offsets(center)
     distance = np.hypot(dx[0][None, :], dy[0][:, None])

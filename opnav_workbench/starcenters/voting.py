@@ -1,7 +1,7 @@
 """Shift and twist between predicted stars and detections: votes for a first guess, then a rigid fit.
 
-Transformation (pixel, line): observed = center + shift + R(twist) (predicted - center), R = [[cos, -sin], [sin, cos]]; a positive
-twist turns +pixel toward +line.
+Transformation (pixel, line): observed = center + shift + R(twist) (predicted - center), R = [[cos, -sin],
+[sin, cos]]; a positive twist turns +pixel toward +line.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,9 @@ from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 __all__ = ["Hypothesis", "Limits", "Scene", "move", "refine", "vote"]
 
 VOTING_STARS = 40  # brightest predicted stars that vote
-VOTING_DETECTIONS = 120  # brightest detections voted for: stars must be found among more cosmic rays than stars
+VOTING_DETECTIONS = (
+    120  # brightest detections voted for: stars must be found among more cosmic rays than stars
+)
 KEPT_HYPOTHESES = 60
 NEIGHBORS = 3  # detections considered for one star
 MAGNITUDE_SIGMA = 0.6  # color of the star, and the filter's flux at unlucky pixel phases
@@ -62,7 +64,9 @@ class Hypothesis:
         freeze_arrays(self)
 
 
-def move(predicted_px: FloatArray, center_px: FloatArray, shift_px: FloatArray, twist_rad: float) -> FloatArray:
+def move(
+    predicted_px: FloatArray, center_px: FloatArray, shift_px: FloatArray, twist_rad: float
+) -> FloatArray:
     """Turn predictions about `center_px` by `twist_rad`, then shift them; (n, 2)."""
     c, s = np.cos(twist_rad), np.sin(twist_rad)
     return np.asarray((predicted_px - center_px) @ np.array([[c, s], [-s, c]]) + center_px + shift_px)
@@ -138,7 +142,11 @@ def _match(
     if not np.isnan(zero_point):
         seen = scene.detected_mag[np.where(found, index, 0)] + zero_point
         difference = seen - scene.magnitude[:, None]
-        cost = np.where(np.abs(difference) <= MAGNITUDE_TOLERANCE, cost + 0.1 * (difference / MAGNITUDE_SIGMA) ** 2, np.inf)
+        cost = np.where(
+            np.abs(difference) <= MAGNITUDE_TOLERANCE,
+            cost + 0.1 * (difference / MAGNITUDE_SIGMA) ** 2,
+            np.inf,
+        )
     best = cost.argmin(axis=1)
     rows = np.arange(len(moved))
     star = rows[np.isfinite(cost[rows, best])]

@@ -1,0 +1,234 @@
+"""Iterated weighted least squares of an attitude.
+
+Flow   observed centers, star directions, an attitude to start from -> here -> attitude, residuals, covariance
+Frame  directions J2000; rotation vectors about the camera frame's axes
+Units  px, rad
+
+The rotation about the boresight has an a priori value. It enters as one more measurement where, and only
+where, the stars alone determine that rotation less well: with one star always, with two when they are close
+together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
+from opnav_workbench.camera import Camera
+from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.pointing.models import StepModel, attitude_jacobian
+
+__all__ = ["Fit", "Linear", "Sightings", "fit_attitude"]
+
+CONVERGENCE_PX = 1e-5  # no star moves more in the last step; a thousandth of what the best centers are worth
+MAX_ITERATIONS = 30  # Euler angles need 3 or 4, a strongly distorted image plane 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """n stars that have an observed center, and what is known beforehand.
+
+    Attributes
+    ----------
+    observed_px : (n, 2) array
+    covariance_px2 : (n, 2, 2) array
+        Of the observed center and of the catalog place together.
+    directions : (n, 3) array
+        Apparent unit vectors, J2000.
+    camera : Camera
+    a_priori : (3, 3) array
+        camera_from_j2000.
+    twist_sigma_rad : float
+        Of the a priori rotation about the boresight.
+    """
+
+    observed_px: FloatArray
+    covariance_px2: FloatArray
+    directions: FloatArray
+    camera: Camera
+    a_priori: FloatArray
+    twist_sigma_rad: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def __len__(self) -> int:
+        return len(self.observed_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """The problem linearized at an attitude: residual = jacobian @ eps + noise, and the a priori twist."""
+
+    residual_px: FloatArray  # (n, 2)
+    jacobian: FloatArray  # (n, 2, 3) px/rad
+    covariance_px2: FloatArray  # (n, 2, 2)
+    axis: FloatArray  # (3,) boresight, camera frame
+    twist_residual_rad: float  # a priori minus current rotation about the axis
+    twist_sigma_rad: float  # infinite where the a priori twist does not enter
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def prior_used(self) -> bool:
+        """True where the a priori twist enters."""
+        return bool(np.isfinite(self.twist_sigma_rad))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom: measurements minus three angles."""
+        return self.residual_px.size + int(self.prior_used) - 3
+
+    def rows(self, excess_sigma_px: float, design: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return design (m, 3) and residuals (m,) in units of their sigmas; by default d/d(eps).
+
+        `design` is (n + 1, 2, 3) with the a priori twist's row, doubled, at its end.
+        """
+        whiten = _whitening(self.covariance_px2, excess_sigma_px)
+        stars = self.jacobian if design is None else design[:-1]
+        twist = self.axis if design is None else design[-1, 0]
+        matrix = np.vstack([(whiten @ stars).reshape(-1, 3), twist / self.twist_sigma_rad])
+        residual = (whiten @ self.residual_px[..., None]).ravel()
+        return matrix, np.append(residual, self.twist_residual_rad / self.twist_sigma_rad)
+
+    def chi2(self, excess_sigma_px: float) -> float:
+        """Return the smallest weighted sum of squared residuals that any attitude nearby reaches."""
+        matrix, residual = self.rows(excess_sigma_px)
+        orthonormal, _ = np.linalg.qr(matrix)
+        left = residual - orthonormal @ (orthonormal.T @ residual)
+        return float(left @ left)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A converged attitude.
+
+    Attributes
+    ----------
+    attitude : (3, 3) array
+    path : tuple of (3, 3) arrays
+        From the start to `attitude`.
+    covariance_rad2 : (3, 3) array
+    residual_px : (n, 2) array
+        Of all stars, used or not.
+    jacobian : (n, 2, 3) array
+        d(pixel, line) / d(eps) of all stars.
+    linear : Linear
+        The used stars at `attitude`.
+    """
+
+    attitude: FloatArray
+    path: tuple[FloatArray, ...]
+    covariance_rad2: FloatArray
+    residual_px: FloatArray
+    jacobian: FloatArray
+    linear: Linear
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def fit_attitude(
+    stars: Sightings, model: StepModel, start: FloatArray, used: BoolArray, excess_sigma_px: float = 0.0
+) -> Fit | None:
+    """Fit an attitude to the `used` stars, from `start` on; None where the iteration does not converge.
+
+    The covariance is that of the estimator, whether its design is the Jacobian (Euler angles: the inverse of
+    the normal matrix) or an approximation of it (image plane): with design A, Jacobian J and weights W the
+    solution has A^T W r = 0, so eps = (A^T W J)^-1 A^T W noise.
+    """
+    attitude = start
+    path = [start]
+    prior_sigma = _twist_prior(stars, start, used, excess_sigma_px)
+    if prior_sigma is None:
+        return None
+    for _ in range(MAX_ITERATIONS):
+        linear, design = _linearize(stars, model, attitude, used, prior_sigma)
+        if not np.all(np.isfinite(linear.residual_px)):
+            return None
+        matrix, residual = linear.rows(excess_sigma_px, design)
+        step = _solve(matrix, residual)
+        attitude = model.rotation(step) @ attitude
+        path.append(attitude)
+        if np.max(np.abs(design[:-1] @ step)) < CONVERGENCE_PX:
+            return _finish(stars, model, path, used, prior_sigma, excess_sigma_px)
+    return None
+
+
+def _finish(
+    stars: Sightings,
+    model: StepModel,
+    path: list[FloatArray],
+    used: BoolArray,
+    prior_sigma: float,
+    excess_sigma_px: float,
+) -> Fit:
+    attitude = path[-1]
+    linear, design = _linearize(stars, model, attitude, used, prior_sigma)
+    in_camera = stars.directions @ attitude.T
+    return Fit(
+        attitude=attitude,
+        path=tuple(path),
+        covariance_rad2=_covariance(linear.rows(excess_sigma_px, design)[0], linear.rows(excess_sigma_px)[0]),
+        residual_px=stars.observed_px - stars.camera.project(in_camera),
+        jacobian=attitude_jacobian(stars.camera, in_camera),
+        linear=linear,
+    )
+
+
+def _linearize(
+    stars: Sightings, model: StepModel, attitude: FloatArray, used: BoolArray, prior_sigma: float
+) -> tuple[Linear, FloatArray]:
+    in_camera = stars.directions[used] @ attitude.T
+    predicted = stars.camera.project(in_camera)
+    axis = stars.camera.boresight
+    turned = float(axis @ vector_from_rotation(attitude @ stars.a_priori.T))
+    linear = Linear(
+        residual_px=stars.observed_px[used] - predicted,
+        jacobian=attitude_jacobian(stars.camera, in_camera),
+        covariance_px2=stars.covariance_px2[used],
+        axis=axis,
+        twist_residual_rad=-turned,
+        twist_sigma_rad=prior_sigma,
+    )
+    twist_row = np.broadcast_to(axis @ model.tangent, (1, 2, 3))
+    return linear, np.concatenate([model.design(in_camera, predicted), twist_row])
+
+
+def _twist_prior(stars: Sightings, attitude: FloatArray, used: BoolArray, excess: float) -> float | None:
+    """Sigma of the a priori twist where it must enter, infinity where the stars do better, None out of sight."""
+    in_camera = stars.directions[used] @ attitude.T
+    along_axes = attitude_jacobian(stars.camera, in_camera) @ stars.camera.focal_from_camera.T
+    if not np.all(np.isfinite(along_axes)):
+        return None
+    rows = (_whitening(stars.covariance_px2[used], excess) @ along_axes).reshape(-1, 3)
+    # What the stars say of the rotation about the boresight beyond what the other two angles absorb.
+    absorbed, *_ = np.linalg.lstsq(rows[:, :2], rows[:, 2], rcond=None)
+    left = rows[:, 2] - rows[:, :2] @ absorbed
+    information = float(left @ left)
+    return float(np.inf) if information >= stars.twist_sigma_rad**-2 else stars.twist_sigma_rad
+
+
+def _whitening(covariance_px2: FloatArray, excess_sigma_px: float) -> FloatArray:
+    """Matrices (n, 2, 2) that turn errors of these covariances into independent ones of unit variance."""
+    factor = np.linalg.cholesky(covariance_px2 + excess_sigma_px**2 * np.eye(2))
+    return np.linalg.inv(factor)
+
+
+def _solve(matrix: FloatArray, residual: FloatArray) -> FloatArray:
+    scale = _column_scale(matrix)
+    solution, *_ = np.linalg.lstsq(matrix / scale, residual, rcond=None)
+    return np.asarray(solution / scale)
+
+
+def _covariance(design: FloatArray, jacobian: FloatArray) -> FloatArray:
+    scaled = design / _column_scale(design)
+    inverse = np.linalg.inv(scaled.T @ jacobian)
+    return symmetric(inverse @ (scaled.T @ scaled) @ inverse.T)
+
+
+def _column_scale(matrix: FloatArray) -> FloatArray:
+    """Norms of the columns: parameters in px and in rad differ by orders of magnitude."""
+    norm = np.linalg.norm(matrix, axis=0)
+    return np.where(norm > 0.0, norm, 1.0)

@@ -1,0 +1,127 @@
+"""What a caller gives to `solve_pointing`, checked, and sorted into stars that can be used and reasons why not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import PointingError
+from opnav_workbench.geometry import checked_rotation, matrix_from_quaternion, quaternion_from_matrix
+from opnav_workbench.pointing.fit import Sightings
+
+__all__ = ["Given", "check_given"]
+
+MAX_RECIPROCAL_CONDITION = 1e-12  # a covariance flatter than this has lost a direction to rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Given:
+    """All n stars of the caller, used or not.
+
+    Attributes
+    ----------
+    sightings : Sightings
+        The usable ones.
+    index : (m,) array of int
+        Their rows.
+    observed_px : (n, 2) array
+    directions : (n, 3) array
+    reasons : tuple of str
+        Why a star is not usable, "" where it is; n entries.
+    """
+
+    sightings: Sightings
+    index: np.ndarray
+    observed_px: FloatArray
+    directions: FloatArray
+    reasons: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def check_given(
+    observed_px: ArrayLike,
+    covariance_px2: ArrayLike,
+    catalog_covariance_px2: ArrayLike | None,
+    directions: ArrayLike,
+    usable: ArrayLike | None,
+    camera: Camera,
+    a_priori: ArrayLike,
+    twist_sigma_rad: float | None,
+) -> Given:
+    """Return the checked input.
+
+    Raises
+    ------
+    PointingError
+        An array of the wrong shape, an a priori attitude that is no rotation, or a twist sigma that is not
+        positive.
+    """
+    observed = _array("observed_px", observed_px, None, 2)
+    n = len(observed)
+    covariance = _array("covariance_px2", covariance_px2, n, 2, 2)
+    if catalog_covariance_px2 is not None:
+        covariance = covariance + _array("catalog_covariance_px2", catalog_covariance_px2, n, 2, 2)
+    covariance = symmetric(covariance)
+    sky = _array("directions", directions, n, 3)
+    wanted = np.ones(n, dtype=bool) if usable is None else np.asarray(usable, dtype=bool)
+    if wanted.shape != (n,):
+        raise PointingError(f"usable has shape {wanted.shape}, expected ({n},): one entry per star")
+    attitude = _attitude(a_priori)
+    reasons = _reasons(wanted, observed, covariance, camera.project(sky @ attitude.T))
+    index = np.array([i for i, reason in enumerate(reasons) if not reason], dtype=np.int64)
+    sightings = Sightings(
+        observed[index],
+        covariance[index],
+        sky[index],
+        camera,
+        attitude,
+        _twist_sigma(twist_sigma_rad, camera),
+    )
+    return Given(sightings, index, observed, sky, reasons)
+
+
+def _reasons(
+    wanted: BoolArray, observed: FloatArray, covariance: FloatArray, predicted: FloatArray
+) -> tuple[str, ...]:
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, np.eye(2)))
+    definite = eigenvalues[:, 0] > MAX_RECIPROCAL_CONDITION * np.abs(eigenvalues[:, 1])
+    tests = (
+        (wanted, "not offered"),
+        (np.isfinite(observed).all(axis=1), "no center"),
+        (finite & definite, "no usable covariance of its center"),
+        (np.isfinite(predicted).all(axis=1), "out of sight at the a priori attitude"),
+    )
+    return tuple(next((why for good, why in tests if not good[i]), "") for i in range(len(observed)))
+
+
+def _array(name: str, values: ArrayLike, n: int | None, *rest: int) -> FloatArray:
+    array = np.asarray(values, dtype=float)
+    if array.size == 0 and n in (None, 0):
+        return np.zeros((0, *rest))
+    if array.shape[1:] != rest or (n is not None and len(array) != n):
+        expected = ", ".join(map(str, ("n" if n is None else n, *rest)))
+        raise PointingError(f"{name} has shape {array.shape}, expected ({expected}): one row per star")
+    return array
+
+
+def _attitude(a_priori: ArrayLike) -> FloatArray:
+    try:
+        rotation = checked_rotation(a_priori, "a_priori_camera_from_j2000")
+    except ValueError as error:
+        raise PointingError(str(error)) from error
+    # A matrix printed with few digits is orthonormal to 1e-7 only, which is already a tenth of a pixel.
+    return matrix_from_quaternion(quaternion_from_matrix(rotation))
+
+
+def _twist_sigma(twist_sigma_rad: float | None, camera: Camera) -> float:
+    sigma = np.radians(camera.attitude_sigma.twist_deg) if twist_sigma_rad is None else twist_sigma_rad
+    if not 0.0 < sigma < np.inf:
+        raise PointingError(
+            f"twist_sigma_rad is {sigma}; give a positive number (1 sigma of the a priori twist)"
+        )
+    return float(sigma)

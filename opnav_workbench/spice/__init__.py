@@ -1,0 +1,37 @@
+"""SPICE: kernels opened as a set, states, attitudes, times and instrument values from them.
+
+The only package here that imports spiceypy. SPICE's kernel pool is global; it is reached through
+`KernelSet` and the functions below only, one thread at a time, and every failure is one `KernelError` with
+its remedy.
+"""
+
+from opnav_workbench.spice.attitude import body_attitude, body_frame, camera_attitude
+from opnav_workbench.spice.cache import cache_root
+from opnav_workbench.spice.coverage import Coverage
+from opnav_workbench.spice.files import KernelFile
+from opnav_workbench.spice.instrument import instrument_values
+from opnav_workbench.spice.kernels import KernelSet
+from opnav_workbench.spice.sources import known_names
+from opnav_workbench.spice.states import State, body_id, body_name, body_radii_km, state
+from opnav_workbench.spice.time import et_from_sclk, et_from_utc, sclk_from_et, utc_from_et
+
+__all__ = [
+    "Coverage",
+    "KernelFile",
+    "KernelSet",
+    "State",
+    "body_attitude",
+    "body_frame",
+    "body_id",
+    "body_name",
+    "body_radii_km",
+    "cache_root",
+    "camera_attitude",
+    "et_from_sclk",
+    "et_from_utc",
+    "instrument_values",
+    "known_names",
+    "sclk_from_et",
+    "state",
+    "utc_from_et",
+]

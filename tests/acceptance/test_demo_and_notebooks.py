@@ -1,0 +1,98 @@
+"""The demo as a user runs it, and every notebook executed by papermill."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import papermill
+import pytest
+from typer.testing import CliRunner
+
+from opnav_workbench.cli import app
+
+NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
+
+
+def test_demo_agrees_with_its_truth(tmp_path):
+    answer = CliRunner().invoke(app, ["demo", "--out", str(tmp_path)], env={"COLUMNS": "160"})
+    assert answer.exit_code == 0, answer.output
+    assert "Every solved quantity is within 3" in answer.output
+    for picture in ("lorri_4x4", "mvic_framing"):
+        result = json.loads((tmp_path / picture / "result.json").read_text())
+        assert result["status"] == "ok"
+        assert {body["name"] for body in result["bodies"]} == {"PLUTO", "CHARON"}
+        assert (tmp_path / picture / "summary.png").stat().st_size > 10_000
+
+
+def test_demo_is_bit_identical_when_repeated(tmp_path):
+    results = []
+    for run in ("a", "b"):
+        assert CliRunner().invoke(app, ["demo", "--out", str(tmp_path / run)]).exit_code == 0
+        results.append((tmp_path / run / "lorri_4x4" / "result.json").read_bytes())
+    assert results[0] == results[1]
+
+
+@pytest.mark.slow
+def test_demo_statistics_over_seeds(tmp_path):
+    """Errors over predicted sigmas of many demos: standard deviation near one, no outlier."""
+    import numpy as np
+
+    from opnav_workbench.headless import Policy, process_image
+    from opnav_workbench.mission import load_mission
+    from opnav_workbench.rehearsal import (
+        DEMO_CATALOG,
+        DEMO_KERNELS,
+        DEMO_MISSION,
+        DEMO_PICTURES,
+        DEMO_TARGETS,
+        compare,
+        simulate_picture,
+    )
+    from opnav_workbench.spice import KernelSet
+
+    mission = load_mission(DEMO_MISSION)
+    request = DEMO_PICTURES[1]
+    camera = mission.camera_for(request.header)
+    errors = []
+    with KernelSet(DEMO_KERNELS):
+        policy = Policy(mission=mission, catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
+        for seed in range(1, 16):
+            truth = simulate_picture(request.reseeded(seed), mission, DEMO_CATALOG, tmp_path / str(seed))
+            outcome = process_image(truth.picture, policy, tmp_path / str(seed))
+            assert outcome.result["status"] == "ok", outcome.result["messages"]
+            errors.append([row.sigmas for row in compare(truth, outcome.result, camera)])
+    scatter = np.array(errors)
+    # 15 trials of 7 quantities: the standard deviation of a unit normal is known to 7 % from 105 values.
+    assert scatter.shape == (15, 7)
+    assert 0.75 < scatter.std() < 1.25
+    assert np.abs(scatter).max() < 4.5
+
+
+@pytest.mark.parametrize("notebook", sorted(p.name for p in NOTEBOOKS.glob("*.ipynb")))
+def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    source = json.loads((NOTEBOOKS / notebook).read_text())
+    assert all(not cell.get("outputs") for cell in source["cells"])
+    assert any("parameters" in cell["metadata"].get("tags", ()) for cell in source["cells"])
+    papermill.execute_notebook(
+        NOTEBOOKS / notebook, tmp_path / "out.ipynb", parameters={"out": str(tmp_path / "run")}, progress_bar=False
+    )
+    assert list((tmp_path / "run").rglob("result.json"))
+
+
+def test_program_runs_as_a_process(tmp_path):
+    """`python -m opnav_workbench` is the same program, started from any folder."""
+    environment = {**os.environ, "COLUMNS": "120"}
+    answer = subprocess.run(
+        [sys.executable, "-m", "opnav_workbench", "doctor"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "Everything needed is here" in answer.stdout

@@ -1,0 +1,159 @@
+"""Six real LORRI frames, processed as a user does, against their published measurements.
+
+Published: Lauer et al. 2025, "A Demonstration of Interstellar Navigation Using New Horizons": centers (0-based pixel,
+line), their sigmas, and J2000 directions with aberration removed. Each frame carries a TAN-SIP WCS fitted to Gaia.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.wcs import WCS, FITSFixedWarning
+from typer.testing import CliRunner
+
+from opnav_workbench.camera import Camera
+from opnav_workbench.cli import app
+from opnav_workbench.geometry import (
+    angle_between,
+    geometric_direction,
+    matrix_from_quaternion,
+    unit_from_radec,
+)
+from opnav_workbench.mission import load_mission
+from opnav_workbench.session import ImageSession
+
+pytestmark = pytest.mark.realdata
+
+ARCSEC = np.pi / 648000.0
+CENTER_PIXEL = np.array([[127.5, 127.5]])
+
+# frame: (star, pixel, line, sigma_pixel, sigma_line, RA deg, Dec deg)
+PUBLISHED = {
+    "0449855930": ("Proxima Cen", 144.738, 116.979, 0.152, 0.098, 217.363443584, -62.676359090),
+    "0449855931": ("Proxima Cen", 144.004, 118.311, 0.129, 0.085, 217.362917492, -62.676324665),
+    "0449855932": ("Proxima Cen", 143.109, 119.819, 0.105, 0.070, 217.362885635, -62.676382283),
+    "0449933827": ("Wolf 359", 125.102, 122.607, 0.138, 0.135, 164.094316069, 7.001013311),
+    "0449933832": ("Wolf 359", 124.873, 122.597, 0.113, 0.081, 164.094306594, 7.001021465),
+    "0449933837": ("Wolf 359", 125.028, 122.461, 0.079, 0.089, 164.094305581, 7.001002589),
+}
+PROXIMA = [met for met, row in PUBLISHED.items() if row[0] == "Proxima Cen"]
+WOLF = [met for met, row in PUBLISHED.items() if row[0] == "Wolf 359"]
+
+
+def _path(data_dir: Path, met: str) -> Path:
+    return data_dir / "images" / "lorri_interstellar" / f"lor_{met}_0x633_pwcs2.fits"
+
+
+@pytest.fixture(scope="module")
+def catalog(data_dir: Path) -> str:
+    return f"npz:{data_dir / 'stars' / 'tycho2.npz'}"
+
+
+def _run(data_dir: Path, catalog: str, out: Path, *options: str) -> dict[str, dict[str, Any]]:
+    frames = [str(_path(data_dir, met)) for met in PUBLISHED]
+    arguments = ["process", *frames, "--mission", "new_horizons", "--catalog", catalog, "--out", str(out)]
+    answer = CliRunner().invoke(app, [*arguments, *options])
+    assert answer.exit_code == 0, answer.output
+    return {met: json.loads((out / _path(data_dir, met).stem / "result.json").read_text()) for met in PUBLISHED}
+
+
+@pytest.fixture(scope="module")
+def plain(data_dir: Path, catalog: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Results without targets, from the command line."""
+    return _run(data_dir, catalog, tmp_path_factory.mktemp("plain"))
+
+
+@pytest.fixture(scope="module")
+def targeted(data_dir: Path, catalog: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Results with each field's own star as target, by Gaia parameters from the mission's star list."""
+    results: dict[str, dict[str, Any]] = {}
+    for star in ("Proxima Cen", "Wolf 359"):
+        out = tmp_path_factory.mktemp("targeted")
+        found = _run(data_dir, catalog, out, "--targets", star)
+        results |= {met: found[met] for met in PUBLISHED if PUBLISHED[met][0] == star}
+    return results
+
+
+@pytest.fixture(scope="module")
+def camera() -> Camera:
+    return load_mission("new_horizons").camera_for({"INSTRU": "lor", "SFORMAT": "4X4"})
+
+
+def _direction(result: dict[str, Any], camera: Camera, session: ImageSession) -> np.ndarray:
+    """Direction of the center pixel with aberration removed."""
+    attitude = matrix_from_quaternion(result["pointing"]["quaternion_camera_from_j2000"])
+    apparent = camera.unproject(CENTER_PIXEL)[0] @ attitude
+    return geometric_direction(apparent, session.inputs.observer.velocity_km_s)
+
+
+@pytest.mark.filterwarnings("ignore::astropy.wcs.FITSFixedWarning")
+def _wcs_direction(path: Path) -> np.ndarray:
+    header = fits.getheader(path)
+    assert FITSFixedWarning is not None
+    ra, dec = WCS(header).all_pix2world(CENTER_PIXEL, 0)[0]
+    return unit_from_radec(np.radians(ra), np.radians(dec))
+
+
+@pytest.mark.parametrize("met", PROXIMA)
+def test_proxima_frames_solve_to_the_wcs(plain, data_dir, catalog, camera, met):
+    result = plain[met]
+    assert result["status"] == "ok"
+    assert result["pointing"]["n_stars"] >= 7
+    assert result["pointing"]["rms_px"] <= 0.2
+    session = ImageSession.open(_path(data_dir, met), "new_horizons", catalog=catalog)
+    ours, wcs = _direction(result, camera, session), _wcs_direction(_path(data_dir, met))
+    assert angle_between(ours, wcs) < 0.8 * ARCSEC
+
+
+@pytest.mark.parametrize("met", PROXIMA)
+def test_header_attitude_was_far_off(plain, met):
+    pointing = plain[met]["pointing"]
+    assert np.hypot(pointing["delta_pixel"], pointing["delta_line"]) > 8.0
+    assert abs(pointing["delta_twist_deg"]) > 0.1
+
+
+@pytest.mark.parametrize("met", WOLF)
+def test_single_star_frames_end_partial_with_an_honest_twist(plain, data_dir, met):
+    result = plain[met]
+    assert result["status"] == "partial"
+    assert any("twist" in message for message in result["messages"])
+    assert result["pointing"]["n_stars"] == 1
+    # The true twist, from the WCS (rotation of the line axis), lies within 3 of the stated sigmas.
+    header = fits.getheader(_path(data_dir, met))
+    wcs_twist = np.degrees(np.arctan2(header["CD1_2"], header["CD2_2"])) % 360.0
+    twist_sigma = np.degrees(np.sqrt(result["pointing"]["covariance_rad2"][2][2]))
+    error = (result["pointing"]["twist_deg"] - wcs_twist + 180.0) % 360.0 - 180.0
+    assert twist_sigma > 0.05
+    assert abs(error) < 3.0 * twist_sigma
+
+
+@pytest.mark.parametrize("met", PUBLISHED)
+def test_target_stars_are_where_they_were_published(targeted, met):
+    name, pixel, line, s_pixel, s_line, _, _ = PUBLISHED[met]
+    (body,) = targeted[met]["bodies"]
+    assert body["name"] == name
+    assert abs(body["observed"][0] - pixel) < 2.0 * s_pixel
+    assert abs(body["observed"][1] - line) < 2.0 * s_line
+
+
+def _separation(body: dict[str, Any], met: str) -> SkyCoord:
+    ours = SkyCoord(body["ra_deg"], body["dec_deg"], unit="deg")
+    published = SkyCoord(PUBLISHED[met][5], PUBLISHED[met][6], unit="deg")
+    return np.array([o.to_value("arcsec") for o in published.spherical_offsets_to(ours)])
+
+
+def test_direction_of_proxima(targeted):
+    offsets = np.array([_separation(targeted[met]["bodies"][0], met) for met in PROXIMA])
+    assert np.all(np.hypot(*offsets.T) < 0.6)
+    assert np.hypot(*offsets.mean(axis=0)) < 0.2
+
+
+def test_direction_of_proxima_against_gaia_and_trajectory(targeted):
+    """O-C of the target: published agreement is 0.04 to 0.13 arcsec in the mean of six frames."""
+    residuals = np.array([targeted[met]["bodies"][0]["residual_arcsec"] for met in PROXIMA])
+    assert np.all(np.hypot(*residuals.T) < 0.6)
+    assert np.hypot(*residuals.mean(axis=0)) < 0.3
