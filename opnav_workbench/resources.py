@@ -1,8 +1,19 @@
-"""Where the files that travel with the package stand: in a wheel, or beside the package in a checkout."""
+"""Where files stand: those that travel with the package (wheel or checkout), and the user's cache."""
 
+import os
 from pathlib import Path
 
-__all__ = ["kernels_meta_dir"]
+import platformdirs
+
+__all__ = ["CACHE_VARIABLE", "cache_root", "kernels_meta_dir"]
+
+CACHE_VARIABLE = "OPNAV_CACHE"
+
+
+def cache_root() -> Path:
+    """Return the package's cache folder: ``OPNAV_CACHE`` if set, else the user's."""
+    named = os.environ.get(CACHE_VARIABLE)
+    return Path(named).expanduser().absolute() if named else platformdirs.user_cache_path("opnav_workbench")
 
 
 def kernels_meta_dir() -> Path:

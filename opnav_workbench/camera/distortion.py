@@ -80,8 +80,7 @@ class InverseDistortion(Distortion):
 
 
 def undistort(distortion: Distortion, xy_mm: ArrayLike) -> FloatArray:
-    """Return the ideal coordinates (..., 2) mm of points (..., 2) mm on the detector; nan where there are
-    none.
+    """Return the ideal coordinates (..., 2) mm of points (..., 2) mm on the detector; nan where none are.
 
     Examples
     --------
@@ -263,7 +262,7 @@ def _newton(
     jacobian: Callable[[FloatArray], FloatArray],
     target: FloatArray,
 ) -> FloatArray:
-    """Solve function(x) = target for points (..., 2), from the target on; nan where that does not converge."""
+    """Solve function(x) = target for points (..., 2), from the target on; nan where it does not converge."""
     goal = target.reshape(-1, 2)
     points = goal.copy()
     tolerance = CONVERGED_MM + ROUNDING * np.abs(goal).max(axis=-1, initial=0.0)

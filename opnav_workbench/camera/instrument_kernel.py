@@ -206,7 +206,7 @@ def _check_ifov(pool: Values, focal_mm: float, pitch_mm: float) -> None:
     if abs(stated - computed) > IFOV_TOLERANCE * computed:
         raise CameraError(
             f"IFOV {stated} microrad in the instrument kernel is not PIXEL_SIZE {pitch_mm / MM_PER_UM} um "
-            f"over FOCAL_LENGTH {focal_mm} mm = {computed:.4g} microrad; check the units, or give pixel_from_mm."
+            f"over FOCAL_LENGTH {focal_mm} mm = {computed:.4g} microrad; check units, or give pixel_from_mm."
         )
 
 

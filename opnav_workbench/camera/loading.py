@@ -1,22 +1,24 @@
-"""Camera files: YAML in, the fields of a `Camera` out, with errors that name the file and the field.
+"""Description files: YAML in, a validated model out, with errors that name the file and the field.
 
-One file describes one camera in one readout mode; `opnav_workbench.camera.schema` holds the schema, and the
-files under ``kernels_meta/<mission>/cameras`` are its examples. A number that nobody knows is null.
+One camera file describes one camera in one readout mode. `opnav_workbench.camera.schema` holds its schema,
+and the files under ``kernels_meta/<mission>/cameras`` are its examples. A number that nobody knows is null.
 """
 
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from opnav_workbench.camera.schema import CameraFile
-from opnav_workbench.errors import CameraError
+from opnav_workbench.errors import CameraError, OpNavError
 
-__all__ = ["camera_fields"]
+__all__ = ["camera_fields", "read_model"]
 
 ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def camera_fields(path: str | PathLike[str]) -> dict[str, Any]:
@@ -27,26 +29,44 @@ def camera_fields(path: str | PathLike[str]) -> dict[str, Any]:
     CameraError
         The file cannot be read or breaks the schema.
     """
-    file = Path(path)
+    file = read_model(path, CameraFile, "camera file", CameraError)
     try:
-        data = yaml.safe_load(file.read_text(encoding="utf-8"))
-        return CameraFile.model_validate(data).fields()
-    except (OSError, UnicodeDecodeError) as error:
-        raise CameraError(
-            f"camera file {file} cannot be read: {error}; give the path of a camera YAML."
-        ) from error
-    except yaml.YAMLError as error:
-        raise CameraError(f"camera file {file} is not YAML: {' '.join(str(error).split())}") from error
-    except ValidationError as error:
-        raise CameraError(f"camera file {file}: {_summary(error)}") from error
+        return file.fields()
     except CameraError as error:
-        raise CameraError(f"camera file {file}: {error}") from error
+        raise CameraError(f"camera file {path}: {error}") from error
+
+
+def read_model(path: str | PathLike[str], model: type[Model], what: str, failure: type[OpNavError]) -> Model:
+    """Read a YAML file into a pydantic model.
+
+    Parameters
+    ----------
+    path : path-like
+    model : type
+        The schema.
+    what : str
+        What kind of file this is, for the message.
+    failure : type
+        The error to raise.
+
+    Raises
+    ------
+    OpNavError
+        Of type `failure`: the file cannot be read, is not YAML or breaks the schema.
+    """
+    try:
+        return model.model_validate(yaml.safe_load(Path(path).read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise failure(f"{what} {path} cannot be read: {error}; give the path of a YAML file.") from error
+    except yaml.YAMLError as error:
+        raise failure(f"{what} {path} is not YAML: {' '.join(str(error).split())}") from error
+    except ValidationError as error:
+        raise failure(f"{what} {path}: {_summary(error)}") from error
 
 
 def _summary(error: ValidationError) -> str:
     problems = error.errors()
-    shown = [
-        f"{'.'.join(str(part) for part in p['loc']) or 'file'}: {p['msg']}" for p in problems[:ERRORS_SHOWN]
-    ]
-    more = len(problems) - len(shown)
-    return "; ".join(shown) + (f"; and {more} more" if more > 0 else "")
+    places = [".".join(str(part) for part in problem["loc"]) or "whole file" for problem in problems]
+    texts = [f"{place}: {problem['msg']}" for place, problem in zip(places, problems, strict=True)]
+    more = [f"and {len(texts) - ERRORS_SHOWN} more"] if len(texts) > ERRORS_SHOWN else []
+    return "; ".join(texts[:ERRORS_SHOWN] + more)

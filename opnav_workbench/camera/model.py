@@ -19,17 +19,14 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, readonly
 from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2
+from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
+from opnav_workbench.camera.loading import camera_fields
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.camera.reach import reach_mm
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry.rotations import checked_rotation, unit
 
 __all__ = ["Camera"]
-
-# A distortion polynomial folds back far from the detector; directions out there must not appear on it.
-MIN_SLOPE = 0.1  # smallest stretch d(distorted)/d(ideal) that still belongs to the camera's own branch
-BRANCH_RAYS = 16
-BRANCH_RADII = 200
-BRANCH_MAX_TANGENT = 20.0  # 87 deg from the boresight
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -111,7 +108,7 @@ class Camera:
     aperture_m: float | None = None
     exposure_limits: ExposureLimits | None = None
     source: str = ""
-    _branch_mm: float = field(
+    _reach_mm: float = field(
         init=False, repr=False, default=np.inf
     )  # ideal radius up to which distortion holds
 
@@ -120,10 +117,10 @@ class Camera:
         self._set_array("pixel_from_mm", (2, 2))
         self._set_array("focal_from_camera", (3, 3))
         self._check_values()
-        object.__setattr__(self, "_branch_mm", _branch_radius_mm(self.distortion, self.focal_length_mm))
+        object.__setattr__(self, "_reach_mm", reach_mm(self.distortion, self.focal_length_mm))
         if not np.isfinite(self.unproject(self._corners())).all():
             raise CameraError(
-                f"{self.name}: the distortion folds over inside the detector; check its coefficients and units."
+                f"{self.name}: distortion folds over inside the detector; check its coefficients and units."
             )
 
     def _set_array(self, name: str, shape: tuple[int, ...]) -> None:
@@ -160,10 +157,6 @@ class Camera:
         CameraError
             The file cannot be read or breaks the schema; the message names file and field.
         """
-        from opnav_workbench.camera.loading import camera_fields  # noqa: PLC0415 - it builds on the model's
-
-        parts
-
         return cls(**camera_fields(path))
 
     @classmethod
@@ -185,8 +178,6 @@ class Camera:
         CameraError
             The variables do not determine a camera; the message says which are missing.
         """
-        from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik  # noqa: PLC0415 - as above
-
         return cls(**camera_fields_from_ik(values, instrument_id, **overrides))
 
     def require(self, name: str) -> float:
@@ -200,7 +191,7 @@ class Camera:
         value = getattr(self, name)
         if value is None:
             raise CameraError(
-                f"{self.name}: {name} is not known, and this needs it; give it in the camera file."
+                f"{self.name}: {name} is not known but needed here; give it in the camera file."
             )
         return float(value)
 
@@ -221,7 +212,7 @@ class Camera:
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
 
     def on_detector(self, pixel_line: ArrayLike, margin_px: float = 0.0) -> BoolArray:
-        """Tell for points (..., 2) px whether they fall on a pixel, or within `margin_px` of one (nan: no)."""
+        """Tell for points (..., 2) px whether they fall on a pixel, or `margin_px` near one (nan: no)."""
         points = np.asarray(pixel_line, dtype=np.float64)
         edge = 0.5 + margin_px
         size = np.array([self.n_pixel, self.n_line])
@@ -291,7 +282,7 @@ class Camera:
 
     def _in_reach(self, ideal_mm: FloatArray) -> FloatArray:
         radius = np.hypot(ideal_mm[..., 0], ideal_mm[..., 1])
-        return np.where((radius <= self._branch_mm)[..., None], ideal_mm, np.nan)
+        return np.where((radius <= self._reach_mm)[..., None], ideal_mm, np.nan)
 
     def _rays(self, ideal_mm: FloatArray) -> FloatArray:
         ones = np.ones((*ideal_mm.shape[:-1], 1))
@@ -300,18 +291,3 @@ class Camera:
     def _corners(self) -> FloatArray:
         right, bottom = self.n_pixel - 0.5, self.n_line - 0.5
         return np.array([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
-
-
-def _branch_radius_mm(distortion: Distortion, focal_length_mm: float) -> float:
-    """Ideal radius, mm, up to which distortion maps one to one in every direction; inf where it always does."""
-    radii = focal_length_mm * np.geomspace(1e-3, BRANCH_MAX_TANGENT, BRANCH_RADII)
-    angles = np.linspace(0.0, 2.0 * np.pi, BRANCH_RAYS, endpoint=False)
-    points = radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    with np.errstate(all="ignore"):
-        jacobian = distortion.jacobian(points)
-        half_trace = 0.5 * (jacobian[..., 0, 0] + jacobian[..., 1, 1])
-        half_difference = 0.5 * (jacobian[..., 0, 0] - jacobian[..., 1, 1])
-        shear = 0.5 * (jacobian[..., 0, 1] + jacobian[..., 1, 0])
-        smallest = half_trace - np.hypot(half_difference, shear)  # of the symmetric part's eigenvalues
-    folded = ~(smallest > MIN_SLOPE).all(axis=1)
-    return float(radii[max(int(folded.argmax()) - 1, 0)]) if folded.any() else np.inf

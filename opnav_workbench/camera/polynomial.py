@@ -15,8 +15,7 @@ from opnav_workbench.errors import CameraError
 __all__ = ["ForwardSipDistortion", "LegendreDistortion", "SipDistortion"]
 
 LEGENDRE_DEGREE = 5
-# Degrees (in x, in y) of the MVIC coefficients as the kernel lists them: total degree 1 to 5, x degree
-# rising.
+# Degrees (in x, in y) of the coefficients as the kernel lists them: total degree 1 to 5, x degree rising.
 LEGENDRE_TERMS = tuple((i, n - i) for n in range(1, LEGENDRE_DEGREE + 1) for i in range(n + 1))
 SIP_MAX_ORDER = 9  # the SIP convention's own limit
 

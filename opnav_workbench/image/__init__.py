@@ -1,1 +1,33 @@
+"""Pictures: files read into a `Frame` with masks, time and header pointing; the sky's level and noise.
 
+reading       `read_image`: FITS, VICAR or PDS3 by content, every failure one line
+keywords      `KeywordMap`: which header keywords hold what
+masks         what quality bits mean, as data
+background    level and noise of the sky, robust against stars and a resolved body
+heliocentric  from the Sun to the barycenter without kernels
+"""
+
+from opnav_workbench.image.background import Background, estimate_background
+from opnav_workbench.image.frame import Frame, Header, HeaderGeometry, HeaderValue
+from opnav_workbench.image.heliocentric import barycentric_from_heliocentric
+from opnav_workbench.image.keywords import KeywordMap
+from opnav_workbench.image.masks import QUALITY_TABLES, QualityBit, QualityTable, read_quality
+from opnav_workbench.image.noise import pixel_noise
+from opnav_workbench.image.reading import read_image
+
+__all__ = [
+    "QUALITY_TABLES",
+    "Background",
+    "Frame",
+    "Header",
+    "HeaderGeometry",
+    "HeaderValue",
+    "KeywordMap",
+    "QualityBit",
+    "QualityTable",
+    "barycentric_from_heliocentric",
+    "estimate_background",
+    "pixel_noise",
+    "read_image",
+    "read_quality",
+]

@@ -1,9 +1,8 @@
 """Sky background and its noise, from the tiles of a coarse mesh.
 
 Flow    picture -> tiles -> clipped level and noise of each -> tiles that show the sky -> every pixel
-Body    a robust surface through the tiles tells sky from a resolved body, whose tiles take the surface's value
-Source  the mesh is that of SExtractor (Bertin & Arnouts 1996, doi:10.1051/aas:1996164); the robust surface is least
-        trimmed squares with concentration steps (Rousseeuw & Van Driessen 2006, doi:10.1007/s10618-005-0024-4)
+Body    a robust surface through the tiles tells the sky from a resolved body, whose tiles take its value
+Source  the mesh is SExtractor's: Bertin & Arnouts (1996), doi:10.1051/aas:1996164
 """
 
 from dataclasses import dataclass
@@ -50,7 +49,9 @@ class Background:
         freeze_arrays(self)
 
 
-def estimate_background(image_dn: ArrayLike, bad: ArrayLike | None = None, box_px: int = DEFAULT_BOX_PX) -> Background:
+def estimate_background(
+    image_dn: ArrayLike, bad: ArrayLike | None = None, box_px: int = DEFAULT_BOX_PX
+) -> Background:
     """Estimate the sky level and its noise in every pixel of a picture.
 
     Parameters
@@ -73,8 +74,8 @@ def estimate_background(image_dn: ArrayLike, bad: ArrayLike | None = None, box_p
 
     Notes
     -----
-    Bodies may fill about a third of the picture. Where more than half of the tiles show a body, the body is taken
-    for the sky: mask it with `bad`.
+    Bodies may fill about a third of the picture. Where more than half of the tiles show a body, the body
+    is taken for the sky: mask it with `bad`.
 
     Examples
     --------
@@ -94,18 +95,24 @@ def estimate_background(image_dn: ArrayLike, bad: ArrayLike | None = None, box_p
 
 
 def _masked(image_dn: ArrayLike, bad: ArrayLike | None) -> tuple[FloatArray, float, float]:
-    """Return a copy with nan in the masked pixels, the step of its values (whole numbers: 1) and the least noise."""
+    """Return a copy with nan in masked pixels, the step of its values (whole numbers: 1), the least noise."""
     image = np.array(image_dn, dtype=np.float64)
     if image.ndim != 2 or image.size == 0:
-        raise ImageError(f"a background needs a picture of lines and pixels, not an array of shape {image.shape}.")
+        raise ImageError(
+            f"a background needs a picture of lines and pixels, not an array of shape {image.shape}."
+        )
     masked = ~np.isfinite(image)
     if bad is not None:
         masked |= np.asarray(bad, dtype=bool)
     if masked.all():
-        raise ImageError(f"all {image.size} pixels are masked: no background; check the bad-pixel mask and the file.")
+        raise ImageError(
+            f"all {image.size} pixels are masked: no background; check the bad-pixel mask and the file."
+        )
     values = image[~masked]
     if values.min() == values.max():
-        raise ImageError(f"all {values.size} usable pixels hold the value {values[0]:g}: an empty or lost picture.")
+        raise ImageError(
+            f"all {values.size} usable pixels hold the value {values[0]:g}: an empty or lost picture."
+        )
     image[masked] = np.nan
     if np.array_equal(values, np.rint(values)):
         return image, 1.0, UNIFORM_SIGMA

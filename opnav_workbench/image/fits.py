@@ -1,27 +1,34 @@
 """FITS pictures: image, error and quality planes, each checked for its full length before it is read.
 
-Source: FITS Standard 4.0. The data of a FITS file are big-endian; what leaves here is native float64.
+Source: FITS Standard 4.0. The data of a FITS file are big-endian; `Frame` makes native float64 of them.
 """
 
 import io
 from typing import Any, TypeAlias
 
-import numpy as np
 from astropy.io import fits
 from astropy.io.fits.card import Undefined
-from numpy.typing import NDArray
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.image.frame import HeaderValue
 from opnav_workbench.image.keywords import KeywordMap
-from opnav_workbench.image.source import Source, image_error, plain, single_plane, truncated
+from opnav_workbench.image.source import Source, image_error, plain, truncated
 
 __all__ = ["is_fits", "read_fits"]
 
 Extension: TypeAlias = str | int
 COMMENTARY = frozenset({"", "COMMENT", "HISTORY", "END", "CONTINUE"})
 # What astropy raises on files that break the standard.
-MALFORMED = (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, MemoryError, fits.VerifyError)
+MALFORMED = (
+    OSError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    MemoryError,
+    fits.VerifyError,
+)
 
 
 def is_fits(data: bytes) -> bool:
@@ -35,24 +42,71 @@ def read_fits(name: str, data: bytes, keywords: KeywordMap) -> Source:
     Raises
     ------
     ImageError
-        The file is truncated or malformed, or has no picture or a plane of another size than the picture.
+        The file is truncated or malformed, or has no picture.
     """
     try:
         with fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as hdus:
-            return _read_planes(name, data, hdus, keywords)
+            for index, hdu in enumerate(hdus):
+                _check_length(name, len(data), hdu, index)
+            return _read_planes(name, hdus, keywords)
     except MALFORMED as error:
-        if len(data) % BLOCK:
-            ...
         raise image_error(name, f"damaged FITS file ({error}); copy or download it again.") from error
 
 
-def _read_planes(name: str, data: bytes, hdus: Any, keywords: KeywordMap) -> Source:
+def _check_length(name: str, available: int, hdu: Any, index: int) -> None:
+    """Refuse a short data section, of which astropy would only warn."""
+    start, size = hdu.fileinfo()["datLoc"], hdu.size
+    if start + size > available:
+        what = f"extension {index} ({hdu.name})" if index else "the data section"
+        raise truncated(name, what, max(available - start, 0), size)
+
+
+def _read_planes(name: str, hdus: Any, keywords: KeywordMap) -> Source:
     picture = _picture(name, hdus, keywords.image_extension)
-    image = single_plane(name, _values(name, data, hdus[picture], "the image"))
     header = _header(hdus[0].header) | _header(hdus[picture].header)
-    messages: list[str] = []
-    planes = {}
+    planes: dict[str, Any] = {}
+    messages = []
     for what, wanted in (("error", keywords.error_extension), ("quality", keywords.quality_extension)):
-        planes[what] = _plane(name, data, hdus, wanted, what, image.shape, messages)
-    quality = planes["quality"]
-    return Source(image, header, planes["error"], None if quality is None else _whole(quality), tuple(messages))
+        index = None if wanted is None else _find(hdus, wanted)
+        planes[what] = None if index is None else hdus[index].data
+        if wanted is not None and planes[what] is None:
+            messages.append(f"no {what} plane: FITS extension {wanted!r} is not among {_names(hdus)}")
+    return Source(hdus[picture].data, header, **planes, messages=tuple(messages))
+
+
+def _picture(name: str, hdus: Any, wanted: Extension | None) -> int:
+    """Return the index of the picture: the one named, else the first extension with lines and pixels."""
+    if wanted is not None:
+        index = _find(hdus, wanted)
+        if index is None:
+            raise image_error(name, f"no picture in a FITS extension {wanted!r}; there are {_names(hdus)}.")
+        return index
+    for index, hdu in enumerate(hdus):
+        if hdu.is_image and len(hdu.shape) >= 2:
+            return index
+    raise image_error(
+        name, f"no two-dimensional picture among its extensions {_names(hdus)}; choose an image file."
+    )
+
+
+def _find(hdus: Any, wanted: Extension) -> int | None:
+    """Return the index of an image extension by name or index, None where there is none."""
+    try:
+        index = int(hdus.index_of(wanted))
+    except KeyError:
+        return None
+    return index if 0 <= index < len(hdus) and hdus[index].is_image else None
+
+
+def _names(hdus: Any) -> str:
+    return ", ".join(f"{index} {hdu.name!r}" for index, hdu in enumerate(hdus))
+
+
+def _header(header: Any) -> dict[str, HeaderValue]:
+    """Return a FITS header as plain values, without comments and undefined cards; of equals the first."""
+    values: dict[str, HeaderValue] = {}
+    for card in header.cards:
+        value = None if card.keyword in COMMENTARY or isinstance(card.value, Undefined) else plain(card.value)
+        if value is not None:
+            values.setdefault(card.keyword, value)
+    return values

@@ -92,7 +92,9 @@ class KeywordMap:
 
     def __post_init__(self) -> None:
         for name, choices in CHOICES.items():
-            _refuse_unless(getattr(self, name) in choices, name, getattr(self, name), "one of " + ", ".join(choices))
+            _refuse_unless(
+                getattr(self, name) in choices, name, getattr(self, name), "one of " + ", ".join(choices)
+            )
         for name, length in LENGTHS.items():
             value = getattr(self, name)
             good = value is None or (not isinstance(value, str) and len(value) == length)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray
+from opnav_workbench.image.source import counted
 
 __all__ = ["QUALITY_TABLES", "QualityBit", "QualityTable", "read_quality"]
 
@@ -39,10 +40,10 @@ QUALITY_TABLES = MappingProxyType(
     {
         # Every set bit makes the pixel bad: for planes that nobody has described.
         "any_nonzero": QualityTable(bits=()),
-        # Bit 16: New Horizons SOC to Instrument Pipeline ICD (05310-SOCINST-01), LORRI: raw value 4095; in flight
-        # frames the flagged pixels stand at 4095 minus the bias. Bit 32: the first 34 pixels of line 0 in every
-        # frame, which carry housekeeping (same ICD), and pixels lost in telemetry. The other bits stand for
-        # defects, and the instrument's hot and dead pixel maps are empty: unknown, hence bad.
+        # New Horizons SOC to Instrument Pipeline ICD (05310-SOCINST-01), LORRI. Bit 16: raw value 4095; in
+        # flight frames the flagged pixels stand at 4095 minus the bias. Bit 32: the first 34 pixels of line 0
+        # of every frame, which carry housekeeping, and pixels lost in telemetry. Other bits stand for
+        # defects, and the instrument's hot and dead pixel maps are empty: not known here, hence bad.
         "new_horizons_lorri": QualityTable(
             bits=(
                 QualityBit(16, "saturated in the raw data (4095 DN)", "saturated"),
@@ -87,7 +88,7 @@ def read_quality(quality: ArrayLike, table: QualityTable) -> tuple[BoolArray, Bo
     flags = np.asarray(quality).astype(np.int64)
     missing = np.zeros(flags.shape, bool) if table.missing is None else flags == table.missing
     flags = np.where(missing, 0, flags)
-    masks: dict[Effect, BoolArray] = {e: np.zeros(flags.shape, bool) for e in ("bad", "saturated", "usable")}
+    masks: dict[str, BoolArray] = {e: np.zeros(flags.shape, bool) for e in ("bad", "saturated", "usable")}
     found = [("no data", missing, "bad")] if table.missing is not None else []
     found += [(bit.meaning, (flags & bit.value) != 0, bit.effect) for bit in table.bits]
     known = sum(bit.value for bit in table.bits)
@@ -96,9 +97,5 @@ def read_quality(quality: ArrayLike, table: QualityTable) -> tuple[BoolArray, Bo
     for meaning, where, effect in found:
         masks[effect] |= where
         if count := int(np.count_nonzero(where)):
-            messages.append(f"quality plane: {_pixels(count)} {meaning}")
+            messages.append(f"quality plane: {counted(count, 'pixel')}, {meaning}")
     return masks["bad"], masks["saturated"], tuple(messages)
-
-
-def _pixels(count: int) -> str:
-    return f"{count} pixel{'s' if count != 1 else ''}:"

@@ -4,9 +4,10 @@ The cost is one sort per tile; after it, clipping only moves two indices, and su
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
 
@@ -51,7 +52,7 @@ class Mesh:
         return len(self.line_start), len(self.pixel_start)
 
     def centers(self) -> FloatArray:
-        """Return the tile centers (k_line * k_pixel, 2) as (pixel, line), scaled to -1..1 over the picture."""
+        """Return the tile centers (k, 2) as (pixel, line), scaled to -1..1 over the picture."""
         line = _unit_interval(self.line_start + (self.tile_line - 1) / 2.0, self.shape[0])
         pixel = _unit_interval(self.pixel_start + (self.tile_pixel - 1) / 2.0, self.shape[1])
         grid_line, grid_pixel = np.meshgrid(line, pixel, indexing="ij")
@@ -77,11 +78,11 @@ def _divide(length: int, box_px: int) -> tuple[IntArray, int]:
     return np.linspace(0, length - size, count).round().astype(np.int64), size
 
 
-def _unit_interval(position: FloatArray, length: int) -> FloatArray:
+def _unit_interval(position: NDArray[np.floating[Any]], length: int) -> FloatArray:
     return np.asarray((2.0 * position - (length - 1)) / max(length - 1, 1))
 
 
-def _linear_weights(nodes: FloatArray, length: int) -> FloatArray:
+def _linear_weights(nodes: NDArray[np.floating[Any]], length: int) -> FloatArray:
     """Return the matrix (length, k) that interpolates node values at 0..length-1, linearly extended."""
     weights = np.zeros((length, len(nodes)))
     if len(nodes) == 1:
@@ -108,11 +109,11 @@ def tiles_of(image: FloatArray, mesh: Mesh) -> FloatArray:
 
 
 def clipped_statistics(tiles: FloatArray, step_dn: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Return the level and the noise (k,) of tiles (k, n) in which nan marks a masked pixel; nan where too few remain.
+    """Return level and noise (k,) of tiles (k, n); nan marks a masked pixel, and a tile with too few others.
 
-    The level is the mean of what lies within two sigma of itself, the noise the standard deviation within three,
-    corrected for the cut: both hold where stars or a limb add a bright tail. `step_dn` is the step of whole-number
-    pictures; no window is narrower than its neighbours, or a quiet sky would show no noise at all.
+    The level is the mean of what lies within two sigma of itself, the noise the standard deviation within
+    three, corrected for the cut: both hold where stars or a limb add a bright tail. `step_dn` is the step of
+    a whole-number picture; no window leaves out the neighbours, or a quiet sky would show no noise at all.
     """
     ordered = np.sort(tiles, axis=1)  # nan goes last
     count = np.asarray(np.count_nonzero(~np.isnan(ordered), axis=1), np.int64)
@@ -138,7 +139,7 @@ def _clip(tiles: "_SortedTiles", step_dn: float) -> tuple[FloatArray, FloatArray
 
 
 class _SortedTiles:
-    """Sorted tiles with running sums, so that the moments within any window cost two binary searches a tile."""
+    """Sorted tiles with running sums: the moments within any window cost two binary searches a tile."""
 
     def __init__(self, ordered: FloatArray, count: IntArray) -> None:
         self.ordered = ordered

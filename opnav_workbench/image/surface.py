@@ -1,6 +1,7 @@
 """A smooth surface through scattered values of which up to nearly half may be wrong: least trimmed squares.
 
-Source: Rousseeuw & Van Driessen (2006), "Computing LTS Regression for Large Data Sets", doi:10.1007/s10618-005-0024-4.
+Source: Rousseeuw & Van Driessen (2006), "Computing LTS Regression for Large Data Sets",
+doi:10.1007/s10618-005-0024-4.
 """
 
 import numpy as np
@@ -68,7 +69,7 @@ def _least_trimmed_squares(basis: FloatArray, values: FloatArray) -> tuple[Float
 
 
 def _starts(values: FloatArray, terms: int) -> list[IntArray]:
-    """Return subsets to begin with: everything, the fainter half (the sky is the darkest thing), and random ones."""
+    """Return subsets to begin with: everything, the fainter half (bodies are bright), and random ones."""
     rng = np.random.default_rng(SEED)
     order = np.argsort(values)
     random = np.argsort(rng.random((RANDOM_STARTS, len(values))), axis=1)[:, :terms]
@@ -76,7 +77,7 @@ def _starts(values: FloatArray, terms: int) -> list[IntArray]:
 
 
 def _solve(basis: FloatArray, values: FloatArray) -> FloatArray:
-    """Least squares of many subsets at once: basis (s, h, terms), values (s, h) to coefficients (s, terms)."""
+    """Solve many subsets at once: basis (s, h, terms) and values (s, h) to coefficients (s, terms)."""
     transposed = np.swapaxes(basis, 1, 2)
     normal = transposed @ basis + RIDGE * np.eye(basis.shape[2])
     return np.asarray(np.linalg.solve(normal, transposed @ values[..., None])[..., 0])

@@ -1,6 +1,7 @@
 """Mid-exposure times from header values, without kernels.
 
-Source: IAU scales through astropy/ERFA; they agree with SPICE's to 0.05 ms, as SPICE keeps one term of TDB - TT.
+Source: IAU time scales through astropy/ERFA. They agree with SPICE's to 0.05 ms, as SPICE keeps one term of
+TDB - TT.
 """
 
 import re
@@ -26,8 +27,8 @@ def et_from_text(utc: str) -> float:
 
     Examples
     --------
-    >>> round(et_from_text("2000-01-01T11:58:55.816"), 3)
-    0.0
+    >>> round(et_from_text("2020-113T10:06:52.348Z"), 3)
+    640822081.534
     """
     text = utc.strip().removesuffix("Z").removesuffix("UTC").strip()
     if not CLOCK.search(text):

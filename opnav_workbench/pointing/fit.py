@@ -197,7 +197,7 @@ def _linearize(
 
 
 def _twist_prior(stars: Sightings, attitude: FloatArray, used: BoolArray, excess: float) -> float | None:
-    """Sigma of the a priori twist where it must enter, infinity where the stars do better, None out of sight."""
+    """Sigma of the a priori twist where it must enter, infinity where stars do better, None out of sight."""
     in_camera = stars.directions[used] @ attitude.T
     along_axes = attitude_jacobian(stars.camera, in_camera) @ stars.camera.focal_from_camera.T
     if not np.all(np.isfinite(along_axes)):

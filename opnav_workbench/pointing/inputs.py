@@ -1,4 +1,4 @@
-"""What a caller gives to `solve_pointing`, checked, and sorted into stars that can be used and reasons why not."""
+"""What a caller gives to `solve_pointing`, checked, and sorted into usable stars and reasons why not."""
 
 from dataclasses import dataclass
 

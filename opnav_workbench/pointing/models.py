@@ -1,4 +1,4 @@
-"""Two characterizations of a step from one attitude to the next (AAS 13-443, "Spacecraft Repointing Solution").
+"""Two characterizations of a step between attitudes (AAS 13-443, "Spacecraft Repointing Solution").
 
 euler        three successive rotations about the camera's pixel, line and boresight axes, applied to the
              current attitude: the Euler angles of the camera-to-inertial rotation, taken where no pole of
@@ -88,7 +88,7 @@ class ImagePlane:
 
     @property
     def handedness(self) -> float:
-        """+1, or -1 for a mirrored picture: turning pixel into line is then a negative turn about the boresight."""
+        """+1, or -1 where turning the picture from pixel to line is a negative turn about the boresight."""
         focal, plane = self.camera.focal_from_camera, self.camera.pixel_from_mm
         return float(np.sign(np.linalg.det(focal) * np.linalg.det(plane)))
 

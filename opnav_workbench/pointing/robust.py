@@ -118,7 +118,7 @@ def _closest(distance: FloatArray, count: int) -> BoolArray:
 
 
 def _consensus(stars: Sightings, model: StepModel) -> tuple[FloatArray, BoolArray] | None:
-    """Attitude and majority of stars with the least trimmed sum of squares; None where no pair proposes one."""
+    """Attitude and majority of stars with the least trimmed sum of squares; None without proposals."""
     proposals = _pair_attitudes(stars)
     majority = len(stars) // 2 + 1
     seen = stars.camera.project((proposals @ stars.directions.T).transpose(0, 2, 1).reshape(-1, 3))

@@ -110,9 +110,11 @@ def solve_pointing(
 
 
 def _solve(given: Given, model: Model) -> tuple[Selection, Fit]:
-    """Choose the stars, then fit them from the a priori attitude on: these are the steps that are reported."""
+    """Choose the stars, then fit them from the a priori attitude on: those steps are reported."""
     stars, steps = given.sightings, MODELS[model](given.sightings.camera)
     selection = select_stars(stars, steps)
+    if selection is not None and selection.fit.path[0] is stars.a_priori:
+        return selection, selection.fit
     if selection is not None:
         fit = fit_attitude(stars, steps, stars.a_priori, selection.used, selection.excess_sigma_px)
         if fit is not None:
@@ -169,7 +171,8 @@ def _messages(selection: Selection, fit: Fit) -> tuple[str, ...]:
         messages.append(f"{rejected} of {len(selection.used)} stars rejected as outliers")
     if selection.ambiguous:
         messages.append(
-            "three stars disagree, and it cannot be told which one is wrong: all are used; check their identification"
+            "three stars disagree, and it cannot be told which one is wrong: all are used; "
+            "check their identification"
         )
     return tuple(message for message in messages if message)
 
@@ -189,9 +192,10 @@ def _twist_message(n_used: int, fit: Fit) -> str:
 def _excess_message(selection: Selection, fit: Fit) -> str:
     if selection.excess_sigma_px == 0.0:
         return ""
+    chi2, freedom = _short(fit.linear.chi2(0.0)), fit.linear.freedom
     return (
-        f"residuals exceed their covariances (chi-squared {_short(fit.linear.chi2(0.0))} for {fit.linear.freedom} "
-        f"degrees of freedom, probability {probability(fit.linear):.1g}): an excess centering error of "
+        f"residuals exceed their covariances (chi-squared {chi2} for {freedom} degrees of freedom, "
+        f"probability {probability(fit.linear):.1g}): an excess centering error of "
         f"{selection.excess_sigma_px:.3f} px is added to every star"
     )
 

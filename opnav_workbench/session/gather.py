@@ -91,7 +91,7 @@ def _et(context: Context) -> float:
 def _observer(context: Context, et: float) -> Observer:
     kernels = KernelSet.active()
     spacecraft = context.mission.spacecraft_id
-    if kernels is not None and kernels.has_state(spacecraft):
+    if kernels is not None and any(c.body == spacecraft for c in kernels.coverage("SPK")):
         return observer_from_kernels(spacecraft, et)
     return observer_from_header(context.frame, et)
 
@@ -138,6 +138,4 @@ def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:
             f"target {name}: it is not in the target star list, and no kernels are loaded; give kernels that "
             "cover the body (--kernels) or a star list (--target-stars)."
         )
-    target = body_target(name, context.mission.spacecraft_id, inputs.et)
-    magnitude = context.mission.target_magnitudes.get(name)
-    return target if magnitude is None else replace(target, magnitude=magnitude)
+    return context.mission.with_magnitude(body_target(name, context.mission.spacecraft_id, inputs.et))

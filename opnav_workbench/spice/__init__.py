@@ -6,9 +6,9 @@ its remedy.
 """
 
 from opnav_workbench.spice.attitude import body_attitude, body_frame, camera_attitude
-from opnav_workbench.spice.cache import cache_root
 from opnav_workbench.spice.coverage import Coverage
 from opnav_workbench.spice.files import KernelFile
+from opnav_workbench.spice.guard import toolkit_version
 from opnav_workbench.spice.instrument import instrument_values
 from opnav_workbench.spice.kernels import KernelSet
 from opnav_workbench.spice.sources import known_names
@@ -25,7 +25,6 @@ __all__ = [
     "body_id",
     "body_name",
     "body_radii_km",
-    "cache_root",
     "camera_attitude",
     "et_from_sclk",
     "et_from_utc",
@@ -33,5 +32,6 @@ __all__ = [
     "known_names",
     "sclk_from_et",
     "state",
+    "toolkit_version",
     "utc_from_et",
 ]

@@ -8,23 +8,15 @@ import tempfile
 import time
 from pathlib import Path
 
-import platformdirs
-
 import opnav_workbench
 from opnav_workbench.errors import KernelError
+from opnav_workbench.resources import CACHE_VARIABLE, cache_root
 
-__all__ = ["CACHE_VARIABLE", "cache_root", "scenario_metakernel"]
+__all__ = ["scenario_metakernel"]
 
-CACHE_VARIABLE = "OPNAV_CACHE"
 BUILDING = ".building-"
 STALE_BUILD_S = 86_400.0  # a build takes seconds to minutes; what is a day old was killed
 HASH_DIGITS = 12
-
-
-def cache_root() -> Path:
-    """Return the package's cache folder: ``OPNAV_CACHE`` if set, else the user's."""
-    named = os.environ.get(CACHE_VARIABLE)
-    return Path(named).absolute() if named else platformdirs.user_cache_path("opnav_workbench")
 
 
 def scenario_metakernel(name: str, scenario: Path) -> Path:
@@ -63,9 +55,8 @@ def scenario_metakernel(name: str, scenario: Path) -> Path:
 
 
 def _build(scenario: Path, folder: Path) -> None:
-    from opnav_workbench.spice.make import make_kernels  # here: the builder itself loads kernels  # noqa:
-
-    PLC0415
+    # Imported here because the builder itself opens kernel sets.
+    from opnav_workbench.spice.make import make_kernels  # noqa: PLC0415
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     _remove_stale(folder.parent)

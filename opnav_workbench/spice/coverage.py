@@ -1,4 +1,4 @@
-"""What the loaded kernels cover: SPK windows per body, CK windows per structure, and a frame's chain of CKs."""
+"""What the loaded kernels cover: SPK windows per body, CK windows per structure, a frame's chain of CKs."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

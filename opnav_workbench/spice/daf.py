@@ -150,7 +150,7 @@ def _fault(segment: Segment, words: FloatArray, kind: str, *, deep: bool) -> str
 
 
 def _chebyshev_holds(values: FloatArray) -> bool:
-    """SPK and PCK types 2, 3: equal records (midpoint, radius, coefficients), then start, step, size, count."""
+    """SPK, PCK types 2, 3: equal records (midpoint, radius, coefficients); then start, step, size, count."""
     start, step, size, count = values[-4:]
     if not (size >= 3 and count >= 1 and size % 1 == count % 1 == 0 and size * count + 4 == len(values)):
         return False

@@ -84,14 +84,12 @@ def _looked(look: Look | None, detail: str, request: Request) -> tuple[str, str]
 
 def _ephemeris_gap(et: float, bodies: Iterable[str | int], detail: str) -> tuple[str, str] | None:
     """Name the bodies without coverage; SPICE may have stopped at one that the caller did not name."""
-    stopped_at = [int(n) for n in re.findall(r"(?:state of|relative to) (-?\d+)", detail)]
-    numbers = dict.fromkeys([_number(b) for b in bodies] + stopped_at)
+    stopped_at = re.findall(r"(?:state of|relative to) (-?\d+)", detail)
+    numbers = dict.fromkeys(_number(b) for b in (*bodies, *stopped_at))
     windows = [windows_of("SPK", n) for n in numbers if n is not None and n != SOLAR_SYSTEM_BARYCENTER]
     missing = [w for w in windows if not w.contains(et)]
     if missing:
-        cause = "; ".join(
-            f"no loaded SPK holds {_body_text(w)} then ({_windows_text(w, et)})" for w in missing
-        )
+        cause = ", and ".join(_spk_gap_text(w, et) for w in missing)
         return (
             cause,
             f"load an SPK that covers {' and '.join(_body_text(w) for w in missing)} at {time_text(et)}",
@@ -103,6 +101,12 @@ def _ephemeris_gap(et: float, bodies: Iterable[str | int], detail: str) -> tuple
     )
 
 
+def _spk_gap_text(window: Coverage, et: float) -> str:
+    if not window.paths:
+        return f"no loaded SPK holds {_body_text(window)}"
+    return f"outside the loaded SPKs of {_body_text(window)}, which cover {_windows_text(window, et)}"
+
+
 def _attitude_gap(et: float, frame: str) -> tuple[str, str] | None:
     for structure in ck_structures(spiceypy.namfrm(frame)):
         clock = spiceypy.ckmeta(structure, "SCLK")
@@ -110,8 +114,8 @@ def _attitude_gap(et: float, frame: str) -> tuple[str, str] | None:
             return f"the spacecraft clock {clock} is unknown", f"add the SCLK kernel of clock {clock}"
         window = windows_of("CK", structure)
         if not window.paths:
-            named = f"CK structure {_body_text(window)}"
-            return f"no loaded CK holds {named}", f"load a CK that covers {structure} at {time_text(et)}"
+            cause = f"no loaded CK holds the structure {_body_text(window)}"
+            return cause, f"load a CK that covers it at {time_text(et)}"
         if not window.contains(et):
             return (
                 f"outside the loaded CKs of {_body_text(window)}, which cover {_windows_text(window, et)}",
@@ -127,8 +131,6 @@ def _body_text(window: Coverage) -> str:
 def _windows_text(window: Coverage, et: float) -> str:
     """Show the windows nearest to a time, in order."""
     spans = window.intervals_et
-    if not len(spans):
-        return "covers nothing"
     distance = np.maximum(spans[:, 0] - et, et - spans[:, 1])
     nearest = np.sort(np.argsort(distance, kind="stable")[:SHOWN_WINDOWS])
     shown = ", ".join(f"{_stamp(start)} to {_stamp(stop)}" for start, stop in spans[nearest])

@@ -1,4 +1,4 @@
-"""One kernel file: its kind by its content, its wholeness and its checksum, each found once per file state."""
+"""One kernel file: its kind by its content, its wholeness, its checksum; each found once per file state."""
 
 import functools
 import re
@@ -68,7 +68,7 @@ def segments(path: Path) -> tuple[Segment, ...]:
 
 
 def looks_like_kernel(path: Path) -> bool:
-    """Tell whether a file of a folder is meant as a kernel, by suffix or content; labels and notes are not."""
+    """Tell whether a file of a folder is meant as a kernel, by suffix or content; labels, notes are not."""
     if path.suffix.lower() in SUFFIX_KINDS:
         return True
     with path.open("rb") as stream:

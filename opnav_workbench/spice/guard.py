@@ -1,4 +1,4 @@
-"""The one door to spiceypy: takes the lock, asks for kernels where they are needed, and fails in clear words."""
+"""The one door to spiceypy: takes the lock, asks for kernels where needed, and fails in clear words."""
 
 import contextlib
 import math
@@ -10,7 +10,7 @@ from opnav_workbench.errors import KernelError
 from opnav_workbench.spice import pool
 from opnav_workbench.spice.explain import Request, explanation
 
-__all__ = ["Request", "spice_call"]
+__all__ = ["Request", "spice_call", "toolkit_version"]
 
 NO_KERNELS = "no kernels are loaded; open some: with KernelSet('mission/name'): ..., or give it kernel paths."
 
@@ -44,3 +44,9 @@ def spice_call(request: Request | str, *, needs_kernels: bool = False) -> Iterat
         except spiceypy.SpiceyError as error:
             spiceypy.reset()
             raise KernelError(explanation(error, asked)) from error
+
+
+def toolkit_version() -> str:
+    """Return the version of the SPICE toolkit, such as ``CSPICE_N0067``."""
+    with pool.LOCK:
+        return str(spiceypy.tkvrsn("TOOLKIT"))

@@ -1,6 +1,7 @@
 """Kernel sets: SPICE kernels opened for a block of code, and everything back as it was afterwards."""
 
 import contextlib
+import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -60,8 +61,8 @@ class KernelSet:
     """
 
     def __init__(self, source: Source | Sequence[Source], *, extra: Sequence[Source] = ()) -> None:
-        sources = list(source) if isinstance(source, Sequence) and not isinstance(source, str) else [source]
-        self._files = resolve([*cast("list[Source]", sources), *extra])
+        sources = [source] if isinstance(source, str | os.PathLike) else list(source)
+        self._files = resolve([*sources, *extra])
         self._windows: dict[tuple[object, ...], Coverage] = {}
 
     def __repr__(self) -> str:
@@ -84,7 +85,8 @@ class KernelSet:
     def __enter__(self) -> Self:
         with spice_call("opening kernels"):
             thread = threading.get_ident()
-            if pool.opened and pool.opened[-1].thread != thread:
+            running = {t.ident for t in threading.enumerate()} - {thread}
+            if pool.opened and pool.opened[-1].thread in running:
                 self._join(pool.opened[-1], thread)
             else:
                 before = pool.capture()
@@ -145,7 +147,7 @@ class KernelSet:
             return tuple(c for k in kinds for c in cover.loaded_windows(k))
 
     def coverage_table(self) -> QTable:
-        """Return `coverage` as a table, a row per window: kind, body, name, start, stop (et s, UTC), files."""
+        """Return `coverage` as a table, a row per window: kind, body, name, start, stop (s, UTC), files."""
         rows = [(c, start, stop) for c in self.coverage() for start, stop in c.intervals_et.tolist()]
         with self._call(Request("coverage")):
             utc = [[time_text(t).removesuffix(" UTC") for t in (start, stop)] for _, start, stop in rows]

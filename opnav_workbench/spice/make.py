@@ -17,7 +17,7 @@ import spiceypy
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import KernelError
 from opnav_workbench.spice import assignments as to
-from opnav_workbench.spice.guard import spice_call
+from opnav_workbench.spice.guard import Request, spice_call
 from opnav_workbench.spice.kernels import KernelSet
 from opnav_workbench.spice.scenario import Scenario, load_scenario
 from opnav_workbench.spice.steering import disturbed, window_attitudes
@@ -153,8 +153,9 @@ class _Builder:
 
     def _ck(self, name: str, et: FloatArray, camera_from_j2000: FloatArray, starts: Iterable[int]) -> None:
         bus = self.scenario.spacecraft.frame
-        with spice_call(f"mounting of {self.scenario.pointing.instrument}"):
-            bus_from_camera = spiceypy.pxform(self.scenario.pointed_instrument.frame, bus.name, et[0])
+        frame = self.scenario.pointed_instrument.frame
+        with spice_call(Request(f"mounting of {frame}", float(et[0]), frame=frame), needs_kernels=True):
+            bus_from_camera = spiceypy.pxform(frame, bus.name, et[0])
         write_ck(
             self.folder / name,
             bus.id,

@@ -19,8 +19,8 @@ from opnav_workbench.spice.scenario_parts import (
     FixedFrame,
     Instrument,
     Pointing,
-    Span,
     Spacecraft,
+    Span,
     Strict,
     Trajectory,
 )

@@ -20,6 +20,7 @@ __all__ = ["known_names", "resolve"]
 
 LONGEST_PATH_BYTES = 255  # CSPICE: N0067, FURNSH
 NAME_SUFFIXES = (".tm", ".yaml")  # a metakernel wins over a scenario of the same name
+SCENARIO_KEY = "trajectories:"  # required in scenarios, unknown elsewhere
 CONTINUED = "+"  # ends a pool string whose rest follows in the next one
 META_VARIABLES = ("KERNELS_TO_LOAD", "PATH_VALUES", "PATH_SYMBOLS")
 
@@ -61,15 +62,21 @@ def resolve(sources: Sequence[Source]) -> tuple[KernelFile, ...]:
 def known_names() -> tuple[str, ...]:
     """Return the names "mission/name" that kernels_meta offers."""
     folder = kernels_meta_dir()
-    files = (p for p in folder.rglob("*") if p.suffix in NAME_SUFFIXES)
+    files = [*folder.glob("*/*.tm"), *(p for p in folder.glob("*/*.yaml") if _is_scenario(p))]
     return tuple(sorted({p.relative_to(folder).with_suffix("").as_posix() for p in files}))
+
+
+def _is_scenario(path: Path) -> bool:
+    """Tell a scenario from the mission and star files that stand beside it."""
+    return any(line.startswith(SCENARIO_KEY) for line in path.read_text(encoding="utf-8").splitlines())
 
 
 def _entries(source: Source) -> Iterator[KernelFile | _Missing]:
     if isinstance(source, str) and source in known_names():
         yield from _expand(_named(source), named=True)
         return
-    path = Path(source).expanduser().absolute()
+    path = Path(os.path.expanduser(source)).absolute()  # noqa: PTH111 (Path's own raises for a user it cannot find)
+    _require_short(path, None)
     if path.is_dir():
         yield from _folder(path)
     elif isinstance(source, str) and not path.exists() and not path.suffix:
@@ -94,7 +101,9 @@ def _unknown_name(name: str) -> str:
 def _folder(folder: Path) -> Iterator[KernelFile | _Missing]:
     """Return all kernels of a folder in loading order, but no metakernels: their files stand there, too."""
     files = [p for p in sorted(folder.iterdir()) if p.is_file() and looks_like_kernel(p)]
-    entries = [e for p in files for e in _checked(p, None) if e.kind != "META"]
+    for path in files:
+        _require_short(path, None)
+    entries = [e for e in map(kernel_file, files) if e.kind != "META"]
     if not entries:
         inner = ", ".join(sorted(p.name for p in folder.iterdir() if p.is_dir())) or "none"
         raise KernelError(
@@ -109,17 +118,18 @@ def _expand(
     listed_in = above[-1] if above else None
     if path in above:
         raise KernelError(f"{path} lists itself through {above[-1]}; remove it from KERNELS_TO_LOAD.")
+    _require_short(path, listed_in)
     if not path.is_file():
         yield _Missing(path, listed_in)
         return
-    for entry in _checked(path, listed_in):
-        yield entry
-        if entry.kind == "META":
-            for inner in _listed(path, here_first=not named):
-                yield from _expand(inner, (*above, path), named=named)
+    entry = kernel_file(path)
+    yield entry
+    if entry.kind == "META":
+        for inner in _listed(path, here_first=not named):
+            yield from _expand(inner, (*above, path), named=named)
 
 
-def _checked(path: Path, listed_in: Path | None) -> Iterator[KernelFile]:
+def _require_short(path: Path, listed_in: Path | None) -> None:
     length = len(os.fsencode(path))
     if length > LONGEST_PATH_BYTES:
         within = f" (listed in {listed_in})" if listed_in else ""
@@ -127,7 +137,6 @@ def _checked(path: Path, listed_in: Path | None) -> Iterator[KernelFile]:
             f"the path {path}{within} has {length} bytes, SPICE takes {LONGEST_PATH_BYTES}; move the kernels "
             "or give them a shorter path by a symbolic link."
         )
-    yield kernel_file(path)
 
 
 def _listed(metakernel: Path, *, here_first: bool) -> list[Path]:

@@ -24,8 +24,7 @@ from opnav_workbench.spice.trajectories import utc_to_et
 
 __all__ = ["aim", "disturbed", "window_attitudes"]
 
-AIM_STEPS = 12  # each gains the offset's size in radians: five are plenty within a degree, 12 for ten degrees
-AIM_TOLERANCE = 1e-15  # rad: rounding
+ROUNDING = 1e-12  # rad
 
 
 def aim(
@@ -50,7 +49,8 @@ def aim(
     Raises
     ------
     ValueError
-        A zero direction, or `focal_from_camera` not orthonormal.
+        `focal_from_camera` is not orthonormal; or the direction is so near a celestial pole that no boresight has
+        it at that offset with that twist.
 
     Examples
     --------
@@ -59,19 +59,34 @@ def aim(
     >>> (seen[:2] / seen[2]).round(12).tolist()
     [0.001, -0.002]
     """
-    wanted = unit(direction)
+    focal = np.asarray(focal_from_camera, float)
     offset = unit([*offset_rad, 1.0])
-    boresight = wanted
-    for _ in range(AIM_STEPS):
-        ra, dec = radec_from_unit(boresight)
-        attitude = camera_from_j2000(float(ra), float(dec), twist_rad, focal_from_camera)
-        # Where the offset points now, in J2000; the boresight moves by what is missing.
-        seen = attitude.T @ np.asarray(focal_from_camera, float).T @ offset
-        missing = wanted - seen
-        if np.abs(missing).max() < AIM_TOLERANCE:
-            break
-        boresight = unit(boresight + missing)
-    return attitude
+    ra, dec = (float(angle) for angle in radec_from_unit(direction))
+    boresight_dec = _boresight_dec(dec, twist_rad, offset, float(np.sign(np.linalg.det(focal))))
+    at_zero = camera_from_j2000(0.0, boresight_dec, twist_rad, focal)
+    ra_of_offset, _ = radec_from_unit(at_zero.T @ focal.T @ offset)  # its declination is right already
+    return camera_from_j2000(ra - float(ra_of_offset), boresight_dec, twist_rad, focal)
+
+
+def _boresight_dec(dec_rad: float, twist_rad: float, offset: FloatArray, handedness: float) -> float:
+    """Return the boresight's declination at which the offset direction (3,) has the declination `dec_rad`.
+
+    The celestial pole in focal axes is ``(-h sin t cos d, cos t cos d, sin d)``, with twist t, boresight declination
+    d and handedness h; its product with the offset is ``sin(dec)``: ``a cos d + b sin d = sin(dec)``.
+    """
+    a = offset[1] * math.cos(twist_rad) - handedness * offset[0] * math.sin(twist_rad)
+    b = offset[2]
+    ratio = math.sin(dec_rad) / math.hypot(a, b)
+    if abs(ratio) < 1.0 + ROUNDING:
+        middle, half = math.atan2(b, a), math.acos(min(1.0, max(-1.0, ratio)))
+        solutions = [math.remainder(middle + side * half, 2.0 * math.pi) for side in (-1.0, 1.0)]
+        best = min(solutions, key=lambda d: abs(d - dec_rad))
+        if abs(best) <= math.pi / 2 + ROUNDING:
+            return min(math.pi / 2, max(-math.pi / 2, best))
+    raise ValueError(
+        f"declination {math.degrees(dec_rad):.4f} deg cannot be held at that offset with twist "
+        f"{math.degrees(twist_rad):.4f} deg: too close to the pole; change offset or twist"
+    )
 
 
 def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, FloatArray]:
@@ -86,7 +101,8 @@ def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, Fl
         A target's state is not covered.
     """
     camera = scenario.pointed_instrument
-    offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in window.offset_px)
+    pixel, line = window.offset_px
+    offset = (pixel * camera.pixel_scale_rad, line * camera.pixel_scale_rad)
     start, end = utc_to_et(window.start), utc_to_et(window.end)
     et = np.append(np.arange(start, end, window.step_s), end)
     if len(et) > 2 and et[-1] - et[-2] < 1e-3 * window.step_s:  # rounding left a sliver
@@ -109,7 +125,8 @@ def _direction(scenario: Scenario, window: Window, et: float) -> FloatArray:
 def disturbed(predicted: FloatArray, error: AttitudeError, scenario: Scenario) -> FloatArray:
     """Return flown attitudes (n, 3, 3): predicted ones, sky shifted on the detector and twist added."""
     camera = scenario.pointed_instrument
-    offset = tuple(math.tan(px * camera.pixel_scale_rad) for px in error.shift_px)
+    pixel, line = error.shift_px
+    offset = (pixel * camera.pixel_scale_rad, line * camera.pixel_scale_rad)
     flown = []
     for attitude in predicted:
         ra, dec, twist = pointing_angles(attitude, camera.focal_from_camera)

@@ -46,7 +46,7 @@ def utc_from_et(et: float, precision: int = 3) -> str:
     Raises
     ------
     KernelError
-        No LSK is loaded, or the time lies outside years 1 to 9999.
+        No LSK is loaded, or the time lies outside the calendar.
     """
     if not 0 <= precision <= MOST_DIGITS:
         raise KernelError(f"{precision} decimals of a second; ask for 0 to {MOST_DIGITS}.")

@@ -21,7 +21,7 @@ from opnav_workbench.geometry.rotations import (
     quaternion_from_matrix,
     vector_from_rotation,
 )
-from opnav_workbench.spice.guard import spice_call
+from opnav_workbench.spice.guard import Request, spice_call
 from opnav_workbench.spice.newfile import (
     as_kernel_error,
     check_epochs,
@@ -250,9 +250,9 @@ def _interval_starts(et: FloatArray, max_gap_s: float | None, extra: Sequence[in
 
 
 def _ticks(spacecraft_id: int, et: FloatArray) -> FloatArray:
-    with spice_call(f"clock of {spacecraft_id}"):
+    with spice_call(Request(f"clock {spacecraft_id}", float(et[0])), needs_kernels=True):
         ticks = np.array([spiceypy.sce2c(spacecraft_id, t) for t in et])
-    with as_kernel_error(f"clock of {spacecraft_id}"):
+    with as_kernel_error(f"clock {spacecraft_id}"):
         if np.any(np.diff(ticks) <= 0.0):
             i = int(np.argmin(np.diff(ticks)))
             raise ValueError(f"epochs {et[i]} and {et[i + 1]} fall on the same clock tick; space them out")

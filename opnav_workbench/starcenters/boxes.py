@@ -1,9 +1,10 @@
 """Square boxes around stars, cut out of an image all at once; unusable pixels carry no weight."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
@@ -41,7 +42,7 @@ class Boxes:
     @property
     def size(self) -> int:
         """Pixels along a side."""
-        return self.data_dn.shape[-1]
+        return int(self.data_dn.shape[-1])
 
     @property
     def weight(self) -> FloatArray:
@@ -67,10 +68,12 @@ def check_image(
     image = np.asarray(image_dn, dtype=float)
     if image.ndim != 2 or 0 in image.shape:
         raise CenterfindingError(f"an image must be a 2-D array [line, pixel], got shape {image.shape}.")
-    noise = _like(image, noise_dn, "noise_dn", float)
-    bad_map = _like(image, False if bad is None else bad, "bad", bool)
-    saturated_map = _like(image, False if saturated is None else saturated, "saturated", bool)
-    bad_map = bad_map | ~np.isfinite(image) | ~(np.isfinite(noise) & (noise > 0.0))
+    noise: FloatArray = _like(image, np.asarray(noise_dn, float), "noise_dn")
+    masked: BoolArray = _like(image, np.asarray(False if bad is None else bad, bool), "bad")
+    saturated_map: BoolArray = _like(
+        image, np.asarray(False if saturated is None else saturated, bool), "saturated"
+    )
+    bad_map = masked | ~np.isfinite(image) | ~(np.isfinite(noise) & (noise > 0.0))
     if bad_map.all():
         raise CenterfindingError(
             "no usable pixel: all are masked, not finite, or without a positive noise_dn."
@@ -124,8 +127,7 @@ def cut_boxes(pixels: Pixels, pixel_line: FloatArray, size: int) -> Boxes:
     )
 
 
-def _like(image: FloatArray, values: ArrayLike, name: str, dtype: type) -> FloatArray | BoolArray:
-    array = np.asarray(values, dtype=dtype)
+def _like(image: FloatArray, array: NDArray[Any], name: str) -> NDArray[Any]:
     if array.shape not in ((), image.shape):
         raise CenterfindingError(f"{name} has shape {array.shape}, the image {image.shape}; they must agree.")
     return np.broadcast_to(array, image.shape)

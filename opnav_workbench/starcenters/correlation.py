@@ -201,10 +201,10 @@ def _flags(
     boxes: Boxes, center: FloatArray, inside: BoolArray, snr: FloatArray, finite: BoolArray
 ) -> IntArray:
     core = _circle(boxes, center, CORE_PX)
-    conditions = {
-        StarFlag.SATURATED: (boxes.saturated & core).any(axis=(1, 2)),
-        StarFlag.EDGE: boxes.outside.any(axis=(1, 2)),
-        StarFlag.BAD_PIXELS: (boxes.bad & core).any(axis=(1, 2)),
+    conditions: dict[StarFlag, BoolArray] = {
+        StarFlag.SATURATED: np.any(boxes.saturated & core, axis=(1, 2)),
+        StarFlag.EDGE: np.any(boxes.outside, axis=(1, 2)),
+        StarFlag.BAD_PIXELS: np.any(boxes.bad & core, axis=(1, 2)),
         StarFlag.LOW_SNR: ~(snr >= MIN_SNR),
         StarFlag.AT_BOUND: ~inside,
         StarFlag.NOT_FINITE: ~finite,

@@ -116,7 +116,7 @@ def identify(
     scene = _scene(predicted_px, magnitude, detections, center_px, zero_point_mag)
     if not (max_shift_px >= 0.0 and max_twist_rad >= 0.0 and tolerance_px > 0.0):
         raise CenterfindingError(
-            f"limits must not be negative: {max_shift_px} px, {max_twist_rad} rad, tolerance {tolerance_px} px."
+            f"limits must not be negative: {max_shift_px} px, {max_twist_rad} rad, {tolerance_px} px."
         )
     limits = Limits(max_shift_px, max_twist_rad, tolerance_px)
     if len(scene.predicted_px) == 0:
@@ -146,7 +146,7 @@ def _scene(
     center = check_points(center_px, "center_px")
     if len(magnitudes) != len(predicted) or len(center) != 1:
         raise CenterfindingError(
-            f"{len(predicted)} predicted stars need as many magnitudes, got {len(magnitudes)}, and one center."
+            f"{len(predicted)} predicted stars need as many magnitudes and one center, got {len(magnitudes)}."
         )
     # An unknown magnitude counts as that of the faintest star: it votes last.
     magnitudes = np.nan_to_num(magnitudes, nan=float(np.nanmax(magnitudes, initial=-np.inf)), neginf=0.0)

@@ -24,7 +24,17 @@ from opnav_workbench.starcenters.levenberg import Solution, solve_batched
 from opnav_workbench.starcenters.psf import ellipse_from_shape
 from opnav_workbench.starcenters.results import NoiseModel, ShapePrior, StarCenters
 from opnav_workbench.starcenters.search import brightest_pixel
-from opnav_workbench.starcenters.star_model import E2, FLUX, LEVEL, LINE, PIXEL, SCALE, SLOPE_LINE, StarModel
+from opnav_workbench.starcenters.star_model import (
+    E1,
+    E2,
+    FLUX,
+    LEVEL,
+    LINE,
+    PIXEL,
+    SCALE,
+    SLOPE_LINE,
+    StarModel,
+)
 
 __all__ = ["BACKGROUNDS", "default_box_px", "fit_gaussian", "misfit_factor"]
 
@@ -228,9 +238,9 @@ def _flags(
     )
     conditions = {
         StarFlag.NOT_CONVERGED: ~solution.converged,
-        StarFlag.SATURATED: (boxes.saturated & core).any(axis=(1, 2)),
-        StarFlag.EDGE: boxes.outside.any(axis=(1, 2)),
-        StarFlag.BAD_PIXELS: (boxes.bad & core).any(axis=(1, 2)),
+        StarFlag.SATURATED: np.any(boxes.saturated & core, axis=(1, 2)),
+        StarFlag.EDGE: np.any(boxes.outside, axis=(1, 2)),
+        StarFlag.BAD_PIXELS: np.any(boxes.bad & core, axis=(1, 2)),
         StarFlag.LOW_SNR: low,
         StarFlag.AT_BOUND: solution.at_bound[:, PIXEL : LINE + 1].any(axis=1),
         StarFlag.BLENDED: _blended(center, prior),

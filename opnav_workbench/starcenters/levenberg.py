@@ -133,7 +133,7 @@ class _Final:
 
 
 def _information(state: Evaluation) -> FloatArray:
-    return np.matmul(state.jacobian * state.weight[:, None, :], np.swapaxes(state.jacobian, 1, 2))
+    return np.asarray(np.matmul(state.jacobian * state.weight[:, None, :], np.swapaxes(state.jacobian, 1, 2)))
 
 
 def _normal_equations(
@@ -157,7 +157,7 @@ def _damped_step(
 def _cost(
     residual: FloatArray, weight: FloatArray, p: FloatArray, mean: FloatArray, information: FloatArray
 ) -> FloatArray:
-    return np.sum(weight * residual**2, axis=1) + np.sum(information * (p - mean) ** 2, axis=1)
+    return np.asarray((weight * residual**2).sum(axis=1) + (information * (p - mean) ** 2).sum(axis=1))
 
 
 def _choose(better: BoolArray, ahead: Evaluation, behind: Evaluation) -> Evaluation:
@@ -181,7 +181,8 @@ def _diagonal(values: FloatArray) -> FloatArray:
 
 def _invert(normal: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Invert the normal matrices; where one is singular, the result is nan and the problem undetermined."""
-    whole = np.isfinite(normal).all(axis=(1, 2)) & (np.diagonal(normal, axis1=1, axis2=2) > 0.0).all(axis=1)
+    diagonal = np.diagonal(normal, axis1=1, axis2=2)
+    whole = np.asarray(np.isfinite(normal).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))
     normal = np.where(whole[:, None, None], normal, np.eye(normal.shape[1]))
     scale = 1.0 / np.sqrt(np.diagonal(normal, axis1=1, axis2=2))
     scaled = normal * scale[:, :, None] * scale[:, None, :]

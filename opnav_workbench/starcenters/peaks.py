@@ -1,4 +1,4 @@
-"""Sub-pixel peak of a sampled surface: a paraboloid through the 3 x 3 samples about its largest one, by least squares."""
+"""Sub-pixel peak of a sampled surface: a least-squares paraboloid through 3 x 3 samples about the largest."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ MAX_OFFSET_PX = 1.0  # the top of a true peak lies within its 3 x 3 samples
 
 
 def _paraboloid_solver() -> FloatArray:
-    """Pseudo-inverse (6, 9) for c0 + cx x + cy y + cxx x^2 + cyy y^2 + cxy x y on the samples, line by line."""
+    """Pseudo-inverse (6, 9) for c0 + cx x + cy y + cxx x^2 + cyy y^2 + cxy x y, samples line by line."""
     y, x = np.indices((3, 3)).reshape(2, -1) - 1.0
     return np.linalg.pinv(np.column_stack([np.ones(9), x, y, x * x, y * y, x * y]))
 
@@ -19,7 +19,7 @@ SOLVER = _paraboloid_solver()
 
 
 def refine_peaks(surface: FloatArray, row: IntArray, column: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return offset (n, 2) (pixel, line) of each peak from its largest sample, and the Hessian (n, 2, 2) there.
+    """Return offset (n, 2) (pixel, line) of each peak from its largest sample, and its Hessian (n, 2, 2).
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def refine_peaks(surface: FloatArray, row: IntArray, column: IntArray) -> tuple[
 
 
 def paraboloid_peak(patch: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return offset (n, 2) and Hessian (n, 2, 2) of the paraboloid through (n, 3, 3) samples; see `refine_peaks`."""
+    """Return offset (n, 2) and Hessian (n, 2, 2) of paraboloids through (n, 3, 3) samples."""
     _, cx, cy, cxx, cyy, cxy = SOLVER @ patch.reshape(len(patch), 9).T
     hessian = np.stack([2.0 * cxx, cxy, cxy, 2.0 * cyy], axis=-1).reshape(-1, 2, 2)
     det = 4.0 * cxx * cyy - cxy**2

@@ -1,13 +1,13 @@
 """The canonical star image: an elliptical Gaussian integrated over detector pixels.
 
-Flow   center and shape of a star -> here -> fraction of its flux in each pixel, with derivatives ->
-`least_squares` Frame  (pixel, line), integer = pixel center; every pixel is a unit square Units  px; the
-integral over the whole plane is 1
+Flow   center and shape of a star -> here -> its flux in each pixel, with derivatives -> `least_squares`
+Frame  (pixel, line), integer = pixel center; every pixel is a unit square
+Units  px; the integral over the whole plane is 1
 
 With the density g and the edges u, v of a pixel relative to the star's center, the flux in a pixel is
 
-    P = int_v N(v; S_vv) [Phi((u2 - b v) / s) - Phi((u1 - b v) / s)] dv,   b = S_uv / S_vv,   s^2 = S_uu - b
-    S_uv
+    P = int_v N(v; S_vv) [Phi((u2 - b v) / s) - Phi((u1 - b v) / s)] dv,
+    b = S_uv / S_vv,   s^2 = S_uu - b S_uv
 
 which is exact along u (error function) and Gauss-Legendre along v. The derivatives need no quadrature: by
 Gauss's theorem and by the heat equation (dg/dS_uu = g_uu / 2, dg/dS_uv = g_uv, dg/dS_vv = g_vv / 2) each is a
@@ -18,6 +18,7 @@ v) g = -S grad g, turns the integral of g_u along an edge u = const into values 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import erf
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
@@ -36,7 +37,7 @@ SQRT2PI = np.sqrt(2.0 * np.pi)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelIntegrals:
-    """Fraction of a star's flux in each pixel of its box, and derivatives; all (n, lines, pixels), 1/px where due."""
+    """Fraction of a star's flux in each pixel of its box, and derivatives; all (n, lines, pixels)."""
 
     value: FloatArray
     d_pixel: FloatArray  # with respect to the star's center
@@ -49,16 +50,17 @@ class PixelIntegrals:
         freeze_arrays(self)
 
 
-def covariance_from_shape(log_scale: FloatArray, e1: FloatArray, e2: FloatArray) -> FloatArray:
+def covariance_from_shape(log_scale: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> FloatArray:
     """Return (S_uu, S_uv, S_vv), px^2, shape (3, ...), of ``exp(2 log_scale) [[1 + e1, e2], [e2, 1 - e1]]``.
 
     Unlike axes and an angle these parameters have no singular point at a round PSF.
     """
-    variance = np.exp(2.0 * np.asarray(log_scale, float))
-    return np.stack(np.broadcast_arrays(variance * (1.0 + e1), variance * e2, variance * (1.0 - e1)))
+    scale, a, b = np.broadcast_arrays(*(np.asarray(x, float) for x in (log_scale, e1, e2)))
+    variance = np.exp(2.0 * scale)
+    return np.stack([variance * (1.0 + a), variance * b, variance * (1.0 - a)])
 
 
-def ellipse_from_shape(log_scale: FloatArray, e1: FloatArray, e2: FloatArray) -> FloatArray:
+def ellipse_from_shape(log_scale: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> FloatArray:
     """Return (..., 3): sigma_major_px, sigma_minor_px, angle_rad of the major axis from +pixel toward +line.
 
     Examples
@@ -66,31 +68,29 @@ def ellipse_from_shape(log_scale: FloatArray, e1: FloatArray, e2: FloatArray) ->
     >>> ellipse_from_shape(np.log(2.0), 0.0, 0.6).round(3).tolist()
     [2.53, 1.265, 0.785]
     """
-    scale, e = np.exp(log_scale), np.hypot(e1, e2)
-    angle = 0.5 * np.arctan2(e2, e1)
-    return np.stack(np.broadcast_arrays(scale * np.sqrt(1.0 + e), scale * np.sqrt(1.0 - e), angle), axis=-1)
+    size, a, b = np.broadcast_arrays(*(np.asarray(x, float) for x in (log_scale, e1, e2)))
+    scale, e = np.exp(size), np.hypot(a, b)
+    return np.stack([scale * np.sqrt(1.0 + e), scale * np.sqrt(1.0 - e), 0.5 * np.arctan2(b, a)], axis=-1)
 
 
 def shape_from_ellipse(shape: FloatArray) -> FloatArray:
-    """Return (..., 3): log scale, e1, e2 from sigma_major_px, sigma_minor_px, angle_rad (inverse of the above)."""
+    """Return (..., 3) log scale, e1, e2 from sigma_major_px, sigma_minor_px, angle_rad."""
     major2, minor2, angle = shape[..., 0] ** 2, shape[..., 1] ** 2, shape[..., 2]
     e = (major2 - minor2) / (major2 + minor2)
     log_scale = 0.5 * np.log(0.5 * (major2 + minor2))
     return np.stack([log_scale, e * np.cos(2.0 * angle), e * np.sin(2.0 * angle)], axis=-1)
 
 
-def pixel_gaussian(
-    center: FloatArray, shape: FloatArray, pixel: FloatArray, line: FloatArray
-) -> PixelIntegrals:
+def pixel_gaussian(center: ArrayLike, shape: ArrayLike, pixel: ArrayLike, line: ArrayLike) -> PixelIntegrals:
     """Integrate n elliptical Gaussians over m pixels each, anywhere on the detector.
 
     Parameters
     ----------
-    center : (n, 2) array
+    center : (n, 2) array_like
         Star centers (pixel, line).
-    shape : (n, 3) array
+    shape : (n, 3) array_like
         Log scale, e1, e2 (see `covariance_from_shape`).
-    pixel, line : (n, m) array
+    pixel, line : (n, m) or (1, m) array_like
         Centers of the pixels; any position is allowed, not only integers.
 
     Returns
@@ -100,14 +100,15 @@ def pixel_gaussian(
 
     Examples
     --------
-    >>> star = pixel_gaussian(np.array([[3.0, 4.0]]), np.array([[np.log(0.5), 0.0, 0.0]]), [[3.0]], [[4.0]])
+    >>> star = pixel_gaussian([[3.0, 4.0]], [[np.log(0.5), 0.0, 0.0]], [[3.0]], [[4.0]])
     >>> star.value.round(4).tolist()
     [[0.4661]]
     """
-    pixel, line = np.broadcast_arrays(np.asarray(pixel, float), np.asarray(line, float))
-    n, m = pixel.shape
-    first = np.stack([pixel.ravel(), line.ravel()], axis=-1)
-    boxes = box_integrals(np.repeat(center, m, axis=0), np.repeat(shape, m, axis=0), first, 1)
+    centers, shapes = np.asarray(center, float), np.asarray(shape, float)
+    columns, rows, _ = np.broadcast_arrays(np.asarray(pixel, float), np.asarray(line, float), centers[:, :1])
+    n, m = columns.shape
+    first = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+    boxes = box_integrals(np.repeat(centers, m, axis=0), np.repeat(shapes, m, axis=0), first, 1)
     names = ("value", "d_pixel", "d_line", "d_log_scale", "d_e1", "d_e2")
     return PixelIntegrals(*(getattr(boxes, name).reshape(n, m) for name in names))
 

@@ -31,7 +31,7 @@ class PsfShape:
     def __post_init__(self) -> None:
         if not 0.0 < self.sigma_minor_px <= self.sigma_major_px < np.inf:
             raise CenterfindingError(
-                f"PSF sigmas must satisfy 0 < minor <= major, got {self.sigma_minor_px} and {self.sigma_major_px} px."
+                f"PSF sigmas must be 0 < minor <= major, got {self.sigma_minor_px}, {self.sigma_major_px} px."
             )
 
     @property
@@ -58,7 +58,7 @@ class ShapePrior:
             )
         if not (0.0 < self.sigma_log_scale < np.inf and 0.0 < self.sigma_ellipticity < np.inf):
             raise CenterfindingError(
-                f"sigmas of a PSF prior must be positive, got {self.sigma_log_scale} and {self.sigma_ellipticity}."
+                f"PSF prior sigmas must be positive: {self.sigma_log_scale}, {self.sigma_ellipticity}."
             )
         object.__setattr__(self, "ellipticity", ellipticity)
         freeze_arrays(self)
@@ -114,7 +114,8 @@ class NoiseModel:
     def __post_init__(self) -> None:
         if not (0.0 <= self.read_noise_dn < np.inf and 0.0 < self.gain_e_per_dn < np.inf):
             raise CenterfindingError(
-                f"read noise must be >= 0 and gain > 0, got {self.read_noise_dn} DN and {self.gain_e_per_dn} e/DN."
+                "read noise must be >= 0 and gain > 0, "
+                f"got {self.read_noise_dn} DN and {self.gain_e_per_dn} e/DN."
             )
 
     def sigma_dn(self, signal_dn: FloatArray) -> FloatArray:
@@ -137,10 +138,8 @@ class StarCenters:
     flux_dn: FloatArray  # (n,) total, over the whole plane
     flux_sigma_dn: FloatArray  # (n,)
     background_dn: FloatArray  # (n,) at the star
-    shape: FloatArray  # (n, 3) sigma_major_px, sigma_minor_px, angle_rad of the major axis from +pixel toward
-    +line shape_covariance: (
-        FloatArray  # (n, 3, 3) of log scale, e1, e2 (see psf.covariance_from_shape), prior included
-    )
+    shape: FloatArray  # (n, 3) sigma_major_px, sigma_minor_px, angle_rad (from +pixel toward +line)
+    shape_covariance: FloatArray  # (n, 3, 3) of log scale, e1, e2 (see `psf`), prior included
     chi2_reduced: FloatArray  # (n,)
     snr: FloatArray  # (n,) flux over its sigma
     degrees_of_freedom: FloatArray  # (n,) pixels used less parameters estimated from them

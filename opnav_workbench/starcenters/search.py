@@ -1,4 +1,4 @@
-"""First guess of a fit: the point of its search area where a star of the expected shape is most significant."""
+"""First guess of a fit: where in its search area a star of the expected shape is most significant."""
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -52,9 +52,8 @@ def _significance(data: FloatArray, weight: FloatArray, kernel: FloatArray) -> F
     """Flux over its sigma of a star at each pixel, its background level free; 0 where it cannot be had."""
 
     def correlate(values: FloatArray, taps: FloatArray) -> FloatArray:
-        return np.einsum(
-            "nyxij,ij->nyx", sliding_window_view(values, taps.shape, axis=(1, 2)), taps, optimize=True
-        )
+        windows = sliding_window_view(values, taps.shape, axis=(1, 2))
+        return np.asarray(np.einsum("nyxij,ij->nyx", windows, taps, optimize=True))
 
     ones = np.ones_like(kernel)
     s, st, stt = correlate(weight, ones), correlate(weight, kernel), correlate(weight, kernel**2)

@@ -1,4 +1,4 @@
-"""The model that is fitted: a pixel-integrated elliptical Gaussian on a level or a plane, in many boxes at once."""
+"""The model that is fitted: a pixel-integrated elliptical Gaussian on a level or a plane, in many boxes."""
 
 from dataclasses import dataclass
 
@@ -29,6 +29,7 @@ class StarModel:
 
     @classmethod
     def of(cls, boxes: Boxes, noise: NoiseModel | None, parameters: int) -> "StarModel":
+        """Return the model of the given boxes with a level (7 parameters) or a plane (9)."""
         n, size = len(boxes.first), boxes.size
         line, pixel = np.indices((size, size), dtype=float).reshape(2, -1) - (size - 1) / 2
         basis = np.stack([np.ones(size * size), pixel, line])[: parameters - LEVEL]
@@ -37,14 +38,13 @@ class StarModel:
         return cls(boxes.first.astype(float), data, variance, basis, size, gain)
 
     def __call__(self, index: IntArray, p: FloatArray) -> Evaluation:
+        """Return residuals, weights and Jacobian of the boxes `index` (k,) at parameters `p` (k, q)."""
         psf = box_integrals(p[:, PIXEL : LINE + 1], p[:, SCALE : E2 + 1], self.first[index], self.size)
         k, flux = len(p), p[:, FLUX, None]
         jacobian = np.empty((k, p.shape[1], self.size**2))
         jacobian[:, FLUX] = psf.value.reshape(k, -1)
-        for column, derivative in (
-            (PIXEL, psf.d_pixel), (LINE, psf.d_line), (SCALE, psf.d_log_scale), (E1, psf.d_e1), (E2,
-            psf.d_e2),
-        ):  # fmt: skip
+        derivatives = (psf.d_pixel, psf.d_line, psf.d_log_scale, psf.d_e1, psf.d_e2)
+        for column, derivative in zip((PIXEL, LINE, SCALE, E1, E2), derivatives, strict=True):
             np.multiply(flux, derivative.reshape(k, -1), out=jacobian[:, column])
         jacobian[:, LEVEL:] = self.basis
         star = flux * jacobian[:, FLUX]
@@ -55,7 +55,7 @@ class StarModel:
         return Evaluation(residual, 1.0 / variance, jacobian)
 
     def linear_start(self, center: FloatArray, prior: ShapePrior) -> FloatArray:
-        """Return parameters with flux and background level solved linearly at `center` and the prior's shape."""
+        """Return parameters: flux and background level solved linearly at `center` and the prior's shape."""
         n = len(center)
         shape = np.broadcast_to(prior.mean, (n, 3))
         psf = box_integrals(center, shape, self.first, self.size).value.reshape(n, -1)
@@ -75,10 +75,9 @@ class StarModel:
     def with_psf_error(
         self, p: FloatArray, covariance: FloatArray, error: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the covariance with the error of the PSF model propagated through the fit, and the chi2 it adds.
+        """Return the covariance with the PSF model's error V propagated through the fit, and its chi2.
 
-        With C the inverse normal matrix the fit is linear in the data by C J' W; their error adds C J'W V WJ
-        C.
+        With C the inverse normal matrix, parameters follow the data by C J'W, so V adds C J'W V WJ C.
         """
         state = self(np.arange(len(p)), p)
         psf_variance = (error * p[:, FLUX, None] * state.jacobian[:, FLUX]) ** 2
@@ -90,4 +89,4 @@ class StarModel:
         """Return the background (DN) at `center`; (n,)."""
         offset = center - self.first - (self.size - 1) / 2
         basis = np.column_stack([np.ones(len(p)), offset])[:, : len(self.basis)]
-        return np.sum(basis * p[:, LEVEL:], axis=1)
+        return np.asarray(np.sum(basis * p[:, LEVEL:], axis=1))

@@ -22,9 +22,7 @@ class Template:
 
     values: FloatArray  # (size, size) [line, pixel]
     center: FloatArray  # (2,) pixel, line in the template's own coordinates
-    ellipse: (
-        FloatArray  # (3,) sigma_major_px, sigma_minor_px, angle_rad of the PSF before integration over pixels
-    )
+    ellipse: FloatArray  # (3,) sigma_major_px, sigma_minor_px, angle_rad before integration over pixels
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -32,7 +30,7 @@ class Template:
     @property
     def size(self) -> int:
         """Pixels along a side."""
-        return self.values.shape[0]
+        return int(self.values.shape[0])
 
 
 def gaussian_template(sigma_px: float, size: int) -> Template:
@@ -94,8 +92,8 @@ def extract_template(
     rim = usable & (distance > radius_px - 1.0) & (distance <= radius_px + 1.0)
     if np.mean(~usable[circle]) > MAX_UNUSABLE_FRACTION or not rim.any():
         raise CenterfindingError(
-            f"{np.mean(~usable[circle]):.0%} of the circle of {radius_px} px about {center[0].round(2).tolist()} is "
-            "masked or off the detector; choose another star for the template."
+            f"{np.mean(~usable[circle]):.0%} of the circle of {radius_px} px about "
+            f"{center[0].round(2).tolist()} is masked or off the detector; choose another star."
         )
     values = np.where(circle & usable, boxes.data_dn[0] - np.median(boxes.data_dn[0][rim]), 0.0)
     if not values.sum() > 0.0:

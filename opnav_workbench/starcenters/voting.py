@@ -80,7 +80,7 @@ def twist_steps(scene: Scene, limits: Limits) -> FloatArray:
 
 
 def vote(scene: Scene, limits: Limits) -> list[tuple[FloatArray, float]]:
-    """Return the shifts (2,) and twists that bring most of the brightest stars onto detections, best first."""
+    """Return shifts (2,) and twists that bring most of the brightest stars onto detections, best first."""
     stars = np.argsort(scene.magnitude, kind="stable")[:VOTING_STARS]
     detections = np.argsort(scene.detected_mag, kind="stable")[:VOTING_DETECTIONS]
     shifts, twists, votes = [], [], []
@@ -117,7 +117,7 @@ def _distinct(
 
 
 def refine(scene: Scene, limits: Limits, shift_px: FloatArray, twist_rad: float) -> Hypothesis:
-    """Match one-to-one, fit shift and twist, and again, with a zero point as soon as there are stars for one."""
+    """Match one-to-one, fit shift and twist, and again, with a zero point once there are stars for one."""
     zero_point = scene.zero_point_mag
     for _ in range(REFINEMENTS):
         pairs, distance = _match(scene, limits, shift_px, twist_rad, zero_point)
@@ -136,7 +136,8 @@ def _match(
 ) -> tuple[IntArray, FloatArray]:
     """One-to-one pairs within the tolerances: each star's best detection, each detection's best star."""
     moved = move(scene.predicted_px, scene.center_px, shift_px, twist_rad)
-    distance, index = scene.tree.query(moved, k=NEIGHBORS, distance_upper_bound=limits.tolerance_px)
+    nearest = scene.tree.query(moved, k=NEIGHBORS, distance_upper_bound=limits.tolerance_px)
+    distance, index = np.asarray(nearest[0], float), np.asarray(nearest[1], np.int64)
     found = np.isfinite(distance)
     cost = np.where(found, (distance / limits.tolerance_px) ** 2, np.inf)
     if not np.isnan(zero_point):
@@ -151,9 +152,10 @@ def _match(
     rows = np.arange(len(moved))
     star = rows[np.isfinite(cost[rows, best])]
     star = star[np.argsort(cost[star, best[star]], kind="stable")]
-    detection, first = np.unique(index[star, best[star]], return_index=True)
-    star = star[first]
-    pairs = np.column_stack([star, detection]).astype(np.int64)
+    chosen = index[star, best[star]]
+    _, first = np.unique(chosen, return_index=True)  # of stars that want the same detection, the cheapest
+    star, detection = star[first], chosen[first]
+    pairs = np.column_stack([star, detection])
     order = np.argsort(star)
     return pairs[order], distance[star, best[star]][order]
 

@@ -1,0 +1,135 @@
+"""From stored arrays to picture, error and masks of one shape."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.image.frame import Header
+from opnav_workbench.image.keywords import KeywordMap, number
+from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
+from opnav_workbench.image.source import Source, counted, image_error
+
+__all__ = ["Planes", "make_planes"]
+
+# DN: special pixels of ISIS and of PDS products (-1E+32, -3.4E+38) lie below this, detectors never do.
+LOWEST_VALUE_DN = -1e30
+LARGEST_BITS = 32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Planes:
+    """Picture (0 where it has no value), positive error, masks, all (n_line, n_pixel), and remarks."""
+
+    image_dn: FloatArray
+    error_dn: FloatArray | None
+    bad: BoolArray
+    saturated: BoolArray
+    messages: tuple[str, ...]
+
+
+def make_planes(
+    name: str, source: Source, header: Header, keywords: KeywordMap, saturation_dn: float | None
+) -> Planes:
+    """Make native float64 planes and masks of what a file holds.
+
+    Raises
+    ------
+    ImageError
+        No picture, a cube, planes of different sizes, or no usable pixel.
+    """
+    image = _single_plane(name, source.image)
+    error = _fitting_plane(name, source.error, "error", image.shape)
+    quality = _fitting_plane(name, source.quality, "quality", image.shape)
+    messages = list(source.messages)
+    dark = keywords.dark_columns.get(image.shape[1], 0)
+    if 0 < dark < image.shape[1]:
+        image = image[:, :-dark]
+        error, quality = (None if plane is None else plane[:, :-dark] for plane in (error, quality))
+        messages.append(f"{counted(dark, 'dark column')} at the right end cut off")
+    bad, saturated = _masks(image, quality, keywords, messages)
+    for limit in _saturation_limits(header, keywords, saturation_dn):
+        saturated |= image >= limit
+    _check_usable(name, image, bad, messages)
+    error = None if error is None else _positive(error, image, bad, messages)
+    return Planes(np.where(np.isnan(image), 0.0, image), error, bad, saturated, tuple(messages))
+
+
+def _single_plane(name: str, data: NDArray[Any]) -> FloatArray:
+    """Return a picture with nan for special values; a cube of one plane is squeezed."""
+    values = np.array(data, dtype=np.float64)
+    while values.ndim > 2 and values.shape[0] == 1:
+        values = values[0]
+    if values.ndim > 2:
+        sizes = " x ".join(str(n) for n in values.shape)
+        raise image_error(
+            name,
+            f"holds a cube of {sizes}, not one picture; save the plane to be measured as a file of its own.",
+        )
+    if values.ndim < 2 or values.size == 0:
+        raise image_error(name, f"holds data of shape {values.shape}, no picture; choose an image file.")
+    values[~(values > LOWEST_VALUE_DN) | np.isinf(values)] = np.nan
+    return values
+
+
+def _fitting_plane(
+    name: str, data: NDArray[Any] | None, what: str, shape: tuple[int, ...]
+) -> FloatArray | None:
+    if data is None:
+        return None
+    plane = _single_plane(name, data)
+    if plane.shape != shape:
+        raise image_error(
+            name, f"the {what} plane has shape {plane.shape}, the picture {shape}; give the file as archived."
+        )
+    return plane
+
+
+def _masks(
+    image: FloatArray, quality: FloatArray | None, keywords: KeywordMap, messages: list[str]
+) -> tuple[BoolArray, BoolArray]:
+    bad = np.isnan(image)
+    if count := int(np.count_nonzero(bad)):
+        messages.append(f"{counted(count, 'pixel')} without a value masked")
+    bad[0, : keywords.housekeeping_pixels] = True
+    if quality is None:
+        return bad, np.zeros(bad.shape, bool)
+    flagged, saturated, remarks = read_quality(np.nan_to_num(quality), QUALITY_TABLES[keywords.quality_table])
+    messages += remarks
+    return bad | flagged, saturated
+
+
+def _saturation_limits(header: Header, keywords: KeywordMap, saturation_dn: float | None) -> Iterator[float]:
+    if saturation_dn is not None:
+        yield saturation_dn
+    bits = number(keywords.value(header, "bits"))
+    if bits is not None and 1 <= bits <= LARGEST_BITS:
+        yield 2.0 ** int(bits) - 1.0
+
+
+def _check_usable(name: str, image: FloatArray, bad: BoolArray, messages: list[str]) -> None:
+    usable = image[~bad]
+    if usable.size == 0:
+        reason = "has no finite value" if np.isnan(image).all() else "is marked as bad"
+        raise image_error(name, f"every one of its {bad.size} pixels {reason}; leave this picture out.")
+    if usable.min() == usable.max():
+        messages.append(f"every usable pixel holds the value {usable[0]:g}: an empty or lost picture")
+
+
+def _positive(error: FloatArray, image: FloatArray, bad: BoolArray, messages: list[str]) -> FloatArray | None:
+    """Return a positive error everywhere: the LORRI pipeline writes 0 where the signal is negative.
+
+    The replacement is the typical error of the fainter half of the picture, where such pixels belong.
+    """
+    known = np.isfinite(error) & (error > 0.0)
+    good = known & ~bad
+    if not good.any():
+        messages.append("error plane dropped: it holds no positive value")
+        return None
+    typical = float(np.median(error[good & (image <= np.median(image[good]))]))
+    if count := int(np.count_nonzero(~known)):
+        messages.append(f"error plane: {counted(count, 'value')} not positive, replaced by {typical:.3g} DN")
+    return np.where(known, error, typical)

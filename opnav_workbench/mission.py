@@ -1,0 +1,261 @@
+"""Missions: which spacecraft, which cameras, and which header keywords mean what.
+
+A mission file is YAML: ``kernels_meta/<name>/mission.yaml``, or any path. It names camera files relative to
+itself, and says by header keywords which camera took a picture and that the picture belongs to this mission
+at all.
+"""
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
+
+from opnav_workbench.bodies import TargetState, linear_phase_magnitude
+from opnav_workbench.camera import Camera
+from opnav_workbench.camera.loading import read_model
+from opnav_workbench.errors import CameraError, MissionError
+from opnav_workbench.geometry import angle_between
+from opnav_workbench.image.keywords import KeywordMap
+from opnav_workbench.resources import kernels_meta_dir
+
+__all__ = ["CameraChoice", "Mission", "Photometry", "load_mission", "mission_names"]
+
+FILE_NAME = "mission.yaml"
+
+Value = str | int | float
+Keyword = Annotated[str, Field(min_length=1, max_length=80)]
+KEYWORD_FIELDS = frozenset(field.name for field in fields(KeywordMap))
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _Spacecraft(_Strict):
+    name: str
+    id: int
+
+
+class Photometry(_Strict):
+    """Brightness of a target: V at 1 au from Sun and observer at phase 0, and the slope of its linear phase law."""
+
+    absolute_mag: float
+    slope_mag_deg: float = 0.0
+
+
+class _CameraEntry(_Strict):
+    file: str
+    match: dict[Keyword, Value | tuple[Value, ...]] = {}
+
+
+def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:
+    """Let `KeywordMap` itself judge its fields."""
+    unknown = sorted(set(keywords) - KEYWORD_FIELDS)
+    if unknown:
+        raise ValueError(f"unknown {', '.join(unknown)}; known are {', '.join(sorted(KEYWORD_FIELDS))}")
+    try:
+        TypeAdapter(KeywordMap).validate_python(keywords)
+    except MissionError as error:
+        raise ValueError(str(error)) from error
+    return keywords
+
+
+class _MissionFile(_Strict):
+    name: str
+    spacecraft: _Spacecraft
+    clock_id: int
+    bus_frame: str
+    reference_body: str
+    default_targets: tuple[str, ...] = ()
+    target_photometry: dict[str, Photometry] = {}
+    target_stars: str | None = None
+    cameras: Annotated[tuple[_CameraEntry, ...], Field(min_length=1)]
+    keywords: Annotated[dict[str, Any], AfterValidator(_checked_keywords)]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChoice:
+    """A camera file, and the header values that tell its pictures.
+
+    Attributes
+    ----------
+    file : Path
+    match : mapping of str to value or tuple of values
+        Every keyword must have the value, or one of the values.
+    """
+
+    file: Path
+    match: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mission:
+    """What the workbench must know of a mission.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+        The file it was read from.
+    spacecraft_name, spacecraft_id
+        As SPICE knows them.
+    clock_id : int
+        Spacecraft clock, SPICE.
+    bus_frame : str
+        SPICE frame of the spacecraft bus, the one that its CKs orient.
+    reference_body : str
+        Body to which the spacecraft position of the observables' partials refers.
+    default_targets : tuple of str
+    target_photometry : mapping of str to Photometry
+        Brightness of targets by name.
+    target_stars : Path or None
+        List of stars that can be targets.
+    cameras : tuple of CameraChoice
+    keywords : mapping
+        Which header keywords hold what: the arguments of `opnav_workbench.image.KeywordMap`.
+    """
+
+    name: str
+    path: Path
+    spacecraft_name: str
+    spacecraft_id: int
+    clock_id: int
+    bus_frame: str
+    reference_body: str
+    default_targets: tuple[str, ...]
+    target_photometry: Mapping[str, Photometry]
+    target_stars: Path | None
+    cameras: tuple[CameraChoice, ...]
+    keywords: Mapping[str, Any]
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the camera files."""
+        return tuple(choice.file.stem for choice in self.cameras)
+
+    def with_magnitude(self, target: TargetState) -> TargetState:
+        """Return `target` with the magnitude that the spacecraft sees, where the mission file knows its brightness."""
+        law = self.target_photometry.get(target.name)
+        if law is None or target.sun_position_km is None:
+            return target
+        sun_km = float(np.linalg.norm(target.sun_position_km))
+        phase = float(angle_between(target.sun_position_km, -target.position_km))
+        magnitude = linear_phase_magnitude(
+            law.absolute_mag, law.slope_mag_deg, sun_km, target.range_km, phase
+        )
+        return replace(target, magnitude=magnitude)
+
+    def camera_for(self, header: Mapping[str, Any]) -> Camera:
+        """Return the camera that took a picture: the first whose keywords fit.
+
+        Parameters
+        ----------
+        header : mapping
+            Keywords of the picture's header.
+
+        Raises
+        ------
+        CameraError
+            No camera of the mission fits, the picture is of another mission, or the camera file is wrong.
+
+        Examples
+        --------
+        >>> load_mission("new_horizons").camera_for(
+        ...     {"MISSION": "New Horizons", "INSTRU": "lor", "SFORMAT": "4X4"}
+        ... ).name
+        'LORRI 4x4'
+        """
+        required = self.keywords.get("required", {})
+        for choice in self.cameras:
+            if _fits(header, {**required, **choice.match}):
+                return Camera.from_yaml(choice.file)
+        keywords = sorted({*required, *(keyword for choice in self.cameras for keyword in choice.match)})
+        found = ", ".join(f"{k} = {header[k]!r}" if k in header else f"no {k}" for k in keywords)
+        raise CameraError(
+            f"no camera of mission {self.name} took this picture: its header has {found}; the mission's are "
+            f"{', '.join(self.camera_names)}. Choose the mission of this picture "
+            f"(--mission), or add its camera to {self.path}."
+        )
+
+
+def mission_names() -> tuple[str, ...]:
+    """Return the names of the missions that come with the package, sorted.
+
+    Examples
+    --------
+    >>> mission_names()
+    ('generic', 'new_horizons', 'osiris_rex')
+    """
+    return tuple(sorted(path.parent.name for path in kernels_meta_dir().glob(f"*/{FILE_NAME}")))
+
+
+def load_mission(name_or_path: str | PathLike[str]) -> Mission:
+    """Read a mission by its name, or from a YAML file (or the folder that holds a ``mission.yaml``).
+
+    Raises
+    ------
+    MissionError
+        The name is unknown (the message lists the known and the nearest), or the file breaks the schema.
+
+    Examples
+    --------
+    >>> load_mission("osiris_rex").spacecraft_id
+    -64
+    """
+    path = _find(name_or_path)
+    return _mission(read_model(path, _MissionFile, "mission file", MissionError), path.resolve())
+
+
+def _find(name_or_path: str | PathLike[str]) -> Path:
+    known = mission_names()
+    if name_or_path in known:
+        return kernels_meta_dir() / str(name_or_path) / FILE_NAME
+    path = Path(name_or_path)
+    if path.is_dir() and (path / FILE_NAME).is_file():
+        return path / FILE_NAME
+    if path.is_file():
+        return path
+    close = difflib.get_close_matches(str(name_or_path).lower().replace("-", "_"), known, n=1, cutoff=0.5)
+    hint = f" Did you mean {close[0]}?" if close else ""
+    raise MissionError(
+        f"unknown mission {str(name_or_path)!r}: no mission file, and the names are {', '.join(known)}.{hint}"
+    )
+
+
+def _mission(file: _MissionFile, path: Path) -> Mission:
+    folder = path.parent
+    return Mission(
+        name=file.name,
+        path=path,
+        spacecraft_name=file.spacecraft.name,
+        spacecraft_id=file.spacecraft.id,
+        clock_id=file.clock_id,
+        bus_frame=file.bus_frame,
+        reference_body=file.reference_body,
+        default_targets=file.default_targets,
+        target_photometry=MappingProxyType(file.target_photometry),
+        target_stars=None if file.target_stars is None else folder / file.target_stars,
+        cameras=tuple(CameraChoice(folder / c.file, MappingProxyType(c.match)) for c in file.cameras),
+        keywords=MappingProxyType(file.keywords),
+    )
+
+
+def _fits(header: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
+    """Tell whether every keyword has its value, or one of its values."""
+    for keyword, value in wanted.items():
+        choices = value if isinstance(value, list | tuple) else (value,)
+        if not any(_same(header.get(keyword), choice) for choice in choices):
+            return False
+    return True
+
+
+def _same(found: Any, wanted: Value) -> bool:
+    """Compare as headers are written: blanks and case do not count, and 1 is 1.0."""
+    if isinstance(wanted, str) or isinstance(found, str):
+        return str(found).strip().casefold() == str(wanted).strip().casefold()
+    return bool(found == wanted)
