@@ -242,12 +242,11 @@ class Camera:
         """
         vectors = np.asarray(directions, dtype=np.float64)
         ideal = self._gnomonic(vectors)
-        depth = vectors @ self.boresight
+        depth = np.where(np.isnan(ideal[..., 0]), np.nan, vectors @ self.boresight)
         slope = np.zeros((*ideal.shape[:-1], 2, 3))
         slope[..., 0, 0] = slope[..., 1, 1] = self.focal_length_mm
         slope[..., 2] = -ideal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            gnomonic = slope / depth[..., None, None]
+        gnomonic = slope / depth[..., None, None]
         return np.asarray(
             self.pixel_from_mm @ self.distortion.jacobian(ideal) @ gnomonic @ self.focal_from_camera
         )

@@ -50,7 +50,7 @@ def read_fits(name: str, data: bytes, keywords: KeywordMap) -> Source:
                 _check_length(name, len(data), hdu, index)
             return _read_planes(name, hdus, keywords)
     except MALFORMED as error:
-        raise image_error(name, f"damaged FITS file ({error}); copy or download it again.") from error
+        raise image_error(name, f"damaged FITS file ({type(error).__name__}: {error}); copy or download it again.") from error
 
 
 def _check_length(name: str, available: int, hdu: Any, index: int) -> None:
@@ -63,14 +63,16 @@ def _check_length(name: str, available: int, hdu: Any, index: int) -> None:
 
 def _read_planes(name: str, hdus: Any, keywords: KeywordMap) -> Source:
     picture = _picture(name, hdus, keywords.image_extension)
-    header = _header(hdus[0].header) | _header(hdus[picture].header)
+    messages: list[str] = []
+    header = _header(hdus[0].header, messages)
+    if picture:
+        header |= _header(hdus[picture].header, messages)
     planes: dict[str, Any] = {}
-    messages = []
     for what, wanted in (("error", keywords.error_extension), ("quality", keywords.quality_extension)):
         index = None if wanted is None else _find(hdus, wanted)
         planes[what] = None if index is None else hdus[index].data
         if wanted is not None and planes[what] is None:
-            messages.append(f"no {what} plane: FITS extension {wanted!r} is not among {_names(hdus)}")
+            messages.append(f"no {what} plane: FITS extension {wanted!r} is not an image of {_names(hdus)}")
     return Source(hdus[picture].data, header, **planes, messages=tuple(messages))
 
 
@@ -102,11 +104,17 @@ def _names(hdus: Any) -> str:
     return ", ".join(f"{index} {hdu.name!r}" for index, hdu in enumerate(hdus))
 
 
-def _header(header: Any) -> dict[str, HeaderValue]:
+def _header(header: Any, messages: list[str]) -> dict[str, HeaderValue]:
     """Return a FITS header as plain values, without comments and undefined cards; of equals the first."""
     values: dict[str, HeaderValue] = {}
     for card in header.cards:
-        value = None if card.keyword in COMMENTARY or isinstance(card.value, Undefined) else plain(card.value)
+        if card.keyword in COMMENTARY:
+            continue
+        try:
+            value = None if isinstance(card.value, Undefined) else plain(card.value)
+        except fits.VerifyError:
+            messages.append(f"header card {card.keyword} breaks the FITS standard and is left out")
+            continue
         if value is not None:
             values.setdefault(card.keyword, value)
     return values

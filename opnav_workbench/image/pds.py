@@ -116,23 +116,25 @@ def read_raw(name: str, data: bytes, offset: int, label: Label) -> Source:
     """
     image = label.image
     lines, samples = (_positive(name, image, key) for key in ("LINES", "LINE_SAMPLES"))
-    bands = int(image.get("BANDS", 1))
-    if bands != 1:
-        raise image_error(
-            name, f"holds a cube of {bands} bands, not one picture; save the band to be measured alone."
-        )
+    if (bands := _number(name, image, "BANDS", 1)) != 1:
+        raise image_error(name, f"holds a cube of {bands:g} bands, not one picture; save one band alone.")
     dtype = _sample_type(name, image)
-    prefix, suffix = (int(image.get(key, 0)) for key in ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES"))
+    prefix, suffix = (int(_number(name, image, key, 0)) for key in ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES"))
     width = prefix + samples * dtype.itemsize + suffix
     present = max(len(data) - offset, 0)
     if present < lines * width:
         raise truncated(name, "the image", present, lines * width)
     rows = np.frombuffer(data, np.uint8, lines * width, offset).reshape(lines, width)
     pixels = np.ascontiguousarray(rows[:, prefix : width - suffix]).view(dtype)
-    scale, zero = (
-        float(image.get(key, default)) for key, default in (("SCALING_FACTOR", 1.0), ("OFFSET", 0.0))
-    )
+    scale, zero = _number(name, image, "SCALING_FACTOR", 1.0), _number(name, image, "OFFSET", 0.0)
     return Source(pixels.astype(np.float64) * scale + zero, dict(label.values))
+
+
+def _number(name: str, values: dict[str, HeaderValue], key: str, default: float) -> float:
+    value = values.get(key, default)
+    if not isinstance(value, int | float) or value < 0.0 < len(key) and key != "OFFSET":
+        raise image_error(name, f"PDS3 label with {key} = {value!r}, expected a number; check the label.")
+    return value
 
 
 def _positive(name: str, values: dict[str, HeaderValue], key: str) -> int:
@@ -145,7 +147,7 @@ def _positive(name: str, values: dict[str, HeaderValue], key: str) -> int:
 
 
 def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[np.generic]:
-    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), int(image.get("SAMPLE_BITS", 0))
+    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), int(_number(name, image, "SAMPLE_BITS", 0))
     match = SAMPLE_TYPE.fullmatch(text)
     real = match is not None and match["kind"] != "INTEGER"
     readable = bits in ((32, 64) if real else (8, 16, 32))

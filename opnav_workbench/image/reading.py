@@ -95,7 +95,7 @@ def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> Source:
         return read_vicar(file.name, file, data)
     raise image_error(
         file.name,
-        f"is not FITS, VICAR or PDS3: it begins with {plain[:SHOWN_BYTES]!r}; give an image file.",
+        f"is not a FITS, VICAR or PDS3 file: it begins with {plain[:SHOWN_BYTES]!r}; give an image file.",
     )
 
 

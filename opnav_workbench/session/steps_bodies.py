@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies import TargetState
+from opnav_workbench.bodies import TargetState, center_of_light_radii
 from opnav_workbench.bodycenters import BodyCenter, find_unresolved
 from opnav_workbench.errors import SessionError
-from opnav_workbench.observables import Observable, observe
+from opnav_workbench.observables import Observable, attitude_partials, observe
 from opnav_workbench.pointing import PointingSolution, solve_pointing
 from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.scene import BodyPrediction, predict_body
@@ -132,21 +132,43 @@ def _unresolved(
         )
     sigma = _predicted_sigma(context, inputs, state, target)
     radius = radius_px or float(np.clip(SEARCH_SIGMAS * sigma, MIN_BODY_RADIUS_PX, MAX_BODY_RADIUS_PX))
+    offset, offset_covariance = _light_offset(context, inputs, state, target, prediction)
     return find_unresolved(
         context.signal_dn,
         context.noise_dn,
         context.bad,
         prediction.pixel_line,
-        sigma,
         state.psf or context.camera_psf,
         name=target.name,
         search_radius_px=radius,
         saturated=context.frame.saturated,
-        gain_e_per_dn=context.camera.gain_e_per_dn,
+        noise_model=context.noise_model,
+        psf_error=0.0 if state.centers is None else state.centers.psf_error,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
-        diameter_px=prediction.diameter_px,
+        diameter_px=prediction.diameter_px if np.isfinite(prediction.diameter_px) else 0.0,
+        light_offset_px=offset,
+        light_offset_covariance_px2=offset_covariance,
         neighbours_px=_neighbours(context, inputs, state, target.name),
     )
+
+
+def _light_offset(
+    context: Context, inputs: Inputs, state: SessionState, target: TargetState, prediction: BodyPrediction
+) -> tuple[FloatArray, FloatArray]:
+    """Center of light minus center of figure (px) of a small disk at phase, and its covariance."""
+    if target.sun_position_km is None or not prediction.diameter_px > 0.0:
+        return np.zeros(2), np.zeros((2, 2))
+    shift, sigma = center_of_light_radii(prediction.phase_rad)
+    rotation = attitude(inputs, state)
+    toward_sun = rotation @ np.asarray(target.sun_position_km)
+    in_camera = rotation @ prediction.direction
+    on_detector = context.camera.project_jacobian(in_camera[None])[0] @ toward_sun
+    length = float(np.hypot(*on_detector))
+    if length == 0.0:
+        return np.zeros(2), np.zeros((2, 2))
+    sunward = on_detector / length
+    radius_px = 0.5 * prediction.diameter_px
+    return shift * radius_px * sunward, (sigma * radius_px) ** 2 * np.outer(sunward, sunward)
 
 
 def _predicted_sigma(context: Context, inputs: Inputs, state: SessionState, target: TargetState) -> float:
@@ -154,19 +176,12 @@ def _predicted_sigma(context: Context, inputs: Inputs, state: SessionState, targ
     camera = context.camera
     rotation = attitude(inputs, state)
     vector = rotation @ np.asarray(target.position_km)
-    unit = vector / np.linalg.norm(vector)
-    jacobian = camera.project_jacobian(unit[None])[0]
-    by_attitude = jacobian @ _cross(unit)
+    by_attitude = attitude_partials(target.direction, camera, rotation)
     covariance = by_attitude @ attitude_covariance(context, inputs, state) @ by_attitude.T
     if target.covariance_km2 is not None:
         by_position = camera.project_jacobian(vector[None])[0] @ rotation
         covariance = covariance + by_position @ target.covariance_km2 @ by_position.T
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])) if np.isfinite(covariance).all() else np.nan
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    """Matrix of the cross product, ``_cross(v) @ u = v x u``; its sign does not matter to a covariance."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 def _neighbours(context: Context, inputs: Inputs, state: SessionState, name: str) -> FloatArray:

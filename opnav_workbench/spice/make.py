@@ -3,9 +3,10 @@
 The paper's "capability to simulate the various kernels" (AAS 13-443, section on the use of SPICE).
 """
 
+import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from os import PathLike
 from pathlib import Path
@@ -15,11 +16,12 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.errors import KernelError
+from opnav_workbench.errors import KernelError, MissionError
 from opnav_workbench.spice import assignments as to
 from opnav_workbench.spice.guard import Request, spice_call
 from opnav_workbench.spice.kernels import KernelSet
 from opnav_workbench.spice.scenario import Scenario, load_scenario
+from opnav_workbench.spice.scenario_parts import AttitudeError, Body, Spacecraft
 from opnav_workbench.spice.steering import disturbed, window_attitudes
 from opnav_workbench.spice.text_kernels import metakernel_assignments, write_text_kernel
 from opnav_workbench.spice.trajectories import et_from_tdb, spk_segments, utc_to_et
@@ -37,7 +39,8 @@ def make_kernels(
 
     The folder then holds LSK, SCLK, FK, IK, PCK, the SPK of the spacecraft, the SPK of the bodies and the CK
     with the predicted attitudes, named after the scenario, and ``NAME.tm``. Its paths are relative:
-    SPICE's own tools load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the same bytes.
+    SPICE's own tools load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the
+    same bytes.
 
     Parameters
     ----------
@@ -140,18 +143,22 @@ class _Builder:
 
     def _attitudes(self, predicted: str, actual: str | None) -> list[str]:
         """Write the CKs, predicted and actual."""
-        pieces = [window_attitudes(self.scenario, w) for w in self.scenario.pointing.windows]
+        pieces = []
+        for i, window in enumerate(self.scenario.pointing.windows):
+            with _as_mission_error(f"pointing.windows.{i}"):
+                pieces.append(window_attitudes(self.scenario, window))
         et = np.concatenate([times for times, _ in pieces])
         cameras = np.concatenate([attitudes for _, attitudes in pieces])
         starts = np.cumsum([0, *(len(times) for times, _ in pieces[:-1])]).tolist()
         self._ck(predicted, et, cameras, starts)
         if actual is None:
             return [predicted]
-        error = self.scenario.pointing.actual
-        self._ck(actual, et, disturbed(cameras, error, self.scenario) if error else cameras, starts)
+        error = self.scenario.pointing.actual or AttitudeError()
+        with _as_mission_error("pointing.actual"):
+            self._ck(actual, et, disturbed(cameras, error, self.scenario), starts)
         return [predicted, actual]
 
-    def _ck(self, name: str, et: FloatArray, camera_from_j2000: FloatArray, starts: Iterable[int]) -> None:
+    def _ck(self, name: str, et: FloatArray, camera_from_j2000: FloatArray, starts: Sequence[int]) -> None:
         bus = self.scenario.spacecraft.frame
         frame = self.scenario.pointed_instrument.frame
         with spice_call(Request(f"mounting of {frame}", float(et[0]), frame=frame), needs_kernels=True):
@@ -162,9 +169,17 @@ class _Builder:
             self.scenario.clock.id,
             et,
             bus_from_camera @ camera_from_j2000,
-            interval_starts=list(starts),
+            interval_starts=starts,
             comment=self.comment,
         )
+
+
+@contextlib.contextmanager
+def _as_mission_error(field: str) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise MissionError(f"scenario: {field}: {error}.") from error
 
 
 def _clock(scenario: Scenario) -> dict[str, Any]:
@@ -184,7 +199,8 @@ def _clock(scenario: Scenario) -> dict[str, Any]:
 
 def _frames(scenario: Scenario) -> dict[str, Any]:
     craft, clock_id = scenario.spacecraft, scenario.clock.id
-    named = [(name, thing.id) for thing in (craft, *scenario.bodies) for name in (*thing.aliases, thing.name)]
+    things: tuple[Spacecraft | Body, ...] = (craft, *scenario.bodies)
+    named = [(name, thing.id) for thing in things for name in (*thing.aliases, thing.name)]
     values = to.name_assignments(named) | to.bus_frame_assignments(
         craft.frame.name, craft.frame.id, craft.id, clock_id
     )

@@ -4,6 +4,7 @@ A scenario is a YAML file, or the mapping read from one, of plain numbers; `make
 """
 
 from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -107,12 +108,12 @@ class Scenario(Strict):
         return next(i for i in self.instruments if i.name == self.pointing.instrument)
 
 
-def load_scenario(source: Mapping[str, Any] | Path | str) -> Scenario:
+def load_scenario(source: Mapping[str, Any] | PathLike[str] | str) -> Scenario:
     """Read and check a scenario.
 
     Parameters
     ----------
-    source : mapping, Path or str
+    source : mapping or path
         The content, or the YAML file that holds it.
 
     Raises

@@ -49,8 +49,8 @@ def aim(
     Raises
     ------
     ValueError
-        `focal_from_camera` is not orthonormal; or the direction is so near a celestial pole that no boresight has
-        it at that offset with that twist.
+        `focal_from_camera` is not orthonormal; or the direction is so near a celestial pole that no boresight
+        has it at that offset with that twist.
 
     Examples
     --------
@@ -71,16 +71,18 @@ def aim(
 def _boresight_dec(dec_rad: float, twist_rad: float, offset: FloatArray, handedness: float) -> float:
     """Return the boresight's declination at which the offset direction (3,) has the declination `dec_rad`.
 
-    The celestial pole in focal axes is ``(-h sin t cos d, cos t cos d, sin d)``, with twist t, boresight declination
-    d and handedness h; its product with the offset is ``sin(dec)``: ``a cos d + b sin d = sin(dec)``.
+    In focal axes the celestial pole is ``(-h sin t cos d, cos t cos d, sin d)``, with handedness h, twist t
+    and boresight declination d; its product with the offset is the sine of `dec_rad`: ``a cos d + b sin d``. The
+    root is taken from ``cos(dec)``, which keeps its digits at the pole.
     """
-    a = offset[1] * math.cos(twist_rad) - handedness * offset[0] * math.sin(twist_rad)
-    b = offset[2]
-    ratio = math.sin(dec_rad) / math.hypot(a, b)
-    if abs(ratio) < 1.0 + ROUNDING:
-        middle, half = math.atan2(b, a), math.acos(min(1.0, max(-1.0, ratio)))
-        solutions = [math.remainder(middle + side * half, 2.0 * math.pi) for side in (-1.0, 1.0)]
-        best = min(solutions, key=lambda d: abs(d - dec_rad))
+    sine, cosine = math.sin(twist_rad), math.cos(twist_rad)
+    a, b = offset[1] * cosine - handedness * offset[0] * sine, offset[2]
+    across = abs(offset[1] * sine + handedness * offset[0] * cosine)
+    reach = math.cos(dec_rad)
+    if reach > across - ROUNDING:
+        half = math.atan2(math.sqrt(max(0.0, (reach - across) * (reach + across))), math.sin(dec_rad))
+        roots = (math.remainder(math.atan2(b, a) + side * half, math.tau) for side in (-1.0, 1.0))
+        best = min(roots, key=lambda d: abs(d - dec_rad))
         if abs(best) <= math.pi / 2 + ROUNDING:
             return min(math.pi / 2, max(-math.pi / 2, best))
     raise ValueError(

@@ -83,7 +83,7 @@ def _grid(scenario: Scenario, step_s: float, field: str) -> FloatArray:
     n = math.ceil((end - start) / step_s) + 1
     if n > MAX_STATES:
         raise MissionError(f"{field}: a table of {n} states, the limit is {MAX_STATES}; take longer steps.")
-    return start + step_s * np.arange(n)
+    return np.asarray(start + step_s * np.arange(n), np.float64)
 
 
 def _kepler_step(orbit: KeplerOrbit) -> float:

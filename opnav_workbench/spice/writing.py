@@ -242,7 +242,7 @@ def _matrices(attitudes: ArrayLike, n: int) -> FloatArray:
 
 
 def _interval_starts(et: FloatArray, max_gap_s: float | None, extra: Sequence[int]) -> FloatArray:
-    gaps = np.flatnonzero(np.diff(et) > max_gap_s) + 1 if max_gap_s is not None else []
+    gaps = np.flatnonzero(np.diff(et) > (np.inf if max_gap_s is None else max_gap_s)) + 1
     starts = np.unique(np.concatenate([[0], gaps, np.asarray(extra, int)]).astype(int))
     if starts[0] < 0 or starts[-1] >= len(et):
         raise ValueError(f"interval_starts {list(extra)} go beyond the {len(et)} epochs")

@@ -34,7 +34,7 @@ class StarModel:
         line, pixel = np.indices((size, size), dtype=float).reshape(2, -1) - (size - 1) / 2
         basis = np.stack([np.ones(size * size), pixel, line])[: parameters - LEVEL]
         gain = np.inf if noise is None else noise.gain_e_per_dn
-        data, variance = boxes.data_dn.reshape(n, -1), boxes.variance_dn2.reshape(n, -1)
+        data, variance = (a.reshape(n, size * size) for a in (boxes.data_dn, boxes.variance_dn2))
         return cls(boxes.first.astype(float), data, variance, basis, size, gain)
 
     def __call__(self, index: IntArray, p: FloatArray) -> Evaluation:
@@ -42,10 +42,10 @@ class StarModel:
         psf = box_integrals(p[:, PIXEL : LINE + 1], p[:, SCALE : E2 + 1], self.first[index], self.size)
         k, flux = len(p), p[:, FLUX, None]
         jacobian = np.empty((k, p.shape[1], self.size**2))
-        jacobian[:, FLUX] = psf.value.reshape(k, -1)
+        jacobian[:, FLUX] = psf.value.reshape(k, self.size**2)
         derivatives = (psf.d_pixel, psf.d_line, psf.d_log_scale, psf.d_e1, psf.d_e2)
         for column, derivative in zip((PIXEL, LINE, SCALE, E1, E2), derivatives, strict=True):
-            np.multiply(flux, derivative.reshape(k, -1), out=jacobian[:, column])
+            np.multiply(flux, derivative.reshape(k, self.size**2), out=jacobian[:, column])
         jacobian[:, LEVEL:] = self.basis
         star = flux * jacobian[:, FLUX]
         residual = self.data[index] - star - p[:, LEVEL:] @ self.basis
@@ -58,7 +58,7 @@ class StarModel:
         """Return parameters: flux and background level solved linearly at `center` and the prior's shape."""
         n = len(center)
         shape = np.broadcast_to(prior.mean, (n, 3))
-        psf = box_integrals(center, shape, self.first, self.size).value.reshape(n, -1)
+        psf = box_integrals(center, shape, self.first, self.size).value.reshape(n, self.size**2)
         w = 1.0 / self.variance
         s, st, stt = np.sum(w, 1), np.sum(w * psf, 1), np.sum(w * psf**2, 1)
         sd, std = np.sum(w * self.data, 1), np.sum(w * psf * self.data, 1)

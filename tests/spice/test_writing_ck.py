@@ -155,7 +155,13 @@ def test_attitudes_in_a_new_process(tmp_path, clock):
         "import sys, json, spiceypy; [spiceypy.furnsh(k) for k in sys.argv[2:]];"
         "print(json.dumps([spiceypy.pxform('J2000', 'BUS', t).tolist() for t in json.loads(sys.argv[1])]))"
     )
-    arguments = [sys.executable, "-c", code, json.dumps(EPOCHS.tolist()), *map(str, [*clock, tmp_path / "a.bc"])]
+    arguments = [
+        sys.executable,
+        "-c",
+        code,
+        json.dumps(EPOCHS.tolist()),
+        *map(str, [*clock, tmp_path / "a.bc"]),
+    ]
     matrices = np.array(json.loads(subprocess.run(arguments, check=True, capture_output=True).stdout))
     assert angle_between(matrices, spin(EPOCHS, RATE)) < ATTITUDE_TOLERANCE_RAD
 
@@ -189,7 +195,10 @@ GOOD = {"et": EPOCHS, "frame_from_reference": spin(EPOCHS, RATE)}
         ({"angular_rates": np.full((6, 3), np.inf)}, r"angular_rates\[0, 0\] is not finite"),
         ({"interval_starts": [6]}, "beyond the 6 epochs"),
         ({"reference": "NO_SUCH_FRAME"}, "NO_SUCH_FRAME"),
-        ({"et": EPOCHS - 10_000.0}, f"clock {CRAFT} at 2015-.*reading within the partitions|tick"),  # too early
+        (
+            {"et": EPOCHS - 10_000.0},
+            f"clock {CRAFT} at 2015-.*reading within the partitions|tick",
+        ),  # too early
         ({"et": START + 1e-8 * np.arange(6)}, "same clock tick|must increase"),
         ({"comment": "\\begindata"}, "begindata"),
     ],
@@ -203,7 +212,7 @@ def test_what_makes_no_ck(tmp_path, clock, changes, message):
 
 
 def test_without_a_clock(tmp_path, clock):
-    with KernelSet(clock[:1]), pytest.raises(KernelError, match="clock -999.*SCLK") as caught:
+    with KernelSet(clock[:1]), pytest.raises(KernelError, match=r"clock -999.*SCLK") as caught:
         write_ck(tmp_path / "a.bc", BUS, CRAFT, **GOOD)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())

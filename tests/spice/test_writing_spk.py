@@ -51,9 +51,13 @@ def test_states_at_nodes(tmp_path, segment):
     assert np.abs(states[:, 3:] - segment.states[:, 3:]).max() < VELOCITY_TOLERANCE_KM_S
 
 
-@pytest.mark.parametrize(("interpolation", "kind", "tolerance_km"), [("hermite", 13, 2e-4), ("lagrange", 9, 1.0)])
+@pytest.mark.parametrize(
+    ("interpolation", "kind", "tolerance_km"), [("hermite", 13, 2e-4), ("lagrange", 9, 1.0)]
+)
 def test_states_between_nodes(tmp_path, segment, interpolation, kind, tolerance_km):
-    write_spk(tmp_path / "a.bsp", [SpkSegment(TARGET, CENTER, segment.et, segment.states, "J2000", interpolation)])
+    write_spk(
+        tmp_path / "a.bsp", [SpkSegment(TARGET, CENTER, segment.et, segment.states, "J2000", interpolation)]
+    )
     et = np.linspace(segment.et[3], segment.et[-4], 501)
     error_km = np.linalg.norm(read(tmp_path / "a.bsp", et)[:, :3] - orbit(et)[:, :3], axis=1).max()
     assert error_km < tolerance_km
@@ -114,7 +118,10 @@ def _changed(segment: SpkSegment, **changes) -> dict:
         (lambda s: {"et": np.r_[s.et[0], s.et[:-1]]}, "must increase: number 1 is 0.0, after 0.0"),
         (lambda s: {"et": s.et[:1], "states": s.states[:1]}, "1 epochs, at least 2"),
         (lambda s: {"et": np.where(s.et == s.et[3], np.nan, s.et)}, r"et\[3\] is not finite"),
-        (lambda s: {"states": np.where(s.states == s.states[5, 2], np.inf, s.states)}, r"states\[5, 2\] is not finite"),
+        (
+            lambda s: {"states": np.where(s.states == s.states[5, 2], np.inf, s.states)},
+            r"states\[5, 2\] is not finite",
+        ),
         (lambda s: {"states": s.states[:, :3]}, "shape"),
         (lambda s: {"states": s.states[1:]}, "shape"),
         (lambda s: {"center": TARGET}, "same body"),
@@ -155,11 +162,7 @@ def open_files() -> list[str]:
     links = Path("/proc/self/fd")
     if not links.is_dir():
         pytest.skip("open files are listed on Linux only")
-    found = []
-    for link in links.iterdir():
-        if link.is_symlink():
-            found.append(str(link.readlink()))
-    return found
+    return [str(link.readlink()) for link in links.iterdir() if link.is_symlink()]
 
 
 def test_failure_inside_spice_leaves_no_file_and_no_handle(tmp_path, segment, monkeypatch):

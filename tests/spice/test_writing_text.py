@@ -1,4 +1,4 @@
-"""Text kernels: what is written comes back through SPICE's own pool, and what cannot be written is refused."""
+"""Text kernels: what is written comes back through SPICE's own pool; what cannot be written is refused."""
 
 import math
 from pathlib import Path
@@ -181,7 +181,9 @@ def test_body_constants_as_spice_sees_them(tmp_path):
     load(tmp_path / "p.tpc", "PCK", pck)
     matrix = spiceypy.pxform("J2000", "IAU_CHARON", 86400.0)
     ra, dec = np.radians([132.993, -6.163])
-    assert matrix[2] == pytest.approx([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], abs=1e-14)
+    assert matrix[2] == pytest.approx(
+        [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], abs=1e-14
+    )
     node = np.array([-np.sin(ra), np.cos(ra), 0.0])  # IAU: the prime meridian is counted from here
     angle = np.degrees(np.arctan2(np.cross(node, matrix[0]) @ matrix[2], node @ matrix[0])) % 360.0
     assert angle == pytest.approx(122.695 + 56.3625225, abs=1e-10)
@@ -199,7 +201,11 @@ def test_clock_reads_and_converts(tmp_path, leap_seconds):
 def test_clock_with_partitions_drift_and_tdt(tmp_path, leap_seconds):
     correlation = [(0, 7.0e8, 1.0), (50_000_000, 7.0e8 + 1000.5, 1.001)]  # half a second lost, then slow
     clock = sclk_assignments(
-        -999, correlation, subcounts=50_000, partitions=[(0, 99_999_999), (100_000_000, 10**13)], time_system="TDT"
+        -999,
+        correlation,
+        subcounts=50_000,
+        partitions=[(0, 99_999_999), (100_000_000, 10**13)],
+        time_system="TDT",
     )
     load(tmp_path / "c.tsc", "SCLK", clock)
     spiceypy.furnsh(leap_seconds)
@@ -211,7 +217,12 @@ def test_clock_with_partitions_drift_and_tdt(tmp_path, leap_seconds):
 
 @pytest.mark.parametrize(
     ("clock_id", "correlation"),
-    [(98, [(0, 0.0, 1.0)]), (-98, []), (-98, [(0, 0.0, 1.0), (0, 1.0, 1.0)]), (-98, [(0, 5.0, 1.0), (9, 5.0, 1.0)])],
+    [
+        (98, [(0, 0.0, 1.0)]),
+        (-98, []),
+        (-98, [(0, 0.0, 1.0), (0, 1.0, 1.0)]),
+        (-98, [(0, 5.0, 1.0), (9, 5.0, 1.0)]),
+    ],
 )
 def test_clock_that_cannot_be(clock_id, correlation):
     with pytest.raises(KernelError, match="clock"):

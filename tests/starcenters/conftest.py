@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-NODES = 12  # Gauss-Legendre nodes per pixel and axis: exact to 1e-9 for sigmas from 0.3 px
+NODES = 8  # Gauss-Legendre nodes per pixel and axis: exact to 1e-7 for sigmas from 0.3 px
 HALF = 14  # pixels rendered on each side of a star
 
 

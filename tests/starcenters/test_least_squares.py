@@ -15,7 +15,8 @@ from opnav_workbench.starcenters import (
     fit_gaussian,
 )
 
-TRIALS = 700
+TRIALS = 600
+BOUND_TRIALS = 160  # one bound takes as long as ten fits
 READ_NOISE_DN = 3.0
 GAIN_E_PER_DN = 15.0
 NOISE = NoiseModel(READ_NOISE_DN, GAIN_E_PER_DN)
@@ -35,9 +36,9 @@ def draw_shapes(prior, n, rng):
     return scale * np.sqrt(1 + size), scale * np.sqrt(1 - size), 0.5 * np.arctan2(e[:, 1], e[:, 0])
 
 
-def simulate(render_stars, star_grid, prior, snr, seed, n=TRIALS):
+def simulate(render_stars, star_grid, prior, snr, seed, n=TRIALS, jitter=0.5):
     rng = np.random.default_rng(seed)
-    centers, shape = star_grid(n, SPACING_PX, rng)
+    centers, shape = star_grid(n, SPACING_PX, rng, jitter)
     flux = flux_of_snr(snr, prior.sigma_px)
     ellipses = np.array(draw_shapes(prior, n, rng))
     clean = render_stars(shape, centers, flux, *ellipses)
@@ -98,16 +99,16 @@ def test_centers_are_unbiased_efficient_and_know_their_errors(
     normalized = error / fit.sigma_px[fit.usable]
     scatter = normalized.std(axis=0)
     assert np.all((scatter > 0.9) & (scatter < 1.1)), scatter
-    assert np.all(np.abs(normalized.mean(axis=0)) < 0.1 + 2.0 / np.sqrt(TRIALS)), normalized.mean(axis=0)
+    assert np.all(np.abs(normalized.mean(axis=0)) < 0.1), normalized.mean(axis=0)
     assert 0.95 < np.median(fit.chi2_reduced) < 1.05
 
     box = default_box_px(sigma)
-    sample = np.flatnonzero(fit.usable)[:60]
-    bound = np.mean(
-        [np.diag(cramer_rao(pixel_flux, truth[i], ellipses[:, i], flux, prior, box)) for i in sample], axis=0
-    )
-    ratio = np.sqrt(np.mean(error**2, axis=0) / bound)
-    assert np.all((ratio > 0.88) & (ratio < 1.1)), ratio
+    bound = np.array([
+        np.diag(cramer_rao(pixel_flux, truth[i], ellipses[:, i], flux, prior, box))
+        for i in np.flatnonzero(fit.usable)[:BOUND_TRIALS]
+    ])  # fmt: skip
+    ratio = np.sqrt(np.mean(error[:BOUND_TRIALS] ** 2 / bound, axis=0))
+    assert np.all((ratio > 0.9) & (ratio < 1.1)), ratio
 
 
 def test_flux_and_shape_know_their_errors(render_stars, star_grid):
@@ -124,7 +125,7 @@ def test_flux_and_shape_know_their_errors(render_stars, star_grid):
 
 def test_agrees_with_scipy_least_squares_star_by_star(render_stars, star_grid, pixel_flux):
     prior = ShapePrior.round_psf(1.0, 0.3, 0.2)
-    image, _, _, flux, start = simulate(render_stars, star_grid, prior, 50.0, 8, n=6)
+    image, _, _, flux, start = simulate(render_stars, star_grid, prior, 50.0, 8, n=6, jitter=0.3)
     fit = fit_gaussian(image, READ_NOISE_DN, None, start, prior, box_px=11)
     for i in range(6):
         corner = np.rint(fit.pixel_line[i]).astype(int) - 5
@@ -202,7 +203,7 @@ def test_saturated_core_is_masked_and_flagged(render_stars):
     prior = ShapePrior.round_psf(1.0, 0.05, 0.05)
     masked = fit_gaussian(image, 1.0, None, [[20.0, 19.0]], prior, saturated=saturated)
     clipped = fit_gaussian(image, 1.0, None, [[20.0, 19.0]], prior)
-    assert saturated.sum() >= 4
+    assert saturated.sum() >= 3
     assert masked.flags[0] == StarFlag.SATURATED
     error = np.abs(masked.pixel_line[0] - [20.3, 18.8]).max()
     assert error < 4.0 * masked.sigma_px.max()

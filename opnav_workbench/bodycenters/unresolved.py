@@ -1,0 +1,184 @@
+"""Center of a body smaller than the PSF: modelled as a star, as in AAS 13-443, "Unresolved Object Centerfinding".
+
+Flow   predicted place -> matched filter within the search radius -> least squares with the frame's PSF -> center of figure
+Frame  (pixel, line), 0-based, integer = pixel center
+
+A small disk at phase is brighter on its sunward side, so that its light lies off its center of figure; the caller gives
+that offset and it is taken out, with its uncertainty.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodycenters.results import BodyCenter
+from opnav_workbench.starcenters import (
+    NoiseModel,
+    ShapePrior,
+    StarCenters,
+    StarFlag,
+    correlate,
+    default_box_px,
+    describe_flags,
+    fit_gaussian,
+    gaussian_template,
+)
+
+__all__ = ["find_unresolved"]
+
+METHOD = "unresolved"
+DETECTED_SNR = 3.0  # below, noise alone exceeds it somewhere in a search area of 100 px every few frames
+CERTAIN_SNR = 5.0
+NEIGHBOUR_PX = 4.0  # a star nearer than this pulls the center
+FIT_FAILED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
+SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.BAD_PIXELS | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.BLENDED
+# A disk convolved with the PSF has a wider Gaussian: a uniform disk of diameter D has sigma D / 4.
+DISK_SIGMA = 0.25
+
+
+def find_unresolved(
+    image_dn: FloatArray,
+    noise_dn: FloatArray,
+    bad: ArrayLike,
+    prediction_px: ArrayLike,
+    prior: ShapePrior,
+    *,
+    name: str,
+    search_radius_px: float,
+    saturated: ArrayLike | None = None,
+    noise_model: NoiseModel | None = None,
+    psf_error: float = 0.0,
+    excess_sigma_px: float = 0.0,
+    diameter_px: float = 0.0,
+    light_offset_px: ArrayLike = (0.0, 0.0),
+    light_offset_covariance_px2: ArrayLike = ((0.0, 0.0), (0.0, 0.0)),
+    neighbours_px: ArrayLike = (),
+) -> BodyCenter:
+    """Find an unresolved body near its predicted place.
+
+    Parameters
+    ----------
+    image_dn, noise_dn, bad : (n_line, n_pixel) arrays
+        Picture, its expected noise without the body's own shot noise, and the pixels to leave out.
+    prediction_px : (2,) array_like
+        Predicted center of figure (pixel, line); nan for a body behind the camera.
+    prior : ShapePrior
+        The frame's PSF.
+    name : str
+    search_radius_px : float
+        How far the body may be from its prediction.
+    saturated : (n_line, n_pixel) array_like of bool, optional
+    noise_model : NoiseModel, optional
+        Adds the body's own shot noise to the weights.
+    psf_error : float
+        Relative error of the PSF model as the frame's stars tell it (`StarCenters.psf_error`).
+    excess_sigma_px : float
+        Centering error of the frame's stars beyond their covariances (`PointingSolution.excess_sigma_px`); the body
+        suffers it too.
+    diameter_px : float
+        Predicted diameter, which widens the PSF.
+    light_offset_px, light_offset_covariance_px2 : (2,), (2, 2) array_like
+        Center of light minus center of figure.
+    neighbours_px : (k, 2) array_like
+        Places of other stars and bodies.
+
+    Returns
+    -------
+    BodyCenter
+        Status ``ok``; ``uncertain`` (SNR below 5, or a flag against the fit); ``not_detected``, ``off_detector``,
+        ``saturated`` or ``failed`` without a center.
+    """
+    predicted = np.asarray(prediction_px, dtype=np.float64)
+    n_line, n_pixel = np.shape(image_dn)
+    if not _inside(predicted, n_pixel, n_line):
+        return BodyCenter.without_center(name, METHOD, "off_detector", _off_detector(predicted))
+    widened = _widened(prior, diameter_px)
+    coarse = correlate(
+        image_dn,
+        noise_dn,
+        bad,
+        predicted[None],
+        gaussian_template(widened.sigma_px, default_box_px(widened.sigma_px)),
+        search_radius_px=max(search_radius_px, 1.0),
+        saturated=saturated,
+    )
+    if not coarse.snr[0] >= DETECTED_SNR:
+        return _not_detected(name, float(coarse.snr[0]), search_radius_px)
+    fit = fit_gaussian(
+        image_dn,
+        noise_dn,
+        bad,
+        coarse.pixel_line,
+        widened,
+        saturated=saturated,
+        noise_model=noise_model,
+        psf_error=psf_error,
+    )
+    offset = np.asarray(light_offset_px, dtype=np.float64)
+    floor = excess_sigma_px**2 * np.eye(2) + np.asarray(light_offset_covariance_px2)
+    return _judged(name, fit, offset, floor, predicted, search_radius_px, np.reshape(neighbours_px, (-1, 2)))
+
+
+def _inside(place: FloatArray, n_pixel: int, n_line: int) -> bool:
+    return bool(-0.5 <= place[0] < n_pixel - 0.5 and -0.5 <= place[1] < n_line - 0.5)
+
+
+def _off_detector(predicted: FloatArray) -> str:
+    if not np.isfinite(predicted).all():
+        return "it is not in front of the camera"
+    return f"predicted at pixel {predicted[0]:.1f}, line {predicted[1]:.1f}, outside the detector"
+
+
+def _widened(prior: ShapePrior, diameter_px: float) -> ShapePrior:
+    sigma = np.hypot(prior.sigma_px, DISK_SIGMA * diameter_px)
+    return ShapePrior(float(np.log(sigma)), prior.sigma_log_scale, prior.ellipticity, prior.sigma_ellipticity)
+
+
+def _not_detected(name: str, snr: float, radius_px: float) -> BodyCenter:
+    seen = f"SNR {snr:.1f} at most" if np.isfinite(snr) else "no usable pixels"
+    return BodyCenter.without_center(
+        name, METHOD, "not_detected", f"nothing found within {radius_px:.1f} px of its predicted place ({seen})"
+    )
+
+
+def _judged(
+    name: str,
+    fit: StarCenters,
+    offset: FloatArray,
+    floor: FloatArray,
+    predicted: FloatArray,
+    radius_px: float,
+    neighbours: FloatArray,
+) -> BodyCenter:
+    flags, snr = int(fit.flags[0]), float(fit.snr[0])
+    if flags & StarFlag.SATURATED:
+        return BodyCenter.without_center(name, METHOD, "saturated", "its core is saturated; take a shorter exposure")
+    if flags & FIT_FAILED:
+        return BodyCenter.without_center(name, METHOD, "failed", describe_flags(flags & FIT_FAILED))
+    center = fit.pixel_line[0] - offset
+    if np.hypot(*(center - predicted)) > radius_px + 1.0 or snr < DETECTED_SNR:
+        return _not_detected(name, snr, radius_px)
+    doubts = _doubts(flags, snr, center, neighbours)
+    return BodyCenter(
+        name=name,
+        method=METHOD,
+        status="uncertain" if doubts else "ok",
+        pixel_line=center,
+        covariance_px2=fit.covariance_px2[0] + floor,
+        flux_dn=float(fit.flux_dn[0]),
+        snr=snr,
+        messages=tuple(doubts),
+    )
+
+
+def _doubts(flags: int, snr: float, center: FloatArray, neighbours: FloatArray) -> list[str]:
+    doubts = []
+    if snr < CERTAIN_SNR:
+        doubts.append(f"SNR {snr:.1f} is below {CERTAIN_SNR:g}")
+    if flags & SUSPICIOUS:
+        doubts.append(describe_flags(flags & SUSPICIOUS))
+    distance = np.hypot(*(neighbours - center).T)
+    near = distance[np.isfinite(distance) & (distance < NEIGHBOUR_PX)]
+    if near.size:
+        doubts.append(f"another object {near.min():.1f} px away may pull its center")
+    return doubts

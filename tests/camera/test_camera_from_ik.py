@@ -1,0 +1,209 @@
+"""Cameras from instrument kernels: flight kernels against our camera files, and kernels with angles alone."""
+
+import numpy as np
+import pytest
+
+from opnav_workbench.camera import Camera, NoDistortion, PsfPrior, SipDistortion
+from opnav_workbench.errors import CameraError
+from opnav_workbench.resources import kernels_meta_dir
+
+FOV = {
+    "INS-999100_FOV_FRAME": ("TEST_CAMERA",),
+    "INS-999100_BORESIGHT": (0.0, 0.0, 1.0),
+    "INS-999100_FOV_REF_VECTOR": (1.0, 0.0, 0.0),
+    "INS-999100_FOV_CLASS_SPEC": ("ANGLES",),
+    "INS-999100_FOV_REF_ANGLE": (2.0,),
+    "INS-999100_FOV_CROSS_ANGLE": (1.0,),
+    "INS-999100_FOV_ANGLE_UNITS": ("DEGREES",),
+    "INS-999100_PIXEL_SAMPLES": (2048.0,),
+    "INS-999100_PIXEL_LINES": (1024.0,),
+}
+
+
+def with_changes(**changes):
+    values = FOV | {f"INS-999100_{key}": value for key, value in changes.items()}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+@pytest.fixture
+def pool(data_dir):
+    """Function (kernel files, instrument id) -> its pool variables; the pool is empty before and after."""
+    import spiceypy
+
+    def read(files, instrument_id):
+        spiceypy.kclear()
+        for file in files:
+            spiceypy.furnsh(str(data_dir / "spice" / file))
+        names = spiceypy.gnpool(f"INS{instrument_id}_*", 0, 200)
+        values = {}
+        for name in names:
+            n, kind = spiceypy.dtpool(name)
+            read_one = spiceypy.gcpool if kind == "C" else spiceypy.gdpool
+            values[name] = tuple(read_one(name, 0, n))
+        return values
+
+    yield read
+    spiceypy.kclear()
+
+
+def shipped(name):
+    return Camera.from_yaml(kernels_meta_dir() / name)
+
+
+def grid(camera, n=25):
+    axes = (np.linspace(-0.5, size - 0.5, n) for size in (camera.n_pixel, camera.n_line))
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+
+def difference_px(camera, other):
+    """Largest shift on the detector between two descriptions of one camera."""
+    points = grid(camera)
+    return np.abs(other.project(camera.unproject(points)) - points).max()
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("binning", "instrument_id"), [("1x1", -98301), ("4x4", -98302)])
+def test_lorri_from_its_kernel_is_our_camera_file(pool, binning, instrument_id):
+    values = pool(["generic/nh_lorri_v201.ti"], instrument_id)
+    camera = Camera.from_ik(values, instrument_id)
+    ours = shipped(f"new_horizons/cameras/lorri_{binning}.yaml")
+    assert difference_px(ours, camera) < 1e-6
+    assert camera.frame == f"NH_LORRI_{binning.upper()}"
+    assert (camera.n_pixel, camera.n_line, camera.aperture_m) == (ours.n_pixel, ours.n_line, ours.aperture_m)
+    assert Camera.from_ik(values, instrument_id, frame="NH_LORRI").frame == ours.frame == "NH_LORRI"
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(("instrument_id", "tolerance_px"), [(-98301, 1e-6), (-98302, 1e-6)])
+def test_the_kernels_sip_coefficients_are_its_owen_coefficients(pool, instrument_id, tolerance_px):
+    values = pool(["generic/nh_lorri_v201.ti"], instrument_id)
+    owen = Camera.from_ik(values, instrument_id)
+    keywords = {key.partition("_SIP_")[2]: value[0] for key, value in values.items() if "_SIP_" in key}
+    sip = SipDistortion.from_keywords(keywords, owen.pixel_from_mm)
+    assert difference_px(owen, Camera.from_ik(values, instrument_id, distortion=sip)) < tolerance_px
+
+
+@pytest.mark.realdata
+def test_the_kernels_fortran_fragment_gives_our_pixels(pool):
+    """Its text projects with FL / VECTOR(3); LORRI looks along -Z, so the sky is at |VECTOR(3)|."""
+    values = pool(["generic/nh_lorri_v201.ti"], -98301)
+    focal, kmat, em, center = (
+        np.array(values[f"INS-98301_OOC_{key}"]) for key in ("FOCAL_LENGTH", "KMAT", "EM", "CCD_CENTER")
+    )
+    camera = Camera.from_ik(values, -98301)
+    for vector in camera.unproject([[12.0, 1000.0], [700.0, 30.0]]):
+        x, y = focal / abs(vector[2]) * vector[:2]
+        terms = np.array([[x * (x * x + y * y), x * y, x * x], [y * (x * x + y * y), y * y, x * y]])
+        expected = kmat.reshape(2, 2, order="F") @ (np.array([x, y]) + terms @ em) + center
+        np.testing.assert_allclose(camera.project(vector), expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.realdata
+def test_mapcam_from_ik_and_isis_addendum_is_our_camera_file(pool):
+    addendum = "slices/20190303T100344S990_map_iofL2pan_V001/orex_ocams_addendum_v10.ti"
+    values = pool(["generic/orx_ocams_v07.ti", addendum], -64364)
+    assert difference_px(shipped("osiris_rex/cameras/mapcam.yaml"), Camera.from_ik(values, -64364)) < 1e-6
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("instrument_id", "file", "tolerance_px"),
+    # The flight kernel has no distortion and the geometric center; PolyCam's 628.77 mm are 0.02 % from 628.9.
+    [(-64364, "mapcam", 2.5), (-64593, "polycam", 1.5)],
+)
+def test_ocams_without_distortion_is_near_our_camera_file(pool, instrument_id, file, tolerance_px):
+    ours = shipped(f"osiris_rex/cameras/{file}.yaml")
+    camera = Camera.from_ik(pool(["generic/orx_ocams_v07.ti"], instrument_id), instrument_id)
+    np.testing.assert_array_equal(camera.focal_from_camera, ours.focal_from_camera)
+    np.testing.assert_array_equal(camera.center_pixel_line, [511.5, 511.5])
+    assert camera.frame == ours.frame
+    assert difference_px(ours, camera) < tolerance_px
+
+
+@pytest.mark.realdata
+def test_mvic_from_its_field_of_view_and_pixel_angle(pool):
+    values = pool(["generic/nh_ralph_v100u.ti"], -98203)
+    ours = shipped("new_horizons/cameras/mvic_framing.yaml")
+    camera = Camera.from_ik(
+        values, -98203, n_pixel=5024, n_line=128, focal_from_camera=ours.focal_from_camera
+    )
+    assert camera.frame == ours.frame
+    assert camera.pixel_scale_rad == pytest.approx(19.8e-6, rel=1e-12)
+    assert difference_px(ours, camera) < 8.0  # 19.8 microrad, rounded, and no distortion
+    with pytest.raises(CameraError, match="gives no PIXEL_SAMPLES; give n_pixel"):
+        Camera.from_ik(values, -98203)
+
+
+def test_field_of_view_edges_are_detector_edges():
+    camera = Camera.from_ik(FOV, -999100)
+    assert (camera.name, camera.frame) == ("TEST_CAMERA", "TEST_CAMERA")
+    assert isinstance(camera.distortion, NoDistortion)
+    edges = np.tan(np.radians([2.0, 1.0]))
+    np.testing.assert_allclose(camera.project([edges[0], 0.0, 1.0]), [2047.5, 511.5], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(camera.project([0.0, -edges[1], 1.0]), [1023.5, 1023.5], rtol=0, atol=1e-9)
+
+
+def test_axes_can_be_given():
+    """Turned by 90 deg: the reference angle then belongs to the lines."""
+    turned = Camera.from_ik(
+        FOV, -999100, pixel_direction=[0, 1, 0], line_direction=[1, 0, 0], n_pixel=1024, n_line=2048
+    )
+    edges = np.tan(np.radians([2.0, 1.0]))
+    np.testing.assert_allclose(turned.project([0.0, edges[1], 1.0]), [1023.5, 1023.5], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(turned.project([edges[0], 0.0, 1.0]), [511.5, 2047.5], rtol=0, atol=1e-9)
+    downward = Camera.from_ik(FOV, -999100, pixel_direction=[1, 0, 0], line_direction=[0, 1, 0])
+    np.testing.assert_array_equal(downward.focal_from_camera, np.eye(3))
+
+
+def test_corner_vectors_and_circles_give_the_field():
+    corners = np.array([[0.2, 0.1, 1.0], [-0.2, 0.1, 1.0], [-0.2, -0.1, 1.0], [0.2, -0.1, 1.0]])
+    camera = Camera.from_ik(with_changes(FOV_BOUNDARY_CORNERS=tuple(corners.ravel())), -999100)
+    np.testing.assert_allclose(camera.project([0.2, 0.0, 1.0]), [2047.5, 511.5], rtol=0, atol=1e-9)
+    circle = Camera.from_ik(with_changes(FOV_CROSS_ANGLE=None, PIXEL_LINES=(2048,)), -999100)
+    np.testing.assert_allclose(np.diag(circle.pixel_from_mm), circle.pixel_from_mm[0, 0], rtol=1e-14)
+
+
+def test_keys_without_prefix_and_scalars_are_understood():
+    bare = {key.removeprefix("INS-999100_"): value for key, value in FOV.items()}
+    bare |= {"FOV_FRAME": "TEST_CAMERA", "PIXEL_LINES": 1024}
+    assert difference_px(Camera.from_ik(FOV, -999100), Camera.from_ik(bare, -999100)) < 1e-12
+
+
+def test_focal_length_in_metres_and_pixel_size_in_micrometres():
+    camera = Camera.from_ik(
+        with_changes(FOCAL_LENGTH=(0.5,), FOCAL_LENGTH_UNITS=("m",), PIXEL_SIZE=(10.0,), IFOV=(20.0,)),
+        -999100,
+    )
+    assert camera.focal_length_mm == 500.0
+    assert camera.pixel_scale_rad == pytest.approx(20e-6, rel=1e-12)
+
+
+def test_overrides_replace_what_the_kernel_gives():
+    camera = Camera.from_ik(FOV, -999100, name="mine", psf=PsfPrior(0.5, 0.1), gain_e_per_dn=3.0)
+    assert (camera.name, camera.psf.sigma_px, camera.gain_e_per_dn) == ("mine", 0.5, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({}, r"no INS-999100_\* variables; load the instrument kernel"),
+        (with_changes(PIXEL_SAMPLES=None), "no PIXEL_SAMPLES; give n_pixel"),
+        (with_changes(FOV_FRAME=None), "no FOV_FRAME; give the frame"),
+        (with_changes(BORESIGHT=None), "no BORESIGHT"),
+        (with_changes(BORESIGHT=(0.0, 0.0)), "BORESIGHT .* has 2 values; 3 expected"),
+        (with_changes(FOV_REF_VECTOR=(0.0, 0.0, 2.0)), "no direction across the boresight"),
+        (with_changes(FOV_REF_ANGLE=None), "no FOV_REF_ANGLE"),
+        (with_changes(FOV_ANGLE_UNITS=("GRADS",)), "FOV_ANGLE_UNITS 'GRADS'; one of DEGREES"),
+        (with_changes(FOV_REF_ANGLE=("wide",)), "FOV_REF_ANGLE .* not numeric"),
+        (with_changes(FOCAL_LENGTH=(500.0,), PIXEL_SIZE=(0.010,), IFOV=(20.0,)), "IFOV 20.0 .* check units"),
+        (with_changes(FOCAL_LENGTH=(1.0,), FOCAL_LENGTH_UNITS=("feet",)), "FOCAL_LENGTH_UNITS 'feet'"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_named(values, message):
+    with pytest.raises(CameraError, match=message):
+        Camera.from_ik(values, -999100)
+
+
+def test_directions_that_are_not_at_right_angles_are_refused():
+    with pytest.raises(CameraError, match="not at right angles"):
+        Camera.from_ik(FOV, -999100, pixel_direction=[1, 0, 0], line_direction=[1, 0.2, 0])

@@ -1,0 +1,171 @@
+"""Missions: names and files, and which camera a header belongs to."""
+
+import numpy as np
+import pytest
+import yaml
+
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import CameraError, MissionError
+from opnav_workbench.image.keywords import KeywordMap
+from opnav_workbench.mission import load_mission, mission_names
+from opnav_workbench.resources import kernels_meta_dir
+
+LORRI = {"MISSION": "New Horizons", "INSTRU": "lor", "SFORMAT": "4X4"}
+EVERY_MISSION = pytest.mark.parametrize("name", mission_names())
+
+
+def mission_file(folder, **changes):
+    text = (kernels_meta_dir() / "generic" / "mission.yaml").read_text(encoding="utf-8")
+    data = yaml.safe_load(text) | changes
+    (folder / "cameras").mkdir(exist_ok=True)
+    camera = (kernels_meta_dir() / "generic/cameras/pinhole.yaml").read_text(encoding="utf-8")
+    (folder / "cameras" / "pinhole.yaml").write_text(camera, encoding="utf-8")
+    (folder / "mission.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    return folder / "mission.yaml"
+
+
+@EVERY_MISSION
+def test_every_mission_is_complete(name):
+    mission = load_mission(name)
+    assert mission.name == name
+    assert mission.spacecraft_id < 0
+    assert mission.path.is_file()
+    for choice in mission.cameras:
+        assert Camera.from_yaml(choice.file).n_pixel > 0
+    if mission.target_stars is not None:
+        assert mission.target_stars.is_file()
+    KeywordMap(**mission.keywords)
+
+
+@EVERY_MISSION
+def test_camera_ids_and_frames_belong_to_the_spacecraft(name):
+    mission = load_mission(name)
+    cameras = [Camera.from_yaml(choice.file) for choice in mission.cameras]
+    assert len({camera.instrument_id for camera in cameras}) == len(cameras)
+    for camera in cameras:
+        assert str(camera.instrument_id).startswith(str(mission.spacecraft_id))
+
+
+def test_mission_by_file_and_by_folder(tmp_path):
+    path = mission_file(tmp_path, name="mine")
+    assert load_mission(path).name == load_mission(tmp_path).name == load_mission(str(path)).name == "mine"
+    assert load_mission(path).camera_for({}).name == "Generic pinhole"
+
+
+@pytest.mark.parametrize(
+    ("asked", "hint"),
+    [
+        ("new_horizon", "mean new_horizons"),
+        ("OSIRIS-REX", "mean osiris_rex"),
+        ("no/such/file.yaml", "generic, new_horizons"),
+    ],
+)
+def test_an_unknown_mission_lists_the_known_ones(asked, hint):
+    with pytest.raises(MissionError, match=hint) as caught:
+        load_mission(asked)
+    assert "new_horizons" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cameras": []}, "cameras: .*at least 1"),
+        ({"clock_id": "x"}, "clock_id: .*integer"),
+        ({"extra": 1}, "extra: Extra inputs"),
+        ({"keywords": {"exposure": "EXPTIME"}}, "keywords: .*unknown exposure; known are bits, "),
+        ({"keywords": {"quaternion": ["A", "B"]}}, "keywords: .*quaternion .*list of 4 keywords"),
+        ({"keywords": {"exposure_scale": "ms"}}, "keywords.exposure_scale: .*valid number"),
+    ],
+)
+def test_schema_errors_name_file_and_field(tmp_path, changes, message):
+    with pytest.raises(MissionError, match=message) as caught:
+        load_mission(mission_file(tmp_path, **changes))
+    assert "mission.yaml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_camera_by_header():
+    mission = load_mission("new_horizons")
+    assert mission.camera_for(LORRI).name == "LORRI 4x4"
+    assert mission.camera_for(LORRI | {"SFORMAT": " 1x1 "}).name == "LORRI 1x1"
+    mvic = {"MISSION": "NEW HORIZONS", "INSTRU": "mvi", "SCANTYPE": "FRAMING"}
+    assert mission.camera_for(mvic).name == "MVIC framing"
+    osiris = load_mission("osiris_rex")
+    assert osiris.camera_for({"HOSTNAME": "OREX", "CAMERAID": 0}).name == "MapCam pan"
+    assert osiris.camera_for({"HOSTNAME": "OSIRIS-REX", "CAMERAID": "2"}).name == "PolyCam infinity"
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (LORRI | {"SFORMAT": "2X2"}, "SFORMAT = '2X2'.*lorri_1x1, lorri_4x4, mvic_framing"),
+        (LORRI | {"MISSION": "Cassini"}, "MISSION = 'Cassini'"),
+        ({}, "no INSTRU, no MISSION, no SCANTYPE, no SFORMAT"),
+    ],
+)
+def test_a_picture_of_no_camera_is_refused(header, message):
+    with pytest.raises(CameraError, match=message):
+        load_mission("new_horizons").camera_for(header)
+
+
+def test_values_may_be_alternatives_and_the_first_camera_that_fits_is_taken(tmp_path):
+    choice = {"file": "cameras/pinhole.yaml", "match": {"CAM": [1, "two"], "GAIN": 0.5}}
+    mission = load_mission(mission_file(tmp_path, cameras=[choice]))
+    for value in (1, 1.0, "1", "TWO"):
+        assert mission.camera_for({"CAM": value, "GAIN": 0.5}).n_pixel == 1024
+    with pytest.raises(CameraError, match="CAM = 3"):
+        mission.camera_for({"CAM": 3, "GAIN": 0.5})
+
+
+def test_a_broken_camera_file_is_named(tmp_path):
+    path = mission_file(tmp_path, cameras=[{"file": "cameras/none.yaml"}])
+    with pytest.raises(CameraError, match=r"none\.yaml cannot be read"):
+        load_mission(path).camera_for({})
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("file", "camera"),
+    [
+        ("lorri_interstellar/lor_0449855930_0x633_pwcs2.fits", "LORRI 4x4"),
+        ("cropped/lor_0034974380_0x630_sci_1_cropped.fit", "LORRI 1x1"),
+        ("cropped/mpf_0035126517_0x539_sci_1_cropped.fits", "MVIC framing"),
+    ],
+)
+def test_flight_headers_find_their_camera(data_dir, file, camera):
+    from astropy.io import fits
+
+    header = dict(fits.getheader(data_dir / "images" / file))
+    mission = load_mission("new_horizons")
+    assert mission.camera_for(header).name == camera
+    keywords = mission.keywords
+    named = [
+        keywords[k] for k in ("exposure_s", "et", "utc", "sclk", "target", "instrument", "geometry_quality")
+    ]
+    assert set(named) | set(keywords["quaternion"]) | set(keywords["sun_position"]) <= set(header)
+
+
+@pytest.mark.realdata
+def test_sun_keywords_point_from_the_spacecraft_to_the_sun(data_dir):
+    """On 2020-04-22 New Horizons was 47 au out, at RA 287, Dec -21 deg as seen from the Sun, and leaving."""
+    from astropy.io import fits
+
+    header = fits.getheader(data_dir / "images/lorri_interstellar/lor_0449855930_0x633_pwcs2.fits")
+    keywords = load_mission("new_horizons").keywords
+    sun = np.array([header[k] for k in keywords["sun_position"]])
+    velocity = np.array([header[k] for k in keywords["sun_velocity"]])
+    from_sun = -sun
+    assert np.linalg.norm(sun) / 149597870.7 == pytest.approx(47.12, abs=0.01)
+    assert np.degrees(np.arctan2(from_sun[1], from_sun[0])) % 360 == pytest.approx(287.9, abs=0.2)
+    assert -velocity @ from_sun > 0  # it moves away
+
+
+@pytest.mark.realdata
+def test_mission_bodies_are_known_to_spice():
+    import spiceypy
+
+    for name in ("new_horizons", "osiris_rex"):
+        mission = load_mission(name)
+        assert spiceypy.bodn2c(mission.spacecraft_name) == mission.spacecraft_id
+        for body in (mission.reference_body, *mission.default_targets):
+            spiceypy.bodn2c(body)
