@@ -13,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
 from opnav_workbench.bodies import TargetState, linear_phase_magnitude
@@ -42,7 +43,7 @@ class _Spacecraft(_Strict):
 
 
 class Photometry(_Strict):
-    """Brightness of a target: V at 1 au from Sun and observer at phase 0, and the slope of its linear phase law."""
+    """Brightness of a target: V at 1 au from Sun and observer at phase 0, and its slope with phase."""
 
     absolute_mag: float
     slope_mag_deg: float = 0.0
@@ -139,7 +140,7 @@ class Mission:
         return tuple(choice.file.stem for choice in self.cameras)
 
     def with_magnitude(self, target: TargetState) -> TargetState:
-        """Return `target` with the magnitude that the spacecraft sees, where the mission file knows its brightness."""
+        """Return `target` with the magnitude seen from the spacecraft, where the mission file knows it."""
         law = self.target_photometry.get(target.name)
         if law is None or target.sun_position_km is None:
             return target

@@ -9,6 +9,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.sky import SkyIndex
+from opnav_workbench.catalog.mean_motion import with_mean_motion
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, jyear_from_et, propagate, unit_from_radec
@@ -119,7 +120,8 @@ class IndexedCatalog:
         Returns
         -------
         StarTable
-            Stars of equal magnitude in the order of the catalog.
+            Stars of equal magnitude in the order of the catalog; where a star's motion is unknown it is the mean
+            one of such stars (see `mean_motion`), with `motion_known` False and the sigma of a single star.
 
         Raises
         ------
@@ -129,11 +131,11 @@ class IndexedCatalog:
         _check_cone(ra_rad, dec_rad, radius_rad, mag_limit, et_s)
         if et_s is None:
             near = self._near(ra_rad, dec_rad, radius_rad, mag_limit)
-            return self._build(self._brightest_first(near))
+            return with_mean_motion(self._build(self._brightest_first(near)))
         reach = min(radius_rad + self._motion.reach_rad(et_s), math.pi)
         stars = self._build(self._brightest_first(self._near(ra_rad, dec_rad, reach, mag_limit)))
         apart = angle_between(_places(stars, et_s), unit_from_radec(ra_rad, dec_rad))
-        return stars.take(apart <= radius_rad)
+        return with_mean_motion(stars.take(apart <= radius_rad))
 
     def describe(self) -> Mapping[str, Any]:
         """Return what the catalog is: source, number of stars, epochs, bands, limits."""

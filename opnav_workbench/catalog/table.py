@@ -37,7 +37,8 @@ class StarTable:
     ra_rad, dec_rad : (n,) float
         Position at `epoch_jyear`, J2000 (ICRS).
     pmra_rad_yr, pmdec_rad_yr : (n,) float
-        Proper motion, rad per Julian year, with cos(dec) in RA; 0 where `motion_known` is False.
+        Proper motion, rad per Julian year, with cos(dec) in RA; where `motion_known` is False the
+        mean motion of such stars, or 0.
     parallax_rad : (n,) float
         Parallax; 0 where unknown, and then its sigma is that of a star of this magnitude.
     rv_km_s : (n,) float

@@ -50,7 +50,9 @@ def read_fits(name: str, data: bytes, keywords: KeywordMap) -> Source:
                 _check_length(name, len(data), hdu, index)
             return _read_planes(name, hdus, keywords)
     except MALFORMED as error:
-        raise image_error(name, f"damaged FITS file ({type(error).__name__}: {error}); copy or download it again.") from error
+        raise image_error(
+            name, f"damaged FITS file ({type(error).__name__}: {error}); copy or download it again."
+        ) from error
 
 
 def _check_length(name: str, available: int, hdu: Any, index: int) -> None:

@@ -1,8 +1,8 @@
 """From the Sun to the solar-system barycenter without kernels.
 
 Source: ERFA ``epv00`` after VSOP2000 (Moisson & Bretagnon 2001, Celest. Mech. 80, 205): the Earth's places
-with respect to the barycenter and to the Sun differ by the Sun's own. In 2006-2030 that is at most 118 km from
-DE440's, nearly constant (DE440 counts the Kuiper belt into the barycenter), its velocity 0.3 mm/s.
+with respect to the barycenter and to the Sun differ by the Sun's own. In 2006-2030 that is at most 118 km
+from DE440's, nearly constant (DE440 counts the Kuiper belt into the barycenter), its velocity 0.3 mm/s.
 """
 
 import erfa

@@ -6,10 +6,12 @@ Source: PDS Standards Reference 3.8: data object pointers, ODL, the IMAGE object
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.image.frame import HeaderValue
+from opnav_workbench.image.keywords import number
 from opnav_workbench.image.source import Source, image_error, truncated
 
 __all__ = ["Label", "Pointer", "image_pointer", "is_pds3", "parse_label", "read_raw"]
@@ -41,10 +43,11 @@ class Pointer:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A PDS3 label: its values, and those inside ``OBJECT = IMAGE``."""
+    """A PDS3 label: its values, those inside ``OBJECT = IMAGE``, and the text of ``^IMAGE``."""
 
     values: dict[str, HeaderValue]
     image: dict[str, HeaderValue]
+    pointer: str
 
 
 def is_pds3(data: bytes) -> bool:
@@ -60,15 +63,18 @@ def parse_label(data: bytes) -> Label:
     values: dict[str, HeaderValue] = {}
     image: dict[str, HeaderValue] = {}
     inside: list[str] = []
+    pointer = ""
     for match in ASSIGNMENT.finditer(text):
         name, value = match["name"].upper(), match["value"].strip()
         if name in ("OBJECT", "GROUP"):
             inside.append(value.upper())
         elif name in ("END_OBJECT", "END_GROUP"):
             inside = inside[:-1]
+        elif name == "^IMAGE":
+            pointer = pointer or value
         else:
-            (image if inside == ["IMAGE"] else values).setdefault(name, _value(value))
-    return Label(values, image)
+            (image if inside[-1:] == ["IMAGE"] else values).setdefault(name, _value(value))
+    return Label(values, image, pointer)
 
 
 def _value(text: str) -> HeaderValue:
@@ -83,7 +89,7 @@ def _value(text: str) -> HeaderValue:
     return " ".join(bare.strip("\"'").split())
 
 
-def image_pointer(name: str, data: bytes, label: Label) -> Pointer:
+def image_pointer(name: str, label: Label) -> Pointer:
     """Return where ``^IMAGE`` points to.
 
     Raises
@@ -91,18 +97,14 @@ def image_pointer(name: str, data: bytes, label: Label) -> Pointer:
     ImageError
         The label points to no image.
     """
-    match = re.search(
-        r"^[ \t]*\^IMAGE[ \t]*=\s*(\([^)]*\)|[^\r\n]*)",
-        data[:LABEL_LIMIT_BYTES].decode("latin-1"),
-        re.MULTILINE,
-    )
-    found = POINTER.match(match[1].strip(" ()")) if match else None
+    found = POINTER.match(label.pointer.strip(" ()\t"))
     if found is None or not (found["file"] or found["at"]):
         raise image_error(
             name, "PDS3 label without a pointer ^IMAGE to a picture; give the label or file of an image."
         )
     position = int(found["at"] or 1) - 1
-    unit = 1 if found["bytes"] else _positive(name, label.values, "RECORD_BYTES") if position else 1
+    in_records = position > 0 and not found["bytes"]
+    unit = _whole(name, label.values, "RECORD_BYTES", least=1) if in_records else 1
     return Pointer(Path(found["file"]).name if found["file"] else None, position * unit)
 
 
@@ -115,39 +117,36 @@ def read_raw(name: str, data: bytes, offset: int, label: Label) -> Source:
         The label lacks what is needed, describes a cube or a type that is not read, or the file is truncated.
     """
     image = label.image
-    lines, samples = (_positive(name, image, key) for key in ("LINES", "LINE_SAMPLES"))
-    if (bands := _number(name, image, "BANDS", 1)) != 1:
-        raise image_error(name, f"holds a cube of {bands:g} bands, not one picture; save one band alone.")
+    lines, samples = (_whole(name, image, key, least=1) for key in ("LINES", "LINE_SAMPLES"))
+    if (bands := _whole(name, image, "BANDS", 1)) != 1:
+        raise image_error(name, f"holds a cube of {bands} bands, not one picture; save one band alone.")
     dtype = _sample_type(name, image)
-    prefix, suffix = (int(_number(name, image, key, 0)) for key in ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES"))
+    prefix, suffix = (_whole(name, image, key, 0) for key in ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES"))
     width = prefix + samples * dtype.itemsize + suffix
     present = max(len(data) - offset, 0)
     if present < lines * width:
         raise truncated(name, "the image", present, lines * width)
     rows = np.frombuffer(data, np.uint8, lines * width, offset).reshape(lines, width)
-    pixels = np.ascontiguousarray(rows[:, prefix : width - suffix]).view(dtype)
-    scale, zero = _number(name, image, "SCALING_FACTOR", 1.0), _number(name, image, "OFFSET", 0.0)
-    return Source(pixels.astype(np.float64) * scale + zero, dict(label.values))
+    pixels = np.ascontiguousarray(rows[:, prefix : width - suffix]).view(dtype).astype(np.float64)
+    scale, zero = number(image.get("SCALING_FACTOR", 1.0)), number(image.get("OFFSET", 0.0))
+    if scale is None or zero is None:
+        raise image_error(name, "PDS3 label whose SCALING_FACTOR or OFFSET is no number; check the label.")
+    return Source(pixels * scale + zero, dict(label.values))
 
 
-def _number(name: str, values: dict[str, HeaderValue], key: str, default: float) -> float:
+def _whole(
+    name: str, values: dict[str, HeaderValue], key: str, default: int | None = None, least: int = 0
+) -> int:
     value = values.get(key, default)
-    if not isinstance(value, int | float) or value < 0.0 < len(key) and key != "OFFSET":
-        raise image_error(name, f"PDS3 label with {key} = {value!r}, expected a number; check the label.")
-    return value
-
-
-def _positive(name: str, values: dict[str, HeaderValue], key: str) -> int:
-    value = values.get(key)
-    if not isinstance(value, int) or value <= 0:
+    if not isinstance(value, int) or value < least:
         raise image_error(
-            name, f"PDS3 label with {key} = {value!r}, expected a positive number; check the label."
+            name, f"PDS3 label with {key} = {value!r}, expected a whole number from {least}; check the label."
         )
     return value
 
 
-def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[np.generic]:
-    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), int(_number(name, image, "SAMPLE_BITS", 0))
+def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[Any]:
+    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), _whole(name, image, "SAMPLE_BITS")
     match = SAMPLE_TYPE.fullmatch(text)
     real = match is not None and match["kind"] != "INTEGER"
     readable = bits in ((32, 64) if real else (8, 16, 32))
@@ -156,4 +155,4 @@ def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[np.generi
             name, f"PDS3 image of SAMPLE_TYPE {text!r} with {bits} bits is not read; convert it to FITS."
         )
     letter = "f" if real else "u" if match["unsigned"] else "i"
-    return np.dtype(f"{BYTE_ORDERS.get(match['maker'] or 'MSB', '>')}{letter}{bits // 8}")
+    return np.dtype(f"{BYTE_ORDERS.get(match['maker'], '>')}{letter}{bits // 8}")

@@ -101,7 +101,7 @@ def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> Source:
 
 def _read_pds(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, Source]:
     label = parse_label(data)
-    pointer = image_pointer(label_file.name, data, label)
+    pointer = image_pointer(label_file.name, label)
     if pointer.file is None:
         return label_file, read_raw(label_file.name, data, pointer.offset_bytes, label)
     pixels = _beside(label_file, pointer.file)

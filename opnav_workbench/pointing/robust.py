@@ -1,10 +1,17 @@
 """Which stars belong together: outliers are found against a start that they cannot spoil.
 
-First all stars are fitted; if their residuals are what their covariances say, nothing is done. Otherwise
-every pair of stars (or a sample of pairs) proposes an attitude; those that suit the better half of the stars
-best are refined by least trimmed squares (Rousseeuw & Van Driessen 2006, doi:10.1007/s10618-005-0024-4),
-which holds as long as the outliers are the minority. From there stars are taken back in and put out, one and
-the same threshold for all, until nothing changes; never more than a minority is put out.
+First all stars are fitted; if their residuals are what their covariances say, nothing is done. Otherwise every
+pair of stars (or a sample of pairs) proposes an attitude, and each is rated by the likelihood of the mixture
+
+    p(residual) = (1 - P) N(residual; covariance + excess^2) + P / area,
+
+in which a star is either good, its centering error perhaps larger than it says, or an outlier that may be anywhere.
+This weighs "these bright stars are wrong" against "all centers are a little worse than they say", which a test
+in units of the formal sigmas cannot do. From the best start stars are taken back in and put out, one and the same
+threshold for all, until nothing changes; never more than a minority is put out.
+
+Reference: Hogg, Bovy & Lang (2010), arXiv:1008.4686, section 3 (mixture); Fischler & Bolles (1981),
+doi:10.1145/358669.358692 (proposals from minimal sets).
 """
 
 from dataclasses import dataclass
@@ -12,7 +19,7 @@ from itertools import combinations
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.geometry import unit
 from opnav_workbench.pointing.excess import IMPROBABLE, excess_sigma, probability
 from opnav_workbench.pointing.fit import Fit, Sightings, fit_attitude
@@ -21,6 +28,9 @@ from opnav_workbench.pointing.models import StepModel
 __all__ = ["Selection", "select_stars"]
 
 REJECT_SIGMA = 4.0  # of both coordinates together: one good star in 3000 is lost
+OUTLIER_FRACTION = 0.1  # P: cosmic rays, blends and wrong identifications in an ordinary picture
+OUTLIER_AREA_PX2 = 1000.0  # they lie anywhere within a search area about this large
+EXCESS_GRID_PX = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # only a start; the final excess is estimated
 MAX_PAIRS = 300  # with 30 % outliers half of any sample of pairs is good
 MAX_PASSES = 30  # sets of stars settle within a few
 PROMISING = 10  # proposals that are refined
@@ -69,9 +79,8 @@ def select_stars(stars: Sightings, model: StepModel) -> Selection | None:
     return None if start is None else _settle(stars, model, *start)
 
 
-def _settle(stars: Sightings, model: StepModel, start: FloatArray, core: BoolArray) -> Selection | None:
+def _settle(stars: Sightings, model: StepModel, start: FloatArray, used: BoolArray) -> Selection | None:
     """Take in and put out stars until the set no longer changes."""
-    used = core
     result = None
     seen: set[bytes] = set()
     for _ in range(MAX_PASSES):
@@ -79,7 +88,7 @@ def _settle(stars: Sightings, model: StepModel, start: FloatArray, core: BoolArr
         if result is None or used.tobytes() in seen:
             break
         seen.add(used.tobytes())
-        used = _closest(result.distance, int(np.sum(core))) | (result.distance <= REJECT_SIGMA)
+        used = _at_least_majority(result.distance <= REJECT_SIGMA, result.distance)
     return result
 
 
@@ -110,44 +119,52 @@ def _squared(residual_px: FloatArray, covariance_px2: FloatArray) -> FloatArray:
     return np.where(np.isfinite(squared), squared, np.inf)
 
 
-def _closest(distance: FloatArray, count: int) -> BoolArray:
-    """True for the `count` smallest of `distance` (n,)."""
-    mask = np.zeros(distance.shape, dtype=bool)
-    mask[np.argsort(distance, kind="stable")[:count]] = True
-    return mask
+def _at_least_majority(mask: BoolArray, distance: FloatArray) -> BoolArray:
+    """Return `mask` with the closest of all stars added, so that more than half are in."""
+    closest = np.zeros_like(mask)
+    closest[np.argsort(distance, kind="stable")[: len(mask) // 2 + 1]] = True
+    return mask | closest
 
 
 def _consensus(stars: Sightings, model: StepModel) -> tuple[FloatArray, BoolArray] | None:
-    """Attitude and majority of stars with the least trimmed sum of squares; None without proposals."""
+    """Attitude and good stars of the greatest likelihood; None where no pair of stars proposes an attitude."""
     proposals = _pair_attitudes(stars)
-    majority = len(stars) // 2 + 1
     seen = stars.camera.project((proposals @ stars.directions.T).transpose(0, 2, 1).reshape(-1, 3))
     residual = stars.observed_px - seen.reshape(len(proposals), -1, 2)
-    squared = _squared(residual, stars.covariance_px2)
-    trimmed = np.sort(squared, axis=1)[:, :majority].sum(axis=1)
-    best: tuple[float, FloatArray, BoolArray] | None = None
-    for index in np.argsort(trimmed, kind="stable")[:PROMISING]:
-        refined = _concentrate(stars, model, proposals[index], _closest(squared[index], majority))
-        if refined is not None and (best is None or refined[0] < best[0]):
-            best = refined
-    return None if best is None else best[1:]
+    rating = np.max([_likelihood(stars, residual, excess)[0] for excess in EXCESS_GRID_PX], axis=0)
+    promising = np.argsort(-rating, kind="stable")[:PROMISING]
+    refined = [_refine(stars, model, proposals[i], residual[i]) for i in promising]
+    return max((r for r in refined if r is not None), key=lambda r: r[0], default=(0.0, None))[1]
 
 
-def _concentrate(
-    stars: Sightings, model: StepModel, attitude: FloatArray, core: BoolArray
-) -> tuple[float, FloatArray, BoolArray] | None:
-    """Refit the majority that fits best until it stays the same; each step lowers the trimmed sum."""
+def _refine(
+    stars: Sightings, model: StepModel, attitude: FloatArray, residual_px: FloatArray
+) -> tuple[float, tuple[FloatArray, BoolArray]] | None:
+    """Refit the stars that are more likely good than outliers until they stay the same; with the likelihood."""
+    before = np.zeros(len(stars), dtype=bool)
     for _ in range(MAX_PASSES):
-        fit = fit_attitude(stars, model, attitude, core)
+        rated = [(*_likelihood(stars, residual_px, excess), excess) for excess in EXCESS_GRID_PX]
+        rating, good, squared, excess = max(rated, key=lambda r: float(r[0]))
+        used = _at_least_majority(good, squared)
+        if np.array_equal(used, before):
+            break
+        fit = fit_attitude(stars, model, attitude, used, excess)
         if fit is None:
             return None
-        attitude = fit.attitude
-        squared = _squared(fit.residual_px, stars.covariance_px2)
-        closest = _closest(squared, int(np.sum(core)))
-        if np.array_equal(closest, core):
-            break
-        core = closest
-    return float(np.sum(squared[core])), attitude, core
+        attitude, residual_px, before = fit.attitude, fit.residual_px, used
+    return float(rating), (attitude, before)
+
+
+def _likelihood(
+    stars: Sightings, residual_px: FloatArray, excess: float
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Log likelihood (...) of residuals (..., n, 2); which stars are rather good (..., n); squared distances."""
+    covariance = stars.covariance_px2 + excess**2 * np.eye(2)
+    squared = _squared(residual_px, covariance)
+    normal = -0.5 * squared - 0.5 * np.log(np.linalg.det(2.0 * np.pi * covariance))
+    good = normal + np.log(1.0 - OUTLIER_FRACTION)
+    outlier = np.log(OUTLIER_FRACTION / OUTLIER_AREA_PX2)
+    return np.logaddexp(good, outlier).sum(axis=-1), good > outlier, squared
 
 
 def _pair_attitudes(stars: Sightings) -> FloatArray:
@@ -159,14 +176,14 @@ def _pair_attitudes(stars: Sightings) -> FloatArray:
     return _triads(observed, pairs) @ np.swapaxes(_triads(stars.directions, pairs), 1, 2)
 
 
-def _pairs(n: int) -> FloatArray:
+def _pairs(n: int) -> IntArray:
     pairs = np.array(list(combinations(range(n), 2)))
     if len(pairs) <= MAX_PAIRS:
         return pairs
     return np.random.default_rng(SEED).permutation(pairs)[:MAX_PAIRS]
 
 
-def _triads(directions: FloatArray, pairs: FloatArray) -> FloatArray:
+def _triads(directions: FloatArray, pairs: IntArray) -> FloatArray:
     """Right-handed orthonormal axes as columns (m, 3, 3): the pair's middle, along it, across it."""
     first, second = directions[pairs[:, 0]], directions[pairs[:, 1]]
     middle, along = unit(first + second), unit(second - first)

@@ -100,7 +100,7 @@ def _header(path: Path, data: np.ndarray[Any, np.dtype[np.uint8]], kind: str) ->
     order = ORDERS.get(record[88:96], "<")  # files of the 1990s leave it blank: native order
     doubles, integers = struct.unpack_from(f"{order}2i", record, 8)
     first, _, free = struct.unpack_from(f"{order}3i", record, 76)
-    if b"FTPSTR" in record and FTP_STRING not in record:
+    if (b"FTPSTR" in record or b"ENDFTP" in record) and FTP_STRING not in record:  # old files have none
         raise _damaged(path, "it went through a text-mode transfer, which altered bytes")
     if (doubles, integers) != (2, 5 if kind == "PCK" else 6) or first < 2 or free < 2:
         raise _damaged(path, "its file record holds impossible numbers")

@@ -72,8 +72,8 @@ def _boresight_dec(dec_rad: float, twist_rad: float, offset: FloatArray, handedn
     """Return the boresight's declination at which the offset direction (3,) has the declination `dec_rad`.
 
     In focal axes the celestial pole is ``(-h sin t cos d, cos t cos d, sin d)``, with handedness h, twist t
-    and boresight declination d; its product with the offset is the sine of `dec_rad`: ``a cos d + b sin d``. The
-    root is taken from ``cos(dec)``, which keeps its digits at the pole.
+    and boresight declination d; its product with the offset, ``a cos d + b sin d``, is the sine of `dec_rad`.
+    The root is taken from ``cos(dec)``, which keeps its digits at the pole.
     """
     sine, cosine = math.sin(twist_rad), math.cos(twist_rad)
     a, b = offset[1] * cosine - handedness * offset[0] * sine, offset[2]

@@ -11,6 +11,7 @@ from opnav_workbench.resources import kernels_meta_dir
 
 pytestmark = pytest.mark.realdata
 
+NEW_HORIZONS = ("generic/naif0012.tls", "generic/nh_v220.tf", "generic/new_horizons_1454.tsc")
 SLICE_MVIC = "slices/mpf_0295610274_0x539_sci"
 SLICE_MAPCAM = "slices/20190303T100344S990_map_iofL2pan_V001"
 FRAMES = (
@@ -60,7 +61,7 @@ def test_lorri_4x4_agrees_with_the_wcs_of_flight_frames(data_dir, name):
     sky = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
     camera_from_j2000 = best_rotation(sky, camera.unproject(points))
     shift_px = camera.project(sky @ camera_from_j2000.T) - points
-    assert np.hypot(*shift_px.T).max() < 0.05
+    assert np.hypot(*shift_px.T).max() < 0.005  # px; the budget is 0.05
 
 
 @pytest.mark.parametrize(
@@ -87,10 +88,7 @@ def test_boresight_and_detector_axes_of_headers(data_dir, image, camera):
 
 def test_mvic_sees_pluto_in_june_2015(furnish):
     """Pluto stays within 20 px of the boresight through the nine frames of one file."""
-    spice = furnish(
-        "generic/naif0012.tls", "generic/nh_v220.tf", "generic/nh_soc_misc_v002.tf", "generic/new_horizons_1454.tsc",
-        f"{SLICE_MVIC}/*.bc", f"{SLICE_MVIC}/*.bsp",
-    )  # fmt: skip
+    spice = furnish(*NEW_HORIZONS, "generic/nh_soc_misc_v002.tf", f"{SLICE_MVIC}/*.bc", f"{SLICE_MVIC}/*.bsp")
     camera = shipped("new_horizons/cameras/mvic_framing.yaml")
     for utc in ("2015-06-03T04:05:59.624", "2015-06-03T04:06:16.236", "2015-06-03T04:06:32.848"):
         et = spice.str2et(utc)
@@ -102,12 +100,7 @@ def test_mvic_sees_pluto_in_june_2015(furnish):
 
 def test_mvic_axes_are_those_of_the_isis_addendum(furnish):
     """In ISIS's turned frame, sample runs along -X and line along +Y, with +Z toward the sky."""
-    spice = furnish(
-        "generic/naif0012.tls",
-        "generic/new_horizons_1454.tsc",
-        "generic/nh_v220.tf",
-        "generic/mvicAddendum004.ti",
-    )
+    spice = furnish(*NEW_HORIZONS, "generic/mvicAddendum004.ti")
     camera = shipped("new_horizons/cameras/mvic_framing.yaml")
     isis_from_camera = spice.pxform(camera.frame, "ISIS_NH_RALPH_MVIC_FT", spice.str2et("2015-06-03"))
     expected = np.diag([-1.0, 1.0, 1.0]) @ isis_from_camera
@@ -149,7 +142,7 @@ def test_frames_of_every_flight_camera_are_known_to_the_flight_kernels(furnish):
 
 
 def test_lorri_frame_is_the_same_for_both_binnings(furnish):
-    spice = furnish("generic/naif0012.tls", "generic/new_horizons_1454.tsc", "generic/nh_v220.tf")
+    spice = furnish(*NEW_HORIZONS)
     et = spice.str2et("2015-06-03")
     for name in ("NH_LORRI_1X1", "NH_LORRI_4X4"):
         np.testing.assert_allclose(spice.pxform("NH_LORRI", name, et), np.eye(3), rtol=0, atol=1e-14)

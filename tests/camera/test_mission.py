@@ -1,9 +1,12 @@
 """Missions: names and files, and which camera a header belongs to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
 
+from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.image.keywords import KeywordMap
@@ -123,6 +126,23 @@ def test_a_broken_camera_file_is_named(tmp_path):
         load_mission(path).camera_for({})
 
 
+def test_magnitude_of_a_target_as_the_spacecraft_sees_it():
+    """Pluto alone, without Charon, is about V = 14.1 at opposition 28.8 au from the Earth."""
+    au_km = 149597870.7
+    pluto = TargetState(
+        name="PLUTO",
+        position_km=np.array([28.8 * au_km, 0.0, 0.0]),
+        radii_km=None,
+        body_from_j2000=None,
+        sun_position_km=np.array([-29.8 * au_km, 0.0, 0.0]),
+        covariance_km2=None,
+        magnitude=None,
+    )
+    mission = load_mission("new_horizons")
+    assert mission.with_magnitude(pluto).magnitude == pytest.approx(14.1, abs=0.3)
+    assert mission.with_magnitude(replace(pluto, name="NIX")).magnitude is None
+
+
 @pytest.mark.realdata
 @pytest.mark.parametrize(
     ("file", "camera"),
@@ -160,7 +180,6 @@ def test_sun_keywords_point_from_the_spacecraft_to_the_sun(data_dir):
     assert -velocity @ from_sun > 0  # it moves away
 
 
-@pytest.mark.realdata
 def test_mission_bodies_are_known_to_spice():
     import spiceypy
 

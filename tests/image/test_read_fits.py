@@ -37,8 +37,8 @@ def header(**changes: object) -> fits.Header:
     w, x, y, z = ATTITUDE.as_quat(scalar_first=True)
     values = {
         "INSTRU": "lor     ", "EXPTIME": 0.5, "SCET": 640822081.5339231, "UTC": "2020-04-22T10:06:52.348",
-        "SCLK": "3/0449855929:36485", "QA": w, "QX": x, "QY": y, "QZ": z, "SX": 1.0e9, "SY": -2.0e9, "SZ": 3.0e8,
-        "SVX": -5.0, "SVY": 11.0, "SVZ": 4.0, "TARGET": "PLUTO", "SPCQUAL": "PREDICT",
+        "SCLK": "3/0449855929:36485", "QA": w, "QX": x, "QY": y, "QZ": z, "SX": 1.0e9, "SY": -2.0e9,
+        "SZ": 3.0e8, "SVX": -5.0, "SVY": 11.0, "SVZ": 4.0, "TARGET": "PLUTO", "SPCQUAL": "PREDICT",
     }  # fmt: skip
     made = fits.Header()
     for keyword, value in (values | changes).items():
@@ -124,6 +124,13 @@ class TestFrame:
         assert any("FK5" in m for m in read_image(path, KEYWORDS).messages)
         path = write(tmp_path / "b.fit", head=header(RADESYS="ICRS"))
         assert not any("ICRS" in m for m in read_image(path, KEYWORDS).messages)
+
+    def test_card_that_breaks_the_standard_is_left_out(self, tmp_path):
+        path = write(tmp_path / "a.fit", head=header(ODD="fine"))
+        path.write_bytes(path.read_bytes().replace(b"ODD     = 'fine    '", b"ODD     = 'fine     "))
+        frame = read_image(path, KEYWORDS)
+        assert "ODD" not in frame.header
+        assert any("ODD" in m for m in frame.messages)
 
     def test_dispatch_is_by_content_and_reads_gzip(self, tmp_path):
         plain = write(tmp_path / "picture.fit")
@@ -389,7 +396,7 @@ class TestFailures:
     end=st.integers(100, 12000),
 )
 def test_damaged_bytes_give_a_frame_or_one_line(tmp_path, changes, end):
-    """Whatever happens to a file, reading it ends in a frame or an ImageError of one line, without warnings."""
+    """Whatever happens to a file, reading ends in a frame or an ImageError of one line, without warnings."""
     path = tmp_path / "fuzz.fit"
     quality = fits.ImageHDU(np.zeros(SHAPE, np.uint16), name="QUAL")
     fits.HDUList([fits.PrimaryHDU(picture(), header()), quality]).writeto(path, overwrite=True)

@@ -128,7 +128,7 @@ DERIVED = (
     "naif0012.tls", "de440_excerpt_2006_2030.bsp", "pluto_system_from_swe_2014_2017.bsp",
     "new_horizons_from_horizons.bsp",
 )  # fmt: skip
-# Before this time the derived file holds an orbit without the maneuver of 2015-06-30, joined within an hour or two.
+# Before this time the derived file holds the orbit before the maneuver of 2015-06-30, joined in two hours.
 HORIZONS_ARC_START = "2015-07-02T04:00:00"
 
 

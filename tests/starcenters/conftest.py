@@ -29,7 +29,9 @@ def render(shape, centers, fluxes, majors, minors=None, angles=None):
     minors = majors if minors is None else np.broadcast_to(minors, n)
     angles = np.broadcast_to(0.0 if angles is None else angles, n)
     image = np.zeros(shape)
-    for center, flux, a, b, angle in zip(centers, np.broadcast_to(fluxes, n), majors, minors, angles, strict=True):
+    for center, flux, a, b, angle in zip(
+        centers, np.broadcast_to(fluxes, n), majors, minors, angles, strict=True
+    ):
         half = min(HALF, int(np.ceil(6.0 * a + 1.0)))
         column, row = np.rint(center).astype(int)
         columns = np.arange(max(column - half, 0), min(column + half + 1, n_pixel))

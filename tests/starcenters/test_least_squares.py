@@ -91,9 +91,7 @@ def test_centers_are_unbiased_efficient_and_know_their_errors(
     image, truth, ellipses, flux, start = simulate(
         render_stars, star_grid, prior, snr, [int(100 * sigma), int(snr)]
     )
-    fit = fit_gaussian(
-        image, READ_NOISE_DN, None, start, prior, background=background, noise_model=NOISE
-    )
+    fit = fit_gaussian(image, READ_NOISE_DN, None, start, prior, background=background, noise_model=NOISE)
     assert fit.usable.mean() > 0.99
     error = (fit.pixel_line - truth)[fit.usable]
     normalized = error / fit.sigma_px[fit.usable]
@@ -136,7 +134,9 @@ def test_agrees_with_scipy_least_squares_star_by_star(render_stars, star_grid, p
             size = min(np.hypot(p[4], p[5]), 0.95)
             a, b = np.exp(p[3]) * np.sqrt(1 + size), np.exp(p[3]) * np.sqrt(1 - size)
             star = pixel_flux(p[1:3], p[0], a, b, 0.5 * np.arctan2(p[5], p[4]), pixel, line)
-            return np.r_[(data - star - p[6]) / READ_NOISE_DN, (p[3:6] - prior.mean) * np.sqrt(prior.information)]
+            return np.r_[
+                (data - star - p[6]) / READ_NOISE_DN, (p[3:6] - prior.mean) * np.sqrt(prior.information)
+            ]
 
         p0 = np.r_[flux, fit.pixel_line[i] + 0.2, prior.mean + 0.05, 40.0]
         peer = least_squares(residuals, p0, x_scale=np.r_[flux, 1, 1, 0.3, 0.3, 0.3, 3.0])
@@ -166,7 +166,9 @@ def test_a_sloping_background_needs_the_plane(render_stars):
 
 def test_misfit_inflates_the_covariance_but_not_the_signal_to_noise_ratio(render_stars):
     # A wing that no Gaussian has: 20 % of the light in a halo.
-    image = render_stars((60, 60), [[30.2, 29.6]], 8e4, 1.0) + render_stars((60, 60), [[30.2, 29.6]], 2e4, 2.5)
+    image = render_stars((60, 60), [[30.2, 29.6]], 8e4, 1.0) + render_stars(
+        (60, 60), [[30.2, 29.6]], 2e4, 2.5
+    )
     prior = ShapePrior.round_psf(1.0, 0.2, 0.1)
     raw = fit_gaussian(image, 3.0, None, [[30.0, 30.0]], prior, inflate_misfit=False)
     honest = fit_gaussian(image, 3.0, None, [[30.0, 30.0]], prior)
@@ -237,7 +239,9 @@ def test_empty_sky_has_low_snr(render_stars):
 
 def test_a_star_beyond_the_search_area_stops_at_its_bound(render_stars):
     image = one_star(render_stars)
-    fit = fit_gaussian(image, 1.0, None, [[17.5, 18.8]], ShapePrior.round_psf(1.0, 0.1, 0.1), search_radius_px=2.0)
+    fit = fit_gaussian(
+        image, 1.0, None, [[17.5, 18.8]], ShapePrior.round_psf(1.0, 0.1, 0.1), search_radius_px=2.0
+    )
     assert fit.flags[0] & StarFlag.AT_BOUND
     assert not fit.usable[0]
     np.testing.assert_allclose(fit.pixel_line[0, 0], 19.5, atol=1e-6)

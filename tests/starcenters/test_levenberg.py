@@ -39,7 +39,12 @@ def test_batch_agrees_with_scipy_on_each_problem():
     assert solution.determined.all()
     for row, parameters, covariance in zip(data, solution.parameters, solution.covariance, strict=True):
         expected, expected_covariance = curve_fit(
-            lambda x, a, b: a * np.exp(-b * x), X, row, p0=[5.0, 1.0], sigma=np.full(25, 0.05), absolute_sigma=True
+            lambda x, a, b: a * np.exp(-b * x),
+            X,
+            row,
+            p0=[5.0, 1.0],
+            sigma=np.full(25, 0.05),
+            absolute_sigma=True,
         )
         np.testing.assert_allclose(parameters, expected, atol=1e-3 * 0.05)
         np.testing.assert_allclose(covariance, expected_covariance, rtol=2e-3, atol=1e-9)

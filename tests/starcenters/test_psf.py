@@ -51,7 +51,9 @@ def test_pixel_values_agree_with_brute_force_at_any_phase_and_rotation(pixel_flu
         ellipse = np.array([minor * rng.uniform(1.0, 3.0), minor, rng.uniform(-np.pi, np.pi)])
         center = rng.uniform(-0.5, 0.5, 2)
         expected = pixel_flux(center, 1.0, *ellipse, pixel, line)
-        got = pixel_gaussian(center[None], shape_from_ellipse(ellipse)[None], pixel[None], line[None]).value[0]
+        got = pixel_gaussian(center[None], shape_from_ellipse(ellipse)[None], pixel[None], line[None]).value[
+            0
+        ]
         np.testing.assert_allclose(got, expected, rtol=0.0, atol=VALUE_TOLERANCE)
 
 
@@ -95,13 +97,17 @@ def test_derivatives_agree_with_central_differences(log_scale, e1, e2, x, y):
         ("d_pixel", (1, 0), (0, 0, 0)), ("d_line", (0, 1), (0, 0, 0)), ("d_log_scale", (0, 0), (1, 0, 0)),
         ("d_e1", (0, 0), (0, 1, 0)), ("d_e2", (0, 0), (0, 0, 1)),
     ):  # fmt: skip
-        np.testing.assert_allclose(getattr(analytic, name), difference(dc, ds), rtol=0.0, atol=3e-6, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(analytic, name), difference(dc, ds), rtol=0.0, atol=3e-6, err_msg=name
+        )
 
 
 @given(major=st.floats(0.2, 5.0), ratio=st.floats(0.2, 0.99), angle=st.floats(-1.5, 1.5))
 def test_ellipse_and_shape_are_inverse(major, ratio, angle):
     ellipse = np.array([major, major * ratio, angle])
-    np.testing.assert_allclose(ellipse_from_shape(*shape_from_ellipse(ellipse)), ellipse, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        ellipse_from_shape(*shape_from_ellipse(ellipse)), ellipse, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_angle_turns_from_pixel_toward_line():

@@ -1,0 +1,50 @@
+"""Mean motion of stars without one of their own, against measured motions."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from opnav_workbench.catalog import open_catalog
+from opnav_workbench.catalog.mean_motion import mean_motion_rad_yr, with_mean_motion
+from opnav_workbench.catalog.priors import RAD_PER_MAS
+from opnav_workbench.geometry import tangent_basis, unit_from_radec
+
+FIELDS = [(217.36, -62.68), (164.1, 7.0), (270.7, -14.6), (80.0, 20.0), (0.0, -60.0), (40.0, 60.0), (180.0, 80.0)]
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_direction_agrees_with_hipparcos_motions(field):
+    """Hipparcos stars of magnitude 6 to 8, where Hipparcos was complete: median motion over 10 deg within 5 mas/yr."""
+    stars = open_catalog("bundled").cone(*np.radians(field), np.radians(10.0), mag_limit=8.0)
+    stars = stars.take(stars.motion_known & (stars.mag > 6.0))
+    measured = np.median(np.stack([stars.pmra_rad_yr, stars.pmdec_rad_yr], axis=-1), axis=0) / RAD_PER_MAS
+    model = mean_motion_rad_yr(stars.ra_rad, stars.dec_rad, stars.mag).mean(axis=0) / RAD_PER_MAS
+    # A median of n stars that scatter by 25 mas/yr is good to 30 / sqrt(n) mas/yr.
+    assert np.all(np.abs(model - measured) < 5.0 + 3.0 * 30.0 / np.sqrt(len(stars)))
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("field", FIELDS)
+def test_agrees_with_tycho_to_gaia_displacements(field, data_dir):
+    """Stars without a known motion really drift this way: within 3 mas/yr (and the noise of the median)."""
+    old = open_catalog(f"npz:{data_dir / 'stars' / 'tycho2.npz'}").cone(*np.radians(field), np.radians(4.0), 10.5)
+    new = open_catalog("bundled").cone(*np.radians(field), np.radians(4.0))
+    new = new.take(~new.motion_known)
+    before, after = unit_from_radec(old.ra_rad, old.dec_rad), unit_from_radec(new.ra_rad, new.dec_rad)
+    distance, partner = cKDTree(after).query(before)
+    same = distance < np.radians(1.5 / 3600.0)
+    moved = (after[partner[same]] - before[same]) / 16.0 / RAD_PER_MAS
+    east, north = tangent_basis(old.ra_rad[same], old.dec_rad[same])
+    measured = np.median(np.stack([np.sum(moved * east, -1), np.sum(moved * north, -1)], -1), axis=0)
+    model = mean_motion_rad_yr(old.ra_rad[same], old.dec_rad[same], old.mag[same]).mean(axis=0) / RAD_PER_MAS
+    assert same.sum() > 100
+    assert np.all(np.abs(model - measured) < 3.0 + 3.0 * 20.0 / np.sqrt(same.sum()))
+
+
+def test_known_motions_are_left_alone_and_unknown_ones_stay_marked():
+    stars = open_catalog("bundled").cone(1.0, 0.3, np.radians(3.0))
+    again = with_mean_motion(stars)
+    np.testing.assert_array_equal(again.pmra_rad_yr[stars.motion_known], stars.pmra_rad_yr[stars.motion_known])
+    unknown = ~stars.motion_known
+    assert unknown.any()
+    assert np.all(np.hypot(stars.pmra_rad_yr, stars.pmdec_rad_yr)[unknown] > 0.0)
