@@ -10,7 +10,7 @@ that offset and it is taken out, with its uncertainty.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodycenters.results import BodyCenter
 from opnav_workbench.starcenters import (
     NoiseModel,
@@ -30,8 +30,10 @@ METHOD = "unresolved"
 DETECTED_SNR = 3.0  # below, noise alone exceeds it somewhere in a search area of 100 px every few frames
 CERTAIN_SNR = 5.0
 NEIGHBOUR_PX = 4.0  # a star nearer than this pulls the center
+NEIGHBOUR_SIGMAS = 5.0  # a neighbour 1000 times brighter is still lost in the noise out there
+NEIGHBOUR_BOX_PX = 10.0  # the fit's box reaches this far from the body, at most
 FIT_FAILED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
-SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.BAD_PIXELS | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.BLENDED
+SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.BLENDED
 # A disk convolved with the PSF has a wider Gaussian: a uniform disk of diameter D has sigma D / 4.
 DISK_SIGMA = 0.25
 
@@ -91,8 +93,10 @@ def find_unresolved(
     predicted = np.asarray(prediction_px, dtype=np.float64)
     n_line, n_pixel = np.shape(image_dn)
     if not _inside(predicted, n_pixel, n_line):
-        return BodyCenter.without_center(name, METHOD, "off_detector", _off_detector(predicted))
+        return BodyCenter.without_center(name, METHOD, "off_detector", _off_detector(predicted, n_pixel, n_line))
     widened = _widened(prior, diameter_px)
+    neighbours = np.reshape(neighbours_px, (-1, 2))
+    bad = np.asarray(bad, dtype=bool) | _nearer_to_neighbours(predicted, neighbours, widened, (n_line, n_pixel))
     coarse = correlate(
         image_dn,
         noise_dn,
@@ -116,17 +120,35 @@ def find_unresolved(
     )
     offset = np.asarray(light_offset_px, dtype=np.float64)
     floor = excess_sigma_px**2 * np.eye(2) + np.asarray(light_offset_covariance_px2)
-    return _judged(name, fit, offset, floor, predicted, search_radius_px, np.reshape(neighbours_px, (-1, 2)))
+    return _judged(name, fit, offset, floor, predicted, search_radius_px, neighbours)
 
 
 def _inside(place: FloatArray, n_pixel: int, n_line: int) -> bool:
     return bool(-0.5 <= place[0] < n_pixel - 0.5 and -0.5 <= place[1] < n_line - 0.5)
 
 
-def _off_detector(predicted: FloatArray) -> str:
+def _nearer_to_neighbours(
+    predicted: FloatArray, neighbours: FloatArray, prior: ShapePrior, shape: tuple[int, int]
+) -> BoolArray:
+    """Pixels that a neighbour's light reaches and that are nearer to it than to the body."""
+    reach = NEIGHBOUR_SIGMAS * prior.sigma_px + 1.0
+    limit = reach + NEIGHBOUR_BOX_PX
+    line, pixel = np.indices(shape, sparse=True)
+    own = np.hypot(pixel - predicted[0], line - predicted[1])
+    masked = np.zeros(shape, dtype=bool)
+    distance = np.hypot(*(neighbours - predicted).T)
+    for place in neighbours[np.isfinite(distance) & (distance > NEIGHBOUR_PX) & (distance < 2.0 * limit)]:
+        other = np.hypot(pixel - place[0], line - place[1])
+        masked |= (other < reach) & (other < own)
+    return masked
+
+
+def _off_detector(predicted: FloatArray, n_pixel: int, n_line: int) -> str:
     if not np.isfinite(predicted).all():
         return "it is not in front of the camera"
-    return f"predicted at pixel {predicted[0]:.1f}, line {predicted[1]:.1f}, outside the detector"
+    if np.abs(predicted).max() > 10 * max(n_pixel, n_line):
+        return "it is far outside the field"
+    return f"predicted at pixel {predicted[0]:.1f}, line {predicted[1]:.1f}, outside the {n_pixel} x {n_line} detector"
 
 
 def _widened(prior: ShapePrior, diameter_px: float) -> ShapePrior:

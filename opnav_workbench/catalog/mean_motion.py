@@ -61,7 +61,7 @@ def mean_motion_rad_yr(ra_rad: ArrayLike, dec_rad: ArrayLike, mag: ArrayLike) ->
     Toward Proxima Centauri stars of magnitude 10.5 drift to the south-west:
 
     >>> (mean_motion_rad_yr([3.794], [-1.094], [10.5]) / RAD_PER_MAS).round(0).tolist()
-    [[-7.0, -5.0]]
+    [[-7.0, -6.0]]
     """
     ra, dec = np.asarray(ra_rad, float), np.asarray(dec_rad, float)
     x, y, z = GALACTIC_FROM_J2000 @ np.moveaxis(unit_from_radec(ra, dec), -1, 0)

@@ -61,10 +61,15 @@ class Reporter:
         if bodies:
             self._out.print(_body_table(bodies))
         for outcome in outcomes:
-            if not outcome.failed:
+            if outcome.result["status"] == "partial":
                 for message in outcome.result["messages"]:
-                    self._out.print(f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}", highlight=False)
-        self._out.print(f"Results: {escape(str(out))}", highlight=False, soft_wrap=True)
+                    self._note(outcome, message)
+        self._out.print(f"Results in {escape(str(out))}/", highlight=False, soft_wrap=True)
+
+    def _note(self, outcome: Outcome, message: str) -> None:
+        self._out.print(
+            f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}", highlight=False, soft_wrap=True
+        )
 
 
 def _named(outcome: Outcome) -> str:

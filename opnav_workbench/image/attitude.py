@@ -11,7 +11,7 @@ __all__ = ["header_geometry"]
 
 # Quaternions are printed with at least five digits; one that is further from length 1 is no attitude.
 QUATERNION_NORM_TOLERANCE = 1e-3
-# rad: FK5 at J2000 is turned against the ICRS by about 23 mas.
+# FK5 at J2000 is turned against the ICRS by about 23 mas.
 FRAME_REMARK = (
     "header coordinates are {}, which differs from ICRS by about 0.02 arcsec; no correction is made"
 )

@@ -75,8 +75,8 @@ def select_stars(stars: Sightings, model: StepModel) -> Selection | None:
     ambiguous = len(stars) == 3 and _consistent_pairs(stars) != 1
     if len(stars) < 3 or ambiguous:
         return _settled(stars, model, stars.a_priori, everyone, ambiguous)
-    start = _consensus(stars, model)
-    return None if start is None else _settle(stars, model, *start)
+    start = _consensus(stars, model) or (stars.a_priori, everyone)
+    return _settle(stars, model, *start)
 
 
 def _settle(stars: Sightings, model: StepModel, start: FloatArray, used: BoolArray) -> Selection | None:
@@ -134,7 +134,8 @@ def _consensus(stars: Sightings, model: StepModel) -> tuple[FloatArray, BoolArra
     rating = np.max([_likelihood(stars, residual, excess)[0] for excess in EXCESS_GRID_PX], axis=0)
     promising = np.argsort(-rating, kind="stable")[:PROMISING]
     refined = [_refine(stars, model, proposals[i], residual[i]) for i in promising]
-    return max((r for r in refined if r is not None), key=lambda r: r[0], default=(0.0, None))[1]
+    found = [start for start in refined if start is not None]
+    return max(found, key=lambda start: start[0])[1] if found else None
 
 
 def _refine(

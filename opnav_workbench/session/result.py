@@ -42,11 +42,10 @@ def overall_status(state: SessionState) -> tuple[str, list[str]]:
     """Return ``ok``, ``partial`` or ``failed``, and the messages that say what is missing."""
     if state.pointing is None:
         return "failed", ["pointing not determined"]
-    missing = []
-    if not state.pointing.twist_solved:
-        missing.append("twist not determined by the stars; it is held at its a priori value")
-    missing += [f"{o.name} ({o.method}): {o.status}" for o in state.observables if o.status != "ok"]
-    return ("partial" if missing else "ok"), missing
+    unseen = [o for o in state.observables if o.status != "ok"]
+    named = [f"{o.name} ({o.method}) is {o.status.replace('_', ' ')}" for o in unseen]
+    complete = state.pointing.twist_solved and not unseen
+    return ("ok" if complete else "partial"), named
 
 
 def _pointing(p: PointingSolution | None) -> dict[str, Any] | None:

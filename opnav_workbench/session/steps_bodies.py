@@ -35,7 +35,7 @@ def repoint(context: Context, inputs: Inputs, state: SessionState, parameters: d
     usable = _usable(state)
     if not usable.any():
         return state.saying(
-            f"{context.frame.path.name}: no usable star among {len(state.status)} candidates; "
+            f"no usable star among {len(state.status)} candidates; "
             "the a priori pointing stands."
         )
     solution = solve_pointing(
@@ -110,7 +110,7 @@ def find_body(context: Context, inputs: Inputs, state: SessionState, parameters:
     prediction = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
     center = _unresolved(context, inputs, state, target, prediction, parameters["search_radius_px"])
     kept = tuple(b for b in state.bodies if (b.name, b.method) != (name, method))
-    said = tuple(f"{context.frame.path.name}: {name}: {m}" for m in center.messages if center.status != "ok")
+    said = tuple(f"{name}: {message}" for message in center.messages if center.status != "ok")
     return state.replace(bodies=(*kept, center)).saying(*said)
 
 

@@ -6,6 +6,7 @@ from opnav_workbench.arrays import FloatArray, IntArray
 
 __all__ = ["refine_peaks"]
 
+RIDGE = 1e-6  # a curvature this small against the other one is rounding
 MAX_OFFSET_PX = 1.0  # the top of a true peak lies within its 3 x 3 samples
 
 
@@ -49,7 +50,7 @@ def paraboloid_peak(patch: FloatArray) -> tuple[FloatArray, FloatArray]:
     _, cx, cy, cxx, cyy, cxy = SOLVER @ patch.reshape(len(patch), 9).T
     hessian = np.stack([2.0 * cxx, cxy, cxy, 2.0 * cyy], axis=-1).reshape(-1, 2, 2)
     det = 4.0 * cxx * cyy - cxy**2
-    peaked = (cxx < 0.0) & (cyy < 0.0) & (det > 0.0)
+    peaked = (cxx < 0.0) & (cyy < 0.0) & (det > RIDGE * (cxx**2 + cyy**2))
     det = np.where(peaked, det, 1.0)
     offset = np.stack([cxy * cy - 2.0 * cyy * cx, cxy * cx - 2.0 * cxx * cy], axis=-1) / det[:, None]
     return np.clip(np.where(peaked[:, None], offset, 0.0), -MAX_OFFSET_PX, MAX_OFFSET_PX), hessian

@@ -12,15 +12,19 @@ from opnav_workbench.geometry import tangent_basis, unit_from_radec
 FIELDS = [(217.36, -62.68), (164.1, 7.0), (270.7, -14.6), (80.0, 20.0), (0.0, -60.0), (40.0, 60.0), (180.0, 80.0)]
 
 
-@pytest.mark.parametrize("field", FIELDS)
-def test_direction_agrees_with_hipparcos_motions(field):
-    """Hipparcos stars of magnitude 6 to 8, where Hipparcos was complete: median motion over 10 deg within 5 mas/yr."""
-    stars = open_catalog("bundled").cone(*np.radians(field), np.radians(10.0), mag_limit=8.0)
-    stars = stars.take(stars.motion_known & (stars.mag > 6.0))
-    measured = np.median(np.stack([stars.pmra_rad_yr, stars.pmdec_rad_yr], axis=-1), axis=0) / RAD_PER_MAS
-    model = mean_motion_rad_yr(stars.ra_rad, stars.dec_rad, stars.mag).mean(axis=0) / RAD_PER_MAS
-    # A median of n stars that scatter by 25 mas/yr is good to 30 / sqrt(n) mas/yr.
-    assert np.all(np.abs(model - measured) < 5.0 + 3.0 * 30.0 / np.sqrt(len(stars)))
+def test_agrees_with_hipparcos_motions_over_the_sky():
+    """Hipparcos stars of magnitude 6 to 8, where Hipparcos was complete: the model explains their common motion.
+
+    Their mean motion projected on the model is one model's length, or up to a third more: Hipparcos is nearer.
+    """
+    stars = open_catalog("bundled").cone(0.0, 0.0, np.pi, mag_limit=8.0)
+    measured = np.stack([stars.pmra_rad_yr, stars.pmdec_rad_yr], axis=-1) / RAD_PER_MAS
+    stars_used = stars.motion_known & (stars.mag > 6.0) & (np.hypot(*measured.T) < 100.0)
+    assert stars_used.sum() > 30_000
+    model = mean_motion_rad_yr(stars.ra_rad, stars.dec_rad, stars.mag)[stars_used] / RAD_PER_MAS
+    for axis in (0, 1):
+        slope = np.sum(model[:, axis] * measured[stars_used, axis]) / np.sum(model[:, axis] ** 2)
+        assert 1.0 < slope < 1.35
 
 
 @pytest.mark.realdata

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from opnav_workbench.catalog.mean_motion import mean_motion_rad_yr
 from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, open_catalog
 from opnav_workbench.errors import CatalogError
 
@@ -25,7 +26,9 @@ def test_a_plain_file_gets_honest_defaults(tmp_path) -> None:
     assert list(stars.id) == ["row:2", "row:1", "row:0"]
     np.testing.assert_allclose(np.degrees(stars.ra_rad), [350.0, 10.1, 10.0], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(stars.epoch_jyear, 2000.0)
-    np.testing.assert_array_equal(stars.pmra_rad_yr, 0.0)
+    np.testing.assert_array_equal(
+        stars.pmra_rad_yr, mean_motion_rad_yr(stars.ra_rad, stars.dec_rad, stars.mag)[:, 0]
+    )
     assert not stars.motion_known.any()
     assert np.isnan(stars.rv_km_s).all()
     np.testing.assert_allclose(stars.sigma[:, 3:] / MAS, UNKNOWN_MOTION_MAS_YR, rtol=1e-14)
@@ -53,7 +56,8 @@ def test_every_array_arrives_in_radians(tmp_path) -> None:
     )
     stars = whole(path)
     assert list(stars.id) == ["c", "Proxima Centauri", "a"]
-    np.testing.assert_allclose(stars.pmra_rad_yr / MAS, [0.0, -3781.741, 1.0], rtol=1e-14)
+    mean = mean_motion_rad_yr(stars.ra_rad, stars.dec_rad, stars.mag)[0, 0] / MAS
+    np.testing.assert_allclose(stars.pmra_rad_yr / MAS, [mean, -3781.741, 1.0], rtol=1e-14)
     np.testing.assert_allclose(stars.parallax_rad / MAS, [0.0, 768.0665, 3.0], rtol=1e-14)
     np.testing.assert_array_equal(stars.rv_km_s, [np.nan, -20.578, 4.0])
     np.testing.assert_array_equal(stars.epoch_jyear, [1991.25, 2016.0, 2016.0])

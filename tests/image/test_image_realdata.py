@@ -132,7 +132,7 @@ def test_quaternion_gives_the_header_boresight(images, name, keywords, boresight
     ],
 )
 def test_header_trajectory_agrees_with_spice(images, kernels, name, keywords):
-    """Sign and frame of the Sun vector: the trajectories differ by about 100 km, the barycenters by 118 km."""
+    """Signs and frame of the Sun vector: the trajectories differ by 100 km, the barycenters by 118 km."""
     frame = read_image(images / "cropped" / name, keywords)
     geometry = frame.header_geometry
     position, velocity = barycentric_from_heliocentric(

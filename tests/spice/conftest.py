@@ -75,7 +75,9 @@ INS-999101_FOV_FRAME = 'OTHER'
 \\begintext
 """,
 }
-CAMERA_FROM_BUS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # toy.tf, first row = camera +x
+CAMERA_FROM_BUS = np.array(
+    [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+)  # toy.tf, first row = camera +x
 TICKS_PER_S = 65536.0
 CLOCK_START_ET = -1e6
 SPIN_RAD_S = 1e-2

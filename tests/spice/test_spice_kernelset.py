@@ -153,7 +153,9 @@ def test_threads_share_one_open_set(toy):
     """CSPICE is not thread-safe and ctypes lets go of the GIL: without the lock this fails or crashes."""
 
     def error_km(et):
-        return np.abs(state("TOYBODY", et, "TOYCRAFT").position_km - (toy.body_km(et) - toy.craft_km(et))).max()
+        return np.abs(
+            state("TOYBODY", et, "TOYCRAFT").position_km - (toy.body_km(et) - toy.craft_km(et))
+        ).max()
 
     def roundtrip_s(et):
         return abs(et_from_utc(utc_from_et(et, 6)) - et)

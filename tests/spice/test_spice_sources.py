@@ -50,7 +50,9 @@ def names_folder(tmp_path, monkeypatch):
 def test_relative_paths_count_from_the_metakernels_own_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     kernel = text_kernel(tmp_path / "m" / "data" / "a.tf")
-    meta = metakernel(tmp_path / "m" / "all.tm", "$D/a.tf", more="PATH_VALUES = ('data')\nPATH_SYMBOLS = ('D')")
+    meta = metakernel(
+        tmp_path / "m" / "all.tm", "$D/a.tf", more="PATH_VALUES = ('data')\nPATH_SYMBOLS = ('D')"
+    )
     with KernelSet(meta) as kernels:
         assert paths(kernels) == [meta, kernel]
         assert [k.kind for k in kernels.kernels()] == ["META", "FK"]

@@ -10,7 +10,7 @@ HALF = 14  # pixels rendered on each side of a star
 
 
 def brute_force(center, flux, sigma_major, sigma_minor, angle, pixel, line):
-    """Return the flux (m,) of one star in pixels centered at `pixel`, `line` (m,): 2-D quadrature of the density."""
+    """Return the flux (m,) of one star in pixels centered at `pixel`, `line` (m,), by 2-D quadrature."""
     t, w = np.polynomial.legendre.leggauss(NODES)
     x = pixel[:, None, None] + 0.5 * t[None, :, None] - center[0]
     y = line[:, None, None] + 0.5 * t[None, None, :] - center[1]

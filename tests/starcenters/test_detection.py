@@ -30,7 +30,7 @@ def test_stars_of_snr_15_are_found_and_nothing_else(render_stars, star_grid, sig
 
 
 def test_snr_is_that_of_the_simulation(render_stars, star_grid):
-    image, centers, _ = field(render_stars, star_grid, 1.5, 20.0, 100, 4)
+    image, _, _ = field(render_stars, star_grid, 1.5, 20.0, 100, 4)
     found = detect(image, NOISE_DN, None, 1.5)
     assert abs(np.median(found.snr) - 20.0) < 1.5
 

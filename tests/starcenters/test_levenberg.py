@@ -77,7 +77,7 @@ def test_a_problem_without_data_is_undetermined_and_leaves_the_others_alone():
     weight[0] = 0.0
     zero = np.zeros((2, 2))
     solution = solve_batched(
-        decay_model(data, weight), zero + [4.0, 0.7], zero - np.inf, zero + np.inf, zero, zero
+        decay_model(data, weight), np.array([[4.0, 0.7]] * 2), zero - np.inf, zero + np.inf, zero, zero
     )
     assert solution.determined.tolist() == [False, True]
     assert np.isnan(solution.covariance[0]).all()

@@ -1,4 +1,4 @@
-"""The pixel-integrated Gaussian against quadrature that shares nothing with it, and its derivatives against differences."""
+"""The pixel-integrated Gaussian against independent quadrature, its derivatives against differences."""
 
 import numpy as np
 import pytest
