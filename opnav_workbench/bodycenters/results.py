@@ -45,7 +45,9 @@ class BodyCenter:
 
     def __post_init__(self) -> None:
         if self.status not in BODY_STATUSES:
-            raise CenterfindingError(f"unknown status {self.status!r}; it is one of {', '.join(BODY_STATUSES)}.")
+            raise CenterfindingError(
+                f"unknown status {self.status!r}; it is one of {', '.join(BODY_STATUSES)}."
+            )
         freeze_arrays(self)
 
     @classmethod

@@ -93,10 +93,14 @@ def find_unresolved(
     predicted = np.asarray(prediction_px, dtype=np.float64)
     n_line, n_pixel = np.shape(image_dn)
     if not _inside(predicted, n_pixel, n_line):
-        return BodyCenter.without_center(name, METHOD, "off_detector", _off_detector(predicted, n_pixel, n_line))
+        return BodyCenter.without_center(
+            name, METHOD, "off_detector", _off_detector(predicted, n_pixel, n_line)
+        )
     widened = _widened(prior, diameter_px)
     neighbours = np.reshape(neighbours_px, (-1, 2))
-    bad = np.asarray(bad, dtype=bool) | _nearer_to_neighbours(predicted, neighbours, widened, (n_line, n_pixel))
+    bad = np.asarray(bad, dtype=bool) | _nearer_to_neighbours(
+        predicted, neighbours, widened, (n_line, n_pixel)
+    )
     coarse = correlate(
         image_dn,
         noise_dn,
@@ -159,7 +163,10 @@ def _widened(prior: ShapePrior, diameter_px: float) -> ShapePrior:
 def _not_detected(name: str, snr: float, radius_px: float) -> BodyCenter:
     seen = f"SNR {snr:.1f} at most" if np.isfinite(snr) else "no usable pixels"
     return BodyCenter.without_center(
-        name, METHOD, "not_detected", f"nothing found within {radius_px:.1f} px of its predicted place ({seen})"
+        name,
+        METHOD,
+        "not_detected",
+        f"nothing found within {radius_px:.1f} px of its predicted place ({seen})",
     )
 
 
@@ -174,7 +181,9 @@ def _judged(
 ) -> BodyCenter:
     flags, snr = int(fit.flags[0]), float(fit.snr[0])
     if flags & StarFlag.SATURATED:
-        return BodyCenter.without_center(name, METHOD, "saturated", "its core is saturated; take a shorter exposure")
+        return BodyCenter.without_center(
+            name, METHOD, "saturated", "its core is saturated; take a shorter exposure"
+        )
     if flags & FIT_FAILED:
         return BodyCenter.without_center(name, METHOD, "failed", describe_flags(flags & FIT_FAILED))
     center = fit.pixel_line[0] - offset

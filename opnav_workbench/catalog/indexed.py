@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray
-from opnav_workbench.catalog.sky import SkyIndex
 from opnav_workbench.catalog.mean_motion import with_mean_motion
+from opnav_workbench.catalog.sky import SkyIndex
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, jyear_from_et, propagate, unit_from_radec

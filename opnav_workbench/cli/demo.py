@@ -41,7 +41,9 @@ def demo(
         highlight=False,
     )
     with KernelSet(DEMO_KERNELS):
-        truths = [simulate_picture(r.reseeded(seed), mission, DEMO_CATALOG, out / "pictures") for r in DEMO_PICTURES]
+        truths = [
+            simulate_picture(r.reseeded(seed), mission, DEMO_CATALOG, out / "pictures") for r in DEMO_PICTURES
+        ]
         policy = Policy(mission=mission, catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
         outcomes = run_images([truth.picture for truth in truths], policy, out)
     ok = True

@@ -87,9 +87,13 @@ def _cache() -> Finding:
     existing = next(p for p in (root, *root.parents) if p.exists())
     free_mb = shutil.disk_usage(existing).free // 2**20
     if not os.access(existing, os.W_OK):
-        return Finding("cache", str(root), "note", "not writable: the catalog is built anew each time; set OPNAV_CACHE")
+        return Finding(
+            "cache", str(root), "note", "not writable: the catalog is built anew each time; set OPNAV_CACHE"
+        )
     if free_mb < MIN_FREE_MB:
-        return Finding("cache", str(root), "note", f"only {free_mb} MB free; free some space or set OPNAV_CACHE")
+        return Finding(
+            "cache", str(root), "note", f"only {free_mb} MB free; free some space or set OPNAV_CACHE"
+        )
     return Finding("cache", str(root), "ok", f"{free_mb / 1024:.0f} GB free")
 
 
@@ -101,7 +105,9 @@ def doctor() -> None:
     rows = list(findings())
     last = ""
     for row in rows:
-        table.add_row("" if row.topic == last else row.topic, escape(row.what), MARKS[row.state], escape(row.detail))
+        table.add_row(
+            "" if row.topic == last else row.topic, escape(row.what), MARKS[row.state], escape(row.detail)
+        )
         last = row.topic
     console.print(table)
     missing = [row for row in rows if row.state == "missing"]

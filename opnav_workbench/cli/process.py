@@ -31,22 +31,29 @@ Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the oth
 
 def process(
     images: Annotated[list[Path], typer.Argument(help="Pictures (FITS, VICAR).", show_default=False)],
-    mission: Annotated[str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)],
+    mission: Annotated[
+        str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
+    ],
     kernels: Annotated[
         str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
     ] = None,
     catalog: Annotated[str, typer.Option(help="bundled | npz:FILE | astrometry-net:GLOB")] = "bundled",
     targets: Annotated[
         str | None,
-        typer.Option(help="Targets, comma-separated; default the mission's, with kernels.", show_default=False),
+        typer.Option(
+            help="Targets, comma-separated; default the mission's, with kernels.", show_default=False
+        ),
     ] = None,
     target_stars: Annotated[
         Path | None, typer.Option(help="YAML star list for stars that are targets.", show_default=False)
     ] = None,
     decisions: Annotated[
-        Path | None, typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False)
+        Path | None,
+        typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False),
     ] = None,
-    attitude: Annotated[str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))] = "auto",
+    attitude: Annotated[
+        str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))
+    ] = "auto",
     model: Annotated[str, typer.Option(help="Pointing model: " + " | ".join(MODELS))] = "euler",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
 ) -> None:
@@ -75,7 +82,9 @@ def run_images(images: Sequence[Path], policy: Policy, out: Path) -> list[Outcom
     outcomes = []
     with Reporter(len(images)) as reporter:
         for image in images:
-            outcome = process_image(image, policy, out, lambda words, name=image.name: reporter.say(name, words))
+            outcome = process_image(
+                image, policy, out, lambda words, name=image.name: reporter.say(name, words)
+            )
             reporter.done(outcome)
             outcomes.append(outcome)
     reporter.table(outcomes, out)

@@ -7,7 +7,14 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from opnav_workbench.headless import Outcome
@@ -68,7 +75,9 @@ class Reporter:
 
     def _note(self, outcome: Outcome, message: str) -> None:
         self._out.print(
-            f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}", highlight=False, soft_wrap=True
+            f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}",
+            highlight=False,
+            soft_wrap=True,
         )
 
 

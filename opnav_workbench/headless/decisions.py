@@ -51,7 +51,10 @@ class Decisions(BaseModel):
         known = set() if stars is None else set(stars.id.tolist())
         for key in (EVERY_IMAGE, name):
             chosen = self.images.get(key, _ImageDecisions())
-            for verdicts, decide in ((chosen.reject, session.reject_stars), (chosen.accept, session.accept_stars)):
+            for verdicts, decide in (
+                (chosen.reject, session.reject_stars),
+                (chosen.accept, session.accept_stars),
+            ):
                 for verdict in verdicts:
                     if key == name or verdict.star in known:
                         decide([verdict.star], verdict.reason)

@@ -70,9 +70,7 @@ def analytic_position_partials(
     return -of_pixel @ of_apparent @ of_unit
 
 
-def attitude_partials(
-    direction: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
-) -> FloatArray:
+def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike) -> FloatArray:
     """Return d(pixel, line) / d(small rotation vector about the camera frame's axes), (2, 3) px/rad.
 
     The rotation is the error of the attitude, ``true = rotation_from_vector(eps) @ camera_from_j2000``, as in
@@ -102,4 +100,6 @@ def _aberration_jacobian(unit: FloatArray, beta: FloatArray) -> FloatArray:
 
 def _require_seen(values: FloatArray) -> None:
     if not np.isfinite(values).all():
-        raise PointingError("the body is not in front of the camera, so its partials do not exist; check the pointing.")
+        raise PointingError(
+            "the body is not in front of the camera, so its partials do not exist; check the pointing."
+        )

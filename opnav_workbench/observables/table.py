@@ -46,7 +46,12 @@ COLUMNS: tuple[Column, ...] = (
     ("line_oc", u.pix, "observed minus computed line", lambda o: _pair(o.residual_px, 1)),
     ("sigma_pixel", u.pix, "1 sigma of the observed pixel", lambda o: np.sqrt(o.covariance_px2[0, 0])),
     ("sigma_line", u.pix, "1 sigma of the observed line", lambda o: np.sqrt(o.covariance_px2[1, 1])),
-    ("covariance_pixel_line", u.pix**2, "covariance of observed pixel and line", lambda o: o.covariance_px2[0, 1]),
+    (
+        "covariance_pixel_line",
+        u.pix**2,
+        "covariance of observed pixel and line",
+        lambda o: o.covariance_px2[0, 1],
+    ),
     (
         "sigma_pixel_oc",
         u.pix,
@@ -79,7 +84,12 @@ COLUMNS: tuple[Column, ...] = (
     ("dec", u.deg, "observed declination, J2000, stellar aberration removed", lambda o: o.dec_deg),
     ("apparent_ra", u.deg, "observed right ascension, J2000, as seen", lambda o: o.apparent_ra_deg),
     ("apparent_dec", u.deg, "observed declination, J2000, as seen", lambda o: o.apparent_dec_deg),
-    ("ra_cosdec_oc", u.arcsec, "observed minus computed RA times cos(Dec)", lambda o: _pair(o.residual_arcsec, 0)),
+    (
+        "ra_cosdec_oc",
+        u.arcsec,
+        "observed minus computed RA times cos(Dec)",
+        lambda o: _pair(o.residual_arcsec, 0),
+    ),
     ("dec_oc", u.arcsec, "observed minus computed declination", lambda o: _pair(o.residual_arcsec, 1)),
     ("diameter", u.pix, "predicted diameter", lambda o: o.diameter_px),
     ("snr", u.one, "flux over its sigma", lambda o: o.snr),

@@ -67,7 +67,7 @@ def check_given(
         covariance = covariance + _array("catalog_covariance_px2", catalog_covariance_px2, n, 2, 2)
     covariance = symmetric(covariance)
     sky = _array("directions", directions, n, 3)
-    wanted = np.ones(n, dtype=bool) if usable is None else np.asarray(usable, dtype=bool)
+    wanted: BoolArray = np.ones(n, dtype=bool) if usable is None else np.asarray(usable, dtype=bool)
     if wanted.shape != (n,):
         raise PointingError(f"usable has shape {wanted.shape}, expected ({n},): one entry per star")
     attitude = _attitude(a_priori)
@@ -90,13 +90,13 @@ def _reasons(
     finite = np.isfinite(covariance).all(axis=(1, 2))
     eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, np.eye(2)))
     definite = eigenvalues[:, 0] > MAX_RECIPROCAL_CONDITION * np.abs(eigenvalues[:, 1])
-    tests = (
-        (wanted, "not offered"),
-        (np.isfinite(observed).all(axis=1), "no center"),
-        (finite & definite, "no usable covariance of its center"),
-        (np.isfinite(predicted).all(axis=1), "out of sight at the a priori attitude"),
-    )
-    return tuple(next((why for good, why in tests if not good[i]), "") for i in range(len(observed)))
+    reasons = np.full(len(observed), "", dtype=object)
+    # From the least to the most basic reason, which is the one that stays.
+    reasons[~np.isfinite(predicted).all(axis=1)] = "out of sight at the a priori attitude"
+    reasons[~(finite & definite)] = "no usable covariance of its center"
+    reasons[~np.isfinite(observed).all(axis=1)] = "no center"
+    reasons[~wanted] = "not offered"
+    return tuple(reasons.tolist())
 
 
 def _array(name: str, values: ArrayLike, n: int | None, *rest: int) -> FloatArray:

@@ -1,14 +1,15 @@
 """Which stars belong together: outliers are found against a start that they cannot spoil.
 
-First all stars are fitted; if their residuals are what their covariances say, nothing is done. Otherwise every
-pair of stars (or a sample of pairs) proposes an attitude, and each is rated by the likelihood of the mixture
+First all stars are fitted; if their residuals are what their covariances say, nothing is done. Otherwise
+every pair of stars (or a sample of pairs) proposes an attitude, and each is rated by the likelihood of the
+mixture
 
     p(residual) = (1 - P) N(residual; covariance + excess^2) + P / area,
 
-in which a star is either good, its centering error perhaps larger than it says, or an outlier that may be anywhere.
-This weighs "these bright stars are wrong" against "all centers are a little worse than they say", which a test
-in units of the formal sigmas cannot do. From the best start stars are taken back in and put out, one and the same
-threshold for all, until nothing changes; never more than a minority is put out.
+in which a star is either good, its centering error perhaps larger than it says, or an outlier that may be
+anywhere. This weighs "these bright stars are wrong" against "all centers are a little worse than they say",
+which a test in units of the formal sigmas cannot do. From the best start stars are taken back in and put out,
+one and the same threshold for all, until nothing changes; never more than a minority is put out.
 
 Reference: Hogg, Bovy & Lang (2010), arXiv:1008.4686, section 3 (mixture); Fischler & Bolles (1981),
 doi:10.1145/358669.358692 (proposals from minimal sets).
@@ -127,7 +128,7 @@ def _at_least_majority(mask: BoolArray, distance: FloatArray) -> BoolArray:
 
 
 def _consensus(stars: Sightings, model: StepModel) -> tuple[FloatArray, BoolArray] | None:
-    """Attitude and good stars of the greatest likelihood; None where no pair of stars proposes an attitude."""
+    """Attitude and good stars of the greatest likelihood; None where no pair of stars proposes one."""
     proposals = _pair_attitudes(stars)
     seen = stars.camera.project((proposals @ stars.directions.T).transpose(0, 2, 1).reshape(-1, 3))
     residual = stars.observed_px - seen.reshape(len(proposals), -1, 2)
@@ -141,7 +142,7 @@ def _consensus(stars: Sightings, model: StepModel) -> tuple[FloatArray, BoolArra
 def _refine(
     stars: Sightings, model: StepModel, attitude: FloatArray, residual_px: FloatArray
 ) -> tuple[float, tuple[FloatArray, BoolArray]] | None:
-    """Refit the stars that are more likely good than outliers until they stay the same; with the likelihood."""
+    """Refit the stars that are rather good than outliers until they stay the same; likelihood first."""
     before = np.zeros(len(stars), dtype=bool)
     for _ in range(MAX_PASSES):
         rated = [(*_likelihood(stars, residual_px, excess), excess) for excess in EXCESS_GRID_PX]
@@ -159,7 +160,7 @@ def _refine(
 def _likelihood(
     stars: Sightings, residual_px: FloatArray, excess: float
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Log likelihood (...) of residuals (..., n, 2); which stars are rather good (..., n); squared distances."""
+    """Log likelihood (...) of residuals (..., n, 2); which are rather good (..., n); squared distances."""
     covariance = stars.covariance_px2 + excess**2 * np.eye(2)
     squared = _squared(residual_px, covariance)
     normal = -0.5 * squared - 0.5 * np.log(np.linalg.det(2.0 * np.pi * covariance))

@@ -17,4 +17,10 @@ __all__ = [
     "DEMO_MISSION",
     "DEMO_PICTURES",
     "DEMO_TARGETS",
-    "Comparison", "PictureRequest", "Truth", "compare", "render_picture", "simulate_picture"]
+    "Comparison",
+    "PictureRequest",
+    "Truth",
+    "compare",
+    "render_picture",
+    "simulate_picture",
+]

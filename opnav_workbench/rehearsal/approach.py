@@ -112,7 +112,8 @@ def simulate_picture(request: PictureRequest, mission: Mission, catalog: str, ou
     actual = _misaligned(predicted, camera, request.seed)
     picture, bodies, stars = _picture(request, mission, camera, et, observer, actual, catalog)
     path = out / f"{request.name}.fit"
-    _write_fits(path, picture, _header(request, mission, et, predicted, camera))
+    cards = _header(request, mission, et, predicted, camera)
+    _write_fits(path, picture, cards, mission.keywords, camera)
     write_json(
         out / f"{request.name}.truth.json",
         {"picture": path.name, "camera_from_j2000": actual, "bodies": bodies, "stars_on_detector": stars},
@@ -174,9 +175,21 @@ def _header(
     return cards
 
 
-def _write_fits(path: Path, picture: FloatArray, cards: Mapping[str, Any]) -> None:
-    hdu = fits.PrimaryHDU(picture.astype(np.float32))
+def _write_fits(
+    path: Path, picture: FloatArray, cards: Mapping[str, Any], names: Mapping[str, Any], camera: Camera
+) -> None:
+    """Write the picture with the mission's error and quality planes."""
+    hdus = fits.HDUList([fits.PrimaryHDU(picture.astype(np.float32))])
     for key, value in cards.items():
-        hdu.header[key] = value
+        hdus[0].header[key] = value
+    gain, read_noise = camera.require("gain_e_per_dn"), camera.require("read_noise_dn")
+    error = np.sqrt(read_noise**2 + np.maximum(picture, 0.0) / gain)
+    planes = (
+        ("error_extension", error.astype(np.float32)),
+        ("quality_extension", np.zeros(picture.shape, np.uint16)),
+    )
+    for field, plane in planes:
+        if names.get(field) is not None:
+            hdus.append(fits.ImageHDU(plane, name=str(names[field])))
     with atomic_path(path) as temporary:
-        hdu.writeto(temporary, overwrite=True)
+        hdus.writeto(temporary, overwrite=True)

@@ -113,7 +113,9 @@ def render_picture(
         Calibrated DN, in whole numbers, clipped at saturation.
     """
     electrons = np.zeros((camera.n_line, camera.n_pixel))
-    _add_points(electrons, stars.pixel_line, electrons_from_magnitude(camera, stars.mag, exposure_s), sigma_px)
+    _add_points(
+        electrons, stars.pixel_line, electrons_from_magnitude(camera, stars.mag, exposure_s), sigma_px
+    )
     for places, shares, mag in bodies:
         total = float(electrons_from_magnitude(camera, np.array(mag), exposure_s))
         _add_points(electrons, places, shares * total, sigma_px)

@@ -57,13 +57,17 @@ def compare(truth: Truth, result: Mapping[str, Any], camera: Camera) -> tuple[Co
 def _attitude(truth: Truth, pointing: Mapping[str, Any], camera: Camera) -> list[Comparison]:
     solved = matrix_from_quaternion(np.asarray(pointing["quaternion_camera_from_j2000"], dtype=np.float64))
     focal, scale = camera.focal_from_camera, camera.pixel_scale_rad
-    about_pixel, about_line, twist = np.sqrt(np.diag(focal @ np.asarray(pointing["covariance_rad2"]) @ focal.T))
+    about_pixel, about_line, twist = np.sqrt(
+        np.diag(focal @ np.asarray(pointing["covariance_rad2"]) @ focal.T)
+    )
     # A turn about the pixel axis moves the sky along lines, one about the line axis along pixels.
     sigmas = (about_line / scale, about_pixel / scale, np.degrees(twist))
     moved = _shift(truth.predicted_camera_from_j2000, solved, camera)
     true = _shift(truth.predicted_camera_from_j2000, truth.camera_from_j2000, camera)
     rows = zip(("Δpixel", "Δline", "Δtwist"), ("px", "px", "deg"), moved, true, sigmas, strict=True)
-    return [Comparison(name, unit, float(s), float(t), float(e), float(s - t)) for name, unit, s, t, e in rows]
+    return [
+        Comparison(name, unit, float(s), float(t), float(e), float(s - t)) for name, unit, s, t, e in rows
+    ]
 
 
 def _shift(first: FloatArray, second: FloatArray, camera: Camera) -> tuple[float, float, float]:

@@ -1,16 +1,19 @@
 """One figure a picture: stretched frame with predicted and observed places, residual vectors, residual against magnitude.
 
-Predicted places are yellow circles, observed ones blue crosses, rejected ones vermilion squares: shape and colour
-together, from a palette that colour-blind readers can tell apart (Okabe & Ito).
+Predicted places are yellow circles, observed ones blue crosses, stars not used vermilion squares, targets purple diamonds:
+shape and colour together, from a palette that colour-blind readers can tell apart (Okabe & Ito).
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from astropy.visualization import AsinhStretch, ZScaleInterval
+from astropy.visualization import AsinhStretch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.files import atomic_path
@@ -24,6 +27,9 @@ PIXEL_COLOR, LINE_COLOR = "#0072B2", "#D55E00"
 DPI = 110
 # Residual vectors are drawn so that the longest is this share of the picture's smaller side.
 VECTOR_SHARE = 0.12
+# The stretch begins below the background, so that its noise is seen as dark grain, and ends well inside the stars.
+LOW_SIGMAS, HIGH_SIGMAS = -1.5, 60.0
+ASINH_SOFTENING = 0.05
 
 
 def write_summary(session: ImageSession, path: str | Path) -> None:
@@ -63,7 +69,7 @@ def _title(session: ImageSession) -> str:
         return f"{first}\npointing not determined"
     return (
         f"{first}\n"
-        f"RA {np.degrees(pointing.ra_rad):.5f}°  Dec {np.degrees(pointing.dec_rad):+.5f}°  "
+        f"RA {np.degrees(pointing.ra_rad):.5f}°   Dec {np.degrees(pointing.dec_rad):+.5f}°  "
         f"twist {np.degrees(pointing.twist_rad):.4f}°   moved {pointing.delta_pixel:+.2f} px, "
         f"{pointing.delta_line:+.2f} lines, {np.degrees(pointing.delta_twist_rad):+.4f}°   "
         f"{pointing.n_stars} star{'s' * (pointing.n_stars != 1)}, rms {pointing.rms_px:.3f} px"
@@ -71,43 +77,90 @@ def _title(session: ImageSession) -> str:
 
 
 def _draw_picture(panels: Panels, figure: Figure, session: ImageSession) -> None:
-    image = session.context.frame.image_dn
-    good = np.where(session.context.bad, np.nan, image)
-    low, high = ZScaleInterval().get_limits(good[np.isfinite(good)])
-    top = np.nanpercentile(good, 99.9)
-    scaled = AsinhStretch(0.05)(np.clip((good - low) / max(top - low, high - low), 0.0, 1.0))
+    n_line = session.context.frame.image_dn.shape[0]
+    scaled = _stretched(session)
     for axes, first, last in panels.pictures(figure):
         axes.imshow(
             scaled[:, first:last],
             cmap="gray",
             origin="upper",
             interpolation="nearest",
-            extent=(first - 0.5, last - 0.5, image.shape[0] - 0.5, -0.5),
+            extent=(first - 0.5, last - 0.5, n_line - 0.5, -0.5),
         )
         _draw_marks(axes, session, first, last)
         axes.set_ylabel("line")
     axes.set_xlabel("pixel")
+    _draw_legend(figure)
+
+
+def _stretched(session: ImageSession) -> FloatArray:
+    """Asinh stretch from just below the background to well into the stars, 0..1; bad pixels are black."""
+    context = session.context
+    signal = np.where(context.bad, np.nan, context.signal_dn)
+    noise = float(np.nanmedian(context.noise_dn))
+    low, high = LOW_SIGMAS * noise, max(HIGH_SIGMAS * noise, float(np.nanpercentile(signal, 99.8)))
+    scaled = AsinhStretch(ASINH_SOFTENING)(np.clip((signal - low) / (high - low), 0.0, 1.0))
+    return np.nan_to_num(np.asarray(scaled, dtype=np.float64))
 
 
 def _draw_marks(axes: Axes, session: ImageSession, first: int, last: int) -> None:
-    state, (n_line, _) = session.state, session.context.frame.image_dn.shape
-    radius = 0.018 * min(n_line * 2, last - first)
-    marks = [(p, PREDICTED, "o", "") for p in _star_places(session)]
-    marks += [(p, OBSERVED if used else REJECTED, "x" if used else "s", "") for p, used in _observed(session)]
-    for body in state.observables:
-        marks.append((body.predicted_px, BODY, "D", body.name))
+    n_line = session.context.frame.image_dn.shape[0]
+    for place in _star_places(session):
+        _mark(axes, place, first, last, "o", PREDICTED)
+    for place, used in _observed(session):
+        _mark(axes, place, first, last, "+" if used else "s", OBSERVED if used else REJECTED)
+    for number, body in enumerate(session.state.observables):
+        if _mark(axes, body.predicted_px, first, last, "D", BODY):
+            above = number % 2 == 0  # names of near neighbours then do not cover each other
+            axes.annotate(
+                body.name,
+                tuple(body.predicted_px),
+                (12, 8 if above else -14),
+                textcoords="offset points",
+                color=BODY,
+                fontsize=9,
+                path_effects=[withStroke(linewidth=2.5, foreground="black")],
+            )
         if body.observed_px is not None:
-            marks.append((body.observed_px, OBSERVED, "x", ""))
-    size = max(4.0, radius)
-    for place, color, marker, label in marks:
-        if not np.isfinite(place).all() or not first - 0.5 <= place[0] < last - 0.5:
-            continue
-        filled = {"markerfacecolor": "none"} if marker != "x" else {}
-        axes.plot(*place, marker, color=color, markersize=size * 1.6, markeredgewidth=1.1, **filled)
-        if label:
-            axes.annotate(label, place, (7, 7), textcoords="offset points", color=color, fontsize=8)
+            _mark(axes, body.observed_px, first, last, "+", OBSERVED)
     axes.set_xlim(first - 0.5, last - 0.5)
     axes.set_ylim(n_line - 0.5, -0.5)
+
+
+def _mark(axes: Axes, place: FloatArray, first: int, last: int, marker: str, color: str) -> bool:
+    """Draw one mark if it lies in this part of the picture."""
+    bottom, top = -0.5, axes.get_images()[0].get_array().shape[0] - 0.5
+    if not (first - 0.5 <= place[0] < last - 0.5 and bottom <= place[1] < top):
+        return False
+    style = _style(marker, color)
+    axes.plot(*place, **style)
+    return True
+
+
+def _style(marker: str, color: str) -> dict[str, Any]:
+    sizes = {"o": 13.0, "+": 7.0, "s": 13.0, "D": 13.0}
+    return {
+        "marker": marker,
+        "color": color,
+        "markersize": sizes[marker],
+        "markeredgewidth": 1.2,
+        "markerfacecolor": "none",
+        "linestyle": "none",
+    }
+
+
+def _draw_legend(figure: Figure) -> None:
+    entries = (
+        ("star predicted", "o", PREDICTED),
+        ("observed", "+", OBSERVED),
+        ("star not used", "s", REJECTED),
+        ("target predicted", "D", BODY),
+    )
+    handles = [Line2D([], [], **_style(marker, color), label=text) for text, marker, color in entries]
+    legend = figure.legend(
+        handles=handles, loc="upper right", ncols=4, fontsize=8, facecolor="0.25", labelcolor="w"
+    )
+    legend.set_in_layout(False)
 
 
 def _star_places(session: ImageSession) -> FloatArray:
@@ -142,7 +195,13 @@ def _draw_vectors(axes: Axes, session: ImageSession) -> None:
     longest = max(float(np.hypot(*residual.T).max()), 1e-6)
     scale = _round_scale(VECTOR_SHARE * max(min(n_line, n_pixel), 0.05 * n_pixel) / longest)
     axes.quiver(
-        *places.T, *(residual * scale).T, angles="xy", scale_units="xy", scale=1.0, color=PIXEL_COLOR, width=0.004
+        *places.T,
+        *(residual * scale).T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        color=PIXEL_COLOR,
+        width=0.004,
     )
     axes.plot(*places.T, "o", color=PREDICTED, markeredgecolor="k", markersize=4)
     axes.set_title(f"residuals, observed − predicted, × {scale:g}", fontsize=9)

@@ -11,7 +11,7 @@ __all__ = ["Panels", "panels_of"]
 
 # A frame wider than this many times its height is shown as strips, one under the other.
 STRIP_ASPECT = 4.0
-STRIPS = 5
+STRIPS = 4
 
 
 @dataclass(slots=True)
@@ -25,7 +25,7 @@ class Panels:
     def pictures(self, figure: Figure) -> Iterator[tuple[Axes, int, int]]:
         """Yield axes with the first and one-past-last pixel column they show."""
         n_pixel = self.shape[1]
-        rows = self._picture_cell(figure).subgridspec(self.strips, 1, hspace=0.02)
+        rows = self._picture_cell(figure).subgridspec(self.strips, 1, hspace=0.0)
         for row in range(self.strips):
             first, last = row * n_pixel // self.strips, (row + 1) * n_pixel // self.strips
             yield figure.add_subplot(rows[row, 0]), first, last
@@ -33,14 +33,16 @@ class Panels:
     def plots(self, figure: Figure) -> tuple[Axes, Axes, Axes]:
         """Return axes for residual vectors, residuals before and residuals after."""
         if self.strips > 1:
-            cells = figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))[1, 0].subgridspec(1, 3)
+            cells = figure.add_gridspec(2, 1, height_ratios=(1.6, 1.0))[1, 0].subgridspec(1, 3)
             return tuple(figure.add_subplot(cells[0, i]) for i in range(3))  # type: ignore[return-value]
-        cells = figure.add_gridspec(1, 2, width_ratios=(1.45, 1.0))[0, 1].subgridspec(3, 1, height_ratios=(1.5, 1, 1))
+        cells = figure.add_gridspec(1, 2, width_ratios=(1.45, 1.0))[0, 1].subgridspec(
+            3, 1, height_ratios=(1.5, 1, 1)
+        )
         return tuple(figure.add_subplot(cells[i, 0]) for i in range(3))  # type: ignore[return-value]
 
     def _picture_cell(self, figure: Figure) -> SubplotSpec:
         if self.strips > 1:
-            return figure.add_gridspec(2, 1, height_ratios=(1.35, 1.0))[0, 0]
+            return figure.add_gridspec(2, 1, height_ratios=(1.6, 1.0))[0, 0]
         return figure.add_gridspec(1, 2, width_ratios=(1.45, 1.0))[0, 0]
 
 
@@ -48,5 +50,5 @@ def panels_of(shape: tuple[int, ...]) -> Panels:
     """Choose the layout for a frame of `shape` (n_line, n_pixel)."""
     n_line, n_pixel = shape
     if n_pixel > STRIP_ASPECT * n_line:
-        return Panels((n_line, n_pixel), STRIPS, (13.0, 8.5))
+        return Panels((n_line, n_pixel), STRIPS, (13.0, 10.2))
     return Panels((n_line, n_pixel), 1, (13.0, 8.2))

@@ -55,7 +55,11 @@ def observer_from_header(frame: Frame, et: float) -> Observer:
         The header has no Sun vector or velocity.
     """
     geometry = frame.header_geometry
-    if geometry is None or geometry.spacecraft_from_sun_km is None or geometry.spacecraft_velocity_km_s is None:
+    if (
+        geometry is None
+        or geometry.spacecraft_from_sun_km is None
+        or geometry.spacecraft_velocity_km_s is None
+    ):
         raise ImageError(
             f"{frame.path.name}: the header gives no spacecraft position and velocity; "
             "give kernels that cover the spacecraft (--kernels)."

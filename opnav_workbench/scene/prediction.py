@@ -154,9 +154,7 @@ def predict_stars(
         mag=chosen.mag,
         directions=directions[keep],
         pixel_line=pixel_line[keep],
-        covariance_px2=_catalog_covariance(
-            chosen, et, observer, directions[keep], camera, camera_from_j2000
-        ),
+        covariance_px2=_catalog_covariance(chosen, et, observer, directions[keep], camera, camera_from_j2000),
         on_detector=camera.on_detector(pixel_line[keep]),
     )
 

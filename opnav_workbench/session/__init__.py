@@ -7,4 +7,12 @@ from opnav_workbench.session.session import ImageSession
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import SessionState, StarStatus
 
-__all__ = ["ATTITUDE_SOURCES", "Context", "ImageSession", "JournalEntry", "SessionState", "Settings", "StarStatus"]
+__all__ = [
+    "ATTITUDE_SOURCES",
+    "Context",
+    "ImageSession",
+    "JournalEntry",
+    "SessionState",
+    "Settings",
+    "StarStatus",
+]

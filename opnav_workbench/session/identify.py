@@ -80,7 +80,12 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     assert state.a_priori is not None
     stars, camera, settings = state.a_priori, context.camera, context.settings
     detections = detect(
-        context.signal_dn, context.noise_dn, context.bad, camera.psf.sigma_px, DETECTION_SNR, saturated=context.frame.saturated
+        context.signal_dn,
+        context.noise_dn,
+        context.bad,
+        camera.psf.sigma_px,
+        DETECTION_SNR,
+        saturated=context.frame.saturated,
     )
     points, mags = _pattern(context, inputs, state)
     match = identify(

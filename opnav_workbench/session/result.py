@@ -20,7 +20,6 @@ __all__ = ["result_dict"]
 def result_dict(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
     """Return everything found as plain values; residual = observed minus predicted, missing values are None."""
     frame = context.frame
-    status, messages = overall_status(state)
     return {
         "image": frame.path.name,
         "sha256": frame.sha256,
@@ -29,8 +28,8 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "exposure_s": frame.exposure_s,
         "mission": context.mission.name,
         "camera": context.camera.name,
-        "status": status,
-        "messages": [*frame.messages, *state.messages, *messages],
+        "status": overall_status(state),
+        "messages": list(state.messages),
         "pointing": _pointing(state.pointing),
         "stars": _stars(context, state),
         "bodies": [_body(o) for o in state.observables],
@@ -38,14 +37,12 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
     }
 
 
-def overall_status(state: SessionState) -> tuple[str, list[str]]:
-    """Return ``ok``, ``partial`` or ``failed``, and the messages that say what is missing."""
+def overall_status(state: SessionState) -> str:
+    """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing."""
     if state.pointing is None:
-        return "failed", ["pointing not determined"]
-    unseen = [o for o in state.observables if o.status != "ok"]
-    named = [f"{o.name} ({o.method}) is {o.status.replace('_', ' ')}" for o in unseen]
-    complete = state.pointing.twist_solved and not unseen
-    return ("ok" if complete else "partial"), named
+        return "failed"
+    complete = state.pointing.twist_solved and all(o.status == "ok" for o in state.observables)
+    return "ok" if complete else "partial"
 
 
 def _pointing(p: PointingSolution | None) -> dict[str, Any] | None:
@@ -138,10 +135,13 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
     active = KernelSet.active()
     return {
         "version": __version__,
-        "kernels": [] if active is None else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()],
+        "kernels": []
+        if active is None
+        else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()],
         "catalog": source.catalog,
         "attitude_source": inputs.attitude_source,
         "observer_source": inputs.observer.source,
+        "image_notes": list(context.frame.messages),
         "settings": context.settings.to_dict(),
         "decisions": [
             {"star": star, "verdict": verdict, "reason": reason}

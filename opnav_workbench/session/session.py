@@ -181,11 +181,15 @@ class ImageSession:
 
     def reject_stars(self, ids: Sequence[str], reason: str) -> None:
         """Reject stars by catalog id; the reason stands in the journal and in the result."""
-        self._step("reject_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} rejected")
+        self._step(
+            "reject_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} rejected"
+        )
 
     def accept_stars(self, ids: Sequence[str], reason: str = "") -> None:
         """Accept stars by catalog id, outranking any automatic rejection."""
-        self._step("accept_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} accepted")
+        self._step(
+            "accept_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} accepted"
+        )
 
     def repoint(self, model: str = "euler") -> None:
         """Solve the camera attitude from the stars in use.
@@ -281,7 +285,10 @@ class ImageSession:
         target = Path(folder)
         write_json(target / RESULT_FILE, self.result())
         write_ecsv(self.state.observables, target / TABLE_FILE)
-        write_json(target / SESSION_FILE, storage.session_dict(self._context, self._source, self._inputs, self._journal))
+        write_json(
+            target / SESSION_FILE,
+            storage.session_dict(self._context, self._source, self._inputs, self._journal),
+        )
         return target
 
     @classmethod
@@ -312,7 +319,9 @@ class ImageSession:
                 step = STEPS[item.step]
                 self._states.append(step(self._context, self._inputs, self.state, dict(item.parameters)))
             else:
-                raise SessionError(f"session.json names an unknown step {item.step!r}; it was written by a newer version.")
+                raise SessionError(
+                    f"session.json names an unknown step {item.step!r}; it was written by a newer version."
+                )
             self._journal.append(item)
 
     def to_json(self) -> str:

@@ -61,7 +61,9 @@ class Settings:
         known = {field.name for field in fields(cls)}
         unknown = sorted(set(values) - known)
         if unknown:
-            raise SessionError(f"unknown setting {', '.join(unknown)}; settings are {', '.join(sorted(known))}.")
+            raise SessionError(
+                f"unknown setting {', '.join(unknown)}; settings are {', '.join(sorted(known))}."
+            )
         return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:

@@ -25,7 +25,9 @@ SEARCH_SIGMAS = 4.0
 MAX_UNRESOLVED_DIAMETER_PX = 3.0
 
 
-def repoint(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+def repoint(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
     """Solve the camera attitude from the stars that are in use."""
     model = parameters["model"]
     if model not in MODELS:
@@ -35,8 +37,7 @@ def repoint(context: Context, inputs: Inputs, state: SessionState, parameters: d
     usable = _usable(state)
     if not usable.any():
         return state.saying(
-            f"no usable star among {len(state.status)} candidates; "
-            "the a priori pointing stands."
+            f"no usable star among {len(state.status)} candidates; the a priori pointing stands."
         )
     solution = solve_pointing(
         state.centers.pixel_line,
@@ -101,7 +102,9 @@ def attitude_covariance(context: Context, inputs: Inputs, state: SessionState) -
     return axes.T @ focal @ axes
 
 
-def find_body(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+def find_body(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
     """Find one body's center with one method."""
     name, method = parameters["name"], parameters["method"]
     if method not in BODY_METHODS:
@@ -207,9 +210,7 @@ def observables(
 
 def _observable(context: Context, inputs: Inputs, state: SessionState, center: BodyCenter) -> Observable:
     target = inputs.targets[center.name]
-    a_priori = predict_body(
-        target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000
-    )
+    a_priori = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
     solved = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
     return observe(
         target,

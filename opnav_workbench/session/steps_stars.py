@@ -31,7 +31,9 @@ TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the
 MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
 
 
-def predict(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+def predict(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
     """Predict stars with the a priori pointing; whatever was found before is dropped."""
     margin = context.settings.max_shift_px
     stars = predict_stars(
@@ -64,7 +66,9 @@ def _empty_field(context: Context, stars: StarPrediction) -> list[str]:
     ]
 
 
-def find_stars(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+def find_stars(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
     """Find the predicted stars in the picture and fit their centers."""
     stars = _predicted(state)
     initial, final = parameters["initial"], parameters["final"]
@@ -159,7 +163,9 @@ def _judge(
         elif not np.isfinite(snr) or snr < settings.min_snr:
             rows.append(StarStatus("not_detected", f"SNR {snr:.1f} is below {settings.min_snr:g}"))
         elif moved[i] > radius_px + 1.0:
-            rows.append(StarStatus("not_detected", f"nothing within {radius_px:.1f} px of its expected place"))
+            rows.append(
+                StarStatus("not_detected", f"nothing within {radius_px:.1f} px of its expected place")
+            )
         elif centers.flags[i] & (StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE):
             rows.append(StarStatus("rejected", "the fit did not converge"))
         elif blended[i]:

@@ -79,7 +79,9 @@ def load_session(path: Path, image: str | Path | None) -> SavedSession:
     try:
         context = _context(data, image)
         source = InputSource(
-            data["catalog"], None if data["target_stars"] is None else Path(data["target_stars"]), data["attitude"]
+            data["catalog"],
+            None if data["target_stars"] is None else Path(data["target_stars"]),
+            data["attitude"],
         )
         journal = tuple(JournalEntry(**item) for item in data["journal"])
         return SavedSession(context, source, _inputs(data["inputs"]), journal)
@@ -91,7 +93,9 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise SessionError(f"no session can be read from {path}: {error}. Give a folder that save() wrote.") from error
+        raise SessionError(
+            f"no session can be read from {path}: {error}. Give a folder that save() wrote."
+        ) from error
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise SessionError(f"{path} is not a session of schema {SCHEMA}; use the version that wrote it.")
     return data
@@ -100,10 +104,14 @@ def _read(path: Path) -> dict[str, Any]:
 def _context(data: Mapping[str, Any], image: str | Path | None) -> Context:
     path = Path(image or data["image"])
     if not path.is_file():
-        raise SessionError(f"the picture {path} is not there; say where it is now: resume(folder, image=PATH).")
+        raise SessionError(
+            f"the picture {path} is not there; say where it is now: resume(folder, image=PATH)."
+        )
     context = open_context(path, load_mission(data["mission"]), Settings.from_dict(data["settings"]))
     if context.frame.sha256 != data["sha256"]:
-        raise SessionError(f"{path} is not the picture of this session (SHA-256 differs); give the original file.")
+        raise SessionError(
+            f"{path} is not the picture of this session (SHA-256 differs); give the original file."
+        )
     return context
 
 

@@ -18,6 +18,7 @@ VOTING_DETECTIONS = (
     120  # brightest detections voted for: stars must be found among more cosmic rays than stars
 )
 KEPT_HYPOTHESES = 60
+RIVAL_PART = 0.5  # hypotheses with a smaller part of the best one's votes are no rivals
 NEIGHBORS = 3  # detections considered for one star
 MAGNITUDE_SIGMA = 0.6  # color of the star, and the filter's flux at unlucky pixel phases
 MAGNITUDE_TOLERANCE = 2.0  # a star may be off by this through color or variability, not more
@@ -108,6 +109,7 @@ def _distinct(
     """Keep the best of hypotheses that are the same within the tolerance."""
     kept: list[tuple[FloatArray, float]] = []
     order = np.argsort(-votes, kind="stable")
+    order = order[votes[order] >= RIVAL_PART * np.max(votes, initial=0.0)]
     shifts, twists = shifts[order], twists[order]
     while len(shifts) and len(kept) < KEPT_HYPOTHESES:
         kept.append((shifts[0], float(twists[0])))

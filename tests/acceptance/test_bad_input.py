@@ -10,8 +10,14 @@ from astropy.io import fits
 from typer.testing import CliRunner
 
 from opnav_workbench.cli.app import main
-from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_MISSION, DEMO_PICTURES, simulate_picture
 from opnav_workbench.mission import load_mission
+from opnav_workbench.rehearsal import (
+    DEMO_CATALOG,
+    DEMO_KERNELS,
+    DEMO_MISSION,
+    DEMO_PICTURES,
+    simulate_picture,
+)
 from opnav_workbench.spice import KernelSet
 
 
@@ -81,7 +87,17 @@ def test_one_clear_line_and_the_others_are_kept(case, good_picture, tmp_path, ca
     bad, out = tmp_path / "bad.fit", tmp_path / "run"
     spoil(good_picture, bad)
     status, _, err = _run(
-        capsys, monkeypatch, "process", bad, good_picture, "--mission", "new_horizons", "--kernels", DEMO_KERNELS, "--out", out
+        capsys,
+        monkeypatch,
+        "process",
+        bad,
+        good_picture,
+        "--mission",
+        "new_horizons",
+        "--kernels",
+        DEMO_KERNELS,
+        "--out",
+        out,
     )
     (line,) = _failure_lines(err)
     assert status == 3
@@ -104,7 +120,16 @@ def test_missing_sclk_kernel(good_picture, tmp_path, capsys, monkeypatch):
     for path in rest:
         (folder / path.name).write_bytes(path.read_bytes())
     status, _, err = _run(
-        capsys, monkeypatch, "process", good_picture, "--mission", "new_horizons", "--kernels", folder, "--out", tmp_path / "run"
+        capsys,
+        monkeypatch,
+        "process",
+        good_picture,
+        "--mission",
+        "new_horizons",
+        "--kernels",
+        folder,
+        "--out",
+        tmp_path / "run",
     )
     (line,) = _failure_lines(err)
     assert status == 3
@@ -132,7 +157,16 @@ def test_empty_star_field(good_picture, tmp_path, capsys, monkeypatch):
     empty = tmp_path / "far.npz"
     np.savez(empty, ra_deg=np.array([10.0]), dec_deg=np.array([80.0]), mag=np.array([5.0]))
     status, _, err = _run(
-        capsys, monkeypatch, "process", good_picture, "--mission", "new_horizons", "--catalog", f"npz:{empty}", "--out", tmp_path / "run"
+        capsys,
+        monkeypatch,
+        "process",
+        good_picture,
+        "--mission",
+        "new_horizons",
+        "--catalog",
+        f"npz:{empty}",
+        "--out",
+        tmp_path / "run",
     )
     (line,) = _failure_lines(err)
     assert status == 3

@@ -77,7 +77,10 @@ def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
     assert all(not cell.get("outputs") for cell in source["cells"])
     assert any("parameters" in cell["metadata"].get("tags", ()) for cell in source["cells"])
     papermill.execute_notebook(
-        NOTEBOOKS / notebook, tmp_path / "out.ipynb", parameters={"out": str(tmp_path / "run")}, progress_bar=False
+        NOTEBOOKS / notebook,
+        tmp_path / "out.ipynb",
+        parameters={"out": str(tmp_path / "run")},
+        progress_bar=False,
     )
     assert list((tmp_path / "run").rglob("result.json"))
 

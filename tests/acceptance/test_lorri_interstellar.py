@@ -58,17 +58,23 @@ def _run(data_dir: Path, catalog: str, out: Path, *options: str) -> dict[str, di
     arguments = ["process", *frames, "--mission", "new_horizons", "--catalog", catalog, "--out", str(out)]
     answer = CliRunner().invoke(app, [*arguments, *options])
     assert answer.exit_code == 0, answer.output
-    return {met: json.loads((out / _path(data_dir, met).stem / "result.json").read_text()) for met in PUBLISHED}
+    return {
+        met: json.loads((out / _path(data_dir, met).stem / "result.json").read_text()) for met in PUBLISHED
+    }
 
 
 @pytest.fixture(scope="module")
-def plain(data_dir: Path, catalog: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+def plain(
+    data_dir: Path, catalog: str, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, dict[str, Any]]:
     """Results without targets, from the command line."""
     return _run(data_dir, catalog, tmp_path_factory.mktemp("plain"))
 
 
 @pytest.fixture(scope="module")
-def targeted(data_dir: Path, catalog: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+def targeted(
+    data_dir: Path, catalog: str, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, dict[str, Any]]:
     """Results with each field's own star as target, by Gaia parameters from the mission's star list."""
     results: dict[str, dict[str, Any]] = {}
     for star in ("Proxima Cen", "Wolf 359"):

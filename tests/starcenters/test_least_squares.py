@@ -48,12 +48,11 @@ def simulate(render_stars, star_grid, prior, snr, seed, n=TRIALS, jitter=0.5):
 
 
 def cramer_rao(pixel_flux, center, ellipse, flux, prior, box_px):
-    """Covariance bound (2, 2) of the center, by differences of a brute-force model with all nuisances free."""
+    """Covariance bound (2, 2) of the center, by differences of a brute-force model all nuisances free."""
     major, minor, angle = ellipse
     e = (major**2 - minor**2) / (major**2 + minor**2)
-    p0 = np.array([
-        flux, *center, 0.5 * np.log(0.5 * (major**2 + minor**2)), e * np.cos(2 * angle), e * np.sin(2 * angle), 40.0,
-    ])  # fmt: skip
+    log_scale = 0.5 * np.log(0.5 * (major**2 + minor**2))
+    p0 = np.array([flux, *center, log_scale, e * np.cos(2 * angle), e * np.sin(2 * angle), 40.0])
     half = box_px // 2
     line, pixel = np.indices((box_px, box_px)).reshape(2, -1) - half + np.rint(center)[::-1, None]
 

@@ -92,7 +92,7 @@ def test_derivatives_agree_with_central_differences(log_scale, e1, e2, x, y):
         behind = box_integrals(center - STEP * np.array(dc), shape - STEP * np.array(ds), first, 9).value
         return (ahead - behind) / (2.0 * STEP)
 
-    # The value's quadrature (1e-8) and the truncation of the difference, not the derivative, set the tolerance.
+    # The value's quadrature (1e-8) and the difference's truncation set the tolerance.
     for name, dc, ds in (
         ("d_pixel", (1, 0), (0, 0, 0)), ("d_line", (0, 1), (0, 0, 0)), ("d_log_scale", (0, 0), (1, 0, 0)),
         ("d_e1", (0, 0), (0, 1, 0)), ("d_e2", (0, 0), (0, 0, 1)),

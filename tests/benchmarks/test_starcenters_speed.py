@@ -1,0 +1,92 @@
+"""Speed of the batched star fit as a ratio against one scipy fit per star, measured in the same run."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.special import erf
+
+from opnav_workbench.starcenters import ShapePrior, detect, fit_gaussian
+
+STARS = 1000
+PEER_STARS = 10  # the loop is timed on these and scaled
+SIGMA_PX = 1.2
+BOX_PX = 13
+NOISE_DN = 3.0
+SPACING_PX = 24
+
+
+def separable_star(x, y, flux, sigma_pixel, sigma_line, pixel, line):
+    def part(center, sigma, at):
+        edges = (np.append(at - 0.5, at[-1] + 0.5) - center) / (np.sqrt(2.0) * sigma)
+        return 0.5 * np.diff(erf(edges))
+
+    return flux * part(y, sigma_line, line)[:, None] * part(x, sigma_pixel, pixel)
+
+
+@pytest.fixture(scope="module")
+def field():
+    rng = np.random.default_rng(1000)
+    side = int(np.ceil(np.sqrt(STARS)))
+    line, pixel = np.divmod(np.arange(STARS), side)
+    centers = (np.column_stack([pixel, line]) + 0.5) * SPACING_PX + rng.uniform(-0.5, 0.5, (STARS, 2))
+    image = rng.normal(0.0, NOISE_DN, (side * SPACING_PX, side * SPACING_PX))
+    for x, y in centers:
+        columns, rows = np.arange(int(x) - 8, int(x) + 9), np.arange(int(y) - 8, int(y) + 9)
+        image[rows[:, None], columns] += separable_star(x, y, 2000.0, SIGMA_PX, SIGMA_PX, columns, rows)
+    return image, centers
+
+
+def naive_loop(image, starts):
+    """One scipy least-squares fit per star: flux, center, two sigmas, level."""
+    found = []
+    for x, y in starts:
+        columns = np.arange(BOX_PX) + round(x) - BOX_PX // 2
+        rows = np.arange(BOX_PX) + round(y) - BOX_PX // 2
+        data = image[rows[:, None], columns]
+
+        def residuals(p, data=data, columns=columns, rows=rows):
+            return (
+                (data - separable_star(*p[1:3], p[0], p[3], p[4], columns, rows) - p[5]) / NOISE_DN
+            ).ravel()
+
+        fit = least_squares(
+            residuals, [data.sum(), x, y, SIGMA_PX, SIGMA_PX, 0.0], x_scale=[1e3, 1, 1, 1, 1, 10]
+        )
+        found.append(fit.x[1:3])
+    return np.array(found)
+
+
+def seconds(function):
+    begin = time.perf_counter()
+    result = function()
+    return time.perf_counter() - begin, result
+
+
+@pytest.mark.parametrize("background", ["level", "plane"])
+def test_batched_fit_against_a_loop_of_scipy_fits(benchmark, field, background):
+    image, centers = field
+    start = centers + 0.3
+
+    def batched():
+        return fit_gaussian(
+            image, NOISE_DN, None, start, ShapePrior.round_psf(SIGMA_PX), box_px=BOX_PX, background=background
+        )
+
+    loop_s, peers = seconds(lambda: naive_loop(image, start[:PEER_STARS]))
+    batch_s, _ = seconds(batched)
+    fit = benchmark(batched)
+    benchmark.extra_info["times_faster_than_loop"] = loop_s / PEER_STARS * STARS / batch_s
+    # Both find the same stars: the comparison is between equals.
+    np.testing.assert_allclose(fit.pixel_line[:PEER_STARS], peers, atol=0.05)
+    assert fit.usable.mean() > 0.99
+
+
+def test_detection_in_a_full_frame(benchmark):
+    rng = np.random.default_rng(1024)
+    image = rng.normal(0.0, NOISE_DN, (1024, 1024))
+    rows, columns = rng.integers(10, 1014, (2, 200))
+    image[rows, columns] += 200.0
+    found = benchmark(lambda: detect(image, NOISE_DN, None, 0.7))
+    assert len(found) >= 190
