@@ -64,7 +64,7 @@ def mean_motion_rad_yr(ra_rad: ArrayLike, dec_rad: ArrayLike, mag: ArrayLike) ->
     [[-7.0, -6.0]]
     """
     ra, dec = np.asarray(ra_rad, float), np.asarray(dec_rad, float)
-    x, y, z = GALACTIC_FROM_J2000 @ np.moveaxis(unit_from_radec(ra, dec), -1, 0)
+    x, y, _ = GALACTIC_FROM_J2000 @ np.moveaxis(unit_from_radec(ra, dec), -1, 0)
     bounded = np.clip(np.asarray(mag, float), *REFLEX_MAG_RANGE)
     reflex = REFLEX_AT_8_MAS_YR * 10.0 ** (REFLEX_DEX_PER_MAG * (bounded - 8.0))
     zero = np.zeros_like(x)

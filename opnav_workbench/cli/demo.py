@@ -33,6 +33,14 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for pictures, truth and results.")] = Path("opnav_demo"),
     seed: Annotated[int, typer.Option(help="Another seed makes another pointing error and noise.")] = 0,
 ) -> None:
+    """Simulate New Horizons approach pictures, process them, and print truth beside solution.
+
+    Works offline, in well under a minute, with the same code that processes flight pictures.
+
+    [bold]Example[/]
+
+      opnav demo --out opnav_demo
+    """
     console = Console(soft_wrap=False)
     mission = load_mission(DEMO_MISSION)
     console.print(
@@ -60,16 +68,6 @@ def demo(
     console.print(f"Look at {outcomes[0].folder / 'summary.png'}", highlight=False, soft_wrap=True)
     if not ok:
         raise typer.Exit(EXIT_SOME_FAILED)
-
-
-demo.__doc__ = """Simulate New Horizons approach pictures, process them, and print truth beside solution.
-
-Works offline, in well under a minute, with the same code that processes flight pictures.
-
-[bold]Example[/]
-
-  opnav demo --out opnav_demo
-"""
 
 
 def _table(truth: Truth, rows: Sequence[Comparison]) -> Table:

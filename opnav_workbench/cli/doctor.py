@@ -98,6 +98,12 @@ def _cache() -> Finding:
 
 
 def doctor() -> None:
+    """Show versions, missions, kernels, catalogs and notebook parts, and what to do about what is missing.
+
+    [bold]Example[/]
+
+      opnav doctor
+    """
     console = Console()
     table = Table(box=None, header_style="bold", pad_edge=False)
     for name in ("", "what", "", "detail"):
@@ -115,11 +121,3 @@ def doctor() -> None:
         console.print(f"[bold red]{len(missing)} missing:[/] {', '.join(escape(r.what) for r in missing)}")
         raise typer.Exit(EXIT_PROBLEM)
     console.print("[green]Everything needed is here.[/] Try: opnav demo", highlight=False)
-
-
-doctor.__doc__ = """Show versions, missions, kernels, catalogs and notebook parts, and what to do about what is missing.
-
-[bold]Example[/]
-
-  opnav doctor
-"""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,16 +18,6 @@ from opnav_workbench.spice import KernelSet
 __all__ = ["EXIT_SOME_FAILED", "process", "run_images"]
 
 EXIT_SOME_FAILED = 3
-
-EXAMPLE = """Solve pointing and target centers of pictures.
-
-[bold]Example[/]
-
-  opnav process lor_*.fit --mission new_horizons --kernels approach.tm --targets PLUTO,CHARON --out run
-
-Writes OUT/<picture>/ with result.json, observables.ecsv, session.json and summary.png.
-Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
-"""
 
 
 def process(
@@ -57,6 +48,15 @@ def process(
     model: Annotated[str, typer.Option(help="Pointing model: " + " | ".join(MODELS))] = "euler",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
 ) -> None:
+    """Solve pointing and target centers of pictures.
+
+    [bold]Example[/]
+
+      opnav process lor_*.fit --mission new_horizons --kernels approach.tm --targets PLUTO,CHARON --out run
+
+    Writes OUT/<picture>/ with result.json, observables.ecsv, session.json and summary.png.
+    Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
+    """
     policy = Policy(
         mission=load_mission(mission),
         catalog=catalog,
@@ -74,17 +74,12 @@ def process(
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-process.__doc__ = EXAMPLE
-
-
 def run_images(images: Sequence[Path], policy: Policy, out: Path) -> list[Outcome]:
     """Process pictures one after the other with progress, and print what came out."""
     outcomes = []
     with Reporter(len(images)) as reporter:
         for image in images:
-            outcome = process_image(
-                image, policy, out, lambda words, name=image.name: reporter.say(name, words)
-            )
+            outcome = process_image(image, policy, out, partial(reporter.say, image.name))
             reporter.done(outcome)
             outcomes.append(outcome)
     reporter.table(outcomes, out)

@@ -118,7 +118,9 @@ def process_image(
     except OpNavError as error:
         return _failure(path, folder, policy, str(error))
     result = session.result()
-    reason = "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
+    reason = (
+        "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
+    )
     return Outcome(path, folder, result, reason)
 
 

@@ -178,6 +178,6 @@ def _directions(
     tangent = np.stack(tangent_basis(*radec_from_unit(computed)))
     # Gnomonic about the computed direction: exact to the third order of an offset that is arcseconds small.
     residual = tangent @ geometric / float(computed @ geometric) * ARCSEC_PER_RAD
-    apparent_deg = np.degrees(radec_from_unit(apparent))
-    geometric_deg = np.degrees(radec_from_unit(geometric))
-    return (*map(float, apparent_deg), *map(float, geometric_deg), residual)
+    apparent_ra, apparent_dec = (float(np.degrees(a)) for a in radec_from_unit(apparent))
+    ra, dec = (float(np.degrees(a)) for a in radec_from_unit(geometric))
+    return apparent_ra, apparent_dec, ra, dec, residual

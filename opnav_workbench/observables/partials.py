@@ -52,7 +52,7 @@ def numerical_position_partials(
     directions = apparent_direction(_unit(position + moves), velocity_km_s)
     places = camera.project(directions @ rotation.T)
     _require_seen(places)
-    return (places[:3] - places[3:]).T / (2.0 * step_km)
+    return np.asarray((places[:3] - places[3:]).T / (2.0 * step_km))
 
 
 def analytic_position_partials(
@@ -67,7 +67,7 @@ def analytic_position_partials(
     of_apparent = _aberration_jacobian(unit, np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S)
     of_pixel = camera.project_jacobian((rotation @ apparent)[None])[0] @ rotation
     _require_seen(of_pixel)
-    return -of_pixel @ of_apparent @ of_unit
+    return np.asarray(-of_pixel @ of_apparent @ of_unit)
 
 
 def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike) -> FloatArray:
@@ -83,7 +83,7 @@ def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: A
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _aberration_jacobian(unit: FloatArray, beta: FloatArray) -> FloatArray:
@@ -95,7 +95,7 @@ def _aberration_jacobian(unit: FloatArray, beta: FloatArray) -> FloatArray:
     root = np.sqrt(along**2 + 1.0 - beta @ beta)
     k = -along + root
     gradient = beta * (along / root - 1.0)
-    return k * np.eye(3) + np.outer(unit, gradient)
+    return np.asarray(k * np.eye(3) + np.outer(unit, gradient))
 
 
 def _require_seen(values: FloatArray) -> None:

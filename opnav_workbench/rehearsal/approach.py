@@ -11,6 +11,7 @@ from astropy.io import fits
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import open_catalog
+from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path, write_json
 from opnav_workbench.geometry import quaternion_from_matrix, radec_from_unit, rotation_from_vector
 from opnav_workbench.mission import Mission
@@ -103,7 +104,7 @@ def simulate_picture(request: PictureRequest, mission: Mission, catalog: str, ou
 
     Raises
     ------
-    KernelError, CameraError, CatalogError
+    KernelError, CameraError, CatalogError, MissionError
     """
     camera = mission.camera_for(request.header)
     et = et_from_utc(request.utc)
@@ -112,7 +113,7 @@ def simulate_picture(request: PictureRequest, mission: Mission, catalog: str, ou
     actual = _misaligned(predicted, camera, request.seed)
     picture, bodies, stars = _picture(request, mission, camera, et, observer, actual, catalog)
     path = out / f"{request.name}.fit"
-    cards = _header(request, mission, et, predicted, camera)
+    cards = _header(request, mission, et, predicted)
     _write_fits(path, picture, cards, mission.keywords, camera)
     write_json(
         out / f"{request.name}.truth.json",
@@ -141,9 +142,12 @@ def _picture(
     ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))
     table = open_catalog(catalog).cone(ra, dec, 1.1 * camera.half_diagonal_rad, et_s=et)
     stars = predict_stars(table, et, observer, camera, attitude, margin_px=10.0)
-    centers, rendered = {}, []
+    centers: dict[str, FloatArray] = {}
+    rendered = []
     for name in request.targets:
         target = mission.with_magnitude(body_target(name, mission.spacecraft_id, et))
+        if target.magnitude is None:
+            raise MissionError(f"{mission.path}: target_photometry has no {name}; give its absolute_mag.")
         centers[name] = predict_body(target, observer, camera, attitude).pixel_line
         places, shares = body_points(target, observer, camera, attitude)
         rendered.append((places, shares, target.magnitude))
@@ -153,9 +157,7 @@ def _picture(
     return picture, centers, int(stars.on_detector.sum())
 
 
-def _header(
-    request: PictureRequest, mission: Mission, et: float, predicted: FloatArray, camera: Camera
-) -> dict[str, Any]:
+def _header(request: PictureRequest, mission: Mission, et: float, predicted: FloatArray) -> dict[str, Any]:
     """Header cards under the mission's own keywords, so that the flight reader takes the file for one of its own."""
     names = mission.keywords
     sun = state(SUN, et, mission.spacecraft_id, correction="LT")

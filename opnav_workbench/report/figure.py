@@ -12,6 +12,7 @@ from astropy.visualization import AsinhStretch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
@@ -52,7 +53,7 @@ def summary_figure(session: ImageSession) -> Figure:
         Not tied to any window.
     """
     panels = panels_of(session.context.frame.image_dn.shape)
-    figure = Figure(figsize=panels.size_inch, layout="constrained")
+    figure = Figure(figsize=panels.size_inch, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06))
     FigureCanvasAgg(figure)
     figure.suptitle(_title(session), fontsize=11, x=0.01, ha="left")
     _draw_picture(panels, figure, session)
@@ -106,31 +107,32 @@ def _stretched(session: ImageSession) -> FloatArray:
 def _draw_marks(axes: Axes, session: ImageSession, first: int, last: int) -> None:
     n_line = session.context.frame.image_dn.shape[0]
     for place in _star_places(session):
-        _mark(axes, place, first, last, "o", PREDICTED)
+        _mark(axes, place, first, last, n_line, "o", PREDICTED)
     for place, used in _observed(session):
-        _mark(axes, place, first, last, "+" if used else "s", OBSERVED if used else REJECTED)
+        _mark(axes, place, first, last, n_line, "+" if used else "s", OBSERVED if used else REJECTED)
     for number, body in enumerate(session.state.observables):
-        if _mark(axes, body.predicted_px, first, last, "D", BODY):
+        if _mark(axes, body.predicted_px, first, last, n_line, "D", BODY):
             above = number % 2 == 0  # names of near neighbours then do not cover each other
+            left = body.predicted_px[0] > first + 0.85 * (last - first)  # no room on the right
             axes.annotate(
                 body.name,
-                tuple(body.predicted_px),
-                (12, 8 if above else -14),
+                (float(body.predicted_px[0]), float(body.predicted_px[1])),
+                (-12 if left else 12, 8 if above else -14),
+                ha="right" if left else "left",
                 textcoords="offset points",
                 color=BODY,
                 fontsize=9,
                 path_effects=[withStroke(linewidth=2.5, foreground="black")],
             )
         if body.observed_px is not None:
-            _mark(axes, body.observed_px, first, last, "+", OBSERVED)
+            _mark(axes, body.observed_px, first, last, n_line, "+", OBSERVED)
     axes.set_xlim(first - 0.5, last - 0.5)
     axes.set_ylim(n_line - 0.5, -0.5)
 
 
-def _mark(axes: Axes, place: FloatArray, first: int, last: int, marker: str, color: str) -> bool:
+def _mark(axes: Axes, place: FloatArray, first: int, last: int, n_line: int, marker: str, color: str) -> bool:
     """Draw one mark if it lies in this part of the picture."""
-    bottom, top = -0.5, axes.get_images()[0].get_array().shape[0] - 0.5
-    if not (first - 0.5 <= place[0] < last - 0.5 and bottom <= place[1] < top):
+    if not (first - 0.5 <= place[0] < last - 0.5 and -0.5 <= place[1] < n_line - 0.5):
         return False
     style = _style(marker, color)
     axes.plot(*place, **style)

@@ -56,7 +56,7 @@ class FieldMatch:
 def identify_field(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
     """Locate the star field, from the solved pointing if there is one, else from the pattern of detections."""
     if state.a_priori is None or len(state.a_priori) == 0:
-        return _nothing(context, state, "no catalog star is predicted near this field")
+        return _nothing(state, "no catalog star is predicted near this field")
     if state.pointing is not None:
         return _from_pointing(context, state)
     return _from_pattern(context, inputs, state)
@@ -98,7 +98,7 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         zero_point_mag=_zero_point(context),
     )
     if match.confidence < MIN_CONFIDENCE:
-        return _nothing(context, state, match.message)
+        return _nothing(state, match.message)
     expected = move(stars.pixel_line, camera.center_pixel_line, match.shift_px, match.twist_rad)
     return FieldMatch(
         found=True,
@@ -128,10 +128,10 @@ def _pattern(context: Context, inputs: Inputs, state: SessionState) -> tuple[Flo
     return np.concatenate(points), np.concatenate(mags)
 
 
-def _nothing(context: Context, state: SessionState, why: str) -> FieldMatch:
+def _nothing(state: SessionState, why: str) -> FieldMatch:
     count = 0 if state.a_priori is None else len(state.a_priori)
     message = (
-        f"{context.frame.path.name}: the star field is not identified: {why}. The a priori pointing stands; "
+        f"the star field is not identified: {why}. The a priori pointing stands; "
         "take a deeper catalog (--catalog) or widen the search (max_shift_px)."
     )
     return FieldMatch(

@@ -91,7 +91,7 @@ def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
     return inputs.a_priori_camera_from_j2000
 
 
-def attitude_covariance(context: Context, inputs: Inputs, state: SessionState) -> FloatArray:
+def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
     """Covariance (3, 3) rad^2 that goes with `attitude`; the camera's a priori one before the stars are solved."""
     if state.pointing is not None:
         return state.pointing.covariance_rad2
@@ -99,7 +99,7 @@ def attitude_covariance(context: Context, inputs: Inputs, state: SessionState) -
     cross = sigma.cross_px * context.camera.pixel_scale_rad
     focal = np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2
     axes = context.camera.focal_from_camera
-    return axes.T @ focal @ axes
+    return np.asarray(axes.T @ focal @ axes)
 
 
 def find_body(
@@ -180,7 +180,7 @@ def _predicted_sigma(context: Context, inputs: Inputs, state: SessionState, targ
     rotation = attitude(inputs, state)
     vector = rotation @ np.asarray(target.position_km)
     by_attitude = attitude_partials(target.direction, camera, rotation)
-    covariance = by_attitude @ attitude_covariance(context, inputs, state) @ by_attitude.T
+    covariance = by_attitude @ attitude_covariance(context, state) @ by_attitude.T
     if target.covariance_km2 is not None:
         by_position = camera.project_jacobian(vector[None])[0] @ rotation
         covariance = covariance + by_position @ target.covariance_km2 @ by_position.T
@@ -217,7 +217,7 @@ def _observable(context: Context, inputs: Inputs, state: SessionState, center: B
         center,
         context.camera,
         attitude(inputs, state),
-        attitude_covariance(context, inputs, state),
+        attitude_covariance(context, state),
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         a_priori_px=a_priori.pixel_line,
         diameter_px=solved.diameter_px,

@@ -1,7 +1,7 @@
 """Session steps that concern stars: predict, find, decide.  Pure: (context, inputs, state, parameters) -> state."""
 
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from opnav_workbench.starcenters import (
 
 __all__ = ["accept_stars", "find_stars", "predict", "reject_stars"]
 
-INITIAL_METHODS = ("matched_filter", "cross_correlation")
+Initial = Literal["matched_filter", "cross_correlation"]
+INITIAL_METHODS: tuple[Initial, ...] = get_args(Initial)
 FINAL_METHODS = ("least_squares", *INITIAL_METHODS)
 TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the stars it finds
 MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
@@ -47,7 +48,7 @@ def predict(
         for on in stars.on_detector
     )
     fresh = SessionState(a_priori=stars, status=status, decisions=state.decisions)
-    return fresh.saying(*_empty_field(context, stars))
+    return fresh.saying(*_empty_field(stars))
 
 
 def _brightest(stars: StarPrediction, most: int) -> StarPrediction:
@@ -57,13 +58,14 @@ def _brightest(stars: StarPrediction, most: int) -> StarPrediction:
     return stars.take(keep)
 
 
-def _empty_field(context: Context, stars: StarPrediction) -> list[str]:
+def _empty_field(stars: StarPrediction) -> list[str]:
     if stars.on_detector.any():
         return []
-    return [
-        f"{context.frame.path.name}: the catalog has no star on the predicted field; "
+    message = (
+        "the catalog has no star on the predicted field; "
         "take a deeper catalog (--catalog) or check the pointing and the time."
-    ]
+    )
+    return [message]
 
 
 def find_stars(
@@ -94,7 +96,7 @@ def _predicted(state: SessionState) -> StarPrediction:
 
 
 def _measure(
-    context: Context, state: SessionState, match: FieldMatch, initial: str, final: str, radius_px: float
+    context: Context, state: SessionState, match: FieldMatch, initial: Initial, final: str, radius_px: float
 ) -> tuple[StarCenters, ShapePrior]:
     """Coarse centers by correlation around the expected places, then least squares for all stars at once."""
     prior = state.psf or context.camera_psf
@@ -123,7 +125,7 @@ def _measure(
     )
 
 
-def _template(context: Context, match: FieldMatch, prior: ShapePrior, method: str) -> Template:
+def _template(context: Context, match: FieldMatch, prior: ShapePrior, method: Initial) -> Template:
     """A Gaussian for cross-correlation; for the matched filter a well-exposed star of this picture, if there is one."""
     gaussian = gaussian_template(prior.sigma_px, default_box_px(prior.sigma_px))
     if method == "cross_correlation" or not match.visible.any():

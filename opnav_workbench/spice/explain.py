@@ -72,7 +72,7 @@ def _looked(look: Look | None, detail: str, request: Request) -> tuple[str, str]
     if look is Look.EPHEMERIS and request.et is not None:
         return _ephemeris_gap(request.et, request.bodies, detail)
     if look is Look.ATTITUDE and request.et is not None and request.frame is not None:
-        return _attitude_gap(request.et, request.frame)
+        return _attitude_gap(request.et, request.frame, has_velocity=bool(request.bodies))
     if look is Look.FRAME:
         return _unknown_frame(request.frame)
     if look is Look.BODY:
@@ -107,8 +107,9 @@ def _spk_gap_text(window: Coverage, et: float) -> str:
     return f"outside the loaded SPKs of {_body_text(window)}, which cover {_windows_text(window, et)}"
 
 
-def _attitude_gap(et: float, frame: str) -> tuple[str, str] | None:
-    for structure in ck_structures(spiceypy.namfrm(frame)):
+def _attitude_gap(et: float, frame: str, *, has_velocity: bool) -> tuple[str, str] | None:
+    structures = ck_structures(spiceypy.namfrm(frame))
+    for structure in structures:
         clock = spiceypy.ckmeta(structure, "SCLK")
         if pool.pool_value(f"SCLK_DATA_TYPE_{-clock}") is None:
             return f"the spacecraft clock {clock} is unknown", f"add the SCLK kernel of clock {clock}"
@@ -121,7 +122,13 @@ def _attitude_gap(et: float, frame: str) -> tuple[str, str] | None:
                 f"outside the loaded CKs of {_body_text(window)}, which cover {_windows_text(window, et)}",
                 f"load a CK that covers {time_text(et)}",
             )
-    return None
+    if not structures or not has_velocity:
+        return None
+    names = " and ".join(str(s) for s in structures)
+    return (
+        f"the loaded CKs cover {names} then, but without the angular rates that a velocity in {frame} needs",
+        "ask in J2000 and rotate with the attitude, or load a CK with rates",
+    )
 
 
 def _body_text(window: Coverage) -> str:

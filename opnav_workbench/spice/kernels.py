@@ -23,7 +23,8 @@ from opnav_workbench.spice.sources import META_VARIABLES, Source, resolve
 
 __all__ = ["Coverage", "KernelFile", "KernelSet"]
 
-ABSENT = ("SPKINSUFFDATA", "NOLOADEDFILES", "NOFRAMECONNECT", "FRAMEDATANOTFOUND")  # what a "no" looks like
+# What a "no" looks like; the last one is a time outside the spacecraft clock's partitions.
+ABSENT = ("SPKINSUFFDATA", "NOLOADEDFILES", "NOFRAMECONNECT", "FRAMEDATANOTFOUND", "VALUEOUTOFRANGE")
 
 
 class KernelSet:
@@ -63,7 +64,6 @@ class KernelSet:
     def __init__(self, source: Source | Sequence[Source], *, extra: Sequence[Source] = ()) -> None:
         sources = [source] if isinstance(source, str | os.PathLike) else list(source)
         self._files = resolve([*sources, *extra])
-        self._windows: dict[tuple[object, ...], Coverage] = {}
 
     def __repr__(self) -> str:
         return f"KernelSet({[p.name for p in self.paths]})"
@@ -173,8 +173,7 @@ class KernelSet:
             The frame is unknown.
         """
         with self._call(Request(f"attitude of {frame}", frame=frame)):
-            held = cover.held_structures()
-            return all(s in held for s in cover.ck_structures(cover.frame_number(frame)))
+            return cover.held_structures().issuperset(cover.ck_structures(cover.frame_number(frame)))
 
     def covers_attitude(self, frame: str, et: float) -> bool:
         """Tell whether the attitude of a frame is known at a time, along its chain of CKs.
@@ -186,8 +185,10 @@ class KernelSet:
         """
         with self._call(Request(f"attitude of {frame}", et, frame=frame)):
             structures = cover.ck_structures(cover.frame_number(frame))
-            if not all(self._window("CK", s).contains(et) for s in structures):
+            if not cover.held_structures().issuperset(structures):
                 return False
+            for structure in structures:  # without its clock SPICE says "no data", which would mislead
+                spiceypy.scpart(spiceypy.ckmeta(structure, "SCLK"))
             return _answers(lambda: spiceypy.pxform("J2000", frame, et))
 
     def covers_state(
@@ -213,13 +214,6 @@ class KernelSet:
         request = Request(f"state of {target} relative to {observer}", et, (target, observer))
         with self._call(request):
             return _answers(lambda: spiceypy.spkezr(str(target), et, "J2000", correction, str(observer)))
-
-    def _window(self, kind: str, body: int) -> Coverage:
-        """Return merged windows, computed once per list of loaded files."""
-        key = (kind, body, *(f.path for f in pool.loaded_files()))
-        if key not in self._windows:
-            self._windows[key] = cover.windows_of(kind, body)
-        return self._windows[key]
 
     @contextlib.contextmanager
     def _call(self, request: Request) -> Iterator[None]:

@@ -4,7 +4,7 @@
 loaded kernels (see `explain`); the words here then stand in where that look finds nothing.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 __all__ = ["MESSAGES", "UNKNOWN", "VARIABLE_REMEDIES", "Look", "Message"]
@@ -70,7 +70,9 @@ MESSAGES = {
     "INVALIDSCLKSTRING": _BAD_CLOCK,
     "BADPARTNUMBER": _BAD_CLOCK,
     "NOPARTITION": _BAD_CLOCK,
-    "VALUEOUTOFRANGE": _BAD_CLOCK,
+    "VALUEOUTOFRANGE": replace(
+        _BAD_CLOCK, look=Look.ATTITUDE
+    ),  # of an attitude: outside the clock's partitions
     "NUMBEREXPECTED": _BAD_CLOCK,
     # bodies and their states
     "IDCODENOTFOUND": _NO_BODY,

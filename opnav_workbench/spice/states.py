@@ -13,7 +13,7 @@ from opnav_workbench.spice.guard import Request, spice_call
 __all__ = ["Correction", "State", "body_id", "body_name", "body_radii_km", "state"]
 
 Correction = Literal["NONE", "LT", "CN", "LT+S", "CN+S"]
-LARGEST_ID = 2**31 - 1  # SPICE's integers
+LARGEST_ID = 2**31 - 1  # SPICE's integers; a larger one would wrap around
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,13 +96,10 @@ def body_id(name: str | int) -> int:
     """
     with spice_call(Request(f"body {name!r}", bodies=(name,))):
         try:
-            number = int(spiceypy.bods2c(str(name)))
+            return int(spiceypy.bods2c(str(name)))
         except spiceypy.NotFoundError as error:
             cause, remedy = unknown_body([name])
             raise KernelError(f"the body {cause}; {remedy}.") from error
-    if abs(number) > LARGEST_ID:
-        raise KernelError(f"{name} is no NAIF number; they lie within {LARGEST_ID}.")
-    return number
 
 
 def body_name(number: int) -> str:
@@ -113,5 +110,7 @@ def body_name(number: int) -> str:
     >>> body_name(901), body_name(-123456)
     ('CHARON', '-123456')
     """
+    if abs(number) > LARGEST_ID:
+        return str(number)
     with spice_call(f"name of body {number}"):
         return str(spiceypy.bodc2s(number))

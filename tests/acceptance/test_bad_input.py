@@ -59,7 +59,7 @@ def _all_nan(good: Path, bad: Path) -> None:
 def _no_time(good: Path, bad: Path) -> None:
     with fits.open(good) as hdus:
         header = hdus[0].header.copy()
-        for key in ("SPCSCET", "SPCUTCAL"):
+        for key in ("SPCSCET", "SPCUTCAL", "SPCSCLK"):
             header.remove(key)
         fits.PrimaryHDU(hdus[0].data, header).writeto(bad)
 

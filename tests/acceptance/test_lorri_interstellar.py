@@ -86,7 +86,9 @@ def targeted(
 
 @pytest.fixture(scope="module")
 def camera() -> Camera:
-    return load_mission("new_horizons").camera_for({"INSTRU": "lor", "SFORMAT": "4X4"})
+    return load_mission("new_horizons").camera_for(
+        {"MISSION": "New Horizons", "INSTRU": "lor", "SFORMAT": "4X4"}
+    )
 
 
 def _direction(result: dict[str, Any], camera: Camera, session: ImageSession) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 import spiceypy
 from hypothesis import HealthCheck, given, settings
@@ -15,9 +14,7 @@ from opnav_workbench.spice import coverage as cover
 
 pytestmark = pytest.mark.usefixtures("empty_pool")
 TICK_S = 1.0 / 65536.0
-SHARED = settings(
-    suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200
-)
+SHARED = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=80)
 
 
 def test_windows_are_those_that_were_written(toy):
@@ -106,9 +103,9 @@ def test_has_attitude_asks_for_a_ck_for_the_whole_chain(toy):
         assert kernels.has_attitude("TOY_CAMERA")  # no clock needed to know that a CK is there
 
 
-@pytest.mark.parametrize("missing", [".tsc", ".tls", ".tf"])
-def test_covers_attitude_needs_clock_leapseconds_and_frames(toy, missing):
-    with KernelSet(toy.without(missing)) as kernels, pytest.raises(KernelError, match="SCLK|LSK|FK"):
+@pytest.mark.parametrize("missing", [".tsc", ".tf"])
+def test_covers_attitude_needs_clock_and_frames(toy, missing):
+    with KernelSet(toy.without(missing)) as kernels, pytest.raises(KernelError, match=r"SCLK|FK"):
         kernels.covers_attitude("TOY_CAMERA", 10.0)
 
 
@@ -152,17 +149,6 @@ def test_covers_state_with_light_time_looks_back(toy):
             kernels.covers_state("NOBODY", 0, 0.0)
 
 
-def test_windows_are_kept_until_the_loaded_files_change(toy, monkeypatch):
-    calls, windows_of = [], cover.windows_of
-
-    def counted(kind, body):
-        calls.append(body)
-        return windows_of(kind, body)
-
-    monkeypatch.setattr(cover, "windows_of", counted)
+def test_a_time_before_the_clock_started_is_not_covered(toy):
     with KernelSet(toy.files) as kernels:
-        for et in np.linspace(0.0, 90.0, 20):
-            assert kernels.covers_attitude("TOY_CAMERA", et)
-        assert len(calls) == 1
-        spiceypy.unload(str(toy.path(".bc")))
-        assert not kernels.covers_attitude("TOY_CAMERA", 10.0)
+        assert not kernels.covers_attitude("TOY_CAMERA", -2e6)

@@ -1,4 +1,4 @@
-"""Files that are no whole kernels: refused before SPICE sees them, which would often load them without a word."""
+"""Files that are no whole kernels: refused before SPICE sees them, for it would often load them silently."""
 
 import shutil
 import struct

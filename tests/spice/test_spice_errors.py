@@ -59,6 +59,9 @@ def test_a_time_outside_the_ck_names_structure_windows_and_remedy(toy):
     assert "2000-01-01T12:02:15.816 to 2000-01-01T12:03:55.816" in message  # et 200 to 300
     assert "load a CK that covers 2000-01-01T12:01:25.816 UTC" in message
     assert all(p.name in message for p in toy.files)
+    with KernelSet(toy.files):
+        early = message_of(lambda: camera_attitude("TOY_CAMERA", -2e6))  # before the clock's first partition
+    assert "outside the loaded CKs of TOY_BUS" in early
 
 
 def test_the_gap_is_told_for_the_structure_that_has_it(toy):

@@ -151,8 +151,11 @@ def test_one_clear_line_for_a_time_outside_the_ck(data_dir, flight_slices):
 )
 def test_one_clear_line_for_each_missing_kernel(data_dir, flight_slices, lorri_header, missing, remedy):
     files = files_of(data_dir, flight_slices["lorri"], without=(missing,))
-    with KernelSet(files), pytest.raises(KernelError) as caught:
-        camera_attitude("NH_LORRI", lorri_header["SPCSCET"])
+    with KernelSet(files) as kernels:
+        with pytest.raises(KernelError) as caught:
+            camera_attitude("NH_LORRI", lorri_header["SPCSCET"])
+        with pytest.raises(KernelError, match=remedy):  # "no" would hide what is missing
+            kernels.covers_attitude("NH_LORRI", lorri_header["SPCSCET"])
     assert remedy in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -185,7 +185,7 @@ def test_a_folder_loads_in_the_order_of_kinds_then_names(toy, tmp_path):
 
 def test_a_folder_without_kernels_says_what_it_holds(tmp_path):
     (tmp_path / "spk").mkdir()
-    with pytest.raises(KernelError, match="no kernels in the folder .*; folders within: spk"):
+    with pytest.raises(KernelError, match=r"no kernels in the folder .*; folders within: spk"):
         KernelSet(tmp_path)
 
 
@@ -328,7 +328,7 @@ def test_a_cache_that_cannot_be_written_names_the_remedy(scenario, monkeypatch, 
 def test_a_cache_without_its_metakernel_says_what_to_delete(scenario):
     folder = KernelSet("m/one").kernels()[0].path.parent
     (folder / "one.tm").unlink()
-    with pytest.raises(KernelError, match=f"delete that folder.*|{folder}"):
+    with pytest.raises(KernelError, match=r"holds no metakernel; delete that folder"):
         KernelSet("m/one")
 
 

@@ -69,7 +69,7 @@ def make_detections(xy, mag):
 def test_random_fields_are_identified(size, zero_point):
     rng = np.random.default_rng([size, 0 if zero_point is None else 1])
     right, pairs, wrong_pairs = 0, 0, 0
-    fields = 80
+    fields = 100
     for _ in range(fields):
         field = random_field(rng, size, int(rng.integers(5, 25)))
         found = identify(

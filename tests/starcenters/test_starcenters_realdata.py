@@ -1,10 +1,11 @@
-"""Six LORRI 4x4 frames of 2020: star centers against a Gaia-fitted WCS, target stars against their publication.
+"""Six LORRI 4x4 frames of 2020: star centers against a Gaia-fitted WCS, targets against their publication.
 
-The WCS in each header was fitted to Gaia DR3; Tycho-2 positions (epoch J2000.0, no motions) through it are off
-by the stars' motions of 20 years, some 0.07 px an axis. Published centers: Lauer et al. (2025),
+The WCS in each header was fitted to Gaia DR3; Tycho-2 positions (epoch J2000.0, no motions) through it are
+off by the stars' motions of 20 years, some 0.07 px an axis. Published centers: Lauer et al. (2025),
 "A Demonstration of Interstellar Navigation Using New Horizons", supplement.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
