@@ -16,7 +16,7 @@ goes to orbit determination with its covariance and partials.
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from opnav_workbench.version import __version__
 
 if TYPE_CHECKING:
     from opnav_workbench.camera import Camera

@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from opnav_workbench import __version__
 from opnav_workbench.cli.demo import demo
 from opnav_workbench.cli.doctor import doctor
 from opnav_workbench.cli.process import process
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.version import __version__
 
 __all__ = ["EXIT_BAD_INPUT", "EXIT_SOME_FAILED", "app", "main"]
 

@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from opnav_workbench import __version__
 from opnav_workbench.catalog import catalog_status
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.resources import cache_root, kernels_meta_dir
 from opnav_workbench.spice import known_names, toolkit_version
+from opnav_workbench.version import __version__
 
 __all__ = ["Finding", "doctor", "findings"]
 

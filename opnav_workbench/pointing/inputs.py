@@ -87,7 +87,7 @@ def check_given(
 def _reasons(
     wanted: BoolArray, observed: FloatArray, covariance: FloatArray, predicted: FloatArray
 ) -> tuple[str, ...]:
-    finite = np.isfinite(covariance).all(axis=(1, 2))
+    finite: BoolArray = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, np.eye(2)))
     definite = eigenvalues[:, 0] > MAX_RECIPROCAL_CONDITION * np.abs(eigenvalues[:, 1])
     reasons = np.full(len(observed), "", dtype=object)

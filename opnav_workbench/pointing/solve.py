@@ -182,9 +182,9 @@ def _twist_message(n_used: int, fit: Fit) -> str:
         return ""
     prior = f"its a priori value ({_short(np.degrees(fit.linear.twist_sigma_rad))} deg, 1 sigma)"
     if n_used == 1:
-        return f"one star: the rotation about the boresight is held at {prior}"
+        return f"one star: the twist (rotation about the boresight) is held at {prior}"
     return (
-        f"{n_used} stars determine the rotation about the boresight less well than {prior}, "
+        f"{n_used} stars determine the twist (rotation about the boresight) less well than {prior}, "
         "which therefore enters as a measurement"
     )
 

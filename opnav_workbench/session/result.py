@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from opnav_workbench import __version__
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.observables import Observable
@@ -13,6 +12,7 @@ from opnav_workbench.session.context import Context
 from opnav_workbench.session.gather import InputSource
 from opnav_workbench.session.state import Inputs, SessionState
 from opnav_workbench.spice import KernelSet
+from opnav_workbench.version import __version__
 
 __all__ = ["result_dict"]
 

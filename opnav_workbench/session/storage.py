@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from opnav_workbench import __version__
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import SessionError
@@ -20,6 +19,7 @@ from opnav_workbench.session.gather import InputSource
 from opnav_workbench.session.journal import JournalEntry
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import Inputs
+from opnav_workbench.version import __version__
 
 __all__ = ["SavedSession", "load_session", "session_dict"]
 

@@ -7,9 +7,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import opnav_workbench
 from opnav_workbench.errors import KernelError
 from opnav_workbench.resources import CACHE_VARIABLE, cache_root
+from opnav_workbench.version import __version__
 
 __all__ = ["scenario_metakernel"]
 
@@ -36,7 +36,7 @@ def scenario_metakernel(name: str, scenario: Path) -> Path:
     KernelError
         The scenario is wrong, or the cache folder cannot be written.
     """
-    text = scenario.read_bytes() + b"\0" + opnav_workbench.__version__.encode()
+    text = scenario.read_bytes() + b"\0" + __version__.encode()
     key = hashlib.sha256(text).hexdigest()[:HASH_DIGITS]
     folder = cache_root() / "kernels" / f"{name.replace('/', '_')}-{key}"
     try:

@@ -271,7 +271,7 @@ def test_a_scenario_is_built_once_and_again_when_it_changes(scenario, monkeypatc
 
     path.write_text("trajectories: [] # changed\n")
     assert KernelSet("m/one").kernels()[0].path.parent != folder
-    monkeypatch.setattr("opnav_workbench.__version__", "9.9.9")
+    monkeypatch.setattr("opnav_workbench.spice.cache.__version__", "9.9.9")
     KernelSet("m/one")
     assert len(calls) == 3
 
