@@ -44,8 +44,8 @@ def demo(
     console = Console(soft_wrap=False)
     mission = load_mission(DEMO_MISSION)
     console.print(
-        "Simulating New Horizons on approach to Pluto: real stars, Pluto and Charon, detector noise,\n"
-        "and a pointing error that the solver does not know.",
+        "Simulating New Horizons on approach to Pluto: real stars, Pluto and Charon,\n"
+        "detector noise, and a pointing error that the solver does not know.",
         highlight=False,
     )
     with KernelSet(DEMO_KERNELS):

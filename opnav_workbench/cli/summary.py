@@ -5,6 +5,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -16,11 +17,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 from opnav_workbench.headless import Outcome
 
 __all__ = ["Reporter"]
 
+WIDE_COLUMNS = 120  # a terminal this wide has room for directions beside places
 STYLES = {"ok": "green", "partial": "yellow", "failed": "bold red"}
 
 
@@ -63,10 +66,11 @@ class Reporter:
 
     def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
         """Print one row a picture, one row a target, and where the files are."""
-        self._out.print(_pointing_table(outcomes))
+        wide = self._out.width >= WIDE_COLUMNS
+        self._out.print(_pointing_table(outcomes, wide))
         bodies = [(o, body) for o in outcomes for body in o.result.get("bodies", ())]
         if bodies:
-            self._out.print(_body_table(bodies))
+            self._out.print(_body_table(bodies, wide))
         for outcome in outcomes:
             if outcome.result["status"] == "partial":
                 for message in outcome.result["messages"]:
@@ -87,16 +91,31 @@ def _named(outcome: Outcome) -> str:
     return outcome.error if name in outcome.error else f"{name}: {outcome.error}"
 
 
-def _pointing_table(outcomes: Sequence[Outcome]) -> Table:
-    table = Table(title="Pointing", title_justify="left", box=None, header_style="bold", pad_edge=False)
-    table.add_column("picture", overflow="fold")
-    table.add_column("status")
-    for name in ("stars", "Δpixel", "Δline", "Δtwist°", "rms px", "RA°", "Dec°", "twist°"):
+def _pointing_table(outcomes: Sequence[Outcome], wide: bool) -> Table:
+    table = _table("Pointing", ("picture", "status"))
+    names = ("stars", "Δpixel", "Δline", "Δtwist°", "rms px", *(("RA°", "Dec°", "twist°") if wide else ()))
+    for name in names:
         table.add_column(name, justify="right", no_wrap=True)
     for outcome in outcomes:
         status = outcome.result["status"]
         row = [escape(outcome.image.stem), f"[{STYLES[status]}]{status}[/]"]
-        table.add_row(*row, *_pointing_cells(outcome.result.get("pointing")))
+        table.add_row(*row, *_pointing_cells(outcome.result.get("pointing"))[: len(names)])
+    return _keep_numbers(table)
+
+
+def _table(title: str, texts: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for name in texts:
+        table.add_column(name, no_wrap=True, overflow="ellipsis")
+    return table
+
+
+def _keep_numbers(table: Table) -> Table:
+    """Let a narrow terminal shorten the picture's name only: a cut number would be a wrong one."""
+    for column in table.columns[1:]:
+        column.min_width = max(
+            (cell_len(Text.from_markup(str(cell)).plain) for cell in column.cells), default=0
+        )
     return table
 
 
@@ -115,28 +134,25 @@ def _pointing_cells(p: dict[str, Any] | None) -> list[str]:
     ]
 
 
-def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]]) -> Table:
-    table = Table(title="Targets", title_justify="left", box=None, header_style="bold", pad_edge=False)
-    for name in ("picture", "target", "method", "status"):
-        table.add_column(name, overflow="fold")
-    for name in ("pixel", "line", "σ px", "O−C pixel", "O−C line", "RA°", "Dec°"):
+def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]], wide: bool) -> Table:
+    table = _table("Targets (O−C in px)", ("picture", "target", "status"))
+    names = ("pixel", "line", "σ", "σ", "O−C", "O−C", *(("RA°", "Dec°", "method") if wide else ()))
+    for name in names:
         table.add_column(name, justify="right", no_wrap=True)
     for outcome, body in rows:
-        cells = [escape(outcome.image.stem), escape(body["name"]), body["method"], body["status"]]
-        table.add_row(*cells, *_body_cells(body))
-    return table
+        cells = [escape(outcome.image.stem), escape(body["name"]), body["status"].replace("_", " ")]
+        table.add_row(*cells, *_body_cells(body)[: len(names)])
+    return _keep_numbers(table)
 
 
 def _body_cells(body: dict[str, Any]) -> list[str]:
     if body["observed"] is None:
-        return ["–"] * 7
-    sigma = [body["covariance_px2"][i][i] ** 0.5 for i in (0, 1)]
+        return [*["–"] * 8, body["method"]]
     return [
-        f"{body['observed'][0]:.3f}",
-        f"{body['observed'][1]:.3f}",
-        f"{sigma[0]:.3f} {sigma[1]:.3f}",
-        f"{body['residual_px'][0]:+.3f}",
-        f"{body['residual_px'][1]:+.3f}",
+        *(f"{value:.3f}" for value in body["observed"]),
+        *(f"{body['covariance_px2'][i][i] ** 0.5:.3f}" for i in (0, 1)),
+        *(f"{value:+.3f}" for value in body["residual_px"]),
         f"{body['ra_deg']:.6f}",
         f"{body['dec_deg']:+.6f}",
+        body["method"],
     ]
