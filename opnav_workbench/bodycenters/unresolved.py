@@ -1,14 +1,17 @@
 """Center of a body smaller than the PSF: modelled as a star, as in AAS 13-443, "Unresolved Object Centerfinding".
 
-Flow   predicted place -> matched filter within the search radius -> least squares with the frame's PSF -> center of figure
+Flow   predicted place -> matched filter within the search radius -> least squares with the frame's PSF ->
+       center of figure
 Frame  (pixel, line), 0-based, integer = pixel center
 
-A small disk at phase is brighter on its sunward side, so that its light lies off its center of figure; the caller gives
-that offset and it is taken out, with its uncertainty.
+A small disk at phase is brighter on its sunward side, so that its light lies off its center of figure; the
+caller gives that offset and it is taken out, with its uncertainty.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodycenters.results import BodyCenter
@@ -27,13 +30,15 @@ from opnav_workbench.starcenters import (
 __all__ = ["find_unresolved"]
 
 METHOD = "unresolved"
-DETECTED_SNR = 3.0  # below, noise alone exceeds it somewhere in a search area of 100 px every few frames
+DETECTED_SNR = 3.0  # of the fit; the peak it starts from has stood out of its whole search area
+FALSE_ALARM = 0.01  # one search area in a hundred may hold noise that looks like a body
 CERTAIN_SNR = 5.0
 NEIGHBOUR_PX = 4.0  # a star nearer than this pulls the center
 NEIGHBOUR_SIGMAS = 5.0  # a neighbour 1000 times brighter is still lost in the noise out there
 NEIGHBOUR_BOX_PX = 10.0  # the fit's box reaches this far from the body, at most
 FIT_FAILED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
 SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.BLENDED
+SATURATED = "its core is saturated; take a shorter exposure"
 # A disk convolved with the PSF has a wider Gaussian: a uniform disk of diameter D has sigma D / 4.
 DISK_SIGMA = 0.25
 
@@ -75,8 +80,8 @@ def find_unresolved(
     psf_error : float
         Relative error of the PSF model as the frame's stars tell it (`StarCenters.psf_error`).
     excess_sigma_px : float
-        Centering error of the frame's stars beyond their covariances (`PointingSolution.excess_sigma_px`); the body
-        suffers it too.
+        Centering error of the frame's stars beyond their covariances (`PointingSolution.excess_sigma_px`);
+        the body suffers it too.
     diameter_px : float
         Predicted diameter, which widens the PSF.
     light_offset_px, light_offset_covariance_px2 : (2,), (2, 2) array_like
@@ -87,8 +92,8 @@ def find_unresolved(
     Returns
     -------
     BodyCenter
-        Status ``ok``; ``uncertain`` (SNR below 5, or a flag against the fit); ``not_detected``, ``off_detector``,
-        ``saturated`` or ``failed`` without a center.
+        Status ``ok``; ``uncertain`` (SNR below 5, or a flag against the fit); ``not_detected``,
+        ``off_detector``, ``saturated`` or ``failed`` without a center.
     """
     predicted = np.asarray(prediction_px, dtype=np.float64)
     n_line, n_pixel = np.shape(image_dn)
@@ -110,8 +115,10 @@ def find_unresolved(
         search_radius_px=max(search_radius_px, 1.0),
         saturated=saturated,
     )
-    if not coarse.snr[0] >= DETECTED_SNR:
-        return _not_detected(name, float(coarse.snr[0]), search_radius_px)
+    if not coarse.snr[0] >= detection_snr(search_radius_px, widened.sigma_px):
+        if _saturated_nearby(saturated, predicted, search_radius_px):
+            return BodyCenter.without_center(name, METHOD, "saturated", SATURATED)
+        return _not_detected(name, float(coarse.snr[0]), search_radius_px, widened.sigma_px)
     fit = fit_gaussian(
         image_dn,
         noise_dn,
@@ -124,7 +131,31 @@ def find_unresolved(
     )
     offset = np.asarray(light_offset_px, dtype=np.float64)
     floor = excess_sigma_px**2 * np.eye(2) + np.asarray(light_offset_covariance_px2)
-    return _judged(name, fit, offset, floor, predicted, search_radius_px, neighbours)
+    return _judged(name, fit, offset, floor, predicted, search_radius_px, widened.sigma_px, neighbours)
+
+
+def detection_snr(search_radius_px: float, sigma_px: float) -> float:
+    """Return the SNR that noise alone exceeds, somewhere in a circular search area, with `FALSE_ALARM`.
+
+    The expected Euler characteristic of a Gaussian random field above a level; white noise filtered with a
+    Gaussian of `sigma_px` has gradients of variance 1 / (2 sigma^2).
+
+    Reference: Adler (1981), The Geometry of Random Fields; Worsley (1996), doi:10.2307/1427576.
+
+    Examples
+    --------
+    >>> [round(detection_snr(radius, 0.7), 1) for radius in (3.0, 30.0)]
+    [3.7, 4.8]
+    """
+    radius = search_radius_px / (np.sqrt(2.0) * sigma_px)
+
+    def surplus(level: float) -> float:
+        density = np.exp(-0.5 * level**2)
+        area = np.pi * radius**2 * level * density / (2.0 * np.pi) ** 1.5
+        rim = np.pi * radius * density / (2.0 * np.pi)
+        return float(area + rim + norm.sf(level) - FALSE_ALARM)
+
+    return float(brentq(surplus, 1.0, 10.0))
 
 
 def _inside(place: FloatArray, n_pixel: int, n_line: int) -> bool:
@@ -160,8 +191,18 @@ def _widened(prior: ShapePrior, diameter_px: float) -> ShapePrior:
     return ShapePrior(float(np.log(sigma)), prior.sigma_log_scale, prior.ellipticity, prior.sigma_ellipticity)
 
 
-def _not_detected(name: str, snr: float, radius_px: float) -> BodyCenter:
-    seen = f"SNR {snr:.1f} at most" if np.isfinite(snr) else "no usable pixels"
+def _saturated_nearby(saturated: ArrayLike | None, predicted: FloatArray, radius_px: float) -> bool:
+    """True where a saturated pixel lies within the search area: the body may be under it."""
+    if saturated is None:
+        return False
+    line, pixel = np.nonzero(np.asarray(saturated, dtype=bool))
+    return bool(np.any(np.hypot(pixel - predicted[0], line - predicted[1]) <= radius_px + 1.0))
+
+
+def _not_detected(name: str, snr: float, radius_px: float, sigma_px: float) -> BodyCenter:
+    seen = "no usable pixels"
+    if np.isfinite(snr):
+        seen = f"SNR {snr:.1f} at most, {detection_snr(radius_px, sigma_px):.1f} needed in so large an area"
     return BodyCenter.without_center(
         name,
         METHOD,
@@ -177,18 +218,17 @@ def _judged(
     floor: FloatArray,
     predicted: FloatArray,
     radius_px: float,
+    sigma_px: float,
     neighbours: FloatArray,
 ) -> BodyCenter:
     flags, snr = int(fit.flags[0]), float(fit.snr[0])
     if flags & StarFlag.SATURATED:
-        return BodyCenter.without_center(
-            name, METHOD, "saturated", "its core is saturated; take a shorter exposure"
-        )
+        return BodyCenter.without_center(name, METHOD, "saturated", SATURATED)
     if flags & FIT_FAILED:
         return BodyCenter.without_center(name, METHOD, "failed", describe_flags(flags & FIT_FAILED))
     center = fit.pixel_line[0] - offset
     if np.hypot(*(center - predicted)) > radius_px + 1.0 or snr < DETECTED_SNR:
-        return _not_detected(name, snr, radius_px)
+        return _not_detected(name, snr, radius_px, sigma_px)
     doubts = _doubts(flags, snr, center, neighbours)
     return BodyCenter(
         name=name,

@@ -5,7 +5,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -17,7 +16,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.table import Table
-from rich.text import Text
 
 from opnav_workbench.headless import Outcome
 
@@ -100,22 +98,14 @@ def _pointing_table(outcomes: Sequence[Outcome], wide: bool) -> Table:
         status = outcome.result["status"]
         row = [escape(outcome.image.stem), f"[{STYLES[status]}]{status}[/]"]
         table.add_row(*row, *_pointing_cells(outcome.result.get("pointing"))[: len(names)])
-    return _keep_numbers(table)
+    return table
 
 
 def _table(title: str, texts: Sequence[str]) -> Table:
     table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
-    for name in texts:
-        table.add_column(name, no_wrap=True, overflow="ellipsis")
-    return table
-
-
-def _keep_numbers(table: Table) -> Table:
-    """Let a narrow terminal shorten the picture's name only: a cut number would be a wrong one."""
-    for column in table.columns[1:]:
-        column.min_width = max(
-            (cell_len(Text.from_markup(str(cell)).plain) for cell in column.cells), default=0
-        )
+    # On a narrow terminal only the picture's name folds: a cut number would be a wrong one.
+    for number, name in enumerate(texts):
+        table.add_column(name, no_wrap=number > 0, overflow="fold")
     return table
 
 
@@ -142,7 +132,7 @@ def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]], wide: bool) -> T
     for outcome, body in rows:
         cells = [escape(outcome.image.stem), escape(body["name"]), body["status"].replace("_", " ")]
         table.add_row(*cells, *_body_cells(body)[: len(names)])
-    return _keep_numbers(table)
+    return table
 
 
 def _body_cells(body: dict[str, Any]) -> list[str]:
