@@ -17,6 +17,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodycenters.results import BodyCenter
 from opnav_workbench.starcenters import (
     NoiseModel,
+    PsfShape,
     ShapePrior,
     StarCenters,
     StarFlag,
@@ -38,7 +39,14 @@ NEIGHBOUR_SIGMAS = 5.0  # a neighbour 1000 times brighter is still lost in the n
 NEIGHBOUR_BOX_PX = 10.0  # the fit's box reaches this far from the body, at most
 FIT_FAILED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
 SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.BLENDED
+# A fit that leaves this many times the variance of the noise is not one of a star's image: a noise map that is
+# off by half gives 2.3, cosmic rays and disks much more.
+MAX_CHI2_REDUCED = 3.0
+# Neither is an image whose width or ellipticity leaves the frame's PSF by so many sigmas, and by so much.
+SHAPE_SIGMAS = 4.0
+SHAPE_DEVIATION = 0.3
 SATURATED = "its core is saturated; take a shorter exposure"
+BURIED = "nothing but saturated pixels stands out near its predicted place; take a shorter exposure"
 # A disk convolved with the PSF has a wider Gaussian: a uniform disk of diameter D has sigma D / 4.
 DISK_SIGMA = 0.25
 
@@ -117,7 +125,7 @@ def find_unresolved(
     )
     if not coarse.snr[0] >= detection_snr(search_radius_px, widened.sigma_px):
         if _saturated_nearby(saturated, predicted, search_radius_px):
-            return BodyCenter.without_center(name, METHOD, "saturated", SATURATED)
+            return BodyCenter.without_center(name, METHOD, "saturated", BURIED)
         return _not_detected(name, float(coarse.snr[0]), search_radius_px, widened.sigma_px)
     fit = fit_gaussian(
         image_dn,
@@ -131,7 +139,7 @@ def find_unresolved(
     )
     offset = np.asarray(light_offset_px, dtype=np.float64)
     floor = excess_sigma_px**2 * np.eye(2) + np.asarray(light_offset_covariance_px2)
-    return _judged(name, fit, offset, floor, predicted, search_radius_px, widened.sigma_px, neighbours)
+    return _judged(name, fit, widened, offset, floor, predicted, search_radius_px, neighbours)
 
 
 def detection_snr(search_radius_px: float, sigma_px: float) -> float:
@@ -214,11 +222,11 @@ def _not_detected(name: str, snr: float, radius_px: float, sigma_px: float) -> B
 def _judged(
     name: str,
     fit: StarCenters,
+    prior: ShapePrior,
     offset: FloatArray,
     floor: FloatArray,
     predicted: FloatArray,
     radius_px: float,
-    sigma_px: float,
     neighbours: FloatArray,
 ) -> BodyCenter:
     flags, snr = int(fit.flags[0]), float(fit.snr[0])
@@ -228,8 +236,8 @@ def _judged(
         return BodyCenter.without_center(name, METHOD, "failed", describe_flags(flags & FIT_FAILED))
     center = fit.pixel_line[0] - offset
     if np.hypot(*(center - predicted)) > radius_px + 1.0 or snr < DETECTED_SNR:
-        return _not_detected(name, snr, radius_px, sigma_px)
-    doubts = _doubts(flags, snr, center, neighbours)
+        return _not_detected(name, snr, radius_px, prior.sigma_px)
+    doubts = _doubts(fit, prior, center, neighbours)
     return BodyCenter(
         name=name,
         method=METHOD,
@@ -242,14 +250,25 @@ def _judged(
     )
 
 
-def _doubts(flags: int, snr: float, center: FloatArray, neighbours: FloatArray) -> list[str]:
+def _doubts(fit: StarCenters, prior: ShapePrior, center: FloatArray, neighbours: FloatArray) -> list[str]:
+    flags, snr, chi2 = int(fit.flags[0]), float(fit.snr[0]), float(fit.chi2_reduced[0])
     doubts = []
     if snr < CERTAIN_SNR:
         doubts.append(f"SNR {snr:.1f} is below {CERTAIN_SNR:g}")
     if flags & SUSPICIOUS:
         doubts.append(describe_flags(flags & SUSPICIOUS))
+    if chi2 > MAX_CHI2_REDUCED or _strange_shape(fit, prior):
+        doubts.append(f"its image is not that of a star (reduced chi-squared {chi2:.1f})")
     distance = np.hypot(*(neighbours - center).T)
     near = distance[np.isfinite(distance) & (distance < NEIGHBOUR_PX)]
     if near.size:
         doubts.append(f"another object {near.min():.1f} px away may pull its center")
     return doubts
+
+
+def _strange_shape(fit: StarCenters, prior: ShapePrior) -> bool:
+    major, minor, angle = fit.shape[0]
+    deviation = np.abs(PsfShape(major, minor, angle).parameters - prior.mean)
+    return bool(
+        np.any((deviation * np.sqrt(prior.information) > SHAPE_SIGMAS) & (deviation > SHAPE_DEVIATION))
+    )

@@ -12,7 +12,7 @@ from opnav_workbench.catalog.mean_motion import with_mean_motion
 from opnav_workbench.catalog.sky import SkyIndex
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.geometry import angle_between, jyear_from_et, propagate, unit_from_radec
+from opnav_workbench.geometry import angle_between, jyear_from_et, unit_from_radec
 
 __all__ = ["Catalog", "IndexedCatalog", "MotionBound"]
 
@@ -134,7 +134,7 @@ class IndexedCatalog:
             return with_mean_motion(self._build(self._brightest_first(near)))
         reach = min(radius_rad + self._motion.reach_rad(et_s), math.pi)
         stars = self._build(self._brightest_first(self._near(ra_rad, dec_rad, reach, mag_limit)))
-        apart = angle_between(_places(stars, et_s), unit_from_radec(ra_rad, dec_rad))
+        apart = angle_between(stars.directions(et_s), unit_from_radec(ra_rad, dec_rad))
         return with_mean_motion(stars.take(apart <= radius_rad))
 
     def describe(self) -> Mapping[str, Any]:
@@ -157,19 +157,6 @@ class IndexedCatalog:
 
     def _brightest_first(self, rows: IntArray) -> IntArray:
         return rows[np.lexsort((rows, self._mag[rows]))]
-
-
-def _places(stars: StarTable, et_s: float) -> FloatArray:
-    return propagate(
-        stars.ra_rad,
-        stars.dec_rad,
-        stars.pmra_rad_yr,
-        stars.pmdec_rad_yr,
-        stars.parallax_rad,
-        stars.rv_km_s,
-        stars.epoch_jyear,
-        et_s,
-    )
 
 
 def _check_cone(

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.geometry import propagate, propagate_covariance
 
 __all__ = ["StarTable"]
 
@@ -125,6 +126,38 @@ class StarTable:
             f.name: np.empty(0, dtype=_KINDS.get(f.name, np.float64)) for f in fields(cls)
         }
         return cls(**{**columns, "sigma": np.empty((0, N_PARAMETERS))})
+
+    def directions(self, et_s: float, observer_position_km: FloatArray | None = None) -> FloatArray:
+        """Return unit vectors (n, 3), J2000, at `et_s` from a barycentric position (km; none: the barycenter).
+
+        Space motion and parallax are applied, stellar aberration is not; see `opnav_workbench.geometry.propagate`.
+        """
+        return propagate(
+            self.ra_rad,
+            self.dec_rad,
+            self.pmra_rad_yr,
+            self.pmdec_rad_yr,
+            self.parallax_rad,
+            self.rv_km_s,
+            self.epoch_jyear,
+            et_s,
+            observer_position_km,
+        )
+
+    def sky_covariance(self, et_s: float, observer_position_km: FloatArray | None = None) -> FloatArray:
+        """Return covariances (n, 2, 2) of `directions` toward east and north, rad^2."""
+        return propagate_covariance(
+            self.covariance,
+            self.epoch_jyear,
+            et_s,
+            self.ra_rad,
+            self.dec_rad,
+            observer_position_km,
+            pmra_rad_yr=self.pmra_rad_yr,
+            pmdec_rad_yr=self.pmdec_rad_yr,
+            parallax_rad=self.parallax_rad,
+            rv_km_s=self.rv_km_s,
+        )
 
     def to_qtable(self) -> QTable:
         """Return the stars as an astropy QTable for people: degrees, mas, mas/yr, with descriptions."""

@@ -22,8 +22,6 @@ from opnav_workbench.geometry import (
     angle_between,
     apparent_direction,
     limb_points,
-    propagate,
-    propagate_covariance,
     radec_from_unit,
     tangent_basis,
 )
@@ -107,18 +105,7 @@ class BodyPrediction:
 
 def apparent_stars(stars: StarTable, et: float, observer: Observer) -> FloatArray:
     """Apparent J2000 unit vectors (n, 3) of catalog stars as the observer sees them at `et`."""
-    geometric = propagate(
-        stars.ra_rad,
-        stars.dec_rad,
-        stars.pmra_rad_yr,
-        stars.pmdec_rad_yr,
-        stars.parallax_rad,
-        stars.rv_km_s,
-        stars.epoch_jyear,
-        et,
-        observer.position_km,
-    )
-    return apparent_direction(geometric, observer.velocity_km_s)
+    return apparent_direction(stars.directions(et, observer.position_km), observer.velocity_km_s)
 
 
 def predict_stars(
@@ -168,9 +155,7 @@ def _catalog_covariance(
     camera_from_j2000: FloatArray,
 ) -> FloatArray:
     """Covariances (n, 2, 2) px^2 of the predicted places that stem from the catalog."""
-    sky = propagate_covariance(
-        stars.covariance, stars.epoch_jyear, et, stars.ra_rad, stars.dec_rad, observer.position_km
-    )
+    sky = stars.sky_covariance(et, observer.position_km)
     tangent = np.stack(tangent_basis(*radec_from_unit(directions)), axis=-1)
     jacobian = camera.project_jacobian(directions @ camera_from_j2000.T) @ camera_from_j2000 @ tangent
     return jacobian @ sky @ np.swapaxes(jacobian, -1, -2)

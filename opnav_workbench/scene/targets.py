@@ -5,7 +5,6 @@ import numpy as np
 from opnav_workbench.bodies import TargetState, star_target
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import KernelError
-from opnav_workbench.geometry import propagate, propagate_covariance
 from opnav_workbench.scene.observer import Observer
 from opnav_workbench.spice import body_attitude, body_radii_km, state
 
@@ -47,20 +46,8 @@ def body_target(name: str, spacecraft: int, et: float) -> TargetState:
 def star_target_at(name: str, stars: StarTable, row: int, et: float, observer: Observer) -> TargetState:
     """Return catalog row `row` of `stars` as a target: at its distance, moved to `et`, seen from the observer."""
     star = stars.take(np.array([row]))
-    direction = propagate(
-        star.ra_rad,
-        star.dec_rad,
-        star.pmra_rad_yr,
-        star.pmdec_rad_yr,
-        star.parallax_rad,
-        star.rv_km_s,
-        star.epoch_jyear,
-        et,
-        observer.position_km,
-    )[0]
-    sky = propagate_covariance(
-        star.covariance, star.epoch_jyear, et, star.ra_rad, star.dec_rad, observer.position_km
-    )[0]
+    direction = star.directions(et, observer.position_km)[0]
+    sky = star.sky_covariance(et, observer.position_km)[0]
     return star_target(
         name, direction, float(star.parallax_rad[0]), covariance_rad2=sky, magnitude=float(star.mag[0])
     )
