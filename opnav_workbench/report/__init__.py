@@ -1,5 +1,5 @@
 """Pictures that a navigator shows: the frame with its stars and bodies, and the residuals before and after repointing."""
 
-from opnav_workbench.report.figure import summary_figure, write_summary
+from opnav_workbench.report.figure import summary_figure, summary_png, write_summary
 
-__all__ = ["summary_figure", "write_summary"]
+__all__ = ["summary_figure", "summary_png", "write_summary"]

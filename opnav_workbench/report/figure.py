@@ -4,6 +4,7 @@ Predicted places are yellow circles, observed ones blue crosses, stars not used 
 shape and colour together, from a palette that colour-blind readers can tell apart (Okabe & Ito).
 """
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from opnav_workbench.files import atomic_path
 from opnav_workbench.report.frame_view import Panels, panels_of
 from opnav_workbench.session import ImageSession
 
-__all__ = ["summary_figure", "write_summary"]
+__all__ = ["summary_figure", "summary_png", "write_summary"]
 
 PREDICTED, OBSERVED, REJECTED, BODY = "#F0E442", "#56B4E9", "#D55E00", "#CC79A7"
 PIXEL_COLOR, LINE_COLOR = "#0072B2", "#D55E00"
@@ -35,9 +36,16 @@ ASINH_SOFTENING = 0.05
 
 def write_summary(session: ImageSession, path: str | Path) -> None:
     """Write the summary figure as a PNG, whole or not at all."""
-    figure = summary_figure(session)
+    picture = summary_png(session)
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=DPI, format="png")
+        temporary.write_bytes(picture)
+
+
+def summary_png(session: ImageSession) -> bytes:
+    """Return the summary figure as a PNG, for a notebook: ``display(Image(summary_png(session)))``."""
+    stream = io.BytesIO()
+    summary_figure(session).savefig(stream, dpi=DPI, format="png")
+    return stream.getvalue()
 
 
 def summary_figure(session: ImageSession) -> Figure:
