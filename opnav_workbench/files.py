@@ -14,7 +14,7 @@ import numpy as np
 
 from opnav_workbench.errors import SessionError
 
-__all__ = ["atomic_path", "inside", "json_text", "sha256_of", "write_json", "write_text"]
+__all__ = ["atomic_path", "inside", "json_text", "make_folder", "sha256_of", "write_json", "write_text"]
 
 HASH_CHUNK_BYTES = 1 << 20
 
@@ -48,6 +48,24 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """Make a folder that files can be written into, and return it.
+
+    Raises
+    ------
+    SessionError
+        It cannot be made, or not written into.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SessionError(f"cannot write into {folder}: {reason}. Choose another folder.") from error
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

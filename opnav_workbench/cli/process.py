@@ -1,5 +1,6 @@
 """``opnav process``: pictures in, pointing and observables out."""
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -9,6 +10,8 @@ from typing import Annotated
 import typer
 
 from opnav_workbench.cli.summary import Reporter
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import make_folder
 from opnav_workbench.headless import Decisions, Outcome, Policy, load_decisions, process_image
 from opnav_workbench.mission import load_mission
 from opnav_workbench.pointing.models import MODELS
@@ -75,7 +78,15 @@ def process(
 
 
 def run_images(images: Sequence[Path], policy: Policy, out: Path) -> list[Outcome]:
-    """Process pictures one after the other with progress, and print what came out."""
+    """Process pictures one after the other with progress, and print what came out.
+
+    Raises
+    ------
+    SessionError
+        Two pictures share a name (their results would share a folder), or `out` cannot be written.
+    """
+    _check_names(images)
+    make_folder(out)
     outcomes = []
     with Reporter(len(images)) as reporter:
         for image in images:
@@ -84,3 +95,11 @@ def run_images(images: Sequence[Path], policy: Policy, out: Path) -> list[Outcom
             outcomes.append(outcome)
     reporter.table(outcomes, out)
     return outcomes
+
+
+def _check_names(images: Sequence[Path]) -> None:
+    twice = [name for name, count in Counter(image.stem for image in images).items() if count > 1]
+    if twice:
+        raise SessionError(
+            f"more than one picture is named {', '.join(twice)}; process them in calls of their own, each with its --out."
+        )

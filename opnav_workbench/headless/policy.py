@@ -4,23 +4,28 @@ predict - find stars - decisions - repoint, then once more around the solved poi
 the first, wider search missed), then every target and the observables.  What is done is always saved.
 """
 
+import contextlib
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench.errors import OpNavError
-from opnav_workbench.files import inside, write_json
+from opnav_workbench.catalog import open_catalog
+from opnav_workbench.errors import OpNavError, SessionError
+from opnav_workbench.files import inside, write_json, write_text
 from opnav_workbench.headless.decisions import Decisions
 from opnav_workbench.mission import Mission
+from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.report import write_summary
-from opnav_workbench.session import ImageSession, Settings
+from opnav_workbench.session import ATTITUDE_SOURCES, ImageSession, Settings
 from opnav_workbench.spice import KernelSet
 
 __all__ = ["Outcome", "Policy", "process_image"]
 
 FIGURE_FILE = "summary.png"
 RESULT_FILE = "result.json"
+TRACEBACK_FILE = "traceback.txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +57,16 @@ class Policy:
     final: str = "least_squares"
     decisions: Decisions = field(default_factory=Decisions)
     settings: Settings = field(default_factory=Settings)
+
+    def __post_init__(self) -> None:
+        """Refuse at once what would fail for every picture."""
+        if self.model not in MODELS:
+            raise SessionError(f"unknown pointing model {self.model!r}; choose one of {', '.join(MODELS)}.")
+        if self.attitude not in ATTITUDE_SOURCES:
+            raise SessionError(
+                f"unknown attitude source {self.attitude!r}; choose one of {', '.join(ATTITUDE_SOURCES)}."
+            )
+        open_catalog(self.catalog)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +132,8 @@ def process_image(
         write_summary(session, folder / FIGURE_FILE)
     except OpNavError as error:
         return _failure(path, folder, policy, str(error))
+    except Exception as error:  # a defect of ours must not cost the other pictures
+        return _defect(path, folder, policy, error)
     result = session.result()
     reason = (
         "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
@@ -127,9 +144,7 @@ def process_image(
 def _run(session: ImageSession, policy: Policy, say: Callable[[str], None]) -> None:
     say("predicting")
     session.predict()
-    targets = _targets(policy)
-    for name in targets:
-        session.add_target(name)
+    targets = _add_targets(session, policy)
     say("finding stars")
     session.find_stars(policy.initial, policy.final)
     policy.decisions.apply(session)
@@ -144,6 +159,18 @@ def _run(session: ImageSession, policy: Policy, say: Callable[[str], None]) -> N
     session.observables()
 
 
+def _add_targets(session: ImageSession, policy: Policy) -> list[str]:
+    """Take the targets into the scene; one that nothing is known of costs the picture neither stars nor pointing."""
+    known = []
+    for name in _targets(policy):
+        try:
+            session.add_target(name)
+            known.append(name)
+        except OpNavError as error:
+            session.skip_target(name, str(error))
+    return known
+
+
 def _targets(policy: Policy) -> list[str]:
     if policy.targets is not None:
         return list(policy.targets)
@@ -153,8 +180,14 @@ def _targets(policy: Policy) -> list[str]:
 def _failure(path: Path, folder: Path, policy: Policy, reason: str) -> Outcome:
     """Record a picture that could not be processed, so that a night's summary can name it."""
     result = {"image": path.name, "mission": policy.mission.name, "status": "failed", "messages": [reason]}
-    try:
+    with contextlib.suppress(SessionError):  # the folder cannot be written: the reason tells it already
         write_json(folder / RESULT_FILE, result)
-    except OpNavError as error:
-        reason = f"{reason} ({error})"
     return Outcome(path, folder, result, reason)
+
+
+def _defect(path: Path, folder: Path, policy: Policy, error: Exception) -> Outcome:
+    """Keep the traceback of an unforeseen error beside the picture's results."""
+    with contextlib.suppress(SessionError):
+        write_text(folder / TRACEBACK_FILE, "".join(traceback.format_exception(error)))
+    reason = f"unforeseen {type(error).__name__}: {' '.join(str(error).split())}"
+    return _failure(path, folder, policy, f"{reason}; please report it with {folder / TRACEBACK_FILE}.")

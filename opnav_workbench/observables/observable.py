@@ -45,6 +45,8 @@ class Observable:
         The same with the pointing's share, that is of O-C.
     diameter_px : float
         Predicted.
+    measured_diameter_px : float
+        As the centerfinder measured it; nan where it does not.
     partials_px_per_km : (2, 3) array or None
         d(pixel, line) / d(spacecraft position relative to the reference body, J2000).
     partials_px_per_rad : (2, 3) array or None
@@ -73,6 +75,7 @@ class Observable:
     covariance_px2: FloatArray
     total_covariance_px2: FloatArray
     diameter_px: float
+    measured_diameter_px: float
     partials_px_per_km: FloatArray | None
     partials_px_per_rad: FloatArray | None
     apparent_ra_deg: float
@@ -150,6 +153,7 @@ def observe(
         covariance_px2=center.covariance_px2,
         total_covariance_px2=total,
         diameter_px=diameter_px,
+        measured_diameter_px=center.diameter_px,
         partials_px_per_km=by_position,
         partials_px_per_rad=by_attitude,
         apparent_ra_deg=directions[0],

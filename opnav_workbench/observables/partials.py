@@ -16,15 +16,21 @@ from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, apparent_direction
 
 __all__ = ["analytic_position_partials", "attitude_partials", "numerical_position_partials"]
 
-# The step moves the body by this angle. The error of central differences is then below 1e-9 by truncation and, with
-# directions rounded at 1e-16, below 1e-11 by rounding.
+# The largest step moves the body by this angle; the others are each a fourth of the one before. The smallest still
+# keeps rounding (1e-16 of a direction, 1e-12 mm of a distortion found by iteration) below 1e-8 of the partials.
 STEP_RAD = 1e-5
+STEP_RATIO = 4.0
+STEP_COUNT = 4
 
 
 def numerical_position_partials(
     position_km: ArrayLike, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
 ) -> FloatArray:
-    """Central differences of (pixel, line) over the spacecraft's position.
+    """Central differences of (pixel, line) over the spacecraft's position, one component at a time.
+
+    The step is chosen by the differences themselves: extrapolations over a series of steps are compared, and the
+    one that agrees best with its neighbors stands. A fixed step fails where distortion bends strongly or its
+    calibration ends (MVIC). Light time and velocity are held fixed.
 
     Parameters
     ----------
@@ -44,21 +50,29 @@ def numerical_position_partials(
     ------
     PointingError
         The body is not in front of the camera.
+
+    References
+    ----------
+    Ridders (1982), Advances in Engineering Software 4, 75, doi:10.1016/S0141-1195(82)80057-0.
     """
     position, rotation = np.asarray(position_km, float), np.asarray(camera_from_j2000, float)
-    step_km = STEP_RAD * float(np.linalg.norm(position))
+    steps_km = STEP_RAD * float(np.linalg.norm(position)) * STEP_RATIO ** -np.arange(STEP_COUNT)
     # Moving the spacecraft by +d moves the body, as seen from it, by -d.
-    moves = np.concatenate([-step_km * np.eye(3), step_km * np.eye(3)])
+    moves = steps_km[:, None, None, None] * np.stack([-np.eye(3), np.eye(3)])
     directions = apparent_direction(_unit(position + moves), velocity_km_s)
-    places = camera.project(directions @ rotation.T)
+    places = camera.project(directions @ rotation.T)  # (steps, 2 signs, 3 components, 2)
     _require_seen(places)
-    return np.asarray((places[:3] - places[3:]).T / (2.0 * step_km))
+    slopes = (places[:, 0] - places[:, 1]) / (2.0 * steps_km[:, None, None])
+    return _extrapolated(np.swapaxes(slopes, 1, 2))
 
 
 def analytic_position_partials(
     position_km: ArrayLike, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
 ) -> FloatArray:
-    """Return the same partials (2, 3), px/km, by the chain rule; parameters as `numerical_position_partials`."""
+    """Return the same partials (2, 3), px/km, by the chain rule.
+
+    Parameters, units and errors as in `numerical_position_partials`; light time and velocity are held fixed.
+    """
     position, rotation = np.asarray(position_km, float), np.asarray(camera_from_j2000, float)
     range_km = float(np.linalg.norm(position))
     unit = position / range_km
@@ -80,6 +94,22 @@ def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: A
     x, y, z = in_camera
     turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # d(eps x v) / d(eps)
     return np.asarray(camera.project_jacobian(in_camera[None])[0] @ turned)
+
+
+def _extrapolated(slopes: FloatArray) -> FloatArray:
+    """Limit (2, 3) of central differences (steps, 2, 3) for a vanishing step, by Ridders' table."""
+    best, error, row = slopes[-1], np.inf, [slopes[0]]
+    for slope in slopes[1:]:
+        refined = [slope]
+        for order, coarser in enumerate(row, start=1):
+            factor = STEP_RATIO ** (2 * order)  # central differences err by even powers of the step
+            candidate = (factor * refined[-1] - coarser) / (factor - 1.0)
+            estimate = max(np.abs(candidate - refined[-1]).max(), np.abs(candidate - coarser).max())
+            if estimate < error:
+                best, error = candidate, estimate
+            refined.append(candidate)
+        row = refined
+    return np.asarray(best)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -80,6 +80,16 @@ COLUMNS: tuple[Column, ...] = (
         for row, axis in enumerate(("pixel", "line"))
         for column, name in enumerate("xyz")
     ),
+    *(
+        (
+            f"d{axis}_drotation_{name}",
+            u.pix / u.rad,
+            f"d({axis})/d(small rotation of the attitude about the camera frame's {name} axis)",
+            lambda o, r=row, c=column: _partial(o.partials_px_per_rad, r, c),
+        )
+        for row, axis in enumerate(("pixel", "line"))
+        for column, name in enumerate("xyz")
+    ),
     ("ra", u.deg, "observed right ascension, J2000, stellar aberration removed", lambda o: o.ra_deg),
     ("dec", u.deg, "observed declination, J2000, stellar aberration removed", lambda o: o.dec_deg),
     ("apparent_ra", u.deg, "observed right ascension, J2000, as seen", lambda o: o.apparent_ra_deg),
@@ -92,12 +102,16 @@ COLUMNS: tuple[Column, ...] = (
     ),
     ("dec_oc", u.arcsec, "observed minus computed declination", lambda o: _pair(o.residual_arcsec, 1)),
     ("diameter", u.pix, "predicted diameter", lambda o: o.diameter_px),
+    ("measured_diameter", u.pix, "measured diameter", lambda o: o.measured_diameter_px),
     ("snr", u.one, "flux over its sigma", lambda o: o.snr),
+    ("messages", None, "what the analyst must know", lambda o: "; ".join(o.messages)),
 )
 
 
 def observables_table(observables: Sequence[Observable]) -> QTable:
-    """Return observables as a table: one row each, every column with unit and description, nan where unknown.
+    """Return observables as a table: one row each, every column with description and, for numbers, unit.
+
+    Unknown numbers are nan. An empty text is written as "-": ECSV cannot tell it from a masked value.
 
     Examples
     --------
@@ -106,9 +120,11 @@ def observables_table(observables: Sequence[Observable]) -> QTable:
     """
     table = QTable()
     for name, unit, description, value in COLUMNS:
-        kind = str if unit is None else float
-        data = np.array([value(o) for o in observables], dtype=kind)
-        table[name] = data if unit is None else u.Quantity(data, unit)
+        values = [value(o) for o in observables]
+        if unit is None:
+            table[name] = np.array([text or "-" for text in values], dtype=str)
+        else:
+            table[name] = u.Quantity(np.array(values, dtype=float), unit)
         table[name].info.description = description
     return table
 

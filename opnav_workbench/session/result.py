@@ -41,7 +41,8 @@ def overall_status(state: SessionState) -> str:
     """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing."""
     if state.pointing is None:
         return "failed"
-    complete = state.pointing.twist_solved and all(o.status == "ok" for o in state.observables)
+    found = not state.skipped_targets and all(o.status == "ok" for o in state.observables)
+    complete = state.pointing.twist_solved and found
     return "ok" if complete else "partial"
 
 

@@ -35,6 +35,7 @@ STEPS: dict[str, Step] = {
     "accept_stars": steps_stars.accept_stars,
     "repoint": steps_bodies.repoint,
     "find_body": steps_bodies.find_body,
+    "skip_target": steps_bodies.skip_target,
     "observables": steps_bodies.observables,
 }
 SESSION_FILE = "session.json"
@@ -214,6 +215,10 @@ class ImageSession:
         self.add_target(name)
         parameters = {"name": name, "method": method, "search_radius_px": search_radius_px}
         self._step("find_body", parameters, "", lambda s: f"{name}: {s.bodies[-1].status}")
+
+    def skip_target(self, name: str, reason: str) -> None:
+        """Record that a requested target is left out, and why; the result's status then is ``partial``."""
+        self._step("skip_target", {"name": name, "reason": reason}, reason, lambda _: f"{name} left out")
 
     def observables(self) -> QTable:
         """Compute the observables of all bodies found so far.

@@ -79,6 +79,8 @@ class SessionState:
     pointing : PointingSolution or None
     bodies : tuple of BodyCenter
     observables : tuple of Observable
+    skipped_targets : tuple of str
+        Targets asked for that neither kernels nor star list know.
     messages : tuple of str
         What the analyst must know, in the order it was found.
     """
@@ -92,6 +94,7 @@ class SessionState:
     pointing: PointingSolution | None = None
     bodies: tuple[BodyCenter, ...] = ()
     observables: tuple[Observable, ...] = ()
+    skipped_targets: tuple[str, ...] = ()
     messages: tuple[str, ...] = ()
 
     def replace(self, **changes: Any) -> "SessionState":

@@ -15,7 +15,7 @@ from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus
 
-__all__ = ["BODY_METHODS", "attitude", "find_body", "observables", "repoint"]
+__all__ = ["BODY_METHODS", "attitude", "find_body", "observables", "repoint", "skip_target"]
 
 BODY_METHODS = ("unresolved",)
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
@@ -199,6 +199,15 @@ def _neighbours(context: Context, inputs: Inputs, state: SessionState, name: str
     if state.a_priori is not None:
         stars = context.camera.project(state.a_priori.directions @ rotation.T)
     return np.concatenate([np.reshape(others, (-1, 2)), stars])
+
+
+def skip_target(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Record a target that cannot be predicted, so that the result is not taken for complete."""
+    name, reason = parameters["name"], parameters["reason"]
+    skipped = tuple(dict.fromkeys((*state.skipped_targets, name)))
+    return state.replace(skipped_targets=skipped).saying(reason if name in reason else f"{name}: {reason}")
 
 
 def observables(
