@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench.catalog import open_catalog
+from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import inside, write_json, write_text
 from opnav_workbench.headless.decisions import Decisions
@@ -57,6 +57,7 @@ class Policy:
     final: str = "least_squares"
     decisions: Decisions = field(default_factory=Decisions)
     settings: Settings = field(default_factory=Settings)
+    opened_catalog: Catalog = field(init=False, repr=False)  # once for all pictures
 
     def __post_init__(self) -> None:
         """Refuse at once what would fail for every picture."""
@@ -66,7 +67,7 @@ class Policy:
             raise SessionError(
                 f"unknown attitude source {self.attitude!r}; choose one of {', '.join(ATTITUDE_SOURCES)}."
             )
-        open_catalog(self.catalog)
+        object.__setattr__(self, "opened_catalog", open_catalog(self.catalog))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +123,7 @@ def process_image(
             path,
             policy.mission,
             catalog=policy.catalog,
+            opened_catalog=policy.opened_catalog,
             target_stars=policy.target_stars,
             attitude=policy.attitude,
             settings=policy.settings,

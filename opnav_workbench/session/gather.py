@@ -8,7 +8,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import TargetState
-from opnav_workbench.catalog import StarTable, open_catalog, read_star_list
+from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
 from opnav_workbench.errors import ImageError, KernelError, SessionError
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.scene import (
@@ -51,7 +51,7 @@ class InputSource:
             )
 
 
-def gather(context: Context, source: InputSource) -> Inputs:
+def gather(context: Context, source: InputSource, catalog: Catalog | None = None) -> Inputs:
     """Collect time, observer, a priori attitude and the catalog stars around the field."""
     et = _et(context)
     observer = _observer(context, et)
@@ -62,7 +62,7 @@ def gather(context: Context, source: InputSource) -> Inputs:
         observer=observer,
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
-        stars=_stars(context, source.catalog, attitude, et),
+        stars=_stars(context, catalog or open_catalog(source.catalog), attitude, et),
         targets=MappingProxyType({}),
     )
 
@@ -110,14 +110,14 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str
     return np.asarray(geometry.camera_from_j2000), "header"
 
 
-def _stars(context: Context, spec: str, attitude: FloatArray, et: float) -> StarTable:
+def _stars(context: Context, catalog: Catalog, attitude: FloatArray, et: float) -> StarTable:
     """Catalog stars in a cone that holds the detector, the search margin and the twist error's reach."""
     camera, settings = context.camera, context.settings
     direction = attitude.T @ camera.boresight
     ra, dec = (float(a) for a in radec_from_unit(direction))
     margin = settings.max_shift_px * camera.pixel_scale_rad
     reach = camera.half_diagonal_rad * (1.0 + np.radians(settings.max_twist_deg)) + margin
-    return open_catalog(spec).cone(ra, dec, reach, mag_limit=settings.mag_limit, et_s=et)
+    return catalog.cone(ra, dec, reach, mag_limit=settings.mag_limit, et_s=et)
 
 
 def _star_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> TargetState | None:

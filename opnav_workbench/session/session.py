@@ -11,6 +11,7 @@ from typing import Any
 from astropy.table import QTable
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text, write_json
 from opnav_workbench.mission import Mission, load_mission
@@ -76,6 +77,7 @@ class ImageSession:
         mission: str | Path | Mission,
         *,
         catalog: str = "bundled",
+        opened_catalog: Catalog | None = None,
         target_stars: str | Path | None = None,
         attitude: str = "auto",
         settings: Settings | None = None,
@@ -89,6 +91,8 @@ class ImageSession:
             Mission name (``new_horizons``) or path of a mission YAML.
         catalog : str
             Catalog spec: ``bundled``, ``npz:FILE``, ``astrometry-net:GLOB``.
+        opened_catalog : Catalog, optional
+            The same catalog, already open: for many pictures one after the other.
         target_stars : path, optional
             YAML star list whose stars can be targets; default the mission's own list.
         attitude : {"auto", "kernels", "header"}
@@ -104,7 +108,7 @@ class ImageSession:
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
         context = open_context(path, mission, settings or Settings())
         source = InputSource(catalog, None if target_stars is None else Path(target_stars), attitude)
-        return cls(context, source, gather(context, source))
+        return cls(context, source, gather(context, source, opened_catalog))
 
     # -- what stands -------------------------------------------------------------------------------------------
 

@@ -38,7 +38,7 @@ def find(picture, prediction, radius=5.0, **options):
         noise,
         bad,
         prediction,
-        PRIOR,
+        options.pop("prior", PRIOR),
         name="NIX",
         search_radius_px=radius,
         noise_model=NoiseModel(NOISE_DN, GAIN),
@@ -86,19 +86,27 @@ def test_excess_and_light_offset_enter():
     np.testing.assert_allclose(body.covariance_px2, expected, atol=1e-12)
 
 
-def test_small_disk_is_not_taken_for_a_wrong_psf():
-    """A uniform disk of 2 px: without its diameter the PSF prior of 10 % would be off by 20 %."""
+def disk(center, radius, flux):
+    """Return a uniform disk seen through the PSF, by rings of points."""
     t, w = np.polynomial.legendre.leggauss(12)
-    rng = np.random.default_rng(4)
     picture = np.zeros(SHAPE)
-    for r, weight in zip(0.5 * (t + 1.0), 0.5 * w, strict=True):  # radius 1 px
+    for r, weight in zip(0.5 * (t + 1.0), 0.5 * w, strict=True):
         for angle in np.arange(12) * np.pi / 6.0:
-            place = (30.2 + r * np.cos(angle), 30.6 + r * np.sin(angle))
-            picture += gaussian(place, 2.0 * r * weight * 5000.0 / 12.0)
-    body = find(with_noise(picture, rng), (30.0, 31.0), diameter_px=2.0)
+            place = np.array(center) + radius * r * np.array([np.cos(angle), np.sin(angle)])
+            picture += gaussian(place, 2.0 * r * weight * flux / 12.0)
+    return picture
+
+
+def test_small_disk_is_not_taken_for_a_wrong_psf():
+    """A disk of 2.4 px under a PSF known to 3 %: its own width is told by the predicted diameter."""
+    picture = with_noise(disk((30.2, 30.6), 1.2, 20000.0), np.random.default_rng(4))
+    known = ShapePrior.round_psf(SIGMA_PX, 0.03, 0.03)
+    body = find(picture, (30.0, 31.0), diameter_px=2.4, prior=known)
     assert body.status == "ok"
-    assert body.flux_dn == pytest.approx(5000.0, rel=0.05)
-    assert body.pixel_line == pytest.approx([30.2, 30.6], abs=0.08)
+    assert body.flux_dn == pytest.approx(20000.0, rel=0.03)
+    assert body.pixel_line == pytest.approx([30.2, 30.6], abs=0.06)
+    # The same picture taken for a point is doubted.
+    assert find(picture, (30.0, 31.0), prior=known).status == "uncertain"
 
 
 def test_faint_body_is_uncertain():

@@ -42,6 +42,8 @@ def test_outliers_that_agree_with_each_other_are_outvoted(cameras, star_field):
     observed[:3] += [7.0, -5.0]
     solution = solve_pointing(observed, *field.arguments[1:])
     assert solution.used.tolist() == [False] * 3 + [True] * 7
+    assert solution.n_stars == 7
+    assert solution.rms_px == pytest.approx(np.sqrt(np.mean(solution.residual_px[3:] ** 2)), abs=1e-12)
 
 
 def test_reason_gives_the_residual_in_px_and_in_sigma(cameras, star_field):
