@@ -65,8 +65,8 @@ class Selection:
         freeze_arrays(self)
 
 
-def select_stars(stars: Sightings, model: StepModel) -> Selection | None:
-    """Return which stars to use; None where no attitude fits them."""
+def select_stars(stars: Sightings, model: StepModel, keep: BoolArray | None = None) -> Selection | None:
+    """Return which stars to use, those of `keep` always; None where no attitude fits them."""
     everyone = np.ones(len(stars), dtype=bool)
     fit = fit_attitude(stars, model, stars.a_priori, everyone)
     if fit is not None:
@@ -76,11 +76,14 @@ def select_stars(stars: Sightings, model: StepModel) -> Selection | None:
     ambiguous = len(stars) == 3 and _consistent_pairs(stars) != 1
     if len(stars) < 3 or ambiguous:
         return _settled(stars, model, stars.a_priori, everyone, ambiguous)
-    start = _consensus(stars, model) or (stars.a_priori, everyone)
-    return _settle(stars, model, *start)
+    keep = ~everyone if keep is None else keep
+    start, used = _consensus(stars, model) or (stars.a_priori, everyone)
+    return _settle(stars, model, start, used | keep, keep)
 
 
-def _settle(stars: Sightings, model: StepModel, start: FloatArray, used: BoolArray) -> Selection | None:
+def _settle(
+    stars: Sightings, model: StepModel, start: FloatArray, used: BoolArray, keep: BoolArray
+) -> Selection | None:
     """Take in and put out stars until the set no longer changes."""
     result = None
     seen: set[bytes] = set()
@@ -89,7 +92,7 @@ def _settle(stars: Sightings, model: StepModel, start: FloatArray, used: BoolArr
         if result is None or used.tobytes() in seen:
             break
         seen.add(used.tobytes())
-        used = _at_least_majority(result.distance <= REJECT_SIGMA, result.distance)
+        used = _at_least_majority(result.distance <= REJECT_SIGMA, result.distance) | keep
     return result
 
 

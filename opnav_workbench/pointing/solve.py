@@ -10,7 +10,7 @@ Reference: Jackman & Dumont (2013), AAS 13-443, "Spacecraft Repointing Solution"
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import pointing_angles
@@ -35,6 +35,7 @@ def solve_pointing(
     catalog_covariance_px2: ArrayLike | None = None,
     model: Model = "euler",
     usable: ArrayLike | None = None,
+    trusted: ArrayLike | None = None,
     twist_sigma_rad: float | None = None,
 ) -> PointingSolution:
     """Solve for the camera attitude that brings predicted stars onto their measured centers.
@@ -60,6 +61,8 @@ def solve_pointing(
         but for residuals times distortion.
     usable : (n,) array_like of bool, optional
         False for stars that must not be used.
+    trusted : (n,) array_like of bool, optional
+        True for usable stars that must not be rejected as outliers.
     twist_sigma_rad : float, optional
         1 sigma of the a priori rotation about the boresight, by default the camera's ``attitude_sigma``. It
         counts where the stars alone determine that rotation less well.
@@ -105,14 +108,26 @@ def solve_pointing(
             f"none of {len(given.reasons)} stars is usable, so the attitude cannot be solved; "
             "search fainter stars or a larger radius, or keep the a priori attitude"
         )
-    selection, fit = _solve(given, model)
+    selection, fit = _solve(given, model, _trusted(given, trusted))
     return _solution(given, selection, fit, model)
 
 
-def _solve(given: Given, model: Model) -> tuple[Selection, Fit]:
+def _trusted(given: Given, trusted: ArrayLike | None) -> BoolArray | None:
+    """Return which of the usable stars are trusted."""
+    if trusted is None:
+        return None
+    mask = np.asarray(trusted, dtype=bool)
+    if mask.shape != (len(given.reasons),):
+        raise PointingError(
+            f"trusted has shape {mask.shape}, expected ({len(given.reasons)},): one entry per star"
+        )
+    return np.asarray(mask[given.index])
+
+
+def _solve(given: Given, model: Model, trusted: BoolArray | None) -> tuple[Selection, Fit]:
     """Choose the stars, then fit them from the a priori attitude on: those steps are reported."""
     stars, steps = given.sightings, MODELS[model](given.sightings.camera)
-    selection = select_stars(stars, steps)
+    selection = select_stars(stars, steps, trusted)
     if selection is not None and selection.fit.path[0] is stars.a_priori:
         return selection, selection.fit
     if selection is not None:

@@ -120,7 +120,7 @@ def _pattern(context: Context, inputs: Inputs, state: SessionState) -> tuple[Flo
     """Predicted places and magnitudes of stars and point-like bodies (magnitude nan where unknown)."""
     assert state.a_priori is not None
     points, mags = [state.a_priori.pixel_line], [state.a_priori.mag]
-    for target in inputs.targets.values():
+    for target in (inputs.targets[name] for name in state.targets):
         body = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
         if body.on_detector and body.diameter_px <= MAX_POINT_DIAMETER_PX:
             points.append(body.pixel_line[None])

@@ -11,6 +11,7 @@ from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.gather import InputSource
 from opnav_workbench.session.state import Inputs, SessionState
+from opnav_workbench.session.verdicts import has_center
 from opnav_workbench.spice import KernelSet
 from opnav_workbench.version import __version__
 
@@ -82,9 +83,9 @@ def _stars(context: Context, state: SessionState) -> list[dict[str, Any]]:
     predicted = stars.pixel_line
     if state.pointing is not None:
         predicted = context.camera.project(stars.directions @ state.pointing.camera_from_j2000.T)
-    rows = []
+    rows, measured = [], has_center(state)
     for i in range(len(stars)):
-        seen = centers is not None and state.status[i].status in ("used", "rejected", "saturated", "blended")
+        seen = measured[i] and state.status[i].status in ("used", "rejected", "saturated", "blended")
         observed = centers.pixel_line[i] if centers is not None and seen else None
         rows.append(
             {
@@ -119,7 +120,7 @@ def _body(o: Observable) -> dict[str, Any]:
         "covariance_px2": o.covariance_px2,
         "covariance_with_pointing_px2": o.total_covariance_px2,
         "diameter_px": o.diameter_px,
-        "measured_diameter_px": None,
+        "measured_diameter_px": o.measured_diameter_px,
         "partials_px_per_km": o.partials_px_per_km,
         "ra_deg": o.ra_deg,
         "dec_deg": o.dec_deg,

@@ -5,6 +5,7 @@ stays for `undo`.  Widgets, notebooks and the command line call these same metho
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ from astropy.table import QTable
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import json_text, write_json
+from opnav_workbench.files import json_text
 from opnav_workbench.mission import Mission, load_mission
-from opnav_workbench.observables import observables_table, write_ecsv
+from opnav_workbench.observables import observables_table
 from opnav_workbench.scene import StarPrediction
 from opnav_workbench.session import steps_bodies, steps_stars, storage
 from opnav_workbench.session.context import Context, open_context
@@ -35,6 +36,7 @@ STEPS: dict[str, Step] = {
     "reject_stars": steps_stars.reject_stars,
     "accept_stars": steps_stars.accept_stars,
     "repoint": steps_bodies.repoint,
+    "add_target": steps_bodies.add_target,
     "find_body": steps_bodies.find_body,
     "skip_target": steps_bodies.skip_target,
     "observables": steps_bodies.observables,
@@ -163,6 +165,11 @@ class ImageSession:
         KernelError
             Neither kernels nor the star list know it.
         """
+        self._gather_target(name)
+        if name not in self.state.targets:
+            self._step("add_target", {"name": name}, "", lambda _: f"{name} expected")
+
+    def _gather_target(self, name: str) -> None:
         if name not in self._inputs.targets:
             self._inputs = gather_target(self._context, self._source, self._inputs, name)
 
@@ -185,16 +192,23 @@ class ImageSession:
         self._step("find_stars", parameters, "", lambda s: f"{int(s.mask('used').sum())} stars found")
 
     def reject_stars(self, ids: Sequence[str], reason: str) -> None:
-        """Reject stars by catalog id; the reason stands in the journal and in the result."""
-        self._step(
-            "reject_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} rejected"
-        )
+        """Reject stars by catalog id; the reason stands in the journal and in the result.
+
+        Raises
+        ------
+        SessionError
+            No stars are predicted yet, or there is no star of that id.
+        """
+        self._decide("reject_stars", ids, reason, "rejected")
 
     def accept_stars(self, ids: Sequence[str], reason: str = "") -> None:
-        """Accept stars by catalog id, outranking any automatic rejection."""
-        self._step(
-            "accept_stars", {"ids": list(ids), "reason": reason}, reason, lambda _: f"{len(ids)} accepted"
-        )
+        """Accept stars by catalog id, outranking any automatic rejection; raises as `reject_stars`."""
+        self._decide("accept_stars", ids, reason, "accepted")
+
+    def _decide(self, step: str, ids: Sequence[str], reason: str, outcome: str) -> None:
+        # A single name is a sequence too, of letters; nobody means those.
+        names = [ids] if isinstance(ids, str) else [str(star) for star in ids]
+        self._step(step, {"ids": names, "reason": reason}, reason, lambda _: f"{len(names)} {outcome}")
 
     def repoint(self, model: str = "euler") -> None:
         """Solve the camera attitude from the stars in use.
@@ -216,7 +230,7 @@ class ImageSession:
         search_radius_px : float, optional
             Default from the predicted uncertainty.
         """
-        self.add_target(name)
+        self._gather_target(name)
         parameters = {"name": name, "method": method, "search_radius_px": search_radius_px}
         self._step("find_body", parameters, "", lambda s: f"{name}: {s.bodies[-1].status}")
 
@@ -291,12 +305,14 @@ class ImageSession:
         SessionError
             The folder cannot be written; older files in it are unchanged.
         """
+        saved = storage.session_dict(self._context, self._source, self._inputs, self._journal)
         target = Path(folder)
-        write_json(target / RESULT_FILE, self.result())
-        write_ecsv(self.state.observables, target / TABLE_FILE)
-        write_json(
-            target / SESSION_FILE,
-            storage.session_dict(self._context, self._source, self._inputs, self._journal),
+        storage.write_together(
+            {
+                target / RESULT_FILE: partial(storage.write_data, self.result()),
+                target / TABLE_FILE: partial(storage.write_table, self.state.observables),
+                target / SESSION_FILE: partial(storage.write_data, saved),
+            }
         )
         return target
 
@@ -322,16 +338,29 @@ class ImageSession:
 
     def _replay(self, journal: Iterable[JournalEntry]) -> None:
         for item in journal:
-            if item.step == "undo":
-                self._states.pop()
-            elif item.step in STEPS:
-                step = STEPS[item.step]
-                self._states.append(step(self._context, self._inputs, self.state, dict(item.parameters)))
-            else:
+            if item.step != "undo" and item.step not in STEPS:
                 raise SessionError(
-                    f"session.json names an unknown step {item.step!r}; it was written by a newer version."
+                    f"{SESSION_FILE} names an unknown step {item.step!r}; it was written by a newer version."
                 )
-            self._journal.append(item)
+            if item.step == "undo" and len(self._states) == 1:
+                raise SessionError(
+                    f"{SESSION_FILE} is damaged: it undoes more than was done; process the picture again."
+                )
+            self._repeat(item)
+
+    def _repeat(self, item: JournalEntry) -> None:
+        if item.step == "undo":
+            self._states.pop()
+        else:
+            step = STEPS[item.step]
+            try:
+                state = step(self._context, self._inputs, self.state, dict(item.parameters))
+            except (KeyError, TypeError, ValueError) as error:
+                raise SessionError(
+                    f"{SESSION_FILE} is damaged (step {item.step}: {error!r}); process the picture again."
+                ) from error
+            self._states.append(state)
+        self._journal.append(item)
 
     def to_json(self) -> str:
         """Return `result` as JSON text."""

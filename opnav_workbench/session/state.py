@@ -68,8 +68,12 @@ class SessionState:
         Stars predicted with the a priori pointing, around the detector.
     centers : StarCenters or None
         Fitted centers, one row per star of `a_priori`.
+    found_status : tuple of StarStatus
+        One per star of `a_priori`, as measuring left it: neither pointing nor analyst has judged yet.
     status : tuple of StarStatus
-        One per star of `a_priori`.
+        The same after the pointing's outliers and the analyst's decisions.
+    targets : tuple of str
+        Names of the targets expected in the picture.
     decisions : mapping of str to (str, str)
         Analyst's verdict ("rejected" or "accepted") and reason by star id; they outrank the automatic ones.
     field_shift_px : (2,) array or None
@@ -81,13 +85,15 @@ class SessionState:
     observables : tuple of Observable
     skipped_targets : tuple of str
         Targets asked for that neither kernels nor star list know.
-    messages : tuple of str
-        What the analyst must know, in the order it was found.
+    notes : mapping of str to tuple of str
+        What the analyst must know, by topic; a step that is repeated replaces its own notes.
     """
 
     a_priori: StarPrediction | None = None
     centers: StarCenters | None = None
+    found_status: tuple[StarStatus, ...] = ()
     status: tuple[StarStatus, ...] = ()
+    targets: tuple[str, ...] = ()
     decisions: MappingProxyType[str, tuple[str, str]] = field(default_factory=lambda: MappingProxyType({}))
     field_shift_px: FloatArray | None = None
     psf: ShapePrior | None = None
@@ -95,16 +101,21 @@ class SessionState:
     bodies: tuple[BodyCenter, ...] = ()
     observables: tuple[Observable, ...] = ()
     skipped_targets: tuple[str, ...] = ()
-    messages: tuple[str, ...] = ()
+    notes: MappingProxyType[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
     def replace(self, **changes: Any) -> "SessionState":
         """Return a copy with some fields changed."""
         return replace(self, **changes)
 
-    def saying(self, *messages: str) -> "SessionState":
-        """Return a copy with new messages appended, each once."""
-        new = tuple(m for m in dict.fromkeys(messages) if m and m not in self.messages)
-        return replace(self, messages=self.messages + new)
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """All notes in the order of their topics, each once."""
+        return tuple(dict.fromkeys(note for notes in self.notes.values() for note in notes))
+
+    def noting(self, topic: str, *messages: str) -> "SessionState":
+        """Return a copy whose notes on `topic` are these and no others."""
+        notes = {key: value for key, value in self.notes.items() if key != topic}
+        return replace(self, notes=MappingProxyType(notes | ({topic: messages} if messages else {})))
 
     def mask(self, *statuses: str) -> np.ndarray:
         """Return which stars have one of the given statuses."""

@@ -4,18 +4,19 @@ from typing import Any
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies import TargetState, center_of_light_radii
 from opnav_workbench.bodycenters import BodyCenter, find_unresolved
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable, attitude_partials, observe
-from opnav_workbench.pointing import PointingSolution, solve_pointing
-from opnav_workbench.pointing.models import MODELS
+from opnav_workbench.pointing import solve_pointing
+from opnav_workbench.pointing.models import MODELS, Model
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus
+from opnav_workbench.session.verdicts import ACCEPTED, has_center, with_verdicts
 
-__all__ = ["BODY_METHODS", "attitude", "find_body", "observables", "repoint", "skip_target"]
+__all__ = ["BODY_METHODS", "add_target", "attitude", "find_body", "observables", "repoint", "skip_target"]
 
 BODY_METHODS = ("unresolved",)
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
@@ -33,12 +34,26 @@ def repoint(
     if model not in MODELS:
         raise SessionError(f"unknown pointing model {model!r}; choose one of {', '.join(MODELS)}.")
     if state.a_priori is None or state.centers is None:
-        raise SessionError("no star centers yet: call find_stars() first.")
-    usable = _usable(state)
-    if not usable.any():
-        return state.saying(
-            f"no usable star among {len(state.status)} candidates; the a priori pointing stands."
-        )
+        why = " ".join(state.notes.get("stars", ()))
+        raise SessionError(why or "no star centers yet: call find_stars() first.")
+    candidates = with_verdicts(state, state.found_status)
+    usable = np.array([s.status == "used" for s in candidates], dtype=bool) & has_center(state)
+    solved = state.replace(status=candidates)
+    if usable.any():
+        solved = _solved(context, inputs, solved, usable, model)
+    else:
+        none = f"no usable star among {len(candidates)} candidates; the a priori pointing stands."
+        solved = solved.replace(pointing=None).noting("pointing", none)
+    # Predictions and O-C rest on the pointing: those already computed follow it.
+    return observables(context, inputs, solved, {}) if state.observables else solved
+
+
+def _solved(
+    context: Context, inputs: Inputs, state: SessionState, usable: BoolArray, model: Model
+) -> SessionState:
+    assert state.a_priori is not None
+    assert state.centers is not None
+    verdicts = [state.decisions.get(star, ("", ""))[0] for star in state.a_priori.id.tolist()]
     solution = solve_pointing(
         state.centers.pixel_line,
         state.centers.covariance_px2,
@@ -48,40 +63,16 @@ def repoint(
         catalog_covariance_px2=state.a_priori.covariance_px2,
         model=model,
         usable=usable,
+        trusted=[verdict == ACCEPTED for verdict in verdicts],
         twist_sigma_rad=np.radians(context.camera.attitude_sigma.twist_deg),
     )
-    status = _statuses_after(state, solution, usable)
-    return state.replace(pointing=solution, status=status).saying(*solution.messages)
-
-
-def _usable(state: SessionState) -> np.ndarray:
-    """Stars found, less those the analyst rejected, plus those the analyst insists on."""
-    assert state.a_priori is not None
-    assert state.centers is not None
-    finite = np.isfinite(state.centers.pixel_line).all(axis=1)
-    wanted = []
-    for star, status in zip(state.a_priori.id.tolist(), state.status, strict=True):
-        verdict = state.decisions.get(star, ("", ""))[0]
-        wanted.append(verdict == "accepted" or (status.status == "used" and verdict != "rejected"))
-    return np.array(wanted, dtype=bool) & finite
-
-
-def _statuses_after(
-    state: SessionState, solution: PointingSolution, usable: np.ndarray
-) -> tuple[StarStatus, ...]:
-    assert state.a_priori is not None
-    rows = []
-    for i, (star, status) in enumerate(zip(state.a_priori.id.tolist(), state.status, strict=True)):
-        verdict, reason = state.decisions.get(star, ("", ""))
-        if solution.used[i]:
-            rows.append(StarStatus("used", reason if verdict == "accepted" else ""))
-        elif usable[i]:
-            rows.append(StarStatus("rejected", str(solution.reasons[i])))
-        elif verdict == "rejected":
-            rows.append(StarStatus("rejected", f"by the analyst: {reason}"))
-        else:
-            rows.append(status)
-    return tuple(rows)
+    status = tuple(
+        StarStatus("rejected", reason) if offered and not used else status
+        for status, offered, used, reason in zip(
+            state.status, usable, solution.used, solution.reasons, strict=True
+        )
+    )
+    return state.replace(pointing=solution, status=status).noting("pointing", *solution.messages)
 
 
 def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
@@ -102,6 +93,14 @@ def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
     return np.asarray(axes.T @ focal @ axes)
 
 
+def add_target(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Expect a target in the picture."""
+    name = parameters["name"]
+    return state if name in state.targets else state.replace(targets=(*state.targets, name))
+
+
 def find_body(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
@@ -112,9 +111,10 @@ def find_body(
     target = inputs.targets[name]
     prediction = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
     center = _unresolved(context, inputs, state, target, prediction, parameters["search_radius_px"])
+    state = add_target(context, inputs, state, {"name": name})
     kept = tuple(b for b in state.bodies if (b.name, b.method) != (name, method))
     said = tuple(f"{name}: {message}" for message in center.messages if center.status != "ok")
-    return state.replace(bodies=(*kept, center)).saying(*said)
+    return state.replace(bodies=(*kept, center)).noting(f"{name} {method}", *said)
 
 
 def _unresolved(
@@ -191,8 +191,8 @@ def _neighbours(context: Context, inputs: Inputs, state: SessionState, name: str
     """Places of everything else that is bright nearby: other bodies and the catalog's stars."""
     rotation = attitude(inputs, state)
     others = [
-        predict_body(t, inputs.observer, context.camera, rotation).pixel_line
-        for key, t in inputs.targets.items()
+        predict_body(inputs.targets[key], inputs.observer, context.camera, rotation).pixel_line
+        for key in state.targets
         if key != name
     ]
     stars = np.empty((0, 2))

@@ -1,6 +1,5 @@
 """Session steps that concern stars: predict, find, decide.  Pure: (context, inputs, state, parameters) -> state."""
 
-from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -11,6 +10,7 @@ from opnav_workbench.scene import StarPrediction, predict_stars
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.identify import FieldMatch, identify_field
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus
+from opnav_workbench.session.verdicts import ACCEPTED, REJECTED, decide, with_verdicts
 from opnav_workbench.starcenters import (
     ShapePrior,
     StarCenters,
@@ -47,8 +47,10 @@ def predict(
         else StarStatus("off_detector", "predicted outside the detector")
         for on in stars.on_detector
     )
-    fresh = SessionState(a_priori=stars, status=status, decisions=state.decisions)
-    return fresh.saying(*_empty_field(stars))
+    fresh = SessionState(
+        a_priori=stars, found_status=status, decisions=state.decisions, targets=state.targets
+    )
+    return fresh.replace(status=with_verdicts(fresh, status)).noting("predict", *_empty_field(stars))
 
 
 def _brightest(stars: StarPrediction, most: int) -> StarPrediction:
@@ -80,13 +82,14 @@ def find_stars(
             f"final one of {', '.join(FINAL_METHODS)}."
         )
     match = identify_field(context, inputs, state)
-    state = state.saying(*match.messages)
+    state = state.noting("stars", *match.messages)
     if not match.found:
         return state.replace(centers=None, field_shift_px=None)
     radius = parameters["search_radius_px"] or match.radius_px
     centers, psf = _measure(context, state, match, initial, final, radius)
-    status = _judge(context, stars, match, centers, radius)
-    return state.replace(centers=centers, psf=psf, status=status, field_shift_px=match.shift_px)
+    found = _judge(context, stars, match, centers, radius)
+    state = state.replace(centers=centers, psf=psf, found_status=found, field_shift_px=match.shift_px)
+    return state.replace(status=with_verdicts(state, found))
 
 
 def _predicted(state: SessionState) -> StarPrediction:
@@ -206,23 +209,11 @@ def reject_stars(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Record the analyst's rejection of stars."""
-    return _decide(state, parameters["ids"], "rejected", parameters["reason"])
+    return decide(state, parameters["ids"], REJECTED, parameters["reason"])
 
 
 def accept_stars(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Record the analyst's acceptance of stars, which outranks an automatic rejection."""
-    return _decide(state, parameters["ids"], "accepted", parameters["reason"])
-
-
-def _decide(state: SessionState, ids: list[str], verdict: str, reason: str) -> SessionState:
-    known = set(_predicted(state).id.tolist())
-    unknown = [i for i in ids if i not in known]
-    if unknown:
-        raise SessionError(
-            f"no star {', '.join(unknown)} in this field; stars are named as in result.json, "
-            f"such as {', '.join(sorted(known)[:3])}."
-        )
-    decisions = dict(state.decisions) | dict.fromkeys(ids, (verdict, reason))
-    return state.replace(decisions=MappingProxyType(decisions))
+    return decide(state, parameters["ids"], ACCEPTED, parameters["reason"])

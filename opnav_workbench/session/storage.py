@@ -1,7 +1,9 @@
 """session.json: everything needed to continue a session on another machine, except the picture itself."""
 
 import json
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
@@ -12,7 +14,9 @@ import numpy as np
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import SessionError
-from opnav_workbench.mission import load_mission
+from opnav_workbench.files import atomic_path, json_text
+from opnav_workbench.mission import Mission, load_mission, mission_names
+from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.scene import Observer
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.gather import InputSource
@@ -21,7 +25,7 @@ from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import Inputs
 from opnav_workbench.version import __version__
 
-__all__ = ["SavedSession", "load_session", "session_dict"]
+__all__ = ["SavedSession", "load_session", "session_dict", "write_data", "write_table", "write_together"]
 
 SCHEMA = 1
 
@@ -45,10 +49,10 @@ def session_dict(
         "version": __version__,
         "image": str(context.frame.path.resolve()),
         "sha256": context.frame.sha256,
-        "mission": str(context.mission.path),
+        "mission": _mission_spec(context.mission),
         "settings": context.settings.to_dict(),
         "catalog": source.catalog,
-        "target_stars": None if source.target_stars is None else str(source.target_stars),
+        "target_stars": None if source.target_stars is None else str(source.target_stars.resolve()),
         "attitude": source.attitude,
         "inputs": {
             "et": inputs.et,
@@ -61,6 +65,13 @@ def session_dict(
         },
         "journal": [item.to_dict() for item in journal],
     }
+
+
+def _mission_spec(mission: Mission) -> str:
+    """Return the name of a mission that comes with the package, valid on any machine; else its file's path."""
+    name = mission.path.parent.name
+    ours = name in mission_names() and load_mission(name).path == mission.path
+    return name if ours else str(mission.path)
 
 
 def _columns(instance: Any) -> dict[str, Any]:
@@ -85,7 +96,7 @@ def load_session(path: Path, image: str | Path | None) -> SavedSession:
         )
         journal = tuple(JournalEntry(**item) for item in data["journal"])
         return SavedSession(context, source, _inputs(data["inputs"]), journal)
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise SessionError(f"{path} is damaged ({error!r}); process the picture again.") from error
 
 
@@ -141,3 +152,29 @@ def _star_table(columns: Mapping[str, Any]) -> StarTable:
         if name != "motion_known"
     }
     return StarTable(**arrays, motion_known=np.array(columns["motion_known"], dtype=bool))
+
+
+def write_together(writers: Mapping[Path, Callable[[Path], None]]) -> None:
+    """Write several files that belong together: none takes its name before all are written.
+
+    Raises
+    ------
+    SessionError
+        A file cannot be written; the older files stay as they were.
+    """
+    with ExitStack() as stack:
+        for path, write in writers.items():
+            write(stack.enter_context(atomic_path(path)))
+
+
+def write_data(data: Mapping[str, Any], path: Path) -> None:
+    """Write `data` as JSON, down to the disk."""
+    with path.open("w", encoding="utf-8") as stream:
+        stream.write(json_text(data) + "\n")
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def write_table(observables: Sequence[Observable], path: Path) -> None:
+    """Write `observables_table` as ECSV."""
+    observables_table(observables).write(path, format="ascii.ecsv", overwrite=True)
