@@ -116,7 +116,10 @@ def process_image(
         Never raises an `OpNavError`: a picture that fails is an outcome with its one line.
     """
     path = Path(image)
-    folder = inside(out, path.stem)
+    try:
+        folder = _folder(out, path)
+    except OpNavError as error:
+        return Outcome(path, Path(out), _failed_result(path, policy, str(error)), str(error))
     try:
         say("reading")
         session = ImageSession.open(
@@ -141,6 +144,14 @@ def process_image(
         "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
     )
     return Outcome(path, folder, result, reason)
+
+
+def _folder(out: str | Path, picture: Path) -> Path:
+    """Return the picture's own folder in `out`; a name such as ``...fit`` (stem ``..``) has none."""
+    folder = inside(out, picture.stem)
+    if folder == Path(out).resolve():
+        raise SessionError(f"{picture.name!r} gives no name for a folder in {out}; rename the picture.")
+    return folder
 
 
 def _run(session: ImageSession, policy: Policy, say: Callable[[str], None]) -> None:
@@ -179,9 +190,13 @@ def _targets(policy: Policy) -> list[str]:
     return list(policy.mission.default_targets) if KernelSet.active() is not None else []
 
 
+def _failed_result(path: Path, policy: Policy, reason: str) -> dict[str, Any]:
+    return {"image": path.name, "mission": policy.mission.name, "status": "failed", "messages": [reason]}
+
+
 def _failure(path: Path, folder: Path, policy: Policy, reason: str) -> Outcome:
     """Record a picture that could not be processed, so that a night's summary can name it."""
-    result = {"image": path.name, "mission": policy.mission.name, "status": "failed", "messages": [reason]}
+    result = _failed_result(path, policy, reason)
     with contextlib.suppress(SessionError):  # the folder cannot be written: the reason tells it already
         write_json(folder / RESULT_FILE, result)
     return Outcome(path, folder, result, reason)

@@ -14,6 +14,7 @@ from opnav_workbench.catalog import open_catalog
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path, write_json
 from opnav_workbench.geometry import quaternion_from_matrix, radec_from_unit, rotation_from_vector
+from opnav_workbench.image import KeywordMap
 from opnav_workbench.mission import Mission
 from opnav_workbench.rehearsal.picture import body_points, render_picture
 from opnav_workbench.scene import (
@@ -23,7 +24,7 @@ from opnav_workbench.scene import (
     predict_body,
     predict_stars,
 )
-from opnav_workbench.spice import camera_attitude, et_from_utc, sclk_from_et, state
+from opnav_workbench.spice import camera_attitude, et_from_utc, sclk_from_et, state, utc_from_et
 
 __all__ = ["PictureRequest", "Truth", "simulate_picture"]
 
@@ -159,22 +160,35 @@ def _picture(
 
 def _header(request: PictureRequest, mission: Mission, et: float, predicted: FloatArray) -> dict[str, Any]:
     """Header cards under the mission's own keywords, so that the flight reader takes the file for one of its own."""
-    names = mission.keywords
+    names = KeywordMap(**mission.keywords)
     sun = state(SUN, et, mission.spacecraft_id, correction="LT")
     quaternion = quaternion_from_matrix(
-        predicted.T if names["quaternion_sense"] == "camera_to_j2000" else predicted
+        predicted.T if names.quaternion_sense == "camera_to_j2000" else predicted
     )
-    cards: dict[str, Any] = {**names["required"], **request.header}
-    cards[names["exposure_s"]] = request.exposure_s
-    cards[names["et"]] = et
-    cards[names["utc"]] = request.utc
-    cards[names["sclk"]] = sclk_from_et(mission.spacecraft_id, et)
-    cards.update(zip(names["quaternion"], quaternion.tolist(), strict=True))
-    cards.update(zip(names["sun_position"], sun.position_km.tolist(), strict=True))
-    cards.update(zip(names["sun_velocity"], sun.velocity_km_s.tolist(), strict=True))
-    cards["RADESYS"] = "ICRS"
-    cards["SIMULATE"] = True
+    stamp = et - 0.5 * request.exposure_s if names.time_reference == "start" else et
+    cards: dict[str, Any] = {"RADESYS": "ICRS", "SIMULATE": True}
+    cards |= {keyword: _one(value) for keyword, value in names.required.items()} | dict(request.header)
+    for keyword, value in (
+        (names.exposure_s, request.exposure_s / names.exposure_scale),
+        (names.et, stamp),
+        (names.utc, utc_from_et(stamp)),
+        (names.sclk, sclk_from_et(mission.clock_id, et)),
+    ):
+        if keyword is not None:
+            cards[keyword] = value
+    for keywords, vector in (
+        (names.quaternion, quaternion),
+        (names.sun_position, sun.position_km),
+        (names.sun_velocity, sun.velocity_km_s),
+    ):
+        if keywords is not None:
+            cards |= zip(keywords, vector.tolist(), strict=True)
     return cards
+
+
+def _one(value: Any) -> Any:
+    """Return the value, or the first of several that a mission file allows."""
+    return value[0] if isinstance(value, list | tuple) else value
 
 
 def _write_fits(

@@ -235,9 +235,9 @@ def _draw_residuals(before: Axes, after: Axes, session: ImageSession) -> None:
     shown = session.state.mask("used")
     sigma = np.sqrt(np.diagonal(centers.covariance_px2, axis1=1, axis2=2))
     _points(before, stars.mag, centers.pixel_line - stars.pixel_line, sigma, shown)
+    before.legend(fontsize=8, loc="best")
     if pointing is not None:
         _points(after, stars.mag, centers.pixel_line - _star_places(session), sigma, shown)
-    after.legend(fontsize=8, loc="best")
 
 
 def _points(axes: Axes, mag: FloatArray, residual: FloatArray, sigma: FloatArray, shown: FloatArray) -> None:

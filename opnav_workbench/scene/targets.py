@@ -1,7 +1,10 @@
 """Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry."""
 
+from collections.abc import Callable
+
 import numpy as np
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import TargetState, star_target
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import KernelError
@@ -16,7 +19,7 @@ SUN = 10
 def body_target(name: str, spacecraft: int, et: float) -> TargetState:
     """Return a solar-system body's state from the active `KernelSet`, light time removed by iteration (``CN``).
 
-    Radii and orientation are taken where a PCK has them; a body without them is a point.
+    Radii and orientation are each taken where a PCK has them; a body without radii is a point.
 
     Raises
     ------
@@ -25,22 +28,21 @@ def body_target(name: str, spacecraft: int, et: float) -> TargetState:
     """
     seen = state(name, et, spacecraft, correction="CN")
     emitted = et - seen.light_time_s
-    try:
-        radii = body_radii_km(name)
-        attitude = body_attitude(name, emitted)
-    except KernelError:
-        radii, attitude = None, None
-    try:
-        sun = state(SUN, emitted, name).position_km
-    except KernelError:
-        sun = None
     return TargetState(
         name=name,
         position_km=seen.position_km,
-        radii_km=radii,
-        body_from_j2000=attitude,
-        sun_position_km=sun,
+        radii_km=_if_known(lambda: body_radii_km(name)),
+        body_from_j2000=_if_known(lambda: body_attitude(name, emitted)),
+        sun_position_km=_if_known(lambda: state(SUN, emitted, name).position_km),
     )
+
+
+def _if_known(value: Callable[[], FloatArray]) -> FloatArray | None:
+    """Return what the kernels say, None where they say nothing."""
+    try:
+        return value()
+    except KernelError:
+        return None
 
 
 def star_target_at(name: str, stars: StarTable, row: int, et: float, observer: Observer) -> TargetState:

@@ -15,7 +15,7 @@ from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.scene import Observer, StarPrediction
 from opnav_workbench.starcenters import ShapePrior, StarCenters
 
-__all__ = ["STAR_STATUSES", "Inputs", "SessionState", "StarStatus"]
+__all__ = ["STAR_STATUSES", "Inputs", "SessionState", "StarStatus", "skipped_topic"]
 
 STAR_STATUSES = ("used", "rejected", "not_detected", "saturated", "off_detector", "blended")
 
@@ -48,6 +48,11 @@ class Inputs:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+
+def skipped_topic(name: str) -> str:
+    """Topic of the note that says why a target is left out."""
+    return f"{name} left out"
 
 
 @dataclass(frozen=True, slots=True)

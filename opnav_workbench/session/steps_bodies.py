@@ -13,7 +13,7 @@ from opnav_workbench.pointing import solve_pointing
 from opnav_workbench.pointing.models import MODELS, Model
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.context import Context
-from opnav_workbench.session.state import Inputs, SessionState, StarStatus
+from opnav_workbench.session.state import Inputs, SessionState, StarStatus, skipped_topic
 from opnav_workbench.session.verdicts import ACCEPTED, has_center, with_verdicts
 
 __all__ = ["BODY_METHODS", "add_target", "attitude", "find_body", "observables", "repoint", "skip_target"]
@@ -96,9 +96,11 @@ def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
 def add_target(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
-    """Expect a target in the picture."""
+    """Expect a target in the picture; one that was left out before no longer is."""
     name = parameters["name"]
-    return state if name in state.targets else state.replace(targets=(*state.targets, name))
+    targets = tuple(dict.fromkeys((*state.targets, name)))
+    skipped = tuple(other for other in state.skipped_targets if other != name)
+    return state.replace(targets=targets, skipped_targets=skipped).noting(skipped_topic(name))
 
 
 def find_body(
@@ -207,7 +209,8 @@ def skip_target(
     """Record a target that cannot be predicted, so that the result is not taken for complete."""
     name, reason = parameters["name"], parameters["reason"]
     skipped = tuple(dict.fromkeys((*state.skipped_targets, name)))
-    return state.replace(skipped_targets=skipped).saying(reason if name in reason else f"{name}: {reason}")
+    said = reason if name in reason else f"{name}: {reason}"
+    return state.replace(skipped_targets=skipped).noting(skipped_topic(name), said)
 
 
 def observables(

@@ -1,5 +1,6 @@
 """Session steps that concern stars: predict, find, decide.  Pure: (context, inputs, state, parameters) -> state."""
 
+from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -9,7 +10,7 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.scene import StarPrediction, predict_stars
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.identify import FieldMatch, identify_field
-from opnav_workbench.session.state import Inputs, SessionState, StarStatus
+from opnav_workbench.session.state import Inputs, SessionState, StarStatus, skipped_topic
 from opnav_workbench.session.verdicts import ACCEPTED, REJECTED, decide, with_verdicts
 from opnav_workbench.starcenters import (
     ShapePrior,
@@ -47,8 +48,14 @@ def predict(
         else StarStatus("off_detector", "predicted outside the detector")
         for on in stars.on_detector
     )
+    topics = {skipped_topic(name) for name in state.skipped_targets}
     fresh = SessionState(
-        a_priori=stars, found_status=status, decisions=state.decisions, targets=state.targets
+        a_priori=stars,
+        found_status=status,
+        decisions=state.decisions,
+        targets=state.targets,
+        skipped_targets=state.skipped_targets,
+        notes=MappingProxyType({topic: said for topic, said in state.notes.items() if topic in topics}),
     )
     return fresh.replace(status=with_verdicts(fresh, status)).noting("predict", *_empty_field(stars))
 

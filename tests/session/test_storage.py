@@ -1,0 +1,251 @@
+"""Saving and resuming: nothing is lost, nothing is half written, and bad files get one clear line."""
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import json_text
+from opnav_workbench.session import ImageSession, Settings
+
+FILES = ("observables.ecsv", "result.json", "session.json")
+
+
+def _without_kernels(session: ImageSession) -> str:
+    result = session.result()
+    del result["provenance"]["kernels"]
+    return json_text(result)
+
+
+@pytest.fixture(scope="module")
+def folder(finished, tmp_path_factory):
+    return finished.save(tmp_path_factory.mktemp("saved"))
+
+
+def _spoil(folder: Path, tmp_path: Path, **changes: object) -> Path:
+    """A copy of the session file with some values changed."""
+    data = json.loads((folder / "session.json").read_text()) | changes
+    (tmp_path / "session.json").write_text(json.dumps(data))
+    return tmp_path
+
+
+def _one_line(caught: pytest.ExceptionInfo[SessionError]) -> str:
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+# -- resuming ------------------------------------------------------------------------------------------------------
+
+
+def test_resume_without_kernels_is_bit_identical(finished, folder):
+    """The bodies were found one after the other: the replay must not know the second while finding the first."""
+    resumed = ImageSession.resume(folder)
+    assert _without_kernels(resumed) == _without_kernels(finished)
+    assert resumed.journal == finished.journal
+
+
+def test_undo_works_after_resume(finished, folder):
+    resumed = ImageSession.resume(folder)
+    for name in ("observables", "find_body", "find_body", "repoint"):
+        assert resumed.undo().step == name
+    assert resumed.state.pointing is None
+    assert resumed.state.targets == ()
+    resumed.repoint()
+    resumed.find_body("PLUTO")  # known from the saved inputs, without kernels
+    resumed.find_body("CHARON")
+    resumed.observables()
+    assert _without_kernels(resumed) == _without_kernels(finished)
+
+
+def test_resume_with_undone_steps_and_decisions(opened, go, tmp_path):
+    go(opened)
+    star = str(opened.state.a_priori.id[opened.state.mask("used")][0])
+    opened.reject_stars([star], reason="straylight")
+    opened.repoint(model="image_plane")
+    opened.undo()
+    opened.repoint()
+    opened.save(tmp_path)
+    resumed = ImageSession.resume(tmp_path)
+    assert _without_kernels(resumed) == _without_kernels(opened)
+    assert resumed.journal == opened.journal
+    assert resumed.undo().step == "repoint"
+    assert resumed.undo().reason == "straylight"
+
+
+def test_resuming_twice_writes_the_same_files(folder, tmp_path):
+    ImageSession.resume(folder).save(tmp_path)
+    first = json.loads((folder / "session.json").read_text())
+    assert json.loads((tmp_path / "session.json").read_text()) == first
+    assert (tmp_path / "observables.ecsv").read_bytes() == (folder / "observables.ecsv").read_bytes()
+
+
+def test_a_field_without_stars_resumes(truth, kernels, tmp_path):
+    np.savez(tmp_path / "far.npz", ra_deg=[10.0], dec_deg=[80.0], mag=[5.0])
+    session = ImageSession.open(truth.picture, "new_horizons", catalog=f"npz:{tmp_path / 'far.npz'}")
+    session.predict()
+    session.find_stars()
+    session.save(tmp_path)
+    assert _without_kernels(ImageSession.resume(tmp_path)) == _without_kernels(session)
+
+
+def test_settings_are_kept(truth, kernels, tmp_path):
+    settings = Settings(max_shift_px=40.0, min_snr=8.0)
+    ImageSession.open(truth.picture, "new_horizons", settings=settings).save(tmp_path)
+    assert ImageSession.resume(tmp_path).context.settings == settings
+
+
+def test_the_picture_may_have_moved(finished, folder, truth, tmp_path):
+    moved = tmp_path / "elsewhere.fit"
+    moved.write_bytes(truth.picture.read_bytes())
+    resumed = ImageSession.resume(folder, image=moved)
+    assert resumed.state.pointing.rms_px == finished.state.pointing.rms_px
+
+
+def test_session_file_is_json_of_plain_values(folder):
+    """No pickle: the file says in text what it holds, and names the mission, not where it was installed."""
+    data = json.loads((folder / "session.json").read_text())
+    assert data["mission"] == "new_horizons"
+    assert data["journal"][0]["step"] == "predict"
+    assert sorted(path.name for path in folder.iterdir()) == list(FILES)
+
+
+# -- what cannot be resumed ----------------------------------------------------------------------------------------
+
+
+def test_another_picture_is_refused(folder, demo_truths):
+    with pytest.raises(SessionError, match="SHA-256 differs") as caught:
+        ImageSession.resume(folder, image=_same_camera_other_noise(folder, demo_truths))
+    _one_line(caught)
+
+
+def _same_camera_other_noise(folder, demo_truths):
+    from astropy.io import fits
+
+    other = demo_truths[1].picture.with_name("other.fit")
+    with fits.open(demo_truths[1].picture) as hdus:
+        hdus[0].data[0, 0] += 1.0
+        hdus.writeto(other, overwrite=True)
+    return other
+
+
+def test_missing_picture(folder, tmp_path):
+    with pytest.raises(SessionError, match=r"resume\(folder, image=PATH\)") as caught:
+        ImageSession.resume(folder, image=tmp_path / "gone.fit")
+    assert "gone.fit" in _one_line(caught)
+
+
+def test_missing_folder(tmp_path):
+    with pytest.raises(SessionError, match=r"nowhere.*save\(\)") as caught:
+        ImageSession.resume(tmp_path / "nowhere")
+    _one_line(caught)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_truncated_file(folder, tmp_path, share):
+    content = (folder / "session.json").read_bytes()
+    (tmp_path / "session.json").write_bytes(content[: int(share * len(content))])
+    with pytest.raises(SessionError, match=r"session\.json") as caught:
+        ImageSession.resume(tmp_path)
+    _one_line(caught)
+
+
+@pytest.mark.parametrize("content", [b"[1, 2]", b"null", b"\xff\xfe\x00", b"\x80\x04\x95pickle"])
+def test_not_a_session(tmp_path, content):
+    (tmp_path / "session.json").write_bytes(content)
+    with pytest.raises(SessionError, match=r"session\.json") as caught:
+        ImageSession.resume(tmp_path)
+    _one_line(caught)
+
+
+@pytest.mark.parametrize("schema", [2, None, "1"])
+def test_another_schema(folder, tmp_path, schema):
+    with pytest.raises(SessionError, match="schema 1; use the version that wrote it") as caught:
+        ImageSession.resume(_spoil(folder, tmp_path, schema=schema))
+    _one_line(caught)
+
+
+DAMAGED = {
+    "inputs": {"inputs": {}},
+    "inputs a list": {"inputs": [1]},
+    "settings": {"settings": {"min_snr": 5.0, "max_snr": 6.0}},
+    "settings a list": {"settings": [1]},
+    "journal entry": {"journal": [{"stop": "predict"}]},
+    "journal a number": {"journal": 3},
+    "unknown step": {"journal": [{"step": "render"}]},
+    "step without parameters": {"journal": [{"step": "predict"}, {"step": "find_stars"}]},
+    "parameters no mapping": {"journal": [{"step": "predict", "parameters": 3}]},
+    "undo of nothing": {"journal": [{"step": "undo", "parameters": {}}]},
+    "body unknown": {
+        "journal": [
+            {"step": "find_body", "parameters": {"name": "X", "method": "unresolved", "search_radius_px": 3}}
+        ]
+    },
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_damaged_content(folder, tmp_path, case):
+    with pytest.raises(SessionError) as caught:
+        ImageSession.resume(_spoil(folder, tmp_path, **DAMAGED[case]))
+    _one_line(caught)
+
+
+# -- a disk that is full -------------------------------------------------------------------------------------------
+
+
+def _full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(("where", "what"), [(os, "fsync"), (Path, "replace")])
+def test_full_disk_leaves_older_files_unchanged(opened, go, tmp_path, monkeypatch, where, what):
+    opened.predict()
+    opened.save(tmp_path)
+    before = _contents(tmp_path)
+    go(opened)
+    with monkeypatch.context() as patch:
+        patch.setattr(where, what, _full)
+        with pytest.raises(SessionError, match="No space left on device") as caught:
+            opened.save(tmp_path)
+    _one_line(caught)
+    assert _contents(tmp_path) == before
+    opened.save(tmp_path)
+    assert _contents(tmp_path) != before
+    assert sorted(_contents(tmp_path)) == list(FILES)
+
+
+def test_disk_full_at_the_last_file_keeps_the_first_ones_too(opened, go, tmp_path, monkeypatch):
+    """result.json is written before session.json, but must not be newer than it."""
+    opened.predict()
+    opened.save(tmp_path)
+    before = _contents(tmp_path)
+    go(opened)
+    calls = []
+
+    def second_fails(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) == 2:
+            _full()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", second_fails)
+        with pytest.raises(SessionError, match=r"session\.json"):
+            opened.save(tmp_path)
+    assert len(calls) == 2
+    assert _contents(tmp_path) == before
+
+
+def test_folder_that_is_a_file(finished, tmp_path):
+    (tmp_path / "run").write_text("in the way")
+    with pytest.raises(SessionError, match="run") as caught:
+        finished.save(tmp_path / "run")
+    _one_line(caught)
