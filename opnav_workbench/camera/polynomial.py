@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
@@ -26,6 +26,8 @@ SipCoefficients = Mapping[tuple[int, int], float]  # value of u^p v^q by (p, q),
 class _SipPolynomials:
     """The map u' = u + f(u, v), v' = v + g(u, v) of pixel offsets from the boresight, acting on mm."""
 
+    KEYWORDS: ClassVar[tuple[str, str]]  # prefixes of the header keywords along pixel and along line
+
     pixel_from_mm: FloatArray
     f: FloatArray
     g: FloatArray
@@ -47,6 +49,18 @@ class _SipPolynomials:
             Coefficients along pixel and along line, px^(1 - p - q).
         """
         return cls(np.asarray(pixel_from_mm, dtype=np.float64), _square(f), _square(g))
+
+    @classmethod
+    def from_keywords(cls, keywords: Mapping[str, Any], pixel_from_mm: ArrayLike) -> Self:
+        """Return the model of a FITS header's keywords: ``AP_3_0``, ``BP_0_2``... or ``A_3_0``, ``B_0_2``...
+
+        Raises
+        ------
+        CameraError
+            The keywords hold no such coefficients.
+        """
+        along_pixel, along_line = (_keyed(keywords, prefix) for prefix in cls.KEYWORDS)
+        return cls.from_coefficients(pixel_from_mm, along_pixel, along_line)
 
     def _map(self, xy_mm: ArrayLike) -> FloatArray:
         xy = np.asarray(xy_mm, dtype=np.float64)
@@ -85,16 +99,7 @@ class SipDistortion(_SipPolynomials, DirectDistortion):
     array([[461.852,   0.   ]])
     """
 
-    @classmethod
-    def from_keywords(cls, keywords: Mapping[str, Any], pixel_from_mm: ArrayLike) -> Self:
-        """Return the model of keywords ``AP_3_0``, ``BP_0_2``... of a FITS header.
-
-        Raises
-        ------
-        CameraError
-            The keywords hold no such coefficients.
-        """
-        return cls.from_coefficients(pixel_from_mm, _keyed(keywords, "AP"), _keyed(keywords, "BP"))
+    KEYWORDS: ClassVar[tuple[str, str]] = ("AP", "BP")
 
     def distort(self, xy_mm: ArrayLike) -> FloatArray:
         """Return the point on the detector (..., 2) mm, of ideal coordinates (..., 2) mm."""
@@ -117,16 +122,7 @@ class ForwardSipDistortion(_SipPolynomials, InverseDistortion):
     Shupe et al. (2005), ADASS XIV, ASP Conf. Ser. 347, 491.
     """
 
-    @classmethod
-    def from_keywords(cls, keywords: Mapping[str, Any], pixel_from_mm: ArrayLike) -> Self:
-        """Return the model of keywords ``A_3_0``, ``B_0_2``... of a FITS header.
-
-        Raises
-        ------
-        CameraError
-            The keywords hold no such coefficients.
-        """
-        return cls.from_coefficients(pixel_from_mm, _keyed(keywords, "A"), _keyed(keywords, "B"))
+    KEYWORDS: ClassVar[tuple[str, str]] = ("A", "B")
 
     def undistort(self, xy_mm: ArrayLike) -> FloatArray:
         """Return the ideal coordinates (..., 2) mm, of points on the detector (..., 2) mm."""
