@@ -166,16 +166,15 @@ def _header(request: PictureRequest, mission: Mission, et: float, predicted: Flo
         predicted.T if names.quaternion_sense == "camera_to_j2000" else predicted
     )
     stamp = et - 0.5 * request.exposure_s if names.time_reference == "start" else et
-    cards: dict[str, Any] = {"RADESYS": "ICRS", "SIMULATE": True}
-    cards |= {keyword: _one(value) for keyword, value in names.required.items()} | dict(request.header)
-    for keyword, value in (
+    # The request's header holds what the mission requires, or no camera would have been found.
+    cards: dict[str, Any] = {"RADESYS": "ICRS", "SIMULATE": True, **request.header}
+    values = (
         (names.exposure_s, request.exposure_s / names.exposure_scale),
         (names.et, stamp),
         (names.utc, utc_from_et(stamp)),
         (names.sclk, sclk_from_et(mission.clock_id, et)),
-    ):
-        if keyword is not None:
-            cards[keyword] = value
+    )
+    cards |= {keyword: value for keyword, value in values if keyword is not None}
     for keywords, vector in (
         (names.quaternion, quaternion),
         (names.sun_position, sun.position_km),
@@ -184,11 +183,6 @@ def _header(request: PictureRequest, mission: Mission, et: float, predicted: Flo
         if keywords is not None:
             cards |= zip(keywords, vector.tolist(), strict=True)
     return cards
-
-
-def _one(value: Any) -> Any:
-    """Return the value, or the first of several that a mission file allows."""
-    return value[0] if isinstance(value, list | tuple) else value
 
 
 def _write_fits(

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.camera import Camera
 from opnav_workbench.scene import predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs, SessionState
-from opnav_workbench.starcenters import detect, identify
-from opnav_workbench.starcenters.identification import SURE
+from opnav_workbench.starcenters import Detections, Identification, detect, identify
+from opnav_workbench.starcenters.identification import DETECTED_PART, LIMIT_MARGIN_MAG, SURE, TOLERANCE_PX
 from opnav_workbench.starcenters.voting import move
 
 __all__ = ["FieldMatch", "identify_field"]
@@ -21,6 +22,8 @@ __all__ = ["FieldMatch", "identify_field"]
 DETECTION_SNR = 5.0
 # Less sure than this is a guess; a single star found by nearness and brightness reaches 0.3 to 0.6.
 MIN_CONFIDENCE = 0.25
+# So few leave no redundancy; that other stars are missing where they should be then speaks against them.
+FEW_PAIRS = 2
 # A body larger than this is not a point of the pattern, and its limb would add false detections.
 MAX_POINT_DIAMETER_PX = 3.0
 
@@ -78,7 +81,30 @@ def _from_pointing(context: Context, state: SessionState) -> FieldMatch:
 
 def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
     assert state.a_priori is not None
-    stars, camera, settings = state.a_priori, context.camera, context.settings
+    match, missing = _matched(context, inputs, state)
+    if match.confidence < MIN_CONFIDENCE:
+        return _nothing(state, match.message)
+    if _less(match.confidence, missing) < MIN_CONFIDENCE:
+        return _nothing(
+            state,
+            f"only {len(match.pairs)} could be matched, and {missing} stars bright enough are not where they "
+            "then should be",
+        )
+    camera = context.camera
+    expected = move(state.a_priori.pixel_line, camera.center_pixel_line, match.shift_px, match.twist_rad)
+    return FieldMatch(
+        found=True,
+        expected_px=expected,
+        visible=camera.on_detector(expected),
+        shift_px=match.shift_px,
+        radius_px=context.settings.search_radius_px,
+        messages=(match.message,) if match.confidence < SURE else (),
+    )
+
+
+def _matched(context: Context, inputs: Inputs, state: SessionState) -> tuple[Identification, int]:
+    """Match the pattern with the picture's detections; also how many stars speak against a match of few."""
+    camera, settings = context.camera, context.settings
     detections = detect(
         context.signal_dn,
         context.noise_dn,
@@ -97,17 +123,28 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         max_twist_rad=float(np.radians(settings.max_twist_deg)),
         zero_point_mag=_zero_point(context),
     )
-    if match.confidence < MIN_CONFIDENCE:
-        return _nothing(state, match.message)
-    expected = move(stars.pixel_line, camera.center_pixel_line, match.shift_px, match.twist_rad)
-    return FieldMatch(
-        found=True,
-        expected_px=expected,
-        visible=camera.on_detector(expected),
-        shift_px=match.shift_px,
-        radius_px=settings.search_radius_px,
-        messages=(match.message,) if match.confidence < SURE else (),
-    )
+    few = 0 < len(match.pairs) <= FEW_PAIRS
+    return match, _missing(camera, points, mags, detections, match) if few else 0
+
+
+def _missing(
+    camera: Camera, points: FloatArray, mags: FloatArray, detections: Detections, match: Identification
+) -> int:
+    """How many stars should be seen beside those that were matched, and are not."""
+    star, detection = match.pairs[np.argmax(detections.snr[match.pairs[:, 1]])]
+    # How much fainter than this one a star may be and still be detected.
+    reach = 2.5 * np.log10(max(float(detections.snr[detection]) / DETECTION_SNR, 1.0)) - LIMIT_MARGIN_MAG
+    places = move(points, camera.center_pixel_line, match.shift_px, match.twist_rad)
+    bright = (mags < mags[star] + reach) & camera.on_detector(places)
+    bright[match.pairs[:, 0]] = False
+    distance = np.hypot(*(places[:, None] - detections.pixel_line[None]).transpose(2, 0, 1)).min(axis=1)
+    return int(np.sum(bright & (distance > TOLERANCE_PX)))
+
+
+def _less(confidence: float, missing: int) -> float:
+    """Confidence after `missing` stars, each of which a right match misses with probability 1 - DETECTED_PART."""
+    odds = confidence / max(1.0 - confidence, np.finfo(float).tiny) * (1.0 - DETECTED_PART) ** missing
+    return odds / (1.0 + odds)
 
 
 def _zero_point(context: Context) -> float | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.catalog import StarTable
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import CatalogError, KernelError, SessionError
 from opnav_workbench.files import atomic_path, json_text
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.observables import Observable, observables_table
@@ -96,7 +96,7 @@ def load_session(path: Path, image: str | Path | None) -> SavedSession:
         )
         journal = tuple(JournalEntry(**item) for item in data["journal"])
         return SavedSession(context, source, _inputs(data["inputs"]), journal)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, CatalogError, KernelError) as error:
         raise SessionError(f"{path} is damaged ({error!r}); process the picture again.") from error
 
 
@@ -151,6 +151,7 @@ def _star_table(columns: Mapping[str, Any]) -> StarTable:
         for name, values in columns.items()
         if name != "motion_known"
     }
+    arrays["sigma"] = arrays["sigma"].reshape(-1, 5)  # with no star at all, JSON has forgotten the five
     return StarTable(**arrays, motion_known=np.array(columns["motion_known"], dtype=bool))
 
 

@@ -34,7 +34,8 @@ def _decided(decision: tuple[str, str], status: StarStatus, measured: bool) -> S
     verdict, reason = decision
     if verdict == REJECTED:
         return StarStatus("rejected", f"by the analyst: {reason}" if reason else "by the analyst")
-    if verdict == ACCEPTED and measured:
+    # What was fitted off the detector, at its edge, is no picture of that star.
+    if verdict == ACCEPTED and measured and status.status != "off_detector":
         return StarStatus("used", reason)
     return status
 

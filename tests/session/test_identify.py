@@ -72,10 +72,11 @@ def test_field_shifted_and_twisted(demo_truths, tmp_path, twist_deg):
     assert abs(np.degrees(session.state.pointing.delta_twist_rad)) == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(12))
 def test_another_field_is_never_identified(demo_truths, tmp_path, seed):
     """Random stars around the field, as many and as bright as there are: no pointing, and a message why."""
-    session = ImageSession.open(demo_truths[1].picture, MISSION)
+    picture = demo_truths[seed % 2].picture
+    session = ImageSession.open(picture, MISSION)
     real = session.inputs.stars
     random = np.random.default_rng(seed)
     np.savez(
@@ -84,8 +85,8 @@ def test_another_field_is_never_identified(demo_truths, tmp_path, seed):
         dec_deg=np.degrees(random.uniform(real.dec_rad.min(), real.dec_rad.max(), len(real))),
         mag=random.permutation(real.mag),
     )
-    session = ImageSession.open(demo_truths[1].picture, MISSION, catalog=f"npz:{tmp_path / 'random.npz'}")
-    assert session.predict().on_detector.sum() >= 3
+    session = ImageSession.open(picture, MISSION, catalog=f"npz:{tmp_path / 'random.npz'}")
+    assert session.predict().on_detector.sum() >= 2
     session.find_stars()
     assert session.state.centers is None
     with pytest.raises(SessionError, match="not identified"):

@@ -133,6 +133,14 @@ def _same_camera_other_noise(folder, demo_truths):
     return other
 
 
+def test_a_catalog_row_too_few(folder, tmp_path):
+    inputs = json.loads((folder / "session.json").read_text())["inputs"]
+    inputs["stars"]["mag"].pop()
+    with pytest.raises(SessionError, match=r"damaged.*mag") as caught:
+        ImageSession.resume(_spoil(folder, tmp_path, inputs=inputs))
+    _one_line(caught)
+
+
 def test_missing_picture(folder, tmp_path):
     with pytest.raises(SessionError, match=r"resume\(folder, image=PATH\)") as caught:
         ImageSession.resume(folder, image=tmp_path / "gone.fit")

