@@ -228,12 +228,12 @@ def test_take_keeps_columns_together(lorri):
     assert (part.pixel_line == predicted.pixel_line[[3, 1]]).all()
 
 
-# Diameters that Jackman et al. (AAS 16-083) print for these LORRI 1x1 pictures: 75.8 and 189.1 px.
-PAPER = [("2015-07-09T04:29:00", 75.8), ("2015-07-12T08:46:57", 189.1)]
+# Pluto's diameters in LORRI 1x1 on a straight line through the published closest approach, 13 695 km from Pluto.
+EPOCHS = [("2015-07-09T04:29:00", 75.8), ("2015-07-12T08:46:57", 189.1)]
 
 
-@pytest.mark.parametrize(("utc", "paper_px"), PAPER)
-def test_pluto_stands_where_spice_says_and_has_its_size(kernels, lorri, utc, paper_px):
+@pytest.mark.parametrize(("utc", "straight_line_px"), EPOCHS)
+def test_pluto_stands_where_spice_says_and_has_its_size(kernels, lorri, utc, straight_line_px):
     et = spiceypy.str2et(utc)
     attitude = np.array(spiceypy.pxform("J2000", "NH_LORRI_1X1", et))
     observer = observer_from_kernels(SPACECRAFT, et)
@@ -246,7 +246,7 @@ def test_pluto_stands_where_spice_says_and_has_its_size(kernels, lorri, utc, pap
     assert predicted.direction == pytest.approx(apparent / np.linalg.norm(apparent), abs=1e-13)
     assert predicted.range_km == pytest.approx(range_km, abs=1e-3)  # light time converges to 1e-3 km
     assert predicted.on_detector
-    assert predicted.diameter_px == pytest.approx(paper_px, abs=0.3)
+    assert predicted.diameter_px == pytest.approx(straight_line_px, abs=0.3)
     # The tangent cone; distortion where Pluto stands, off the center with Charon, stretches it by up to 7e-4.
     cone = 2.0 * FOCAL_MM * K_PX_MM * np.tan(np.arcsin(1188.3 / range_km))
     assert predicted.diameter_px == pytest.approx(cone, rel=1e-3)
@@ -256,7 +256,7 @@ def test_pluto_stands_where_spice_says_and_has_its_size(kernels, lorri, utc, pap
 
 
 def test_limb_surrounds_the_center_at_the_tangent_angle(kernels, lorri):
-    et = spiceypy.str2et(PAPER[1][0])
+    et = spiceypy.str2et(EPOCHS[1][0])
     attitude = np.array(spiceypy.pxform("J2000", "NH_LORRI_1X1", et))
     target = body_target("PLUTO", SPACECRAFT, et)
     predicted = predict_body(target, observer_from_kernels(SPACECRAFT, et), lorri, attitude)
@@ -270,7 +270,7 @@ def test_limb_surrounds_the_center_at_the_tangent_angle(kernels, lorri):
 
 
 def test_a_body_behind_the_camera_has_no_place(kernels, lorri):
-    et = spiceypy.str2et(PAPER[0][0])
+    et = spiceypy.str2et(EPOCHS[0][0])
     away = np.diag([1.0, -1.0, -1.0]) @ spiceypy.pxform("J2000", "NH_LORRI_1X1", et)
     target = body_target("PLUTO", SPACECRAFT, et)
     predicted = predict_body(target, observer_from_kernels(SPACECRAFT, et), lorri, away)
