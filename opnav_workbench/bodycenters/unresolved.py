@@ -42,6 +42,9 @@ SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.
 # A fit that leaves this many times the variance of the noise is not one of a star's image: a noise map that is
 # off by half gives 2.3, cosmic rays and disks much more.
 MAX_CHI2_REDUCED = 3.0
+# Where the frame's own stars already show a PSF that is no Gaussian (undersampled, smeared), a body may miss it by so many
+# times as much: it differs from the stars in colour, and has faint neighbours of its own (Proxima Centauri: 2.4 to 3.1).
+MAX_MISFIT_RATIO = 4.0
 # Neither is an image whose width or ellipticity leaves the frame's PSF by so many sigmas, and by so much.
 SHAPE_SIGMAS = 4.0
 SHAPE_DEVIATION = 0.3
@@ -257,13 +260,19 @@ def _doubts(fit: StarCenters, prior: ShapePrior, center: FloatArray, neighbours:
         doubts.append(f"SNR {snr:.1f} is below {CERTAIN_SNR:g}")
     if flags & SUSPICIOUS:
         doubts.append(describe_flags(flags & SUSPICIOUS))
-    if chi2 > MAX_CHI2_REDUCED or _strange_shape(fit, prior):
+    if _misfit(fit) > MAX_MISFIT_RATIO * fit.psf_error or _strange_shape(fit, prior):
         doubts.append(f"its image is not that of a star (reduced chi-squared {chi2:.1f})")
     distance = np.hypot(*(neighbours - center).T)
     near = distance[np.isfinite(distance) & (distance < NEIGHBOUR_PX)]
     if near.size:
         doubts.append(f"another object {near.min():.1f} px away may pull its center")
     return doubts
+
+
+def _misfit(fit: StarCenters) -> float:
+    """Part of the body's light that the PSF leaves unexplained, beyond the noise (compare `estimate_psf_error`)."""
+    excess = max(float(fit.chi2_reduced[0]) - MAX_CHI2_REDUCED, 0.0) * float(fit.degrees_of_freedom[0])
+    return float(np.sqrt(excess) / fit.snr[0])
 
 
 def _strange_shape(fit: StarCenters, prior: ShapePrior) -> bool:

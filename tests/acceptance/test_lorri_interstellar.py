@@ -151,6 +151,8 @@ def test_target_stars_are_where_they_were_published(targeted, met):
     name, pixel, line, s_pixel, s_line, _, _ = PUBLISHED[met]
     (body,) = targeted[met]["bodies"]
     assert body["name"] == name
+    assert body["status"] == "ok", body["messages"]
+    assert targeted[met]["status"] == ("ok" if met in PROXIMA else "partial")
     assert abs(body["observed"][0] - pixel) < 2.0 * s_pixel
     assert abs(body["observed"][1] - line) < 2.0 * s_line
 
