@@ -10,13 +10,11 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.catalog.priors import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["read_star_list"]
-
-RAD_PER_DEG = np.pi / 180.0
-RAD_PER_MAS = np.pi / (180.0 * 3.6e6)
 
 
 class _Star(BaseModel):

@@ -13,10 +13,9 @@ from opnav_workbench.cli.process import process
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.version import __version__
 
-__all__ = ["EXIT_BAD_INPUT", "EXIT_SOME_FAILED", "app", "main"]
+__all__ = ["EXIT_BAD_INPUT", "app", "main"]
 
 EXIT_BAD_INPUT = 2
-EXIT_SOME_FAILED = 3
 
 app = typer.Typer(
     name="opnav",

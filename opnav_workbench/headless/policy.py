@@ -18,13 +18,12 @@ from opnav_workbench.headless.decisions import Decisions
 from opnav_workbench.mission import Mission
 from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.report import write_summary
-from opnav_workbench.session import ATTITUDE_SOURCES, ImageSession, Settings
+from opnav_workbench.session import ATTITUDE_SOURCES, RESULT_FILE, ImageSession, Settings
 from opnav_workbench.spice import KernelSet
 
 __all__ = ["Outcome", "Policy", "process_image"]
 
 FIGURE_FILE = "summary.png"
-RESULT_FILE = "result.json"
 TRACEBACK_FILE = "traceback.txt"
 
 

@@ -19,8 +19,8 @@ from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.files import atomic_path
-from opnav_workbench.report.frame_view import Panels, panels_of
-from opnav_workbench.session import ImageSession
+from opnav_workbench.report.frame_view import STRIP_ASPECT, Panels, panels_of
+from opnav_workbench.session import MEASURED_STATUSES, ImageSession
 
 __all__ = ["summary_figure", "summary_png", "write_summary"]
 
@@ -177,7 +177,7 @@ def _star_places(session: ImageSession) -> FloatArray:
     stars = session.state.a_priori
     if stars is None:
         return np.empty((0, 2))
-    return session.context.camera.project(stars.directions @ session.camera_from_j2000.T)
+    return stars.places(session.context.camera, session.camera_from_j2000)
 
 
 def _observed(session: ImageSession) -> list[tuple[FloatArray, bool]]:
@@ -187,14 +187,14 @@ def _observed(session: ImageSession) -> list[tuple[FloatArray, bool]]:
     return [
         (center, status.status == "used")
         for center, status in zip(state.centers.pixel_line, state.status, strict=True)
-        if status.status in ("used", "rejected", "blended", "saturated")
+        if status.status in MEASURED_STATUSES
     ]
 
 
 def _draw_vectors(axes: Axes, session: ImageSession) -> None:
     n_line, n_pixel = session.context.frame.image_dn.shape
     axes.set(xlim=(-0.5, n_pixel - 0.5), ylim=(n_line - 0.5, -0.5), xlabel="pixel", ylabel="line")
-    if n_pixel / n_line < 4:
+    if n_pixel <= STRIP_ASPECT * n_line:
         axes.set_aspect("equal")
     pointing, stars = session.state.pointing, session.state.a_priori
     if pointing is None or stars is None or not pointing.used.any():

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-__all__ = ["Panels", "panels_of"]
+__all__ = ["STRIP_ASPECT", "Panels", "panels_of"]
 
 # A frame wider than this many times its height is shown as strips, one under the other.
 STRIP_ASPECT = 4.0

@@ -68,6 +68,10 @@ class StarPrediction:
         """Return some of the stars, by index or mask."""
         return StarPrediction(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def places(self, camera: Camera, camera_from_j2000: FloatArray) -> FloatArray:
+        """Return where the stars fall (n, 2), px, with another attitude than the one they were predicted with."""
+        return camera.project(self.directions @ camera_from_j2000.T)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyPrediction:

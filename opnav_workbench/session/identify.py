@@ -19,7 +19,7 @@ from opnav_workbench.starcenters.voting import move
 
 __all__ = ["FieldMatch", "identify_field"]
 
-DETECTION_SNR = 5.0
+DETECTION_SNR = 5.0  # lower than for blind detection: a false detection matches no pattern
 # Less sure than this is a guess; a single star found by nearness and brightness reaches 0.3 to 0.6.
 MIN_CONFIDENCE = 0.25
 # So few leave no redundancy; that other stars are missing where they should be then speaks against them.
@@ -69,7 +69,7 @@ def _from_pointing(context: Context, state: SessionState) -> FieldMatch:
     assert state.a_priori is not None
     assert state.pointing is not None
     pointing = state.pointing
-    expected = context.camera.project(state.a_priori.directions @ pointing.camera_from_j2000.T)
+    expected = state.a_priori.places(context.camera, pointing.camera_from_j2000)
     return FieldMatch(
         found=True,
         expected_px=expected,

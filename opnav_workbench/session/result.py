@@ -10,7 +10,7 @@ from opnav_workbench.observables import Observable
 from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.gather import InputSource
-from opnav_workbench.session.state import Inputs, SessionState
+from opnav_workbench.session.state import MEASURED_STATUSES, Inputs, SessionState
 from opnav_workbench.session.verdicts import has_center
 from opnav_workbench.spice import KernelSet
 from opnav_workbench.version import __version__
@@ -82,10 +82,10 @@ def _stars(context: Context, state: SessionState) -> list[dict[str, Any]]:
         return []
     predicted = stars.pixel_line
     if state.pointing is not None:
-        predicted = context.camera.project(stars.directions @ state.pointing.camera_from_j2000.T)
+        predicted = stars.places(context.camera, state.pointing.camera_from_j2000)
     rows, measured = [], has_center(state)
     for i in range(len(stars)):
-        seen = measured[i] and state.status[i].status in ("used", "rejected", "saturated", "blended")
+        seen = measured[i] and state.status[i].status in MEASURED_STATUSES
         observed = centers.pixel_line[i] if centers is not None and seen else None
         rows.append(
             {

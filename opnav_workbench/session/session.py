@@ -26,7 +26,7 @@ from opnav_workbench.session.result import result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import Inputs, SessionState
 
-__all__ = ["ImageSession"]
+__all__ = ["RESULT_FILE", "ImageSession"]
 
 Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
 

@@ -15,9 +15,10 @@ from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.scene import Observer, StarPrediction
 from opnav_workbench.starcenters import ShapePrior, StarCenters
 
-__all__ = ["STAR_STATUSES", "Inputs", "SessionState", "StarStatus", "skipped_topic"]
+__all__ = ["MEASURED_STATUSES", "Inputs", "SessionState", "StarStatus", "skipped_topic"]
 
-STAR_STATUSES = ("used", "rejected", "not_detected", "saturated", "off_detector", "blended")
+# Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
+MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -199,7 +199,7 @@ def _neighbours(context: Context, inputs: Inputs, state: SessionState, name: str
     ]
     stars = np.empty((0, 2))
     if state.a_priori is not None:
-        stars = context.camera.project(state.a_priori.directions @ rotation.T)
+        stars = state.a_priori.places(context.camera, rotation)
     return np.concatenate([np.reshape(others, (-1, 2)), stars])
 
 
