@@ -21,7 +21,8 @@ from opnav_workbench.spice import assignments as to
 from opnav_workbench.spice.guard import Request, spice_call
 from opnav_workbench.spice.kernels import KernelSet
 from opnav_workbench.spice.scenario import Scenario, load_scenario
-from opnav_workbench.spice.scenario_parts import AttitudeError, Body, Spacecraft
+from opnav_workbench.spice.scenario_parts import Body, Spacecraft
+from opnav_workbench.spice.scenario_pointing import AttitudeError
 from opnav_workbench.spice.steering import disturbed, window_attitudes
 from opnav_workbench.spice.text_kernels import metakernel_assignments, write_text_kernel
 from opnav_workbench.spice.trajectories import et_from_tdb, spk_segments, utc_to_et

@@ -19,12 +19,12 @@ from opnav_workbench.spice.scenario_parts import (
     FileStem,
     FixedFrame,
     Instrument,
-    Pointing,
     Spacecraft,
     Span,
     Strict,
-    Trajectory,
 )
+from opnav_workbench.spice.scenario_pointing import Pointing
+from opnav_workbench.spice.scenario_trajectories import Trajectory
 
 __all__ = ["Scenario", "load_scenario"]
 

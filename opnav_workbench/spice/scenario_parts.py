@@ -1,11 +1,10 @@
-"""The parts of a scenario file: spacecraft, clock, frames, cameras, bodies, trajectories and pointing plan.
+"""The parts of a scenario file: spacecraft, clock, frames, cameras and bodies.
 
 Calendar times are UTC; tables of states and orbit epochs are TDB unless they say otherwise.
 """
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -23,22 +22,19 @@ from pydantic import (
 from opnav_workbench.geometry.rotations import checked_rotation
 
 __all__ = [
-    "AttitudeError",
     "Body",
+    "BodyName",
     "BodyRef",
     "Clock",
     "FileStem",
     "FixedFrame",
+    "FrameName",
     "Instrument",
-    "KeplerOrbit",
-    "ModelOrbit",
-    "Pointing",
     "Spacecraft",
     "Span",
-    "StateTable",
     "Strict",
-    "Trajectory",
-    "Window",
+    "Tdb",
+    "Utc",
 ]
 
 FRAME_NAME_CHARS = 26  # SPICE: the pool variable FRAME_<name> has at most 32
@@ -78,7 +74,6 @@ BodyName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9][A-Z0-9_ +./-]*$"
 FileStem = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
 Keyword = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_/]*$", max_length=22)]
 BodyRef = int | str  # a NAIF id, or a name of this scenario
-Row = tuple[Tdb, float, float, float, float, float, float]
 
 
 class Strict(BaseModel):
@@ -191,89 +186,3 @@ class Body(Strict):
         if any(given) and not all(given):
             raise ValueError("pole_ra_deg, pole_dec_deg and prime_meridian_deg belong together: give all")
         return self
-
-
-class _Trajectory(Strict):
-    target: BodyRef
-    center: BodyRef
-    source: str
-    frame: FrameName = "J2000"
-
-
-class StateTable(_Trajectory):
-    """States at epochs, between which SPICE interpolates."""
-
-    kind: Literal["states"]
-    time_scale: Literal["TDB", "UTC"] = "TDB"
-    rows: Annotated[tuple[Row, ...], Field(min_length=2)]  # epoch, km, km/s
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        for i, (a, b) in enumerate(pairwise(row[0] for row in self.rows)):
-            if b <= a:
-                raise ValueError(f"rows.{i + 1}: {b.isoformat()} is not after {a.isoformat()}")
-        return self
-
-
-class KeplerOrbit(_Trajectory):
-    """An unperturbed orbit, tabulated over the span."""
-
-    kind: Literal["kepler"]
-    epoch: Tdb
-    gm_km3_s2: PositiveFloat
-    periapsis_km: PositiveFloat
-    eccentricity: Annotated[float, Field(ge=0.0)]
-    inclination_deg: float
-    node_deg: float
-    argument_deg: float
-    mean_anomaly_deg: float
-    step_s: PositiveFloat | None = None  # none: fine enough for interpolation to 1e-6 of the periapsis
-
-
-class ModelOrbit(_Trajectory):
-    """The Sun or the Earth about the Solar System barycenter: the series of `erfa.epv00`, good to 14 km."""
-
-    kind: Literal["epv00"]
-    target: Literal[10, 399]
-    center: Literal[0] = 0
-    source: str = "ERFA epv00 (Simon et al. series)"
-
-
-Trajectory = Annotated[StateTable | KeplerOrbit | ModelOrbit, Field(discriminator="kind")]
-
-
-class Window(Strict):
-    """A time during which the camera is held on something: targets, or a fixed direction."""
-
-    start: Utc
-    end: Utc
-    step_s: PositiveFloat = 600.0
-    track: tuple[BodyRef, ...] = ()  # several: the middle of their directions
-    ra_deg: float | None = None
-    dec_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
-    twist_deg: float = 0.0  # position angle of increasing line, east of J2000 north
-    offset_px: tuple[float, float] = (0.0, 0.0)  # pixel, line of what is tracked, from the boresight
-
-    @model_validator(mode="after")
-    def _one_aim(self) -> Self:
-        if self.end <= self.start:
-            raise ValueError(f"end {self.end.isoformat()} is not after start {self.start.isoformat()}")
-        fixed = self.ra_deg is not None and self.dec_deg is not None
-        if fixed == bool(self.track) or (self.ra_deg is None) != (self.dec_deg is None):
-            raise ValueError("give either track or both of ra_deg and dec_deg")
-        return self
-
-
-class AttitudeError(Strict):
-    """How the flown attitude differs from the predicted one; see `delta_pixel, delta_line, delta_twist`."""
-
-    shift_px: tuple[float, float] = (0.0, 0.0)  # where the boresight's sky moves on the detector
-    twist_deg: float = 0.0
-
-
-class Pointing(Strict):
-    """The plan for one camera; what carries it follows."""
-
-    instrument: BodyName
-    windows: Annotated[tuple[Window, ...], Field(min_length=1)]
-    actual: AttitudeError | None = None

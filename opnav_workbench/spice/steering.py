@@ -18,7 +18,7 @@ from opnav_workbench.geometry.rotations import (
     unit_from_radec,
 )
 from opnav_workbench.spice.scenario import Scenario
-from opnav_workbench.spice.scenario_parts import AttitudeError, Window
+from opnav_workbench.spice.scenario_pointing import AttitudeError, Window
 from opnav_workbench.spice.states import state
 from opnav_workbench.spice.trajectories import utc_to_et
 

@@ -11,7 +11,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import MissionError
 from opnav_workbench.spice.guard import spice_call
 from opnav_workbench.spice.scenario import Scenario
-from opnav_workbench.spice.scenario_parts import KeplerOrbit, ModelOrbit, StateTable
+from opnav_workbench.spice.scenario_trajectories import KeplerOrbit, ModelOrbit, StateTable
 from opnav_workbench.spice.time import et_from_utc
 from opnav_workbench.spice.writing import SpkSegment
 
