@@ -18,11 +18,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
 from opnav_workbench.bodies import TargetState, linear_phase_magnitude
 from opnav_workbench.camera import Camera
-from opnav_workbench.camera.loading import read_model
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.geometry import angle_between
 from opnav_workbench.image.keywords import KeywordMap
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.yaml_file import read_model
 
 __all__ = ["CameraChoice", "Mission", "Photometry", "load_mission", "mission_names"]
 

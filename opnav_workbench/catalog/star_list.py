@@ -6,13 +6,13 @@ Used for stars that are themselves targets, such as Proxima Centauri seen from N
 from pathlib import Path
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog.priors import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.yaml_file import read_model
 
 __all__ = ["read_star_list"]
 
@@ -61,21 +61,7 @@ def read_star_list(path: str | Path) -> StarTable:
     CatalogError
         The file is missing, is not YAML, or a value is absent or out of range (named).
     """
-    file = Path(path)
-    try:
-        data = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise CatalogError(
-            f"cannot read the star list {file}: {error}. Give a YAML file of stars."
-        ) from error
-    except yaml.YAMLError as error:
-        raise CatalogError(f"{file.name} is not YAML: {' '.join(str(error).split())}") from error
-    try:
-        return _table(_StarList.model_validate(data).stars)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise CatalogError(f"{file.name}: {where}: {first['msg']}; mend that value.") from error
+    return _table(read_model(path, _StarList, "star list", CatalogError).stars)
 
 
 def _table(stars: list[_Star]) -> StarTable:

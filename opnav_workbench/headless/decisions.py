@@ -12,11 +12,11 @@
 
 from pathlib import Path
 
-import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
+from opnav_workbench.yaml_file import read_model
 
 __all__ = ["Decisions", "load_decisions"]
 
@@ -68,14 +68,4 @@ def load_decisions(path: str | Path) -> Decisions:
     SessionError
         The file is missing, is not YAML, or breaks the layout (the place is named).
     """
-    file = Path(path)
-    try:
-        data = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
-        return Decisions.model_validate(data)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        message = " ".join(str(error).split())
-        raise SessionError(f"cannot read the decisions file {file}: {message}.") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "the file"
-        raise SessionError(f"{file.name}: {where}: {first['msg']}; mend that entry.") from error
+    return read_model(path, Decisions, "decisions file", SessionError)

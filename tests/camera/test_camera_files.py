@@ -91,23 +91,23 @@ def test_every_distortion_can_be_written(tmp_path, distortion, kind):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (changed("optics", "focal_length_mm"), "optics.focal_length_mm: Field required"),
+        (changed("optics", "focal_length_mm"), "optics.focal_length_mm: this field is required"),
         (changed("optics", "focal_length_mm", value=-5), "optics.focal_length_mm: .*greater than 0"),
         (changed("optics", "focal_length_mm", value=float("inf")), "optics.focal_length_mm: .*finite"),
         (changed("detector", "n_pixel", value="many"), "detector.n_pixel: .*integer"),
-        (changed("detector", "full_well_e", value=1e5), "detector.full_well_e: Extra inputs"),
+        (changed("detector", "full_well_e", value=1e5), "detector.full_well_e: unknown field"),
         (changed("optics", "distortion", value={"model": "fisheye"}), "optics.distortion: .*fisheye"),
         (
             changed("optics", "distortion", value={"model": "owen", "e2": 1}),
-            "optics.distortion.owen.e2: Extra",
+            "optics.distortion.e2: unknown",
         ),
-        (changed("optics", "pixel_from_mm", value=[[1, 2]]), "optics.pixel_from_mm.1: Field required"),
+        (changed("optics", "pixel_from_mm", value=[[1, 2]]), "optics.pixel_from_mm.1: this field is required"),
         (
             changed("optics", "focal_from_camera", value=[[1, 0, 0], [1, 0, 0], [0, 0, 1]]),
             "orthogonal unit rows",
         ),
         (changed("detector", "exposure_max_s", value=1e-4), "exposure limits 0.001..0.0001 s"),
-        ("just a text", "whole file: .*valid dictionary"),
+        ("just a text", "the file: fields with values"),
         ("name: [unclosed", "is not YAML"),
     ],
 )
@@ -118,7 +118,7 @@ def test_errors_name_file_and_field(tmp_path, data, message):
 
 
 def test_errors_of_the_schema_name_the_file(tmp_path):
-    with pytest.raises(CameraError, match=r"camera\.yaml: optics"):
+    with pytest.raises(CameraError, match=r"camera\.yaml: line \d+: optics"):
         Camera.from_yaml(write(tmp_path, changed("optics")))
 
 

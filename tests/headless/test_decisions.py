@@ -91,7 +91,7 @@ def test_an_empty_file_decides_nothing(tmp_path, text):
     ],
 )
 def test_a_broken_layout_names_the_place(tmp_path, text, named):
-    with pytest.raises(SessionError, match=rf"decisions\.yaml: {named}: .*mend that entry") as caught:
+    with pytest.raises(SessionError, match=rf"decisions\.yaml: line 1: {named}: ") as caught:
         load_decisions(_file(tmp_path, text))
     assert "\n" not in str(caught.value)
 
@@ -100,14 +100,14 @@ def test_a_broken_layout_names_the_place(tmp_path, text, named):
 def test_what_is_not_yaml(tmp_path, content):
     path = tmp_path / "decisions.yaml"
     path.write_bytes(content)
-    with pytest.raises(SessionError, match="cannot read the decisions file") as caught:
+    with pytest.raises(SessionError, match=r"decisions file .* (cannot be read|is not YAML)") as caught:
         load_decisions(path)
     assert "\n" not in str(caught.value)
 
 
 def test_yaml_cannot_make_objects(tmp_path):
     path = _file(tmp_path, "images: !!python/object/apply:os.getcwd []")
-    with pytest.raises(SessionError, match="cannot read"):
+    with pytest.raises(SessionError, match="is not YAML"):
         load_decisions(path)
 
 

@@ -1,0 +1,203 @@
+"""YAML files into validated models, with errors that name the file, the line, the field and what is allowed."""
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from opnav_workbench.errors import OpNavError
+
+__all__ = ["check_model", "read_model"]
+
+ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
+FIELDS_SHOWN = 12  # a longer list of allowed fields is no help in one line
+
+Model = TypeVar("Model", bound=BaseModel)
+Location = tuple[int | str, ...]
+
+
+def read_model(path: str | PathLike[str], model: type[Model], what: str, failure: type[OpNavError]) -> Model:
+    """Read a YAML file into a pydantic model.
+
+    Parameters
+    ----------
+    path : path-like
+    model : type
+        The schema.
+    what : str
+        What kind of file this is, for the message, such as "camera file".
+    failure : type
+        The error to raise.
+
+    Raises
+    ------
+    OpNavError
+        Of type `failure`: the file cannot be read, is not YAML, names a key twice or breaks the schema; the message
+        has the line, the field and what may stand there.
+    """
+    label = f"{what} {path}"
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise failure(f"{label} cannot be read: {error}; give the path of a YAML file.") from error
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise failure(f"{label} is not YAML: {' '.join(str(error).split())}") from error
+    for line, key in _keys_given_twice(node):
+        raise failure(f"{label}: line {line}: {key} is given twice; keep one of them.")
+    return _validated(content, model, label, failure, node)
+
+
+def check_model(
+    content: Mapping[str, Any], model: type[Model], what: str, failure: type[OpNavError]
+) -> Model:
+    """Check a mapping against a pydantic model; the message is that of `read_model`, without a line.
+
+    Examples
+    --------
+    >>> from opnav_workbench.errors import MissionError
+    >>> class Size(BaseModel, extra="forbid"):
+    ...     width: int
+    >>> check_model({"width": 2}, Size, "size", MissionError)
+    Size(width=2)
+    >>> check_model({"width": 2, "widht": 3}, Size, "size", MissionError)
+    Traceback (most recent call last):
+    opnav_workbench.errors.MissionError: size: widht: unknown field, did you mean width?
+    """
+    return _validated(content, model, what, failure, None)
+
+
+def _validated(
+    content: Any, model: type[Model], label: str, failure: type[OpNavError], node: yaml.Node | None
+) -> Model:
+    try:
+        return model.model_validate({} if content is None else content)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        shown = [_text(problem, model, content, node) for problem in problems[:ERRORS_SHOWN]]
+        more = [f"and {len(problems) - len(shown)} more"] if len(problems) > len(shown) else []
+        raise failure(f"{label}: {'; '.join(shown + more)}") from error
+
+
+def _text(problem: Mapping[str, Any], model: type[BaseModel], content: Any, node: yaml.Node | None) -> str:
+    place = _place(problem["loc"], content, missing=problem["type"] == "missing")
+    field = ".".join(str(part) for part in place)
+    message = str(problem["msg"]).removeprefix("Value error, ")
+    if problem["type"] == "extra_forbidden":
+        message = f"unknown field, {_remedy(str(place[-1]), _allowed(model, problem['loc'][:-1]))}"
+    elif problem["type"] == "missing":
+        message = "this field is required"
+    elif problem["type"] == "model_type":
+        message = "fields with values are expected here"
+    line = "" if node is None else f"line {_line(node, place)}: "
+    return f"{line}{field or 'the file'}: {message}"
+
+
+def _place(location: Location, content: Any, *, missing: bool) -> Location:
+    """Return a location without the names of union members that pydantic inserts: they are no fields of the file."""
+    place: list[int | str] = []
+    for i, part in enumerate(location):
+        inside = (isinstance(content, Mapping) and part in content) or (
+            isinstance(content, Sequence) and isinstance(part, int) and part < len(content)
+        )
+        if inside:
+            content = content[part]
+            place.append(part)
+        elif missing and i == len(location) - 1:
+            place.append(part)
+    return tuple(place)
+
+
+def _line(node: yaml.Node, place: Location) -> int:
+    """Return the line (from 1) of a field, or of the innermost part of the file that there is of it."""
+    line = node.start_mark.line
+    for part in place:
+        found = _child(node, part)
+        if found is None:
+            break
+        line, node = found
+    return line + 1
+
+
+def _child(node: yaml.Node, part: int | str) -> tuple[int, yaml.Node] | None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value == str(part):
+                return key.start_mark.line, value
+    elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+        return node.value[part].start_mark.line, node.value[part]
+    return None
+
+
+def _keys_given_twice(node: yaml.Node | None) -> Iterator[tuple[int, str]]:
+    if isinstance(node, yaml.SequenceNode):
+        for item in node.value:
+            yield from _keys_given_twice(item)
+    elif isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value != "<<":  # merges may repeat
+                if key.value in seen:
+                    yield key.start_mark.line + 1, key.value
+                seen.add(key.value)
+            yield from _keys_given_twice(value)
+
+
+def _remedy(given: str, allowed: Sequence[str]) -> str:
+    close = difflib.get_close_matches(given, allowed, n=1)
+    if close:
+        return f"did you mean {close[0]}?"
+    if not allowed:
+        return "remove it"
+    more = ", ..." if len(allowed) > FIELDS_SHOWN else ""
+    return f"allowed are {', '.join(allowed[:FIELDS_SHOWN])}{more}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Types:
+    """The models that may stand at one place of a file."""
+
+    models: tuple[type[BaseModel], ...]
+    annotations: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, annotations: Iterable[Any]) -> "_Types":
+        kept = tuple(annotations)
+        return cls(tuple(m for a in kept for m in _models(a)), kept)
+
+    def field(self, name: int | str) -> "_Types":
+        if isinstance(name, int):  # an element of a list: the same models serve
+            return self
+        known = [m.model_fields[name].annotation for m in self.models if name in m.model_fields]
+        if known:
+            return _Types.of(known)
+        tagged = [
+            m for m in self.models if any(name in _literals(f.annotation) for f in m.model_fields.values())
+        ]
+        return _Types.of(tagged) if tagged else self  # a free key of a mapping: its values' models serve
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    else:
+        for argument in get_args(annotation):
+            yield from _models(argument)
+
+
+def _literals(annotation: Any) -> tuple[Any, ...]:
+    return get_args(annotation) if get_origin(annotation) is Literal else ()
+
+
+def _allowed(model: type[BaseModel], location: Location) -> list[str]:
+    types = _Types.of((model,))
+    for part in location:
+        types = types.field(part)
+    return list(dict.fromkeys(name for m in types.models for name in m.model_fields))
