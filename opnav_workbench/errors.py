@@ -8,6 +8,7 @@ __all__ = [
     "CameraError",
     "CatalogError",
     "CenterfindingError",
+    "DownloadError",
     "ImageError",
     "KernelError",
     "MissionError",
@@ -35,6 +36,10 @@ class CatalogError(OpNavError):
 
 class ImageError(OpNavError):
     """A picture file that cannot be read or does not hold a usable picture."""
+
+
+class DownloadError(OpNavError):
+    """A file that cannot be fetched, or that is not the one it should be."""
 
 
 class MissionError(OpNavError):

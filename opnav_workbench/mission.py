@@ -13,13 +13,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
-from opnav_workbench.bodies import TargetState, linear_phase_magnitude
+from opnav_workbench.bodies import Photometry, TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.geometry import angle_between
 from opnav_workbench.image.keywords import KeywordMap
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.yaml_file import read_model
@@ -40,13 +38,6 @@ class _Strict(BaseModel):
 class _Spacecraft(_Strict):
     name: str
     id: int
-
-
-class Photometry(_Strict):
-    """Brightness of a target: V at 1 au from Sun and observer at phase 0, and its slope with phase."""
-
-    absolute_mag: float
-    slope_mag_deg: float = 0.0
 
 
 class _CameraEntry(_Strict):
@@ -142,14 +133,24 @@ class Mission:
     def with_magnitude(self, target: TargetState) -> TargetState:
         """Return `target` with the magnitude seen from the spacecraft, where the mission file knows it."""
         law = self.target_photometry.get(target.name)
-        if law is None or target.sun_position_km is None:
-            return target
-        sun_km = float(np.linalg.norm(target.sun_position_km))
-        phase = float(angle_between(target.sun_position_km, -target.position_km))
-        magnitude = linear_phase_magnitude(
-            law.absolute_mag, law.slope_mag_deg, sun_km, target.range_km, phase
+        magnitude = None if law is None else law.of(target)
+        return target if magnitude is None else replace(target, magnitude=magnitude)
+
+    def camera_named(self, name: str) -> Camera:
+        """Return a camera by the stem of its file (``lorri_4x4``) or by its name (``LORRI 4x4``), in any case.
+
+        Raises
+        ------
+        CameraError
+            The mission has no such camera (all are listed).
+        """
+        for choice in self.cameras:
+            camera = Camera.from_yaml(choice.file)
+            if name.casefold() in (choice.file.stem.casefold(), camera.name.casefold()):
+                return camera
+        raise CameraError(
+            f"mission {self.name} has no camera {name!r}; it has {', '.join(self.camera_names)}."
         )
-        return replace(target, magnitude=magnitude)
 
     def camera_for(self, header: Mapping[str, Any]) -> Camera:
         """Return the camera that took a picture: the first whose keywords fit.

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from opnav_workbench.errors import OpNavError
 
-__all__ = ["check_model", "read_model"]
+__all__ = ["Location", "check_model", "line_of", "read_model"]
 
 ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
 FIELDS_SHOWN = 12  # a longer list of allowed fields is no help in one line
@@ -72,6 +72,15 @@ def check_model(
     opnav_workbench.errors.MissionError: size: widht: unknown field, did you mean width?
     """
     return _validated(content, model, what, failure, None)
+
+
+def line_of(path: str | PathLike[str], location: Location) -> int:
+    """Return the line (from 1) of a field in a YAML file that `read_model` has read.
+
+    For errors that only show when the content is used; a field that is not in the file has the line of the innermost
+    part that is.
+    """
+    return _line(yaml.compose(Path(path).read_text(encoding="utf-8"), Loader=yaml.SafeLoader), location)
 
 
 def _validated(

@@ -3,8 +3,10 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from opnav_workbench.catalog.ucac4 import UCAC4_RECORD
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
@@ -41,3 +43,30 @@ def demo_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Truth]
     with KernelSet(DEMO_KERNELS):
         lorri, mvic = (simulate_picture(r, mission, DEMO_CATALOG, folder) for r in DEMO_PICTURES)
     return lorri, mvic
+
+
+@pytest.fixture(scope="session")
+def ucac4_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """UCAC4 zones 449 to 453 (dec -0.4 to +0.6 deg), written by the documented layout, as dense as the real zone 451."""
+    folder = tmp_path_factory.mktemp("ucac4")
+    (folder / "u4b").mkdir()
+    rng = np.random.default_rng(451)
+    for zone in range(449, 454):
+        n = 133_410
+        stars = np.zeros(n, dtype=UCAC4_RECORD)
+        stars["ra"] = np.sort(rng.integers(0, 1_296_000_000, n))
+        stars["spd"] = rng.integers((zone - 1) * 720_000, zone * 720_000, n)
+        stars["maga"] = rng.integers(8_000, 16_500, n)
+        stars["magm"], stars["sigmag"] = stars["maga"] + rng.integers(-50, 50, n), rng.integers(1, 40, n)
+        stars["sigra"], stars["sigdc"] = rng.integers(-127, 127, n), rng.integers(-127, 127, n)
+        stars["na1"] = stars["nu1"] = 2
+        stars["cep"] = rng.integers(9_000, 10_200, (n, 2))
+        stars["pm"], stars["sigpm"] = rng.integers(-3000, 3000, (n, 2)), rng.integers(-118, 122, (n, 2))
+        stars["jhk"] = stars["maga"][:, None] - rng.integers(500, 2_500, (n, 3))
+        apass = rng.random(n)[:, None] < 0.45  # as many as in the real catalog
+        stars["apasm"] = np.where(apass, stars["maga"][:, None] + rng.integers(-500, 1_500, (n, 5)), 20_000)
+        stars["apase"] = np.where(apass, rng.integers(1, 20, (n, 5)), 99)
+        stars["apase"][rng.random(n) < 0.02, :2] = 0  # bright stars: Tycho magnitudes
+        stars["rnm"] = zone * 1_000_000 + np.arange(n)
+        stars.tofile(folder / "u4b" / f"z{zone:03d}")
+    return folder

@@ -10,11 +10,14 @@ from opnav_workbench.camera.distortion import (
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.polynomial import ForwardSipDistortion, LegendreDistortion, SipDistortion
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
 
 __all__ = [
+    "UNKNOWN_COLOR",
     "AttitudeSigma",
     "BrownDistortion",
     "Camera",
+    "CameraResponse",
     "Distortion",
     "ExposureLimits",
     "ForwardSipDistortion",

@@ -5,6 +5,7 @@ and the files under ``kernels_meta/<mission>/cameras`` are its examples. A numbe
 """
 
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from opnav_workbench.camera.schema import CameraFile
@@ -24,6 +25,6 @@ def camera_fields(path: str | PathLike[str]) -> dict[str, Any]:
     """
     file = read_model(path, CameraFile, "camera file", CameraError)
     try:
-        return file.fields()
+        return file.fields(Path(path).parent)
     except CameraError as error:
         raise CameraError(f"camera file {path}: {error}") from error

@@ -21,8 +21,9 @@ from opnav_workbench.arrays import BoolArray, FloatArray, readonly
 from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2
 from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
 from opnav_workbench.camera.loading import camera_fields
-from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.camera.priors import AttitudeSigma
 from opnav_workbench.camera.reach import reach_mm
+from opnav_workbench.camera.response import CameraResponse
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry.rotations import checked_rotation, unit
 
@@ -30,13 +31,13 @@ __all__ = ["Camera"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Camera:
+class Camera(CameraResponse):
     """A frame camera in one readout mode. Every array is read-only.
 
     Attributes
     ----------
-    name : str
-        Camera and mode, such as ``LORRI 4x4``.
+    name, psf, gain_e_per_dn, zero_point_mag ...
+        What it makes of light: see `opnav_workbench.camera.response.CameraResponse`.
     frame : str
         The instrument's SPICE frame, in which directions are given.
     instrument_id : int
@@ -52,22 +53,8 @@ class Camera:
         Rows: increasing pixel, increasing line, boresight; unit vectors in the camera's SPICE frame.
     distortion : Distortion
         Acts on mm, between gnomonic projection and `pixel_from_mm`.
-    psf : PsfPrior
-        Width of the point spread function before pixel integration.
     attitude_sigma : AttitudeSigma
         One-sigma errors of the a priori attitude.
-    bits : int or None
-        Bits of the analog-digital converter. None, here and below: not known, see `require`.
-    gain_e_per_dn, read_noise_dn : float or None
-        Electrons per data number, and read noise in data numbers.
-    saturation_dn : float or None
-        Level (after bias subtraction) from which a pixel counts as saturated.
-    zero_point_mag : float or None
-        V magnitude of a star that gives 1 DN/s.
-    aperture_m : float or None
-        Diameter of the entrance pupil.
-    exposure_limits : ExposureLimits or None
-        Shortest and longest exposure, s.
     source : str
         Where the values come from.
 
@@ -88,7 +75,6 @@ class Camera:
     array([[0.001, 0.   , 1.   ]])
     """
 
-    name: str
     frame: str
     instrument_id: int
     n_pixel: int
@@ -98,21 +84,14 @@ class Camera:
     pixel_from_mm: FloatArray
     focal_from_camera: FloatArray
     distortion: Distortion = field(default_factory=NoDistortion)
-    psf: PsfPrior = field(default_factory=PsfPrior)
     attitude_sigma: AttitudeSigma = field(default_factory=AttitudeSigma)
-    bits: int | None = None
-    gain_e_per_dn: float | None = None
-    read_noise_dn: float | None = None
-    saturation_dn: float | None = None
-    zero_point_mag: float | None = None
-    aperture_m: float | None = None
-    exposure_limits: ExposureLimits | None = None
     source: str = ""
     _reach_mm: float = field(
         init=False, repr=False, default=np.inf
     )  # ideal radius up to which distortion holds
 
     def __post_init__(self) -> None:
+        CameraResponse.__post_init__(self)  # super() does not find its class in one with slots
         self._set_array("center_pixel_line", (2,))
         self._set_array("pixel_from_mm", (2, 2))
         self._set_array("focal_from_camera", (3, 3))
@@ -179,21 +158,6 @@ class Camera:
             The variables do not determine a camera; the message says which are missing.
         """
         return cls(**camera_fields_from_ik(values, instrument_id, **overrides))
-
-    def require(self, name: str) -> float:
-        """Return a number that not every camera file knows, such as ``gain_e_per_dn``.
-
-        Raises
-        ------
-        CameraError
-            It is not known.
-        """
-        value = getattr(self, name)
-        if value is None:
-            raise CameraError(
-                f"{self.name}: {name} is not known but needed here; give it in the camera file."
-            )
-        return float(value)
 
     @property
     def boresight(self) -> FloatArray:

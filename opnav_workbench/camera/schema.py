@@ -1,5 +1,6 @@
 """The schema of camera files: what each field is called, its unit, and what values it may take."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,11 +10,15 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion, OwenDistortion
 from opnav_workbench.camera.polynomial import ForwardSipDistortion, LegendreDistortion, SipDistortion
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.photometry import Bandpass, ColorResponse
+from opnav_workbench.psf.schema import AnyPsf
 
 __all__ = ["CameraFile"]
 
 Pair = tuple[float, float]
 Vector3 = tuple[float, float, float]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Terms = Annotated[tuple[float, ...], Field(min_length=20, max_length=20)]
 
 
@@ -114,6 +119,7 @@ AnyDistortion = Annotated[
 class _Optics(_Strict):
     focal_length_mm: PositiveFloat
     aperture_m: PositiveFloat | None = None
+    obscuration: Share = 0.0
     pixel_from_mm: tuple[Pair, Pair]
     focal_from_camera: tuple[Vector3, Vector3, Vector3]
     distortion: AnyDistortion
@@ -125,9 +131,16 @@ class _Detector(_Strict):
     center_pixel_line: Pair
     bits: PositiveInt | None = None
     gain_e_per_dn: PositiveFloat | None = None
-    read_noise_dn: Annotated[float, Field(ge=0.0)] | None = None
+    read_noise_dn: NotNegative | None = None
     saturation_dn: PositiveFloat | None = None
-    exposure_min_s: Annotated[float, Field(ge=0.0)] | None = None
+    bias_dn: NotNegative | None = None
+    full_well_e: PositiveFloat | None = None
+    dark_current_e_s: NotNegative | None = None
+    frame_transfer_s: NotNegative | None = None
+    prnu: Share | None = None
+    hot_pixel_fraction: Share | None = None
+    dead_pixel_fraction: Share | None = None
+    exposure_min_s: NotNegative | None = None
     exposure_max_s: PositiveFloat | None = None
 
     def exposure_limits(self) -> ExposureLimits | None:
@@ -136,13 +149,39 @@ class _Detector(_Strict):
         return ExposureLimits(self.exposure_min_s, self.exposure_max_s)
 
 
+class _Bandpass(_Strict):
+    """A curve of electrons per photon; with a peak, the curve gives its shape only."""
+
+    wavelength_nm: Annotated[tuple[float, ...], Field(min_length=2)]
+    response: Annotated[tuple[NotNegative, ...], Field(min_length=2)]
+    peak: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+
+    def build(self) -> Bandpass:
+        curve = Bandpass(np.array(self.wavelength_nm), np.array(self.response))
+        return curve if self.peak is None else curve.scaled_to(self.peak)
+
+
+class _Color(_Strict):
+    slope_mag_per_bv: float
+    sigma_mag: PositiveFloat
+    reference_b_v: float = 0.0
+    curvature_mag_per_bv2: float = 0.0
+
+    def build(self) -> ColorResponse:
+        return ColorResponse(**self.model_dump())
+
+
 class _Photometry(_Strict):
     zero_point_mag: float | None = None
+    zero_point_b_v: float = 0.0
+    bandpass: _Bandpass | None = None
+    color: _Color | None = None
 
 
 class _Psf(_Strict):
     sigma_px: PositiveFloat
     sigma_sigma_px: PositiveFloat
+    model: AnyPsf | None = None
 
 
 class _Attitude(_Strict):
@@ -163,21 +202,27 @@ class CameraFile(_Strict):
     photometry: _Photometry = _Photometry()
     attitude_sigma: _Attitude
 
-    def fields(self) -> dict[str, Any]:
-        """Return the fields of `opnav_workbench.camera.Camera`."""
+    def fields(self, folder: Path) -> dict[str, Any]:
+        """Return the fields of `opnav_workbench.camera.Camera`; file names are relative to `folder`."""
+        photometry = self.photometry
         optics, detector = self.optics, self.detector
         matrix = np.array(optics.pixel_from_mm)
         copied: tuple[tuple[BaseModel, tuple[str, ...]], ...] = (
             (self, ("name", "frame", "instrument_id", "source")),
-            (optics, ("focal_length_mm", "aperture_m", "pixel_from_mm", "focal_from_camera")),
+            (optics, ("focal_length_mm", "aperture_m", "obscuration", "pixel_from_mm", "focal_from_camera")),
             (detector, ("n_pixel", "n_line", "center_pixel_line", "bits")),
-            (detector, ("gain_e_per_dn", "read_noise_dn", "saturation_dn")),
-            (self.photometry, ("zero_point_mag",)),
+            (detector, ("gain_e_per_dn", "read_noise_dn", "saturation_dn", "bias_dn", "full_well_e")),
+            (detector, ("dark_current_e_s", "frame_transfer_s")),
+            (detector, ("prnu", "hot_pixel_fraction", "dead_pixel_fraction")),
+            (photometry, ("zero_point_mag", "zero_point_b_v")),
         )
         values = {name: getattr(part, name) for part, names in copied for name in names}
         return values | {
             "distortion": optics.distortion.build(optics.focal_length_mm, matrix),
             "psf": PsfPrior(self.psf.sigma_px, self.psf.sigma_sigma_px),
+            "psf_shape": None if self.psf.model is None else self.psf.model.build(folder),
+            "bandpass": None if photometry.bandpass is None else photometry.bandpass.build(),
+            "color_response": None if photometry.color is None else photometry.color.build(),
             "attitude_sigma": AttitudeSigma(self.attitude_sigma.cross_px, self.attitude_sigma.twist_deg),
             "exposure_limits": detector.exposure_limits(),
         }

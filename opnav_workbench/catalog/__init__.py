@@ -10,17 +10,22 @@ status          what is available here
 
 from opnav_workbench.catalog.indexed import Catalog
 from opnav_workbench.catalog.priors import UNKNOWN_MOTION_MAS_YR
+from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.specs import open_catalog
 from opnav_workbench.catalog.star_list import read_star_list
 from opnav_workbench.catalog.status import CatalogStatus, catalog_status
 from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
 
 __all__ = [
     "UNKNOWN_MOTION_MAS_YR",
     "Catalog",
     "CatalogStatus",
+    "StarQuality",
     "StarTable",
+    "VizierCatalog",
     "catalog_status",
     "open_catalog",
+    "open_vizier",
     "read_star_list",
 ]

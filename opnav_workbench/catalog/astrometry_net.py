@@ -1,22 +1,27 @@
 """Index files of Astrometry.net as a star catalog, as Debian's packages astrometry-data-* install them.
 
-An index file is a FITS file. Its star tree stores unit vectors as opaque bytes in the byte order that the
-header card ENDIAN tells: the table ``kdtree_data_stars`` has n rows of three numbers, and
-``kdtree_range_stars`` seven doubles: lower corner (3), upper corner (3) and the number of tree units per
-data unit. Integer rows decode as ``lower + row / scale``; ``KDT_DATA`` names the type (double, float, u32,
-u16). Magnitudes, and in the Gaia series also motions, stand in the FITS table of AN_FILE 'TAGALONG', row by
-row beside the tree.
+`index_files` reads the directions out of the star tree. Magnitudes, and in the Gaia series also motions, stand in a
+table row by row beside it; columns are known by their names, whatever else is there:
 
-Series 4100 and the Debian packages hold Tycho-2 (epoch J2000.0, no motions); series 5000 and 5200 hold Gaia
-DR2 (J2015.5, with a column ref_epoch). A star that several files share (neighboring tiles, scales) counts
-once.
+======================================  ======================================================================
+column                                  meaning
+======================================  ======================================================================
+MAG_VT, MAG_BT, phot_g_mean_mag, *mag*  magnitude, the first of these that is there
+phot_bp_mean_mag, phot_rp_mean_mag      for Johnson V and B-V, as MAG_BT beside MAG_VT
+ra, dec                                 degrees; they replace the rounded directions of the tree
+pmra, pmdec, parallax, and *_error      mas, mas/yr
+source_id, ref_epoch                    Gaia's number of the star, Julian year
+======================================  ======================================================================
+
+Series 4100 and the Debian packages hold Tycho-2 (epoch J2000.0, no motions); series 5000 and 5200-HEAVY hold all
+columns of Gaia DR2 (J2015.5), 5200-LITE neither magnitudes nor motions. A star that several files share (neighboring
+tiles, scales) counts once.
 
 Source: the README of series 5000 and the file headers themselves (program build-astrometry-index).
 """
 
 import glob
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -24,15 +29,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from astropy.io import fits
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.catalog.bands import (
+    Johnson,
+    johnson_from_bands,
+    johnson_from_gaia,
+    johnson_from_tycho,
+)
+from opnav_workbench.catalog.index_files import read_index
 from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
-from opnav_workbench.catalog.priors import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.priors import (
+    RAD_PER_DEG,
+    RAD_PER_MAS,
+    UNKNOWN_MOTION_MAS_YR,
+    unknown_parallax_sigma_mas,
+)
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.geometry import radec_from_unit
+from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
 
 __all__ = ["open_astrometry_net"]
 
@@ -55,14 +71,11 @@ BANDS = {
 }
 OTHER_BAND = Band("", 2000.0, 100.0)
 RELEASES = {2015.0: "Gaia DR1", 2015.5: "Gaia DR2", 2016.0: "Gaia DR3"}  # by reference epoch
-TREE_TYPES = {"double": "f8", "float": "f4", "u32": "u4", "u16": "u2"}
-BYTE_ORDERS = {"04:03:02:01": "<", "01:02:03:04": ">"}
-UNIT_TOLERANCE = 1e-3  # a direction decoded from 16 bit integers has a length within 3e-5 of one
-RANGE_DOUBLES = 7
+TYCHO_MAG_SIGMA = 0.1  # not in the files; Tycho-2 has 0.013 to magnitude 9, 0.1 over all (Hog et al. 2000)
 MOTION_COLUMNS = ("pmra", "pmra_error", "pmdec", "pmdec_error", "parallax", "parallax_error")
+COLOR_COLUMNS = ("phot_bp_mean_mag", "phot_rp_mean_mag", "MAG_BT")
+TREE_STEPS, SAME_MAS = 2.0, 1.0  # how far a direction of the tree may be from the star's own
 OPTION = re.compile(r"\?(\w+)=([^?]*)$")
-
-Header = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +89,7 @@ class _Stars:
     sigma_mas: FloatArray
     source: IntArray  # Gaia source id, 0 where there is none
     astrometry: FloatArray  # (n, 6) in the order of MOTION_COLUMNS
+    colors: FloatArray  # (n, 3) BP, RP, BT magnitudes
 
 
 def open_astrometry_net(argument: str) -> IndexedCatalog:
@@ -138,51 +152,7 @@ def _options(argument: str) -> tuple[str, float | None]:
 
 
 def _read(file: Path, epoch: float | None) -> _Stars:
-    try:
-        with warnings.catch_warnings(), fits.open(file, memmap=True) as hdus:
-            warnings.simplefilter("ignore")  # a shortened file warns first and is refused below
-            tables = {hdu.header.get("TTYPE1", hdu.name): hdu for hdu in hdus[1:]}
-            tags = [hdu for hdu in hdus[1:] if hdu.header.get("AN_FILE") == "TAGALONG"]
-            xyz, quantum_mas = _directions(file, hdus[0].header, tables)
-            columns = {} if not tags else {c.name: np.asarray(tags[0].data[c.name]) for c in tags[0].columns}
-    except (OSError, TypeError, ValueError, KeyError, IndexError) as error:
-        reason = " ".join(str(error).split())
-        raise CatalogError(
-            f"{file} is not a whole Astrometry.net index file ({reason}); copy it again or narrow the glob."
-        ) from error
-    return _tagged(file, xyz, quantum_mas, columns, epoch)
-
-
-def _directions(file: Path, primary: Header, tables: Mapping[str, Any]) -> tuple[FloatArray, float]:
-    """Return the stars' unit vectors (n, 3) and the step of their storage in mas."""
-    data, limits = tables["kdtree_data_stars"], tables["kdtree_range_stars"]
-    tree = tables["kdtree_header_stars"].header if "kdtree_header_stars" in tables else {}
-    order = BYTE_ORDERS[str(tree.get("ENDIAN", primary.get("ENDIAN", "04:03:02:01"))).strip()]
-    kind = str(tree.get("KDT_DATA", "")).strip() or {24: "double", 12: "u32", 6: "u16"}[data.header["NAXIS1"]]
-    rows = _bytes_as(file, data, order + TREE_TYPES[kind]).reshape(-1, 3)
-    box = _bytes_as(file, limits, order + "f8")
-    if box.size != RANGE_DOUBLES:
-        raise ValueError(f"kdtree_range_stars holds {box.size} numbers, not {RANGE_DOUBLES}")
-    integers = rows.dtype.kind == "u"
-    xyz = box[:3] + rows / box[6] if integers else rows.astype(np.float64)
-    length = np.linalg.norm(xyz, axis=1)
-    if not np.all(np.abs(length - 1.0) < UNIT_TOLERANCE):
-        raise ValueError(
-            f"its star vectors have lengths from {length.min():.4g} to {length.max():.4g}, not 1"
-        )
-    step = 1.0 / float(box[6]) if integers else float(np.finfo(rows.dtype).eps)
-    return xyz / length[:, None], step / RAD_PER_MAS
-
-
-def _bytes_as(file: Path, hdu: Any, dtype: str) -> NDArray[Any]:
-    """Return the bytes of a one-column table as numbers; astropy would take them for text."""
-    size = int(hdu.header["NAXIS1"]) * int(hdu.header["NAXIS2"])
-    with file.open("rb") as stream:
-        stream.seek(hdu.fileinfo()["datLoc"])
-        content = stream.read(size)
-    if len(content) != size or size == 0:
-        raise ValueError(f"{hdu.header['TTYPE1']} has {len(content)} of {size} bytes")
-    return np.frombuffer(content, dtype=dtype)
+    return _tagged(file, *read_index(file), epoch)
 
 
 def _tagged(
@@ -196,6 +166,8 @@ def _tagged(
     n, band = len(xyz), BANDS.get(name, OTHER_BAND)
     epochs = np.asarray(columns.get("ref_epoch", np.full(n, band.epoch_jyear)), dtype=np.float64)
     astrometry = [np.asarray(columns.get(c, np.full(n, np.nan)), dtype=np.float64) for c in MOTION_COLUMNS]
+    xyz, quantum_mas = _exact(file, xyz, quantum_mas, columns)
+    colors = [np.asarray(columns.get(c, np.full(n, np.nan)), dtype=np.float64) for c in COLOR_COLUMNS]
     return _Stars(
         xyz=xyz,
         mag=columns[name].astype(np.float64),
@@ -205,7 +177,24 @@ def _tagged(
         sigma_mas=np.full(n, np.hypot(band.sigma_mas, quantum_mas / np.sqrt(12.0))),
         source=np.asarray(columns.get("source_id", np.zeros(n)), dtype=np.int64),
         astrometry=np.stack(astrometry, axis=-1),
+        colors=np.stack(colors, axis=-1),
     )
+
+
+def _exact(
+    file: Path, xyz: FloatArray, quantum_mas: float, columns: Mapping[str, NDArray[Any]]
+) -> tuple[FloatArray, float]:
+    """Return the directions of the columns ra and dec, where they are there and agree with the tree."""
+    if not all(name in columns and columns[name].dtype.kind == "f" for name in ("ra", "dec")):
+        return xyz, quantum_mas
+    ra, dec = (columns[name].astype(np.float64) * RAD_PER_DEG for name in ("ra", "dec"))
+    told = unit_from_radec(ra, dec)
+    apart = float(np.max(angle_between(told, xyz), initial=0.0)) / RAD_PER_MAS
+    if not apart <= TREE_STEPS * quantum_mas + SAME_MAS:
+        raise CatalogError(
+            f"{file}: the columns ra and dec differ from the star tree by up to {apart:.3g} mas; copy the file again."
+        )
+    return told, 0.0
 
 
 def _magnitude_column(file: Path, columns: Mapping[str, NDArray[Any]]) -> str:
@@ -262,7 +251,16 @@ def _rows(stars: _Stars, ra: FloatArray, dec: FloatArray, rows: IntArray) -> Sta
         epoch_jyear=part.epoch_jyear,
         sigma=np.stack(sigma_mas, axis=-1) * RAD_PER_MAS,
         motion_known=moving,
+        **_johnson(part).columns(),
     )
+
+
+def _johnson(part: _Stars) -> Johnson:
+    blue, red, bt = part.colors.T
+    g, vt = (np.where(part.band == band, part.mag, np.nan) for band in ("G", "VT"))
+    of_gaia = johnson_from_gaia(g, blue, red)
+    of_tycho = johnson_from_tycho(bt, TYCHO_MAG_SIGMA, vt, TYCHO_MAG_SIGMA)
+    return of_gaia.or_else(of_tycho).or_else(johnson_from_bands(part.mag, part.band))
 
 
 def _names(part: _Stars, rows: IntArray) -> list[str]:

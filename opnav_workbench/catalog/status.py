@@ -29,11 +29,11 @@ def catalog_status() -> tuple[CatalogStatus, ...]:
 
     Examples
     --------
-    >>> [status.form for status in catalog_status()]
-    ['bundled', 'npz:FILE', 'astrometry-net:GLOB']
+    >>> [status.form for status in catalog_status()][:3]
+    ['bundled', 'tycho2:DIR', 'ucac2:DIR']
     """
     special = {"bundled": _bundled, "astrometry-net": _astrometry_net}
-    plain = "needs a file of yours"
+    plain = "needs files of yours"
     return tuple(
         special[kind]() if kind in special else CatalogStatus(reader.form, available=True, detail=plain)
         for kind, reader in READERS.items()

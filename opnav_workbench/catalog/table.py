@@ -5,7 +5,7 @@ Units  rad, rad/yr, km/s, magnitudes
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +13,7 @@ from astropy import units as u
 from astropy.table import QTable
 from numpy.typing import ArrayLike, NDArray
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import propagate, propagate_covariance
 
@@ -24,7 +24,16 @@ _KINDS: dict[str, Any] = {
     "id": np.str_,
     "band": np.str_,
     "motion_known": np.bool_,
+    "flags": np.int64,
+    "hip": np.int64,
 }  # every other column is float64
+_WIDTHS = {"sigma": N_PARAMETERS, "position_motion": 2}  # columns of more than one number a star
+_ABSENT = {"flags": 0, "hip": 0, "position_motion": 0.0}  # an optional column left out; nan for every other
+_LEFT_OUT = np.empty(0)  # stands for an optional column that was not given
+
+
+def _left_out() -> Any:
+    return _LEFT_OUT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,11 +63,23 @@ class StarTable:
         1 sigma of (RA cos(dec), dec, parallax, motion in RA cos(dec), motion in dec), rad and rad/yr.
     motion_known : (n,) bool
         False where the catalog gives no motion and `sigma` holds what such a star may do.
+    v_mag, v_sigma : (n,) float, optional
+        Johnson V and its 1 sigma, measured or transformed from the catalog's bands (see `catalog.bands`);
+        nan where unknown, as where left out.
+    b_v, b_v_sigma : (n,) float, optional
+        Johnson B-V and its 1 sigma, likewise.
+    flags : (n,) int, optional
+        `StarQuality` flags; 0 where left out.
+    position_motion : (n, 2) float, optional
+        Covariance of RA cos(dec) with its motion, and of dec with its own, rad^2/yr; 0 where left out. Not 0 where
+        a catalog states its sigmas at a mean epoch of observation and its positions at J2000.
+    hip : (n,) int, optional
+        Hipparcos number, 0 where there is none.
 
     Raises
     ------
     CatalogError
-        A column differs in length from the others, or `sigma` is not (n, 5).
+        A column differs in length from the others, or `sigma` is not (n, 5), or `position_motion` not (n, 2).
 
     Examples
     --------
@@ -79,20 +100,30 @@ class StarTable:
     epoch_jyear: FloatArray
     sigma: FloatArray
     motion_known: BoolArray
+    v_mag: FloatArray = field(default_factory=_left_out)
+    v_sigma: FloatArray = field(default_factory=_left_out)
+    b_v: FloatArray = field(default_factory=_left_out)
+    b_v_sigma: FloatArray = field(default_factory=_left_out)
+    flags: IntArray = field(default_factory=_left_out)
+    position_motion: FloatArray = field(default_factory=_left_out)
+    hip: IntArray = field(default_factory=_left_out)
 
     def __post_init__(self) -> None:
         n = np.size(self.ra_rad)
-        for field in fields(self):
-            column: NDArray[Any] = np.asarray(
-                getattr(self, field.name), dtype=_KINDS.get(field.name, np.float64)
-            )
-            wanted = (n, N_PARAMETERS) if field.name == "sigma" else (n,)
+        for name in self.__slots__:
+            given, kind = getattr(self, name), _KINDS.get(name, np.float64)
+            wanted = (n, _WIDTHS[name]) if name in _WIDTHS else (n,)
+            if given is _LEFT_OUT:
+                given = np.full(wanted, _ABSENT.get(name, np.nan), dtype=kind)
+            column: NDArray[Any] = np.asarray(given, dtype=kind)
+            if column.size == 0 and n == 0:
+                column = column.reshape(wanted)  # no star at all: JSON has forgotten the width
             if column.shape != wanted:
                 raise CatalogError(
-                    f"star column {field.name} has shape {column.shape}, expected {wanted}; "
+                    f"star column {name} has shape {column.shape}, expected {wanted}; "
                     "give every column one value a star."
                 )
-            object.__setattr__(self, field.name, column)
+            object.__setattr__(self, name, column)
         freeze_arrays(self)
 
     def __len__(self) -> int:
@@ -100,9 +131,13 @@ class StarTable:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (n, 5, 5) of the parameters of `sigma`, rad and rad/yr; correlations are not carried."""
+        """Covariance (n, 5, 5) of the parameters of `sigma`, rad and rad/yr.
+
+        Of the correlations only those of a position with its own motion are carried.
+        """
         matrix = np.zeros((len(self), N_PARAMETERS, N_PARAMETERS))
         matrix[:, range(N_PARAMETERS), range(N_PARAMETERS)] = self.sigma**2
+        matrix[:, (0, 1), (3, 4)] = matrix[:, (3, 4), (0, 1)] = self.position_motion
         matrix.setflags(write=False)
         return matrix
 
@@ -111,7 +146,7 @@ class StarTable:
         chosen = rows if isinstance(rows, slice) else np.asarray(rows)
         if isinstance(chosen, np.ndarray) and chosen.size == 0 and chosen.dtype != np.bool_:
             chosen = chosen.astype(np.int64)  # an empty list becomes float64 and could not index
-        return type(self)(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+        return type(self)(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     @classmethod
     def concatenate(cls, tables: Sequence["StarTable"]) -> Self:
@@ -122,10 +157,7 @@ class StarTable:
     @classmethod
     def empty(cls) -> Self:
         """Return a table without stars."""
-        columns: dict[str, Any] = {
-            f.name: np.empty(0, dtype=_KINDS.get(f.name, np.float64)) for f in fields(cls)
-        }
-        return cls(**{**columns, "sigma": np.empty((0, N_PARAMETERS))})
+        return cls(**{f.name: np.empty(0, dtype=_KINDS.get(f.name, np.float64)) for f in fields(cls)})
 
     def directions(self, et_s: float, observer_position_km: FloatArray | None = None) -> FloatArray:
         """Return unit vectors (n, 3), J2000, at `et_s` from a barycentric position (km; none: the barycenter).
@@ -178,9 +210,17 @@ class StarTable:
             ("sigma_parallax", self.sigma[:, 2], u.rad, mas, "1 sigma of parallax"),
             ("sigma_pmra", self.sigma[:, 3], u.rad / u.yr, motion, "1 sigma of pmra"),
             ("sigma_pmdec", self.sigma[:, 4], u.rad / u.yr, motion, "1 sigma of pmdec"),
+            ("v_mag", self.v_mag, u.mag, u.mag, "Johnson V, nan where unknown"),
+            ("sigma_v_mag", self.v_sigma, u.mag, u.mag, "1 sigma of v_mag"),
+            ("b_v", self.b_v, u.mag, u.mag, "Johnson B-V, nan where unknown"),
+            ("sigma_b_v", self.b_v_sigma, u.mag, u.mag, "1 sigma of b_v"),
         ):
             table[name] = (values * given).to(shown)
             table[name].info.description = description
         table["band"] = np.array(self.band)
         table["motion_known"] = np.array(self.motion_known)
+        table["flags"] = np.array(self.flags)
+        table["flags"].info.description = "StarQuality flags"
+        table["hip"] = np.array(self.hip)
+        table["hip"].info.description = "Hipparcos number, 0 where there is none"
         return table

@@ -10,6 +10,7 @@ from rich.markup import escape
 from opnav_workbench.cli.demo import demo
 from opnav_workbench.cli.doctor import doctor
 from opnav_workbench.cli.process import process
+from opnav_workbench.cli.simulate import simulate
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.version import __version__
 
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(process)
+app.command()(simulate)
 app.command()(doctor)
 
 

@@ -16,6 +16,7 @@ __all__ = [
     "camera_from_j2000",
     "checked_rotation",
     "matrix_from_quaternion",
+    "pointing_angle_arrays",
     "pointing_angles",
     "quaternion_from_matrix",
     "radec_from_unit",
@@ -97,15 +98,15 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
 
 
 def camera_from_j2000(
-    ra_rad: float, dec_rad: float, twist_rad: float, focal_from_camera: ArrayLike
+    ra_rad: ArrayLike, dec_rad: ArrayLike, twist_rad: ArrayLike, focal_from_camera: ArrayLike
 ) -> FloatArray:
-    """Return the attitude matrix (3, 3) of a camera from its boresight and twist.
+    """Return the attitude matrices (..., 3, 3) of a camera from its boresight and twist.
 
     Parameters
     ----------
-    ra_rad, dec_rad : float
-        J2000 direction of the boresight.
-    twist_rad : float
+    ra_rad, dec_rad : (...) array_like
+        J2000 direction of the boresight; these and the twist broadcast.
+    twist_rad : (...) array_like
         Position angle, east of J2000 north, of the direction of increasing line at the boresight.
     focal_from_camera : (3, 3) array_like
         Rows: directions of increasing pixel, increasing line and boresight, unit vectors in the camera frame.
@@ -126,14 +127,15 @@ def camera_from_j2000(
     >>> print("%.6f %.6f %.6f" % pointing_angles(attitude, lorri))
     3.000000 0.500000 1.000000
     """
-    if not np.all(np.isfinite([ra_rad, dec_rad, twist_rad])):
-        raise ValueError(f"RA {ra_rad}, Dec {dec_rad}, twist {twist_rad} rad: all three must be finite")
+    if not all(np.all(np.isfinite(angle)) for angle in (ra_rad, dec_rad, twist_rad)):
+        raise ValueError(f"RA {ra_rad!r}, Dec {dec_rad!r}, twist {twist_rad!r} rad: all three must be finite")
     focal, handedness = _focal_axes(focal_from_camera)
     east, north = tangent_basis(ra_rad, dec_rad)
     boresight = unit_from_radec(ra_rad, dec_rad)
-    line = np.cos(twist_rad) * north + np.sin(twist_rad) * east
-    pixel = handedness * np.cross(line, boresight)
-    return np.asarray(focal.T @ np.stack([pixel, line, boresight]))
+    twist = np.asarray(twist_rad, float)[..., None]
+    line = np.cos(twist) * north + np.sin(twist) * east
+    axes = np.broadcast_arrays(handedness * np.cross(line, boresight), line, boresight)
+    return np.asarray(focal.T @ np.stack(axes, axis=-2))
 
 
 def pointing_angles(camera_from_j2000: ArrayLike, focal_from_camera: ArrayLike) -> tuple[float, float, float]:
@@ -147,11 +149,21 @@ def pointing_angles(camera_from_j2000: ArrayLike, focal_from_camera: ArrayLike) 
     ValueError
         The attitude is not a rotation, or `focal_from_camera` is not orthonormal.
     """
+    ra, dec, twist = pointing_angle_arrays(camera_from_j2000, focal_from_camera)
+    return float(ra), float(dec), float(twist)
+
+
+def pointing_angle_arrays(
+    camera_from_j2000: ArrayLike, focal_from_camera: ArrayLike
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return `pointing_angles` of attitudes (..., 3, 3) as three arrays (...)."""
     focal, _ = _focal_axes(focal_from_camera)
-    _, line, boresight = focal @ checked_rotation(camera_from_j2000, "camera_from_j2000")
+    axes = focal @ checked_rotation(camera_from_j2000, "camera_from_j2000")
+    line, boresight = axes[..., 1, :], axes[..., 2, :]
     ra, dec = radec_from_unit(boresight)
     east, north = tangent_basis(ra, dec)
-    return float(ra), float(dec), float(_wrap(np.arctan2(line @ east, line @ north)))
+    twist = np.arctan2(np.sum(line * east, axis=-1), np.sum(line * north, axis=-1))
+    return ra, dec, _wrap(twist)
 
 
 def quaternion_from_matrix(m: ArrayLike) -> FloatArray:

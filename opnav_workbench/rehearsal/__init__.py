@@ -1,6 +1,6 @@
-"""Rehearsals: simulated pictures with a known truth, for teams that practise and for tests."""
+"""Rehearsals: simulated pictures whose truth is sealed, and the truth held beside the solution."""
 
-from opnav_workbench.rehearsal.approach import PictureRequest, Truth, simulate_picture
+from opnav_workbench.rehearsal.approach import PictureRequest, simulate_picture
 from opnav_workbench.rehearsal.demo_pictures import (
     DEMO_CATALOG,
     DEMO_KERNELS,
@@ -8,8 +8,8 @@ from opnav_workbench.rehearsal.demo_pictures import (
     DEMO_PICTURES,
     DEMO_TARGETS,
 )
-from opnav_workbench.rehearsal.picture import render_picture
 from opnav_workbench.rehearsal.score import Comparison, compare
+from opnav_workbench.simulation import Truth
 
 __all__ = [
     "DEMO_CATALOG",
@@ -21,6 +21,5 @@ __all__ = [
     "PictureRequest",
     "Truth",
     "compare",
-    "render_picture",
     "simulate_picture",
 ]

@@ -10,7 +10,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.pointing import attitude_shift
-from opnav_workbench.rehearsal.approach import Truth
+from opnav_workbench.simulation import Truth
 
 __all__ = ["Comparison", "compare"]
 

@@ -25,23 +25,32 @@ from opnav_workbench.geometry import (
     radec_from_unit,
     tangent_basis,
 )
+from opnav_workbench.photometry import instrument_magnitude
 from opnav_workbench.scene.observer import Observer
 
-__all__ = ["BodyPrediction", "StarPrediction", "apparent_stars", "predict_body", "predict_stars"]
+__all__ = [
+    "BodyPrediction",
+    "StarPrediction",
+    "apparent_stars",
+    "camera_magnitudes",
+    "predict_body",
+    "predict_stars",
+]
 
+UNKNOWN_BAND_SIGMA_MAG = 0.5  # between the bands of catalogs and cameras lie some tenths of a magnitude
 LIMB_POINTS = 180  # one point every 2 deg: the polygon's area is short of the ellipse's by 2e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarPrediction:
-    """Predicted stars, brightest first as in the table they came from.
+    """Predicted stars, in the order of the table they came from.
 
     Attributes
     ----------
     id : (n,) array of str
         Catalog designations.
-    mag : (n,) array
-        Catalog magnitudes.
+    mag, mag_sigma : (n,) arrays
+        Magnitudes in the camera's band and their 1 sigma, see `camera_magnitudes`.
     directions : (n, 3) array
         Apparent unit vectors, J2000.
     pixel_line : (n, 2) array
@@ -53,6 +62,7 @@ class StarPrediction:
 
     id: NDArray[np.str_]
     mag: FloatArray
+    mag_sigma: FloatArray
     directions: FloatArray
     pixel_line: FloatArray
     covariance_px2: FloatArray
@@ -112,6 +122,17 @@ def apparent_stars(stars: StarTable, et: float, observer: Observer) -> FloatArra
     return apparent_direction(stars.directions(et, observer.position_km), observer.velocity_km_s)
 
 
+def camera_magnitudes(stars: StarTable, camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Magnitudes (n,) of catalog stars in the camera's band, and their 1 sigma (n,).
+
+    From V and B-V where the catalog has them or they follow from its bands; a star without a V keeps its catalog
+    magnitude, with `UNKNOWN_BAND_SIGMA_MAG`.
+    """
+    mag, sigma = instrument_magnitude(stars.v_mag, stars.v_sigma, stars.b_v, stars.b_v_sigma, camera.color)
+    unknown = np.isnan(mag)
+    return np.where(unknown, stars.mag, mag), np.where(unknown, UNKNOWN_BAND_SIGMA_MAG, sigma)
+
+
 def predict_stars(
     stars: StarTable,
     et: float,
@@ -140,9 +161,11 @@ def predict_stars(
     pixel_line = camera.project(in_camera)
     keep = camera.on_detector(pixel_line, margin_px)
     chosen = stars.take(keep)
+    mag, mag_sigma = camera_magnitudes(chosen, camera)
     return StarPrediction(
         id=np.asarray(chosen.id),
-        mag=chosen.mag,
+        mag=mag,
+        mag_sigma=mag_sigma,
         directions=directions[keep],
         pixel_line=pixel_line[keep],
         covariance_px2=_catalog_covariance(chosen, et, observer, directions[keep], camera, camera_from_j2000),

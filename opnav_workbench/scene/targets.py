@@ -33,8 +33,14 @@ def body_target(name: str, spacecraft: int, et: float) -> TargetState:
         position_km=seen.position_km,
         radii_km=_if_known(lambda: body_radii_km(name)),
         body_from_j2000=_if_known(lambda: body_attitude(name, emitted)),
-        sun_position_km=_if_known(lambda: state(SUN, emitted, name).position_km),
+        sun_position_km=_sun_km(name, emitted),
     )
+
+
+def _sun_km(name: str, et: float) -> FloatArray | None:
+    """Return where the light that falls on a body came from; where the Sun is, if the SPKs do not reach back so far."""
+    lit = _if_known(lambda: state(SUN, et, name, correction="CN").position_km)
+    return lit if lit is not None else _if_known(lambda: state(SUN, et, name).position_km)
 
 
 def _if_known(value: Callable[[], FloatArray]) -> FloatArray | None:

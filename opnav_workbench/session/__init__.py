@@ -3,9 +3,11 @@
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.gather import ATTITUDE_SOURCES
 from opnav_workbench.session.journal import JournalEntry
-from opnav_workbench.session.session import RESULT_FILE, ImageSession
+from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
+from opnav_workbench.session.session import ImageSession
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, StarStatus
+from opnav_workbench.session.storage import RESULT_FILE
 
 __all__ = [
     "ATTITUDE_SOURCES",
@@ -14,7 +16,9 @@ __all__ = [
     "Context",
     "ImageSession",
     "JournalEntry",
+    "Reconstruction",
     "SessionState",
     "Settings",
     "StarStatus",
+    "write_reconstructed_ck",
 ]

@@ -4,8 +4,7 @@ Every method is one step: a pure function makes a new frozen state, the journal 
 stays for `undo`.  Widgets, notebooks and the command line call these same methods.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,37 +12,21 @@ from astropy.table import QTable
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
-from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import observables_table
 from opnav_workbench.scene import StarPrediction
-from opnav_workbench.session import steps_bodies, steps_stars, storage
+from opnav_workbench.session import steps_bodies, storage
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.gather import InputSource, gather, gather_target
-from opnav_workbench.session.journal import JournalEntry, entry
+from opnav_workbench.session.history import History
+from opnav_workbench.session.journal import JournalEntry
+from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import Inputs, SessionState
 
-__all__ = ["RESULT_FILE", "ImageSession"]
-
-Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
-
-STEPS: dict[str, Step] = {
-    "predict": steps_stars.predict,
-    "find_stars": steps_stars.find_stars,
-    "reject_stars": steps_stars.reject_stars,
-    "accept_stars": steps_stars.accept_stars,
-    "repoint": steps_bodies.repoint,
-    "add_target": steps_bodies.add_target,
-    "find_body": steps_bodies.find_body,
-    "skip_target": steps_bodies.skip_target,
-    "observables": steps_bodies.observables,
-}
-SESSION_FILE = "session.json"
-RESULT_FILE = "result.json"
-TABLE_FILE = "observables.ecsv"
+__all__ = ["ImageSession"]
 
 
 class ImageSession:
@@ -69,8 +52,7 @@ class ImageSession:
         self._context = context
         self._source = source
         self._inputs = inputs
-        self._states: list[SessionState] = [SessionState()]
-        self._journal: list[JournalEntry] = []
+        self._history = History(context)
 
     @classmethod
     def open(
@@ -127,12 +109,12 @@ class ImageSession:
     @property
     def state(self) -> SessionState:
         """The present, immutable state."""
-        return self._states[-1]
+        return self._history.state
 
     @property
     def journal(self) -> tuple[JournalEntry, ...]:
         """All steps and decisions in order, undone ones and the undoing included."""
-        return tuple(self._journal)
+        return self._history.journal
 
     @property
     def camera_from_j2000(self) -> FloatArray:
@@ -142,13 +124,8 @@ class ImageSession:
     # -- steps -------------------------------------------------------------------------------------------------
 
     def predict(self) -> StarPrediction:
-        """Predict catalog stars around the a priori field; drops what was found before.
-
-        Returns
-        -------
-        StarPrediction
-        """
-        self._step("predict", {}, "", lambda s: f"{_count(s.a_priori)} stars on or near the detector")
+        """Predict catalog stars around the a priori field; drops what was found before."""
+        self._step("predict", {})
         assert self.state.a_priori is not None
         return self.state.a_priori
 
@@ -167,7 +144,7 @@ class ImageSession:
         """
         self._gather_target(name)
         if name not in self.state.targets:
-            self._step("add_target", {"name": name}, "", lambda _: f"{name} expected")
+            self._step("add_target", {"name": name})
 
     def _gather_target(self, name: str) -> None:
         if name not in self._inputs.targets:
@@ -189,7 +166,7 @@ class ImageSession:
             How far from its expected place a star may lie; default from the settings.
         """
         parameters = {"initial": initial, "final": final, "search_radius_px": search_radius_px}
-        self._step("find_stars", parameters, "", lambda s: f"{int(s.mask('used').sum())} stars found")
+        self._step("find_stars", parameters)
 
     def reject_stars(self, ids: Sequence[str], reason: str) -> None:
         """Reject stars by catalog id; the reason stands in the journal and in the result.
@@ -199,16 +176,16 @@ class ImageSession:
         SessionError
             No stars are predicted yet, or there is no star of that id.
         """
-        self._decide("reject_stars", ids, reason, "rejected")
+        self._decide("reject_stars", ids, reason)
 
     def accept_stars(self, ids: Sequence[str], reason: str = "") -> None:
         """Accept stars by catalog id, outranking any automatic rejection; raises as `reject_stars`."""
-        self._decide("accept_stars", ids, reason, "accepted")
+        self._decide("accept_stars", ids, reason)
 
-    def _decide(self, step: str, ids: Sequence[str], reason: str, outcome: str) -> None:
+    def _decide(self, step: str, ids: Sequence[str], reason: str) -> None:
         # A single name is a sequence too, of letters; nobody means those.
         names = [ids] if isinstance(ids, str) else [str(star) for star in ids]
-        self._step(step, {"ids": names, "reason": reason}, reason, lambda _: f"{len(names)} {outcome}")
+        self._step(step, {"ids": names, "reason": reason}, reason)
 
     def repoint(self, model: str = "euler") -> None:
         """Solve the camera attitude from the stars in use.
@@ -217,7 +194,7 @@ class ImageSession:
         ----------
         model : {"euler", "image_plane"}
         """
-        self._step("repoint", {"model": model}, "", _pointing_line)
+        self._step("repoint", {"model": model})
 
     def find_body(self, name: str, method: str = "unresolved", search_radius_px: float | None = None) -> None:
         """Find a body's center.
@@ -232,11 +209,11 @@ class ImageSession:
         """
         self._gather_target(name)
         parameters = {"name": name, "method": method, "search_radius_px": search_radius_px}
-        self._step("find_body", parameters, "", lambda s: f"{name}: {s.bodies[-1].status}")
+        self._step("find_body", parameters)
 
     def skip_target(self, name: str, reason: str) -> None:
         """Record that a requested target is left out, and why; the result's status then is ``partial``."""
-        self._step("skip_target", {"name": name, "reason": reason}, reason, lambda _: f"{name} left out")
+        self._step("skip_target", {"name": name, "reason": reason}, reason)
 
     def observables(self) -> QTable:
         """Compute the observables of all bodies found so far.
@@ -246,45 +223,21 @@ class ImageSession:
         astropy.table.QTable
             One row a body and method: O, C, O-C, sigmas, partials, with units and descriptions.
         """
-        self._step("observables", {}, "", lambda s: f"{len(s.observables)} observables")
+        self._step("observables", {})
         return observables_table(self.state.observables)
 
     def undo(self) -> JournalEntry:
-        """Take back the last step; the journal keeps both.
-
-        Returns
-        -------
-        JournalEntry
-            The entry of the step undone.
+        """Take back the last step and return its journal entry; the journal keeps both.
 
         Raises
         ------
         SessionError
             Nothing is left to undo.
         """
-        undone = self._standing()
-        if not undone:
-            raise SessionError("nothing to undo: no step has been taken yet.")
-        self._states.pop()
-        self._journal.append(entry("undo", {"step": undone[-1].step}, "", f"{undone[-1].step} undone"))
-        return undone[-1]
+        return self._history.undo()
 
-    def _standing(self) -> list[JournalEntry]:
-        """Journal entries whose effect still stands."""
-        standing: list[JournalEntry] = []
-        for item in self._journal:
-            if item.step == "undo":
-                standing.pop()
-            else:
-                standing.append(item)
-        return standing
-
-    def _step(
-        self, name: str, parameters: dict[str, Any], reason: str, outcome: Callable[[SessionState], str]
-    ) -> None:
-        state = STEPS[name](self._context, self._inputs, self.state, parameters)
-        self._states.append(state)
-        self._journal.append(entry(name, parameters, reason, outcome(state)))
+    def _step(self, name: str, parameters: dict[str, Any], reason: str = "") -> None:
+        self._history.take(self._inputs, name, parameters, reason)
 
     # -- files -------------------------------------------------------------------------------------------------
 
@@ -293,28 +246,27 @@ class ImageSession:
         return result_dict(self._context, self._source, self._inputs, self.state)
 
     def save(self, folder: str | Path) -> Path:
-        """Write ``result.json``, ``observables.ecsv`` and ``session.json`` into `folder`.
-
-        Returns
-        -------
-        Path
-            The folder.
+        """Write ``result.json``, ``observables.ecsv`` and ``session.json`` into `folder`, and return it.
 
         Raises
         ------
         SessionError
             The folder cannot be written; older files in it are unchanged.
         """
-        saved = storage.session_dict(self._context, self._source, self._inputs, self._journal)
-        target = Path(folder)
-        storage.write_together(
-            {
-                target / RESULT_FILE: partial(storage.write_data, self.result()),
-                target / TABLE_FILE: partial(storage.write_table, self.state.observables),
-                target / SESSION_FILE: partial(storage.write_data, saved),
-            }
+        saved = storage.session_dict(self._context, self._source, self._inputs, self._history.journal)
+        return storage.write_session(folder, self.result(), self.state.observables, saved)
+
+    def write_ck(self, path: str | Path, *, without_twist: bool = False) -> Reconstruction:
+        """Write the solved pointing as a CK; see `opnav_workbench.session.reconstruction`.
+
+        Raises
+        ------
+        SessionError, KernelError
+            No pointing is solved yet; or LSK and SCLK are not open.
+        """
+        return write_reconstructed_ck(
+            [self.result()], path, self._context.mission, without_twist=without_twist
         )
-        return target
 
     @classmethod
     def resume(cls, folder: str | Path, image: str | Path | None = None) -> "ImageSession":
@@ -331,51 +283,11 @@ class ImageSession:
         SessionError
             No readable ``session.json``, or the picture is missing or another one (SHA-256 differs).
         """
-        saved = storage.load_session(Path(folder) / SESSION_FILE, image)
+        saved = storage.load_session(Path(folder) / storage.SESSION_FILE, image)
         session = cls(saved.context, saved.source, saved.inputs)
-        session._replay(saved.journal)
+        session._history.replay(saved.inputs, saved.journal, storage.SESSION_FILE)
         return session
-
-    def _replay(self, journal: Iterable[JournalEntry]) -> None:
-        for item in journal:
-            if item.step != "undo" and item.step not in STEPS:
-                raise SessionError(
-                    f"{SESSION_FILE} names an unknown step {item.step!r}; it was written by a newer version."
-                )
-            if item.step == "undo" and len(self._states) == 1:
-                raise SessionError(
-                    f"{SESSION_FILE} is damaged: it undoes more than was done; process the picture again."
-                )
-            self._repeat(item)
-
-    def _repeat(self, item: JournalEntry) -> None:
-        if item.step == "undo":
-            self._states.pop()
-        else:
-            step = STEPS[item.step]
-            try:
-                state = step(self._context, self._inputs, self.state, dict(item.parameters))
-            except (KeyError, TypeError, ValueError) as error:
-                raise SessionError(
-                    f"{SESSION_FILE} is damaged (step {item.step}: {error!r}); process the picture again."
-                ) from error
-            self._states.append(state)
-        self._journal.append(item)
 
     def to_json(self) -> str:
         """Return `result` as JSON text."""
         return json_text(self.result())
-
-
-def _count(stars: StarPrediction | None) -> int:
-    return 0 if stars is None else len(stars)
-
-
-def _pointing_line(state: SessionState) -> str:
-    pointing = state.pointing
-    if pointing is None:
-        return "pointing not determined"
-    return (
-        f"pointing moved by {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines; "
-        f"rms {pointing.rms_px:.3f} px with {pointing.n_stars} stars"
-    )

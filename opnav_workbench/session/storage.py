@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,9 +26,22 @@ from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.state import Inputs
 from opnav_workbench.version import __version__
 
-__all__ = ["SavedSession", "load_session", "session_dict", "write_data", "write_table", "write_together"]
+__all__ = [
+    "RESULT_FILE",
+    "SESSION_FILE",
+    "SavedSession",
+    "load_session",
+    "session_dict",
+    "write_data",
+    "write_session",
+    "write_table",
+    "write_together",
+]
 
 SCHEMA = 1
+SESSION_FILE = "session.json"
+RESULT_FILE = "result.json"
+TABLE_FILE = "observables.ecsv"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +167,27 @@ def _star_table(columns: Mapping[str, Any]) -> StarTable:
     }
     arrays["sigma"] = arrays["sigma"].reshape(-1, 5)  # with no star at all, JSON has forgotten the five
     return StarTable(**arrays, motion_known=np.array(columns["motion_known"], dtype=bool))
+
+
+def write_session(
+    folder: str | Path, result: Mapping[str, Any], observables: Sequence[Observable], saved: Mapping[str, Any]
+) -> Path:
+    """Write result, table and session into a folder, together; return the folder.
+
+    Raises
+    ------
+    SessionError
+        A file cannot be written; the older files stay as they were.
+    """
+    target = Path(folder)
+    write_together(
+        {
+            target / RESULT_FILE: partial(write_data, result),
+            target / TABLE_FILE: partial(write_table, observables),
+            target / SESSION_FILE: partial(write_data, saved),
+        }
+    )
+    return target
 
 
 def write_together(writers: Mapping[Path, Callable[[Path], None]]) -> None:

@@ -29,7 +29,7 @@ __all__ = [
 
 COUNTER_32_BIT = 4294967296
 TIME_SYSTEMS = {"TDB": 1, "TDT": 2}
-CLOCK_DELIMITER_COLON = 2
+CLOCK_DELIMITERS = {".": 1, ":": 2}
 CLASS_PCK, CLASS_CK, CLASS_TK = 2, 3, 4
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 PCK_TERMS = 3  # constant, linear, quadratic
@@ -43,6 +43,7 @@ def sclk_assignments(
     counts: int = COUNTER_32_BIT,
     partitions: Sequence[tuple[int, int]] = (),
     time_system: Literal["TDB", "TDT"] = "TDB",
+    delimiter: Literal[":", "."] = ":",
 ) -> dict[str, Any]:
     """Return the variables of a two-field spacecraft clock (type 1), read ``seconds:subcounts``.
 
@@ -61,6 +62,8 @@ def sclk_assignments(
         None: one partition over the whole counter.
     time_system : {"TDB", "TDT"}
         TDB makes the clock linear in et.
+    delimiter : {":", "."}
+        Between counts and subcounts, in readings that SPICE writes; it reads both.
 
     Raises
     ------
@@ -87,7 +90,7 @@ def sclk_assignments(
         "SCLK01_N_FIELDS": (2,),
         "SCLK01_MODULI": (counts, subcounts),
         "SCLK01_OFFSETS": (0, 0),
-        "SCLK01_OUTPUT_DELIM": (CLOCK_DELIMITER_COLON,),
+        "SCLK01_OUTPUT_DELIM": (CLOCK_DELIMITERS[delimiter],),
         "SCLK_PARTITION_START": tuple(first for first, _ in spans),
         "SCLK_PARTITION_END": tuple(last for _, last in spans),
         "SCLK01_COEFFICIENTS": tuple(value for row in rows for value in row),
@@ -213,7 +216,7 @@ def instrument_assignments(
     >>> ik["INS-999100_IFOV"], round(ik["INS-999100_FOV_REF_ANGLE"], 4)
     (100.0, 2.8624)
     """
-    pixel_axis, _, boresight = np.asarray(focal_from_camera, float).tolist()
+    pixel_axis, line_axis, boresight = np.asarray(focal_from_camera, float).tolist()
     half = fov_half_angles_deg or tuple(
         math.degrees(math.atan(n / 2 * pixel_size_um * 1e-3 / focal_length_mm)) for n in (n_pixel, n_line)
     )
@@ -234,6 +237,9 @@ def instrument_assignments(
         "PIXEL_LINES": n_line,
         "CCD_CENTER": center_pixel_line or ((n_pixel - 1) / 2, (n_line - 1) / 2),
         "REFERENCE_VECTOR": tuple(pixel_axis),
+        # Which way pixel and line count no standard keyword tells; these are OSIRIS-REx's.
+        "SPOC_FITS_NAXIS1": tuple(pixel_axis),
+        "SPOC_FITS_NAXIS2": tuple(line_axis),
     }
     return {f"INS{instrument_id}_{name}": value for name, value in (values | dict(keywords or {})).items()}
 

@@ -4,10 +4,19 @@ import spiceypy
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.errors import KernelError
+from opnav_workbench.spice.coverage import CK_FRAME
 from opnav_workbench.spice.guard import Request, spice_call
 from opnav_workbench.spice.states import body_id, body_name
 
-__all__ = ["body_attitude", "body_frame", "camera_attitude"]
+__all__ = [
+    "body_attitude",
+    "body_frame",
+    "camera_attitude",
+    "camera_rate",
+    "ck_structure",
+    "knows_frame",
+    "rotation",
+]
 
 
 def camera_attitude(frame: str, et: float) -> FloatArray:
@@ -28,6 +37,60 @@ def camera_attitude(frame: str, et: float) -> FloatArray:
     """
     with spice_call(Request(f"attitude of {frame}", et, frame=frame), needs_kernels=True):
         return readonly(spiceypy.pxform("J2000", frame, et), (3, 3), "camera_from_j2000")
+
+
+def rotation(frame: str, other: str, et: float) -> FloatArray:
+    """Return ``other_from_frame``, shape (3, 3), between two frames: ``v_other = other_from_frame @ v_frame``.
+
+    Raises
+    ------
+    KernelError
+        A frame is unknown, or the kernels do not connect them at `et`.
+    """
+    with spice_call(Request(f"rotation from {frame} to {other}", et, frame=frame), needs_kernels=True):
+        return readonly(spiceypy.pxform(frame, other, et), (3, 3), "other_from_frame")
+
+
+def camera_rate(frame: str, et: float) -> FloatArray:
+    """Return the angular velocity (3,) of a frame with respect to J2000, rad/s, J2000 components.
+
+    Raises
+    ------
+    KernelError
+        As `camera_attitude`; or the CK holds no angular rates.
+    """
+    with spice_call(Request(f"angular rate of {frame}", et, frame=frame), needs_kernels=True):
+        return readonly(spiceypy.xf2rav(spiceypy.sxform("J2000", frame, et))[1], (3,), "rate")
+
+
+def ck_structure(frame: str) -> tuple[int, int] | None:
+    """Return the CK structure that orients a frame, and its clock; None where no CK does (or nobody knows the frame).
+
+    Raises
+    ------
+    KernelError
+        No `KernelSet` is open.
+    """
+    with spice_call(Request(f"structure of {frame}"), needs_kernels=True):
+        number = int(spiceypy.namfrm(frame))
+        if number == 0:
+            return None
+        _, frame_class, structure = spiceypy.frinfo(number)
+        if frame_class != CK_FRAME:
+            return None
+        return int(structure), int(spiceypy.ckmeta(int(structure), "SCLK"))
+
+
+def knows_frame(frame: str) -> bool:
+    """Tell whether SPICE, with the kernels that are loaded, knows a frame by this name.
+
+    Raises
+    ------
+    KernelError
+        No `KernelSet` is open.
+    """
+    with spice_call(Request(f"frame {frame}"), needs_kernels=True):
+        return int(spiceypy.namfrm(frame)) != 0
 
 
 def body_attitude(body: str | int, et: float) -> FloatArray:

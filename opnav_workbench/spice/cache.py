@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import re
 import shutil
 import tempfile
 import time
@@ -11,11 +12,12 @@ from opnav_workbench.errors import KernelError
 from opnav_workbench.resources import CACHE_VARIABLE, cache_root
 from opnav_workbench.version import __version__
 
-__all__ = ["scenario_metakernel"]
+__all__ = ["scenario_folder", "scenario_metakernel"]
 
 BUILDING = ".building-"
 STALE_BUILD_S = 86_400.0  # a build takes seconds to minutes; what is a day old was killed
 HASH_DIGITS = 12
+NAMED_FILE = re.compile(rb"\bfile:\s*['\"]?([^\s'\",}]+)")  # tables and shapes that a scenario names
 
 
 def scenario_metakernel(name: str, scenario: Path) -> Path:
@@ -36,9 +38,7 @@ def scenario_metakernel(name: str, scenario: Path) -> Path:
     KernelError
         The scenario is wrong, or the cache folder cannot be written.
     """
-    text = scenario.read_bytes() + b"\0" + __version__.encode()
-    key = hashlib.sha256(text).hexdigest()[:HASH_DIGITS]
-    folder = cache_root() / "kernels" / f"{name.replace('/', '_')}-{key}"
+    folder = scenario_folder(name, scenario)
     try:
         if not folder.is_dir():
             _build(scenario, folder)
@@ -51,6 +51,15 @@ def scenario_metakernel(name: str, scenario: Path) -> Path:
     if not found:
         raise KernelError(f"{folder} holds no metakernel; delete that folder, and it will be built again.")
     return found[0]
+
+
+def scenario_folder(name: str, scenario: Path) -> Path:
+    """Return where the kernels of a scenario are kept; they need not be there yet."""
+    text = scenario.read_bytes()
+    named = [scenario.parent / name.decode() for name in NAMED_FILE.findall(text)]
+    parts = [text, __version__.encode(), *(path.read_bytes() for path in named if path.is_file())]
+    key = hashlib.sha256(b"\0".join(parts)).hexdigest()[:HASH_DIGITS]
+    return cache_root() / "kernels" / f"{name.replace('/', '_')}-{key}"
 
 
 def _build(scenario: Path, folder: Path) -> None:

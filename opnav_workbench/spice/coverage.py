@@ -13,7 +13,17 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.spice import pool
 from opnav_workbench.spice.files import segments
 
-__all__ = ["Coverage", "ck_structures", "frame_number", "held_structures", "loaded_windows", "windows_of"]
+__all__ = [
+    "Coverage",
+    "bodies_in",
+    "ck_structures",
+    "frame_number",
+    "held_structures",
+    "loaded_windows",
+    "merged_windows",
+    "name_of",
+    "windows_of",
+]
 
 WINDOW_SIZES = (2_000, 200_000, 4_000_000)  # doubles; a CK of single pictures has two for each
 CK_FRAME, FIXED_OFFSET_FRAME = 3, 4  # SPICE's frame classes
@@ -53,14 +63,14 @@ def loaded_windows(kind: str) -> tuple[Coverage, ...]:
         A CK's clock is not loaded.
     """
     files = [f.path for f in pool.loaded_files() if f.kind == kind]
-    bodies = sorted({body for path in files for body in _bodies(path)})
+    bodies = sorted({body for path in files for body in bodies_in(path)})
     return tuple(windows_of(kind, body) for body in bodies)
 
 
 def windows_of(kind: str, body: int) -> Coverage:
     """Return the merged coverage of one body or structure; without windows if no file holds it; lock held."""
-    paths = tuple(f.path for f in pool.loaded_files() if f.kind == kind and body in _bodies(f.path))
-    return Coverage(kind, body, _name(kind, body), _merged(kind, body, paths), paths)
+    paths = tuple(f.path for f in pool.loaded_files() if f.kind == kind and body in bodies_in(f.path))
+    return Coverage(kind, body, name_of(kind, body), merged_windows(kind, body, paths), paths)
 
 
 def frame_number(frame: str) -> int:
@@ -79,7 +89,7 @@ def frame_number(frame: str) -> int:
 
 def held_structures() -> frozenset[int]:
     """Return the CK structures for which a loaded file holds any attitude, lock held."""
-    return frozenset(b for f in pool.loaded_files() if f.kind == "CK" for b in _bodies(f.path))
+    return frozenset(b for f in pool.loaded_files() if f.kind == "CK" for b in bodies_in(f.path))
 
 
 def ck_structures(frame_id: int) -> tuple[int, ...]:
@@ -109,16 +119,19 @@ def _references(structure: int) -> Iterable[int]:
     return sorted({s.integers[1] for s in held if s.integers[0] == structure})
 
 
-def _bodies(path: Path) -> frozenset[int]:
+def bodies_in(path: Path) -> frozenset[int]:
+    """Return the bodies of an SPK, or the structures of a CK."""
     return frozenset(s.integers[0] for s in segments(path))
 
 
-def _name(kind: str, body: int) -> str:
+def name_of(kind: str, body: int) -> str:
+    """Return the name of a body or structure, its number where it has none; lock held."""
     # A CK structure's number is as a rule that of the frame it orients, and the frame's name says what it is.
     return str((kind == "CK" and spiceypy.frmnam(body)) or spiceypy.bodc2s(body))
 
 
-def _merged(kind: str, body: int, paths: tuple[Path, ...]) -> FloatArray:
+def merged_windows(kind: str, body: int, paths: tuple[Path, ...]) -> FloatArray:
+    """Return when some files together know a body or structure, (k, 2), TDB s; lock held."""
     for size in WINDOW_SIZES:
         window = support_types.SPICEDOUBLE_CELL(size)
         try:

@@ -13,7 +13,7 @@ from opnav_workbench.spice import pool
 from opnav_workbench.spice.coverage import Coverage, ck_structures, windows_of
 from opnav_workbench.spice.messages import MESSAGES, UNKNOWN, VARIABLE_REMEDIES, Look
 
-__all__ = ["Request", "explanation", "loaded_text", "time_text"]
+__all__ = ["Request", "explanation", "loaded_text", "time_text", "unknown_body", "unlisted_explanation"]
 
 SHOWN_FILES = 12  # more names than this hide the message
 SHOWN_WINDOWS = 3
@@ -32,7 +32,12 @@ class Request:
 
 
 def explanation(error: spiceypy.SpiceyError, request: Request) -> str:
-    """Return one line on a failure, lock held."""
+    """Return one line on a failure, with the loaded kernels, lock held."""
+    return f"{unlisted_explanation(error, request)}. {loaded_text()}"
+
+
+def unlisted_explanation(error: spiceypy.SpiceyError, request: Request) -> str:
+    """Return what failed, why and what helps, without the loaded kernels and the final stop; lock held."""
     short = (getattr(error, "short", "") or "").removeprefix("SPICE(").removesuffix(")")
     detail = _detail(error)
     message = MESSAGES.get(short, UNKNOWN)
@@ -43,7 +48,7 @@ def explanation(error: spiceypy.SpiceyError, request: Request) -> str:
         t.replace("{detail}", detail).replace("{short}", short or "nothing found") for t in (cause, remedy)
     )
     when = f" at {time_text(request.et)}" if request.et is not None else ""
-    return f"{request.what}{when}: {cause}; {remedy}. {loaded_text()}"
+    return f"{request.what}{when}: {cause}; {remedy}"
 
 
 def _detail(error: spiceypy.SpiceyError) -> str:

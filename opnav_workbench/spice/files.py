@@ -9,7 +9,7 @@ from opnav_workbench.errors import KernelError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.spice.daf import RECORD_BYTES, Segment, read_segments
 
-__all__ = ["KINDS", "KernelFile", "kernel_file", "looks_like_kernel", "segments"]
+__all__ = ["KINDS", "KernelFile", "is_binary", "kernel_file", "looks_like_kernel", "segments"]
 
 KINDS = (
     "LSK",
@@ -65,6 +65,12 @@ def kernel_file(path: Path) -> KernelFile:
 def segments(path: Path) -> tuple[Segment, ...]:
     """Return the segment summaries of a binary SPK, CK or PCK; none for other kernels."""
     return _inspect(str(path), *_state(path))[1]
+
+
+def is_binary(path: Path) -> bool:
+    """Tell a binary kernel from a text kernel, by its first word."""
+    with path.open("rb") as stream:
+        return stream.read(8).rstrip(b" \x00") in BINARY_KINDS
 
 
 def looks_like_kernel(path: Path) -> bool:

@@ -12,21 +12,20 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import spiceypy
-
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import KernelError, MissionError
-from opnav_workbench.spice import assignments as to
-from opnav_workbench.spice.guard import Request, spice_call
+from opnav_workbench.spice.attitude import rotation
+from opnav_workbench.spice.attitude_error import flown
+from opnav_workbench.spice.attitude_history import AttitudeHistory
 from opnav_workbench.spice.kernels import KernelSet
 from opnav_workbench.spice.scenario import Scenario, load_scenario
-from opnav_workbench.spice.scenario_parts import Body, Spacecraft
 from opnav_workbench.spice.scenario_pointing import AttitudeError
-from opnav_workbench.spice.steering import disturbed, window_attitudes
+from opnav_workbench.spice.scenario_text import clock_values, frame_values, instrument_values, pck_values
+from opnav_workbench.spice.shape_kernels import write_shape
+from opnav_workbench.spice.steering import joined, window_attitudes
 from opnav_workbench.spice.text_kernels import metakernel_assignments, write_text_kernel
-from opnav_workbench.spice.trajectories import et_from_tdb, spk_segments, utc_to_et
-from opnav_workbench.spice.writing import write_ck, write_spk
+from opnav_workbench.spice.trajectories import Workplace, spk_segments
+from opnav_workbench.spice.writing import write_spk
+from opnav_workbench.spice.writing_ck import write_ck
 
 __all__ = ["make_kernels"]
 
@@ -69,11 +68,12 @@ def make_kernels(
     pluto_approach.tm 8
     """
     content = load_scenario(scenario)
+    beside = Path() if isinstance(scenario, Mapping) else Path(scenario).absolute().parent
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".making-", dir=folder) as temporary:
-            names = _Builder(content, Path(temporary)).build(actual=actual)
+            names = _Builder(content, Path(temporary), beside).build(actual=actual)
             for name in names:  # metakernels last: where one stands, its kernels stand too
                 Path(temporary, name).replace(folder / name)
     except OSError as error:
@@ -87,9 +87,10 @@ def make_kernels(
 class _Builder:
     """One build: the scenario, the folder, and the comment that every kernel carries."""
 
-    def __init__(self, scenario: Scenario, folder: Path) -> None:
+    def __init__(self, scenario: Scenario, folder: Path, beside: Path) -> None:
         self.scenario = scenario
         self.folder = folder
+        self.beside = beside  # files that the scenario names
         self.comment = (
             f"Scenario {scenario.name} of mission {scenario.mission}, written by opnav_workbench.\n\n"
             f"{' '.join(scenario.description.split())}\n\n"
@@ -100,7 +101,9 @@ class _Builder:
         stem = self.scenario.name
         lsk = self._leap_seconds()
         with KernelSet([self.folder / lsk]):
-            common = [lsk, *self._text_kernels(stem), *self._trajectories(stem)]
+            text = [lsk, *self._text_kernels(stem)]
+        with KernelSet([self.folder / name for name in text]):
+            common = [*text, *self._trajectories(stem, text), *self._shapes(stem)]
         with KernelSet([self.folder / name for name in common]):
             attitudes = self._attitudes(f"{stem}_predicted.bc", f"{stem}_actual.bc" if actual else None)
         metakernels = [f"{stem}.tm", f"{stem}_actual.tm"][: len(attitudes)]
@@ -123,23 +126,33 @@ class _Builder:
         s = self.scenario
         sources = "\n".join(f"{b.name}: {b.source}" for b in s.bodies)
         return [
-            self._text("PCK", f"{stem}.tpc", _bodies(s), sources),
-            self._text("FK", f"{stem}.tf", _frames(s)),
-            self._text("IK", f"{stem}.ti", _instruments(s)),
-            self._text("SCLK", f"{stem}.tsc", _clock(s)),
+            self._text("PCK", f"{stem}.tpc", pck_values(s), sources),
+            self._text("FK", f"{stem}.tf", frame_values(s)),
+            self._text("IK", f"{stem}.ti", instrument_values(s)),
+            self._text("SCLK", f"{stem}.tsc", clock_values(s)),
         ]
 
-    def _trajectories(self, stem: str) -> list[str]:
+    def _trajectories(self, stem: str, text: Sequence[str]) -> list[str]:
         s = self.scenario
         names = [f"{stem}_bodies.bsp", f"{stem}_spacecraft.bsp"]
-        segments = spk_segments(s)
+        place = Workplace(self.beside, tuple(self.folder / name for name in text), self.folder)
+        made = spk_segments(s, place)
         for name, of_spacecraft in zip(names, (False, True), strict=True):
-            chosen = [i for i, x in enumerate(segments) if (x.target == s.spacecraft.id) is of_spacecraft]
-            sources = (
-                f"{segments[i].target} about {segments[i].center}: {s.trajectories[i].source}" for i in chosen
-            )
-            comment = self.comment + "\n".join(sources)
-            write_spk(self.folder / name, [segments[i] for i in chosen], comment)
+            chosen = [(i, x) for i, x in made if (x.target == s.spacecraft.id) is of_spacecraft]
+            sources = (f"{x.target} about {x.center}: {s.trajectories[i].source}" for i, x in chosen)
+            comment = self.comment + "\n".join(dict.fromkeys(sources))
+            segments = list(dict.fromkeys(x for _, x in chosen))  # two excerpts may need the same center
+            write_spk(self.folder / name, segments, comment)
+        return names
+
+    def _shapes(self, stem: str) -> list[str]:
+        """Write a DSK for every body with a shape model."""
+        names = []
+        for i, body in enumerate(self.scenario.bodies):
+            if body.shape is not None:
+                names.append(f"{stem}_{body.id}.bds")
+                with _as_mission_error(f"bodies.{i}.shape"):
+                    write_shape(self.folder / names[-1], body, body.shape, self.beside)
         return names
 
     def _attitudes(self, predicted: str, actual: str | None) -> list[str]:
@@ -148,29 +161,26 @@ class _Builder:
         for i, window in enumerate(self.scenario.pointing.windows):
             with _as_mission_error(f"pointing.windows.{i}"):
                 pieces.append(window_attitudes(self.scenario, window))
-        et = np.concatenate([times for times, _ in pieces])
-        cameras = np.concatenate([attitudes for _, attitudes in pieces])
-        starts = np.cumsum([0, *(len(times) for times, _ in pieces[:-1])]).tolist()
-        self._ck(predicted, et, cameras, starts)
+        attitudes = joined(pieces)
+        self._ck(predicted, attitudes)
         if actual is None:
             return [predicted]
         error = self.scenario.pointing.actual or AttitudeError()
         with _as_mission_error("pointing.actual"):
-            self._ck(actual, et, disturbed(cameras, error, self.scenario), starts)
+            self._ck(actual, flown(attitudes, error, self.scenario))
         return [predicted, actual]
 
-    def _ck(self, name: str, et: FloatArray, camera_from_j2000: FloatArray, starts: Sequence[int]) -> None:
-        bus = self.scenario.spacecraft.frame
-        frame = self.scenario.pointed_instrument.frame
-        with spice_call(Request(f"mounting of {frame}", float(et[0]), frame=frame), needs_kernels=True):
-            bus_from_camera = spiceypy.pxform(frame, bus.name, et[0])
+    def _ck(self, name: str, attitudes: AttitudeHistory) -> None:
+        bus, epoch = self.scenario.spacecraft.frame, float(attitudes.et[0])
+        bus_from_camera = rotation(self.scenario.pointed_instrument.frame, bus.name, epoch)
         write_ck(
             self.folder / name,
             bus.id,
             self.scenario.clock.id,
-            et,
-            bus_from_camera @ camera_from_j2000,
-            interval_starts=starts,
+            attitudes.et,
+            bus_from_camera @ attitudes.camera_from_j2000,
+            attitudes.rates_rad_s,  # the mounting is rigid: the bus turns as the camera does
+            interval_starts=attitudes.interval_starts.tolist(),
             comment=self.comment,
         )
 
@@ -181,65 +191,3 @@ def _as_mission_error(field: str) -> Iterator[None]:
         yield
     except ValueError as error:
         raise MissionError(f"scenario: {field}: {error}.") from error
-
-
-def _clock(scenario: Scenario) -> dict[str, Any]:
-    clock = scenario.clock
-    correlation = [(tick, et_from_tdb(time), rate) for tick, time, rate in clock.correlation]
-    if clock.start is not None:
-        correlation = [(0, utc_to_et(clock.start), 1.0)]
-    return to.sclk_assignments(
-        clock.id,
-        correlation,
-        subcounts=clock.subcounts,
-        counts=clock.counts,
-        partitions=clock.partitions,
-        time_system=clock.time_system,
-    )
-
-
-def _frames(scenario: Scenario) -> dict[str, Any]:
-    craft, clock_id = scenario.spacecraft, scenario.clock.id
-    things: tuple[Spacecraft | Body, ...] = (craft, *scenario.bodies)
-    named = [(name, thing.id) for thing in things for name in (*thing.aliases, thing.name)]
-    values = to.name_assignments(named) | to.bus_frame_assignments(
-        craft.frame.name, craft.frame.id, craft.id, clock_id
-    )
-    for frame in scenario.frames:
-        values |= to.camera_frame_assignments(frame.name, frame.id, craft.id, frame.relative_to, frame.matrix)
-    for body in scenario.bodies:
-        if body.frame is not None:
-            values |= to.body_frame_assignments(body.frame.name, body.frame.id, body.id)
-    return values
-
-
-def _instruments(scenario: Scenario) -> dict[str, Any]:
-    values = to.name_assignments((i.name, i.id) for i in scenario.instruments)
-    for camera in scenario.instruments:
-        values |= to.instrument_assignments(
-            camera.id,
-            camera.frame,
-            focal_length_mm=camera.focal_length_mm,
-            pixel_size_um=camera.pixel_size_um,
-            n_pixel=camera.n_pixel,
-            n_line=camera.n_line,
-            center_pixel_line=camera.center_pixel_line,
-            focal_from_camera=camera.focal_from_camera,
-            fov_half_angles_deg=camera.fov_half_angles_deg,
-            keywords=camera.keywords,
-        )
-    return values
-
-
-def _bodies(scenario: Scenario) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for body in scenario.bodies:
-        values |= to.pck_assignments(
-            body.id,
-            radii_km=body.radii_km or (),
-            gm_km3_s2=body.gm_km3_s2,
-            pole_ra_deg=body.pole_ra_deg,
-            pole_dec_deg=body.pole_dec_deg,
-            prime_meridian_deg=body.prime_meridian_deg,
-        )
-    return values

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from opnav_workbench.files import atomic_path
 from opnav_workbench.spice.guard import spice_call
 from opnav_workbench.spice.text_kernels import comment_lines
 
-__all__ = ["as_kernel_error", "check_epochs", "check_finite", "new_daf", "require_frame"]
+__all__ = ["as_kernel_error", "check_epochs", "check_finite", "new_daf", "new_das", "require_frame"]
 
 TITLE_CHARS = 60  # DAF internal file name
 NEWLINE = 1  # SPICE stores one mark at each end of line in the comment area
@@ -62,7 +62,36 @@ def new_daf(
     finish: Callable[[int], None],
     comment: str,
 ) -> Iterator[int]:
-    """Yield the handle of a new file under a temporary name; leave no open handle, no half file."""
+    """Yield the handle of a new DAF (SPK, CK) under a temporary name; leave no open handle, no half file."""
+    with _new_file(path, start, finish, comment, spiceypy.dafac, spiceypy.dafcls) as handle:
+        yield handle
+
+
+@contextlib.contextmanager
+def new_das(
+    path: str | os.PathLike[str],
+    start: Callable[[str, str, int], int],
+    finish: Callable[[int], None],
+    comment: str,
+) -> Iterator[int]:
+    """Yield the handle of a new DAS file (DSK) as `new_daf` does."""
+    with _new_file(path, start, finish, comment, _add_das_comment, spiceypy.dascls) as handle:
+        yield handle
+
+
+def _add_das_comment(handle: int, lines: Sequence[str]) -> None:
+    spiceypy.dasac(handle, list(lines))
+
+
+@contextlib.contextmanager
+def _new_file(
+    path: str | os.PathLike[str],
+    start: Callable[[str, str, int], int],
+    finish: Callable[[int], None],
+    comment: str,
+    add_comment: Callable[[int, Sequence[str]], None],
+    abandon: Callable[[int], None],
+) -> Iterator[int]:
     lines = comment_lines(comment)
     final = Path(path)
     try:
@@ -72,12 +101,12 @@ def new_daf(
             handle = start(str(temporary), final.name[:TITLE_CHARS], size)
             try:
                 if lines:
-                    spiceypy.dafac(handle, lines)
+                    add_comment(handle, lines)
                 yield handle
                 finish(handle)
             except BaseException:
                 with contextlib.suppress(spiceypy.SpiceyError):
-                    spiceypy.dafcls(handle)
+                    abandon(handle)
                 raise
     except SessionError as error:
         raise KernelError(str(error)) from error

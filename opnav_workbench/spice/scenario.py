@@ -5,13 +5,12 @@ A scenario is a YAML file, or the mapping read from one, of plain numbers; `make
 
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Annotated, Any, Self
 
-import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from opnav_workbench.errors import MissionError
+from opnav_workbench.spice.planets import EPHEMERIS_NAMES
 from opnav_workbench.spice.scenario_parts import (
     Body,
     BodyRef,
@@ -25,10 +24,9 @@ from opnav_workbench.spice.scenario_parts import (
 )
 from opnav_workbench.spice.scenario_pointing import Pointing
 from opnav_workbench.spice.scenario_trajectories import Trajectory
+from opnav_workbench.yaml_file import check_model, read_model
 
 __all__ = ["Scenario", "load_scenario"]
-
-ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
 
 
 class Scenario(Strict):
@@ -66,9 +64,9 @@ class Scenario(Strict):
 
     def _check_references(self) -> None:
         references = [
-            (f"trajectories.{i}.{field}", getattr(t, field))
+            (f"trajectories.{i}.{field}", body)
             for i, t in enumerate(self.trajectories)
-            for field in ("target", "center")
+            for field, body in t.references()
         ]
         references += [
             (f"pointing.windows.{i}.track", r) for i, w in enumerate(self.pointing.windows) for r in w.track
@@ -94,13 +92,18 @@ class Scenario(Strict):
 
     @property
     def body_ids(self) -> dict[str, int]:
-        """NAIF ids by name; the spacecraft and its bodies, with their aliases."""
+        """NAIF ids by name: the planets' ephemeris, and the spacecraft and the bodies with their aliases."""
         things: tuple[Spacecraft | Body, ...] = (self.spacecraft, *self.bodies)
-        return {name: thing.id for thing in things for name in (thing.name, *thing.aliases)}
+        own = {name: thing.id for thing in things for name in (thing.name, *thing.aliases)}
+        return EPHEMERIS_NAMES | own
 
     def body_id(self, reference: BodyRef) -> int:
         """Return the NAIF id of a name or id."""
         return reference if isinstance(reference, int) else self.body_ids[reference.upper()]
+
+    def names_of(self, body_id: int) -> frozenset[str]:
+        """Return what a body may be called in a table: its names here, and its number."""
+        return frozenset(name for name, number in self.body_ids.items() if number == body_id) | {str(body_id)}
 
     @property
     def pointed_instrument(self) -> Instrument:
@@ -127,33 +130,6 @@ def load_scenario(source: Mapping[str, Any] | PathLike[str] | str) -> Scenario:
     Traceback (most recent call last):
     opnav_workbench.errors.MissionError: scenario: name: String should match pattern ...
     """
-    label = "scenario" if isinstance(source, Mapping) else f"scenario {source}"
-    content = source if isinstance(source, Mapping) else _read_yaml(Path(source), label)
-    try:
-        return Scenario.model_validate(content)
-    except ValidationError as error:
-        raise MissionError(f"{label}: {_summary(error)}") from error
-
-
-def _read_yaml(path: Path, label: str) -> Any:
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MissionError(f"{label}: cannot be read: {error.strerror}; check the path.") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise MissionError(f"{label}: is not YAML: {reason}") from error
-
-
-def _summary(error: ValidationError) -> str:
-    problems = error.errors(include_url=False)
-    shown = [_problem(p["loc"], p["msg"]) for p in problems[:ERRORS_SHOWN]]
-    more = len(problems) - len(shown)
-    return "; ".join(shown) + (f"; and {more} more" if more else "")
-
-
-def _problem(location: tuple[int | str, ...], message: str) -> str:
-    # pydantic inserts the name of the chosen union member, which is no field of the file
-    fields = [str(part) for part in location if part not in {"states", "kepler", "epv00"}]
-    text = message.removeprefix("Value error, ")
-    return f"{'.'.join(fields)}: {text}" if fields else text
+    if isinstance(source, Mapping):
+        return check_model(source, Scenario, "scenario", MissionError)
+    return read_model(source, Scenario, "scenario", MissionError)

@@ -5,12 +5,15 @@ Calendar times are UTC; tables of states and orbit epochs are TDB unless they sa
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     PositiveFloat,
@@ -30,16 +33,35 @@ __all__ = [
     "FixedFrame",
     "FrameName",
     "Instrument",
+    "JulianDate",
+    "OwenTerms",
+    "RelativePath",
+    "Shape",
     "Spacecraft",
     "Span",
     "Strict",
     "Tdb",
     "Utc",
+    "Vector3",
 ]
 
 FRAME_NAME_CHARS = 26  # SPICE: the pool variable FRAME_<name> has at most 32
 BODY_NAME_CHARS = 36  # SPICE
 CLOCK_COUNTS = 4294967296  # a 32-bit counter of seconds, as spacecraft clocks have
+FIRST_JD, LAST_JD = 2086302.5, 2688976.5  # years 1000 and 2650: beyond the planetary ephemeris on both sides
+
+
+def _calendar(moment: Any) -> Any:
+    if isinstance(moment, int | float):  # pydantic would take it for seconds since 1970
+        raise ValueError(f"{moment} is a number; write a calendar time such as 2015-07-01T00:00:00")  # noqa: TRY004
+    return moment
+
+
+def _beside(name: str) -> str:
+    path = PurePosixPath(name)
+    if not name or path.is_absolute() or ".." in path.parts or "\\" in name:
+        raise ValueError(f"{name!r} is not a path inside the scenario's folder")
+    return name
 
 
 def _naive_utc(moment: datetime) -> datetime:
@@ -63,8 +85,10 @@ def _orthonormal(rows: tuple[Any, ...]) -> tuple[Any, ...]:
     return rows
 
 
-Utc = Annotated[datetime, AfterValidator(_naive_utc)]
-Tdb = Annotated[datetime, AfterValidator(_no_zone)]
+Utc = Annotated[datetime, BeforeValidator(_calendar), AfterValidator(_naive_utc)]
+Tdb = Annotated[datetime, BeforeValidator(_calendar), AfterValidator(_no_zone)]
+JulianDate = Annotated[float, Field(strict=True, ge=FIRST_JD, le=LAST_JD)]  # TDB
+RelativePath = Annotated[str, AfterValidator(_beside)]
 Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 RotationRows = Annotated[Matrix3, AfterValidator(_rotation)]
@@ -121,11 +145,34 @@ class Clock(Strict):
     start: Utc | None = None  # the clock reads zero
     partitions: tuple[tuple[int, int], ...] = ()  # first and last tick of each; none: one that never ends
     correlation: tuple[tuple[int, Tdb, PositiveFloat], ...] = ()  # tick, time, seconds per count
+    delimiter: Literal[":", "."] = ":"  # between seconds and subcounts, in readings that SPICE writes
 
     @model_validator(mode="after")
     def _tied_once(self) -> Self:
         if (self.start is None) == (not self.correlation):
             raise ValueError("give either start or correlation, not both and not neither")
+        return self
+
+    @model_validator(mode="after")
+    def _partitions_apart(self) -> Self:
+        last_tick = self.counts * self.subcounts - 1
+        for i, (first, last) in enumerate(self.partitions):
+            if not 0 <= first < last <= last_tick:
+                raise ValueError(f"partitions.{i}: [{first}, {last}] is no interval of ticks within 0..{last_tick}")
+        for i, (before, after) in enumerate(pairwise(self.partitions), start=1):
+            # A clock may start again from any earlier reading; flight clocks go back by less than a count, too.
+            if before[0] < after[0] < before[1] - self.subcounts:
+                raise ValueError(
+                    f"partitions.{i}: [{after[0]}, {after[1]}] overlaps [{before[0]}, {before[1]}]; "
+                    "let it start at the end of the one before, or where the counter was reset to"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _correlation_rises(self) -> Self:
+        for i, (before, after) in enumerate(pairwise(self.correlation), start=1):
+            if after[0] <= before[0] or after[1] <= before[1]:
+                raise ValueError(f"correlation.{i}: tick and time must both be after those of the row before")
         return self
 
 
@@ -136,6 +183,29 @@ class FixedFrame(Strict):
     id: int
     relative_to: FrameName
     matrix: RotationRows
+
+
+class OwenTerms(Strict):
+    """Distortion of the JPL OpNav model, in the terms that kernels have room for (``OOC_EM``)."""
+
+    model: Literal["owen"]
+    e2_per_mm2: float = 0.0
+    e5_per_mm: float = 0.0
+    e6_per_mm: float = 0.0
+
+
+class BrownTerms(Strict):
+    """Distortion of the Brown (OpenCV) model, in the terms that kernels have room for (``OPENCV_OD``)."""
+
+    model: Literal["brown"]
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
 
 
 class Instrument(Strict):
@@ -151,7 +221,13 @@ class Instrument(Strict):
     center_pixel_line: tuple[float, float] | None = None  # none: the middle of the detector
     focal_from_camera: FocalAxes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     fov_half_angles_deg: tuple[PositiveFloat, PositiveFloat] | None = None  # none: from the detector
+    distortion: Annotated[OwenTerms | BrownTerms, Field(discriminator="model")] | None = None
     keywords: Mapping[Keyword, float | str | tuple[float, ...] | tuple[str, ...]] = {}
+
+    @property
+    def center(self) -> tuple[float, float]:
+        """Where the boresight falls, pixel and line."""
+        return self.center_pixel_line or ((self.n_pixel - 1) / 2, (self.n_line - 1) / 2)
 
     @property
     def pixel_scale_rad(self) -> float:
@@ -164,6 +240,13 @@ class BodyFrame(Strict):
 
     name: FrameName
     id: int
+
+
+class Shape(Strict):
+    """A shape model of triangles: an OBJ or cmod file, beside the scenario or with a full path."""
+
+    file: str
+    unit: Literal["km", "m"] = "km"
 
 
 class Body(Strict):
@@ -179,6 +262,7 @@ class Body(Strict):
     pole_dec_deg: tuple[float, ...] = ()
     prime_meridian_deg: tuple[float, ...] = ()  # value at J2000, then rate per day
     frame: BodyFrame | None = None
+    shape: Shape | None = None
 
     @model_validator(mode="after")
     def _whole_rotation(self) -> Self:

@@ -15,8 +15,9 @@ from opnav_workbench.spice import pool
 from opnav_workbench.spice.cache import scenario_metakernel
 from opnav_workbench.spice.files import KINDS, KernelFile, kernel_file, looks_like_kernel
 from opnav_workbench.spice.guard import Request, spice_call
+from opnav_workbench.spice.manifest import fetched_metakernel
 
-__all__ = ["known_names", "resolve"]
+__all__ = ["known_names", "listed_files", "resolve"]
 
 LONGEST_PATH_BYTES = 255  # CSPICE: N0067, FURNSH
 NAME_SUFFIXES = (".tm", ".yaml")  # a metakernel wins over a scenario of the same name
@@ -80,7 +81,10 @@ def _entries(source: Source) -> Iterator[KernelFile | _Missing]:
     if path.is_dir():
         yield from _folder(path)
     elif isinstance(source, str) and not path.exists() and not path.suffix:
-        raise KernelError(_unknown_name(source))
+        fetched = fetched_metakernel(source)
+        if fetched is None:
+            raise KernelError(_unknown_name(source))
+        yield from _expand(fetched, named=True)
     else:
         yield from _expand(path)
 
@@ -125,7 +129,7 @@ def _expand(
     entry = kernel_file(path)
     yield entry
     if entry.kind == "META":
-        for inner in _listed(path, here_first=not named):
+        for inner in listed_files(path, here_first=not named):
             yield from _expand(inner, (*above, path), named=named)
 
 
@@ -139,7 +143,7 @@ def _require_short(path: Path, listed_in: Path | None) -> None:
         )
 
 
-def _listed(metakernel: Path, *, here_first: bool) -> list[Path]:
+def listed_files(metakernel: Path, *, here_first: bool) -> list[Path]:
     """Return the files that a metakernel lists, as absolute paths; SPICE itself parses the text.
 
     Relative paths count from the working folder, as in SPICE, or else from the metakernel's own. The other

@@ -1,98 +1,86 @@
-"""Attitudes of a pointing plan: the camera held on targets or a fixed direction, as predicted and as flown.
+"""Attitudes of a pointing plan: the camera held on targets or a fixed direction, with patterns about them.
+
+Entry points
+    window_attitudes(scenario, window) -> AttitudeHistory    one window of the plan, predicted
+    joined([AttitudeHistory, ...]) -> AttitudeHistory        the windows as one, gaps between them
+    flown(history, error, scenario) -> AttitudeHistory       with the attitude error (spice/attitude_error.py)
 
 Frames  ``camera_from_j2000``; places on the detector are counted in pixels of the boresight's scale, without
         distortion: a plan does not need more.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray
-from opnav_workbench.geometry.rotations import (
-    camera_from_j2000,
-    pointing_angles,
-    radec_from_unit,
-    unit,
-    unit_from_radec,
-)
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.geometry.rotations import unit, unit_from_radec
+from opnav_workbench.spice.aiming import aim, turn_across
+from opnav_workbench.spice.attitude_history import AttitudeHistory, AttitudeLaw, joined, rates_of
+from opnav_workbench.spice.attitude_sampling import adaptive_epochs, even_epochs
 from opnav_workbench.spice.scenario import Scenario
-from opnav_workbench.spice.scenario_pointing import AttitudeError, Window
+from opnav_workbench.spice.scenario_pointing import Mosaic, OffsetList, Scan, Window
+from opnav_workbench.spice.smooth_track import smooth_track
 from opnav_workbench.spice.states import state
 from opnav_workbench.spice.trajectories import utc_to_et
 
-__all__ = ["aim", "disturbed", "window_attitudes"]
+__all__ = ["aim", "joined", "window_attitudes"]
 
-ROUNDING = 1e-12  # rad
+SLEW_TOLERANCE_RAD = 1e-6  # no picture is taken while the camera slews; far below a pixel of any camera
+TRACK_TOLERANCE_RAD = 1e-11  # of a target's direction: a hundredth of what is asked between attitudes
+SOLAR_SYSTEM_BARYCENTER = 0
 
 
-def aim(
-    direction: ArrayLike,
-    twist_rad: float,
-    focal_from_camera: ArrayLike,
-    offset_rad: tuple[float, float] = (0.0, 0.0),
-) -> FloatArray:
-    """Return the attitude (3, 3) in which a J2000 direction appears at an offset from the boresight.
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """A part of a window in which the motion is smooth, and how closely it is followed."""
 
-    Parameters
-    ----------
-    direction : (3,) array_like
-        J2000, of any length.
-    twist_rad : float
-        Position angle of increasing line, east of J2000 north, at the boresight.
-    focal_from_camera : (3, 3) array_like
-        Rows: increasing pixel, increasing line and boresight, unit vectors in the camera frame.
-    offset_rad : (2,) tuple
-        Tangents of the offset along pixel and line.
+    start: float  # et
+    end: float
+    tolerance_rad: float
 
-    Raises
-    ------
-    ValueError
-        `focal_from_camera` is not orthonormal; or the direction is so near a celestial pole that no boresight
-        has it at that offset with that twist.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dwelling:
+    """Places held one after the other: at ``times[2 i]`` place i is reached, at ``times[2 i + 1]`` left."""
+
+    times: FloatArray  # (2 n,) et
+    angles_rad: FloatArray  # (n, 2) turn of the boresight's sky along pixel and line
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def at(self, et: FloatArray) -> FloatArray:
+        """Return the turns (m, 2) at epochs (m,); slews start and end at rest."""
+        row = np.clip(np.searchsorted(self.times, et, side="right") - 1, 0, len(self.times) - 1)
+        place, slewing = row // 2, (row % 2 == 1) & (row < len(self.times) - 1)
+        after = np.where(slewing, place + 1, place)
+        length = np.where(
+            slewing, self.times[np.minimum(row + 1, len(self.times) - 1)] - self.times[row], 1.0
+        )
+        part = np.where(slewing, rest_to_rest((et - self.times[row]) / length), 0.0)[:, None]
+        return np.asarray((1.0 - part) * self.angles_rad[place] + part * self.angles_rad[after])
+
+
+def rest_to_rest(part: FloatArray) -> FloatArray:
+    """Return how much of a slew is done at a part (0 to 1) of its time: rates and accelerations vanish at both ends.
+
+    The quintic ``10 u^3 - 15 u^4 + 6 u^5`` (minimum jerk; Flash & Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985).
 
     Examples
     --------
-    >>> focal = np.diag([1.0, 1.0, -1.0])
-    >>> seen = focal @ aim([1.0, 0.0, 0.0], 0.3, focal, (1e-3, -2e-3)) @ [1.0, 0.0, 0.0]
-    >>> (seen[:2] / seen[2]).round(12).tolist()
-    [0.001, -0.002]
+    >>> rest_to_rest(np.array([0.0, 0.5, 1.0])).tolist()
+    [0.0, 0.5, 1.0]
     """
-    focal = np.asarray(focal_from_camera, float)
-    offset = unit([*offset_rad, 1.0])
-    ra, dec = (float(angle) for angle in radec_from_unit(direction))
-    boresight_dec = _boresight_dec(dec, twist_rad, offset, float(np.sign(np.linalg.det(focal))))
-    at_zero = camera_from_j2000(0.0, boresight_dec, twist_rad, focal)
-    ra_of_offset, _ = radec_from_unit(at_zero.T @ focal.T @ offset)  # its declination is right already
-    return camera_from_j2000(ra - float(ra_of_offset), boresight_dec, twist_rad, focal)
+    u = np.clip(part, 0.0, 1.0)
+    return np.asarray(u**3 * (10.0 + u * (6.0 * u - 15.0)))
 
 
-def _boresight_dec(dec_rad: float, twist_rad: float, offset: FloatArray, handedness: float) -> float:
-    """Return the boresight's declination at which the offset direction (3,) has the declination `dec_rad`.
-
-    In focal axes the celestial pole is ``(-h sin t cos d, cos t cos d, sin d)``, with handedness h, twist t
-    and boresight declination d; its product with the offset, ``a cos d + b sin d``, is the sine of `dec_rad`.
-    The root is taken from ``cos(dec)``, which keeps its digits at the pole.
-    """
-    sine, cosine = math.sin(twist_rad), math.cos(twist_rad)
-    a, b = offset[1] * cosine - handedness * offset[0] * sine, offset[2]
-    across = abs(offset[1] * sine + handedness * offset[0] * cosine)
-    reach = math.cos(dec_rad)
-    if reach > across - ROUNDING:
-        half = math.atan2(math.sqrt(max(0.0, (reach - across) * (reach + across))), math.sin(dec_rad))
-        roots = (math.remainder(math.atan2(b, a) + side * half, math.tau) for side in (-1.0, 1.0))
-        best = min(roots, key=lambda d: abs(d - dec_rad))
-        if abs(best) <= math.pi / 2 + ROUNDING:
-            return min(math.pi / 2, max(-math.pi / 2, best))
-    raise ValueError(
-        f"declination {math.degrees(dec_rad):.4f} deg cannot be held at that offset with twist "
-        f"{math.degrees(twist_rad):.4f} deg: too close to the pole; change offset or twist"
-    )
-
-
-def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, FloatArray]:
-    """Return epochs (n,) and predicted ``camera_from_j2000`` (n, 3, 3) of one window of a pointing plan.
+def window_attitudes(scenario: Scenario, window: Window) -> AttitudeHistory:
+    """Return the predicted attitudes of one window of a pointing plan.
 
     Needs an active `KernelSet` with the scenario's LSK and SPK. Targets are taken where they appear, with
     light time and stellar aberration.
@@ -101,37 +89,114 @@ def window_attitudes(scenario: Scenario, window: Window) -> tuple[FloatArray, Fl
     ------
     KernelError
         A target's state is not covered.
+    ValueError
+        No attitude fulfils the plan (an offset at the celestial pole), or it moves too fast for its tolerance.
     """
-    camera = scenario.pointed_instrument
-    pixel, line = window.offset_px
-    offset = (pixel * camera.pixel_scale_rad, line * camera.pixel_scale_rad)
     start, end = utc_to_et(window.start), utc_to_et(window.end)
-    et = np.append(np.arange(start, end, window.step_s), end)
-    if len(et) > 2 and et[-1] - et[-2] < 1e-3 * window.step_s:  # rounding left a sliver
-        et = np.delete(et, -2)
-    attitudes = [
-        aim(_direction(scenario, window, t), math.radians(window.twist_deg), camera.focal_from_camera, offset)
-        for t in et
+    law = _law(scenario, window, start, end)
+    parts = [
+        even_epochs(s.start, s.end, window.step_s)
+        if window.step_s is not None
+        else adaptive_epochs(law, s.start, s.end, s.tolerance_rad)
+        for s in _stretches(scenario, window, start, end)
     ]
-    return et, np.array(attitudes)
+    # Where a slew meets a dwell, the dwell's own rate is the right one: a difference across would see the slew.
+    inner = [part if i % 2 == 0 else part[1:-1] for i, part in enumerate(parts)]
+    rates = [r if i % 2 == 0 else r[1:-1] for i, r in enumerate(rates_of(law, part) for part in parts)]
+    et = np.concatenate(inner)
+    return AttitudeHistory(et, law(et), np.concatenate(rates), np.array([0])).widened()
 
 
-def _direction(scenario: Scenario, window: Window, et: float) -> FloatArray:
-    if window.ra_deg is not None and window.dec_deg is not None:
-        return unit_from_radec(math.radians(window.ra_deg), math.radians(window.dec_deg))
-    observer = scenario.spacecraft.id
-    seen = [state(scenario.body_id(b), et, observer, "J2000", "CN+S").position_km for b in window.track]
-    return np.asarray(np.sum(unit(seen), axis=0))
-
-
-def disturbed(predicted: FloatArray, error: AttitudeError, scenario: Scenario) -> FloatArray:
-    """Return flown attitudes (n, 3, 3): predicted ones, sky shifted on the detector and twist added."""
+def _law(scenario: Scenario, window: Window, start: float, end: float) -> AttitudeLaw:
+    """Return the attitude as a function of time: the aim, then the pattern's turn about the camera's own axes."""
     camera = scenario.pointed_instrument
-    pixel, line = error.shift_px
-    offset = (pixel * camera.pixel_scale_rad, line * camera.pixel_scale_rad)
-    flown = []
-    for attitude in predicted:
-        ra, dec, twist = pointing_angles(attitude, camera.focal_from_camera)
-        turned = twist + math.radians(error.twist_deg)
-        flown.append(aim(unit_from_radec(ra, dec), turned, camera.focal_from_camera, offset))
-    return np.array(flown)
+    focal, scale = np.array(camera.focal_from_camera), camera.pixel_scale_rad
+    twist, offset = math.radians(window.twist_deg), np.multiply(window.offset_px, scale)
+    directions = _directions(scenario, window, start, end)
+
+    def aimed(et: FloatArray) -> FloatArray:
+        return np.broadcast_to(aim(directions(et), twist, focal, offset), (len(et), 3, 3))
+
+    if window.scan is not None:
+        first, axis = _scan(window.scan, twist, focal, scale)
+        rate = math.radians(window.scan.rate_deg_s)
+        return lambda et: turn_across(rate * (et - start)[:, None] * axis, focal) @ first @ aimed(et)
+    if window.dwells is not None:
+        dwelling = _dwelling(window.dwells, scenario, start)
+        return lambda et: turn_across(dwelling.at(et), focal) @ aimed(et)
+    return aimed
+
+
+def _scan(scan: Scan, twist: float, focal: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return the turn to the scan's start (3, 3), and the direction (2,) in which what is aimed at then moves."""
+    first = turn_across(_angles(np.multiply(scan.start_px, scale)), focal)
+    if scan.direction is not None:
+        return first, unit([*scan.direction, 0.0])[:2]
+    assert scan.position_angle_deg is not None
+    angle = math.radians(scan.position_angle_deg) - twist
+    handedness = float(np.sign(np.linalg.det(focal)))
+    # Where the boresight goes on the sky, what it looked at stays behind.
+    return first, -np.array([handedness * math.sin(angle), math.cos(angle)])
+
+
+def _dwelling(dwells: Mosaic | OffsetList, scenario: Scenario, start: float) -> Dwelling:
+    camera = scenario.pointed_instrument
+    places = np.array(list(dwells.places_px(camera.n_pixel, camera.n_line)), float)
+    reached = start + np.arange(len(places)) * (dwells.dwell_s + dwells.slew_s)
+    times = np.stack([reached, reached + dwells.dwell_s], axis=1).ravel()
+    return Dwelling(times, _angles(places * camera.pixel_scale_rad))
+
+
+def _angles(tangents: FloatArray) -> FloatArray:
+    """Return angles (..., 2) along pixel and line of places given by their tangents."""
+    radius = np.linalg.norm(tangents, axis=-1, keepdims=True)
+    return np.asarray(
+        tangents * np.where(radius > 0.0, np.arctan(radius) / np.where(radius > 0.0, radius, 1.0), 1.0)
+    )
+
+
+def _stretches(scenario: Scenario, window: Window, start: float, end: float) -> list[Stretch]:
+    """Cut a window where a slew starts or ends."""
+    still = window.tolerance_rad
+    if window.dwells is None:
+        return [Stretch(start, end, still)]
+    times = _dwelling(window.dwells, scenario, start).times
+    edges = np.append(times[:-1], end)  # the last place is held to the end
+    slew = max(still, SLEW_TOLERANCE_RAD)
+    return [
+        Stretch(a, b, still if i % 2 == 0 else slew)
+        for i, (a, b) in enumerate(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+    ]
+
+
+def _directions(
+    scenario: Scenario, window: Window, start: float, end: float
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the J2000 directions to aim at as a function of time; (3,) of a fixed one."""
+    if window.ra_deg is not None and window.dec_deg is not None:
+        fixed = unit_from_radec(math.radians(window.ra_deg), math.radians(window.dec_deg))
+        return lambda _: fixed
+    bodies = [scenario.body_id(b) for b in window.track]
+
+    def seen(et: FloatArray) -> FloatArray:
+        return np.array([_middle(bodies, scenario.spacecraft.id, t) for t in et.tolist()])
+
+    return smooth_track(
+        seen, start, end, max(TRACK_TOLERANCE_RAD, _rounding_rad(scenario, bodies, start, end))
+    )
+
+
+def _middle(bodies: list[int], observer: int, et: float) -> FloatArray:
+    seen = [state(body, et, observer, "J2000", "CN+S").position_km for body in bodies]
+    return unit(np.sum(unit(seen), axis=0))
+
+
+def _rounding_rad(scenario: Scenario, bodies: list[int], start: float, end: float) -> float:
+    """Return how far rounding in SPICE's light times moves the targets' directions, at most."""
+    noise = 0.0
+    for body, t in product(bodies, (start, 0.5 * (start + end), end)):
+        seen, there = state(body, t, scenario.spacecraft.id), state(body, t, SOLAR_SYSTEM_BARYCENTER)
+        speed, far = (float(np.linalg.norm(v)) for v in (there.velocity_km_s, there.position_km))
+        rounded_km = float(np.spacing(abs(t))) * speed + 2.0 * float(np.spacing(far))
+        noise = max(noise, rounded_km / float(np.linalg.norm(seen.position_km)))
+    return noise

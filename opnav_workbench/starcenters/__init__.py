@@ -11,7 +11,6 @@ from opnav_workbench.starcenters.detection import Detections, detect
 from opnav_workbench.starcenters.flags import StarFlag, describe_flags
 from opnav_workbench.starcenters.identification import Identification, identify
 from opnav_workbench.starcenters.least_squares import default_box_px, fit_gaussian
-from opnav_workbench.starcenters.psf import PixelIntegrals, box_integrals, pixel_gaussian
 from opnav_workbench.starcenters.results import NoiseModel, PsfShape, ShapePrior, StarCenters
 from opnav_workbench.starcenters.templates import Template, extract_template, gaussian_template
 
@@ -19,13 +18,11 @@ __all__ = [
     "Detections",
     "Identification",
     "NoiseModel",
-    "PixelIntegrals",
     "PsfShape",
     "ShapePrior",
     "StarCenters",
     "StarFlag",
     "Template",
-    "box_integrals",
     "correlate",
     "default_box_px",
     "describe_flags",
@@ -36,6 +33,5 @@ __all__ = [
     "fit_stars",
     "gaussian_template",
     "identify",
-    "pixel_gaussian",
     "shape_from_stars",
 ]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.psf import shape_from_ellipse
 from opnav_workbench.starcenters.flags import StarFlag
 from opnav_workbench.starcenters.least_squares import SEARCH_RADIUS_PX, fit_gaussian, misfit_factor
-from opnav_workbench.starcenters.psf import shape_from_ellipse
 from opnav_workbench.starcenters.results import NoiseModel, ShapePrior, StarCenters
 
 __all__ = ["estimate_psf_error", "fit_stars", "shape_from_stars"]

@@ -18,10 +18,10 @@ from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.psf import ellipse_from_shape
 from opnav_workbench.starcenters.boxes import Boxes, check_image, check_points, cut_boxes
 from opnav_workbench.starcenters.flags import StarFlag, combine_flags
 from opnav_workbench.starcenters.levenberg import Solution, solve_batched
-from opnav_workbench.starcenters.psf import ellipse_from_shape
 from opnav_workbench.starcenters.results import NoiseModel, ShapePrior, StarCenters
 from opnav_workbench.starcenters.search import brightest_pixel
 from opnav_workbench.starcenters.star_model import (
@@ -126,7 +126,7 @@ def fit_gaussian(
 
     Examples
     --------
-    >>> from opnav_workbench.starcenters.psf import pixel_gaussian
+    >>> from opnav_workbench.psf import pixel_gaussian
     >>> line, pixel = np.indices((12, 12)).reshape(2, 1, -1)
     >>> prior = ShapePrior.round_psf(0.8)
     >>> star = pixel_gaussian(np.array([[5.3, 6.1]]), prior.mean[None], pixel, line).value

@@ -6,8 +6,8 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.psf import ellipse_from_shape, shape_from_ellipse
 from opnav_workbench.starcenters.flags import StarFlag
-from opnav_workbench.starcenters.psf import ellipse_from_shape, shape_from_ellipse
 
 __all__ = ["UNUSABLE_FLAGS", "NoiseModel", "PsfShape", "ShapePrior", "StarCenters"]
 

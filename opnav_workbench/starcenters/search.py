@@ -4,9 +4,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.psf import box_integrals
 from opnav_workbench.starcenters.boxes import Pixels, cut_boxes
 from opnav_workbench.starcenters.peaks import refine_peaks
-from opnav_workbench.starcenters.psf import box_integrals
 from opnav_workbench.starcenters.results import ShapePrior
 
 __all__ = ["brightest_pixel"]

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.psf import box_integrals
 from opnav_workbench.starcenters.boxes import Boxes
 from opnav_workbench.starcenters.levenberg import Evaluation
-from opnav_workbench.starcenters.psf import box_integrals
 from opnav_workbench.starcenters.results import NoiseModel, ShapePrior
 
 __all__ = ["E1", "E2", "FLUX", "LEVEL", "LINE", "PIXEL", "SCALE", "SLOPE_LINE", "SLOPE_PIXEL", "StarModel"]

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.psf import box_integrals
 from opnav_workbench.starcenters.boxes import check_image, check_points, cut_boxes
-from opnav_workbench.starcenters.psf import box_integrals
 
 __all__ = ["Template", "extract_template", "gaussian_template"]
 

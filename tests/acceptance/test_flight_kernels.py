@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import spiceypy
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import pointing_angles
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.mission import load_mission
-from opnav_workbench.scene import body_target, observer_from_kernels, predict_body
-from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc
+from opnav_workbench.scene import geometry_report
+from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc, instrument_values
 
 pytestmark = pytest.mark.realdata
 
@@ -24,33 +25,70 @@ class Picture:
 
     folder: str
     generic: tuple[str, ...]
-    mission: str
-    camera: str
+    spacecraft: int
+    camera: tuple[str, str] | int  # mission and camera file, or NAIF id of the instrument in its IK
     target: str
-    utc: str
-    diameter_px: tuple[float, float]  # allowed range of the predicted diameter
+    utc: str  # middle of the exposure
+    # allowed ranges
+    range_km: tuple[float, float]
+    diameter_px: tuple[float, float]
 
 
 PICTURES = {
+    "LORRI at Io": Picture(
+        "lor_0034974380_0x630_sci_1",
+        (*NEW_HORIZONS, "nh_lorri_v201.ti"),
+        -98,
+        ("new_horizons", "lorri_1x1"),
+        "IO",
+        "2007-02-28T13:14:22.331",
+        (2.41e6, 2.42e6),
+        # 3643 km at 2.4165e6 km: 1.508 mrad, 4.964 microrad a pixel
+        (303.0, 305.0),
+    ),
     "MapCam at Bennu": Picture(
         "20190303T100344S990_map_iofL2pan_V001",
         ("naif0012.tls", "orx_sclkscet_00065.tsc", "bennu_v16.tpc", "orx_v14.tf", "orx_ocams_v07.ti"),
-        "osiris_rex",
-        "mapcam",
+        -64,
+        ("osiris_rex", "mapcam"),
         "BENNU",
         "2019-03-03T10:59:42.951",
+        (6.5, 6.7),
         # 565 x 535 x 508 m at 6.6 km: 80 mrad, 68 microrad a pixel
         (1100.0, 1300.0),
     ),
     "MVIC at Pluto": Picture(
         "mpf_0295610274_0x539_sci",
         (*NEW_HORIZONS, "nh_ralph_v100u.ti"),
-        "new_horizons",
-        "mvic_framing",
+        -98,
+        ("new_horizons", "mvic_framing"),
         "PLUTO",
         "2015-06-03T04:07:03.124",
+        (4.9e7, 5.1e7),
         # 2377 km at 5.0e7 km: 47 microrad, 19.8 microrad a pixel
         (2.2, 2.8),
+    ),
+    "Cassini at Enceladus": Picture(
+        "N1702360370_1",
+        ("naif0012.tls", "pck00011.tpc"),
+        -82,
+        -82360,
+        "ENCELADUS",
+        "2011-12-12T05:02:22.073",  # the label's IMAGE_MID_TIME
+        (24400.0, 24450.0),
+        # 513 x 503 x 497 km at 24 419 km: 20.6 mrad, 5.99 microrad a pixel; more than the detector
+        (3400.0, 3500.0),
+    ),
+    "Dawn at Ceres": Picture(
+        "FC21A0038582_15170161546F6F",
+        ("naif0012.tls",),
+        -203,
+        -203120,
+        "CERES",
+        "2015-06-19T16:15:47.245",
+        (4860.0, 4880.0),
+        # 964 x 892 km at 4870 km: 195 mrad, 93.2 microrad a pixel; more than the detector
+        (2050.0, 2250.0),
     ),
 }
 
@@ -58,25 +96,38 @@ PICTURES = {
 def _kernels(data_dir: Path, generic: tuple[str, ...], folder: str) -> list[Path]:
     spice = data_dir / "spice"
     inside = sorted(
-        p for p in (spice / "slices" / folder).iterdir() if p.suffix in {".bsp", ".bc", ".ti", ".tpc"}
+        p
+        for p in (spice / "slices" / folder).iterdir()
+        if p.suffix in {".bsp", ".bc", ".ti", ".tf", ".tpc", ".tsc"}
     )
     return [*(spice / "generic" / name for name in generic), *inside]
+
+
+def _camera(of: tuple[str, str] | int) -> Camera:
+    if isinstance(of, int):
+        return Camera.from_ik(instrument_values(of), of)
+    mission, name = of
+    return load_mission(mission).camera_named(name)
 
 
 @pytest.mark.parametrize("name", PICTURES)
 def test_target_is_predicted_on_the_detector(name, data_dir):
     picture = PICTURES[name]
-    mission = load_mission(picture.mission)
-    (choice,) = [c for c in mission.cameras if c.file.stem == picture.camera]
-    camera = Camera.from_yaml(choice.file)
     with KernelSet(_kernels(data_dir, picture.generic, picture.folder)):
-        et = et_from_utc(picture.utc)
-        observer = observer_from_kernels(mission.spacecraft_id, et)
-        target = body_target(picture.target, mission.spacecraft_id, et)
-        body = predict_body(target, observer, camera, camera_attitude(camera.frame, et))
-    assert body.on_detector
+        camera = _camera(picture.camera)
+        report = geometry_report(et_from_utc(picture.utc), picture.spacecraft, [picture.target], camera)
+        (body,) = report.bodies
+        direction = spiceypy.spkpos(picture.target, report.et, camera.frame, "CN+S", str(picture.spacecraft))[
+            0
+        ]
+    assert report.notes == ()
+    assert picture.range_km[0] < body.range_km < picture.range_km[1]
     assert picture.diameter_px[0] < body.diameter_px < picture.diameter_px[1]
-    assert len(body.limb_px) > 0
+    # Far targets stand on the detector; one that is larger than the detector covers its middle.
+    off = np.hypot(*(np.array([body.pixel, body.line]) - camera.center_pixel_line))
+    assert body.on_detector or off < body.diameter_px / 2
+    # Two ways to apply stellar aberration: SPICE's and the package's, with the velocity 1e-4 c to 1e-8 of the angle
+    np.testing.assert_allclose([body.pixel, body.line], camera.project(direction), atol=2e-3)
 
 
 def test_lorri_boresight_at_io_equals_the_header(data_dir):

@@ -54,11 +54,11 @@ def test_every_field_arrives(tmp_path):
 
 
 def test_values_nobody_knows_are_none():
-    camera = Camera.from_yaml(kernels_meta_dir() / "osiris_rex/cameras/mapcam.yaml")
-    assert camera.gain_e_per_dn is None
+    camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/mvic_framing.yaml")
+    assert camera.bias_dn is None
     assert camera.exposure_limits is None
-    with pytest.raises(CameraError, match="MapCam pan: gain_e_per_dn is not known"):
-        camera.require("gain_e_per_dn")
+    with pytest.raises(CameraError, match="MVIC framing: bias_dn is not known"):
+        camera.require("bias_dn")
 
 
 @pytest.mark.parametrize(
@@ -95,13 +95,16 @@ def test_every_distortion_can_be_written(tmp_path, distortion, kind):
         (changed("optics", "focal_length_mm", value=-5), "optics.focal_length_mm: .*greater than 0"),
         (changed("optics", "focal_length_mm", value=float("inf")), "optics.focal_length_mm: .*finite"),
         (changed("detector", "n_pixel", value="many"), "detector.n_pixel: .*integer"),
-        (changed("detector", "full_well_e", value=1e5), "detector.full_well_e: unknown field"),
+        (changed("detector", "well_depth_e", value=1e5), "detector.well_depth_e: unknown field"),
         (changed("optics", "distortion", value={"model": "fisheye"}), "optics.distortion: .*fisheye"),
         (
             changed("optics", "distortion", value={"model": "owen", "e2": 1}),
             "optics.distortion.e2: unknown",
         ),
-        (changed("optics", "pixel_from_mm", value=[[1, 2]]), "optics.pixel_from_mm.1: this field is required"),
+        (
+            changed("optics", "pixel_from_mm", value=[[1, 2]]),
+            "optics.pixel_from_mm.1: this field is required",
+        ),
         (
             changed("optics", "focal_from_camera", value=[[1, 0, 0], [1, 0, 0], [0, 0, 1]]),
             "orthogonal unit rows",

@@ -207,3 +207,12 @@ def test_what_is_missing_or_wrong_is_named(values, message):
 def test_directions_that_are_not_at_right_angles_are_refused():
     with pytest.raises(CameraError, match="not at right angles"):
         Camera.from_ik(FOV, -999100, pixel_direction=[1, 0, 0], line_direction=[1, 0.2, 0])
+
+
+def test_field_of_a_pixel_in_radians_along_both_axes():
+    """As Dawn's kernel gives it; a value a thousand times off is still refused."""
+    optics = {"FOCAL_LENGTH": (150.07,), "PIXEL_SIZE": (14.004, 13.995), "IFOV": (9.3242e-05, 9.3184e-05)}
+    camera = Camera.from_ik(with_changes(**optics), -999100)
+    assert np.diag(camera.pixel_from_mm) == pytest.approx([1.0 / 0.014004, 1.0 / 0.013995])
+    with pytest.raises(CameraError, match=r"IFOV 0.093 microrad"):
+        Camera.from_ik(with_changes(**optics | {"IFOV": (0.093, 0.093)}), -999100)

@@ -152,6 +152,64 @@ def test_a_gaia_index_brings_names_motions_and_epoch(tmp_path) -> None:
     assert list(found.id) == ["Gaia DR3 5853498713190525696"]
 
 
+def gaia_columns(ra, dec, mag):
+    """The columns of series 5000 and 5200-HEAVY, as their README lists them."""
+    n = len(ra)
+    wide = {
+        "source_id": ("K", np.arange(1, n + 1)),
+        "ra": ("D", np.degrees(ra)),
+        "dec": ("D", np.degrees(dec)),
+    }
+    narrow = {
+        "phot_g_mean_mag": mag,
+        "phot_bp_mean_mag": mag + 0.33,
+        "phot_rp_mean_mag": mag - 0.49,
+        "parallax": np.full(n, 2.0),
+        "parallax_error": np.full(n, 0.25),
+        "pmra": np.full(n, 8.0),
+        "pmra_error": np.full(n, 0.5),
+        "pmdec": np.full(n, -4.0),
+        "pmdec_error": np.full(n, 0.125),
+        "ref_epoch": np.full(n, 2015.5),
+    }
+    return {**wide, **{name: ("E", values) for name, values in narrow.items()}}
+
+
+def test_a_heavy_gaia_index_has_exact_places_and_colors(tmp_path) -> None:
+    ra, dec, mag = sky(300)
+    stars = everything(
+        write_index(tmp_path / "index-5200-00.fits", ra, dec, gaia_columns(ra, dec, mag), kind="u16")
+    )
+    row = np.array([int(name.removeprefix("Gaia DR2 ")) for name in stars.id]) - 1
+    # The tree of 16 bits rounds to arcseconds; the columns do not, and the sigma is Gaia's own.
+    apart = angle_between(unit_from_radec(stars.ra_rad, stars.dec_rad), unit_from_radec(ra[row], dec[row]))
+    assert apart.max() / MAS < 1e-6
+    np.testing.assert_allclose(stars.sigma[:, 0] / MAS, 0.1, rtol=1e-12)
+    np.testing.assert_allclose(stars.pmra_rad_yr / MAS, 8.0)
+    np.testing.assert_allclose(stars.sigma[:, 2] / MAS, 0.25)
+    np.testing.assert_allclose(stars.v_mag - stars.mag, 0.15, atol=0.01)  # the color of the Sun
+    np.testing.assert_allclose(stars.b_v, 0.65, atol=0.02)
+    assert stars.motion_known.all()
+
+
+def test_places_that_belong_to_other_stars_are_noticed(tmp_path) -> None:
+    ra, dec, mag = sky(300)
+    shifted = gaia_columns(np.roll(ra, 1), dec, mag)
+    with pytest.raises(CatalogError, match="the columns ra and dec differ from the star tree"):
+        everything(write_index(tmp_path / "i.fits", ra, dec, shifted))
+
+
+def test_tycho_magnitudes_give_colors(tmp_path) -> None:
+    ra, dec, mag = sky(5)
+    columns = {"MAG_BT": ("E", mag + 1.0), "MAG_VT": ("E", mag)}
+    stars = everything(write_index(tmp_path / "index.fits", ra, dec, columns))
+    np.testing.assert_allclose(stars.v_mag - stars.mag, 9.7e-4 - 0.1334 + 0.05486 - 0.01998, atol=1e-6)
+    assert np.isfinite(stars.b_v).all()
+    plain = everything(write_index(tmp_path / "plain.fits", ra, dec, {"MAG_VT": ("E", mag)}))
+    np.testing.assert_allclose(plain.v_mag - plain.mag, -0.09, atol=1e-6)
+    assert np.isnan(plain.b_v).all()
+
+
 def test_a_column_that_is_only_named_like_a_magnitude_will_do(tmp_path) -> None:
     ra, dec, mag = sky(4)
     stars = everything(write_index(tmp_path / "i.fits", ra, dec, {"id": ("J", mag), "J_MAG": ("E", mag)}))

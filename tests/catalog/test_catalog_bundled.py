@@ -10,6 +10,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 from opnav_workbench.catalog import bundled, open_catalog
+from opnav_workbench.catalog.bands import Johnson
 from opnav_workbench.catalog.gaia import GaiaStars, read_gaia
 from opnav_workbench.catalog.hipparcos import HipparcosStars, read_hipparcos
 from opnav_workbench.catalog.merge import merge
@@ -47,8 +48,11 @@ def cache(tmp_path, monkeypatch):
             np.zeros(1),
             np.full((1, 5), MAS),
             np.array([5.0]),
+            Johnson.unknown(1),
+            np.zeros(1, int),
         )
-        return merge(hipparcos, GaiaStars(np.array([12]), np.array([2.0]), np.array([0.5]), np.array([9.0])))
+        gaia = GaiaStars(np.array([12]), *np.array([[2.0], [0.5], [9.0]]), Johnson.unknown(1))
+        return merge(hipparcos, gaia)
 
     monkeypatch.setattr(bundled, "_built", build)
     return bundled.bundled_cache_path(), builds
@@ -171,7 +175,7 @@ def truncate(content: bytes) -> bytes:
 
 
 def flip(content: bytes) -> bytes:
-    place = content.index(struct.pack("<q", -7))  # inside the array `number`
+    place = content.index(struct.pack("<q", -7))  # inside a record
     return content[:place] + b"\x00" + content[place + 1 :]
 
 
@@ -186,12 +190,13 @@ def test_a_damaged_cache_is_built_anew(cache, damage) -> None:
     assert len(builds) == 2  # and written again
 
 
-def test_a_cache_of_another_layout_is_built_anew(cache) -> None:
+def test_a_cache_of_another_rule_is_built_anew(cache, monkeypatch) -> None:
     path, builds = cache
-    path.parent.mkdir(parents=True)
-    np.savez(path, number=np.zeros(3, np.int64), ra_rad=np.zeros(2))
+    bundled.open_bundled()
+    monkeypatch.setattr(bundled, "FORMAT", -1)
+    path.rename(bundled.bundled_cache_path())
     assert len(names(bundled.open_bundled())) == 2
-    assert len(builds) == 1
+    assert len(builds) == 2
 
 
 def test_without_a_writable_cache_the_catalog_stays_in_memory(cache, tmp_path, monkeypatch) -> None:

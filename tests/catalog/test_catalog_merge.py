@@ -8,7 +8,8 @@ from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
 
-from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, merge
+from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, StarQuality, merge
+from opnav_workbench.catalog.bands import Johnson
 from opnav_workbench.catalog.gaia import GaiaStars
 from opnav_workbench.catalog.hipparcos import HipparcosStars
 
@@ -43,13 +44,16 @@ def hipparcos(ra, dec, pmra, pmdec, hp=8.0, sigma_mas=HIP_SIGMA, first=1) -> Hip
         parallax_rad=np.full(n, 20.0 * MAS),
         sigma=np.tile(np.asarray(sigma_mas) * MAS, (n, 1)),
         hp_mag=np.broadcast_to(np.asarray(hp, float), n).copy(),
+        johnson=Johnson(*np.tile([[8.0], [0.02], [0.6], [0.01]], n)),
+        flags=np.full(n, int(StarQuality.DOUBLE)),
     )
 
 
 def gaia(ra, dec, g=8.0) -> GaiaStars:
     n = len(ra)
     g_mag = np.broadcast_to(np.asarray(g, float), n).copy()
-    return GaiaStars(np.arange(10**18, 10**18 + n), np.asarray(ra, float), np.asarray(dec, float), g_mag)
+    number, johnson = np.arange(10**18, 10**18 + n), Johnson(*np.tile([[8.1], [0.03], [0.7], [0.04]], n))
+    return GaiaStars(number, np.asarray(ra, float), np.asarray(dec, float), g_mag, johnson)
 
 
 def beside(ra, dec, east_mas, north_mas):
@@ -203,3 +207,12 @@ def test_gaia_alone_has_the_sigmas_of_the_unknown() -> None:
     np.testing.assert_array_equal(stars.motion_rad_yr[alone], 0.0)
     np.testing.assert_allclose(stars.sigma[alone, 3:] / MAS, UNKNOWN_MOTION_MAS_YR, rtol=1e-6)
     np.testing.assert_allclose(stars.sigma[alone, 2] / MAS, 6.8 * 10 ** (-0.15 * 2.5), rtol=1e-6)
+
+
+def test_colors_and_flags_of_hipparcos_stay_with_the_matched_star() -> None:
+    matched = merge.merge(hipparcos([1.0], [0.2], [5.0], [0.0]), gaia([1.0, 2.0], [0.2, 0.2]))
+    of_hipparcos, alone = matched.number < 0, matched.number > 0
+    np.testing.assert_allclose(matched.johnson[of_hipparcos], [[8.0, 0.02, 0.6, 0.01]], rtol=1e-6)
+    np.testing.assert_allclose(matched.johnson[alone], [[8.1, 0.03, 0.7, 0.04]], rtol=1e-6)
+    assert matched.flags[of_hipparcos] == StarQuality.DOUBLE
+    assert matched.flags[alone] == 0

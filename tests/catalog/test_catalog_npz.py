@@ -152,3 +152,14 @@ def test_describe_counts_and_names(tmp_path) -> None:
     assert facts["bands"] == ["G", "V"]
     assert (facts["brightest_mag"], facts["faintest_mag"]) == (6.0, 8.0)
     assert (facts["first_epoch_jyear"], facts["last_epoch_jyear"]) == (2000.0, 2016.0)
+
+
+def test_v_is_made_of_the_band(tmp_path) -> None:
+    path = tmp_path / "stars.npz"
+    np.savez(
+        path, ra_deg=np.zeros(3), dec_deg=np.zeros(3), mag=np.full(3, 9.0), band=np.array(["V", "VT", "K"])
+    )
+    stars = open_catalog(f"npz:{path}").cone(0.0, 0.0, 0.1)
+    np.testing.assert_allclose(stars.v_mag, [9.0, 8.91, np.nan])
+    assert np.isnan(stars.b_v).all()
+    assert (stars.v_sigma[:2] > 0.0).all()

@@ -1,11 +1,14 @@
 """StarTable: lengths, read-only columns, selection, covariance, units."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from astropy import units as u
 
-from opnav_workbench.catalog import StarTable
+from opnav_workbench.catalog import StarQuality, StarTable
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.geometry import et_from_jyear
 
 
 def table(n: int = 4, first: int = 0) -> StarTable:
@@ -79,3 +82,55 @@ def test_qtable_has_units_and_the_same_values() -> None:
     np.testing.assert_allclose(shown["sigma_parallax"].to_value(u.rad), stars.sigma[:, 2], rtol=1e-14)
     assert list(shown["motion_known"]) == [False, True, True, True]
     assert all(shown[name].info.description for name in ("ra", "mag", "epoch", "sigma_pmra"))
+
+
+def test_columns_left_out_are_unknown() -> None:
+    stars = table()
+    for name in ("v_mag", "v_sigma", "b_v", "b_v_sigma"):
+        assert np.isnan(getattr(stars, name)).all()
+        assert getattr(stars, name).shape == (4,)
+    assert stars.flags.tolist() == stars.hip.tolist() == [0, 0, 0, 0]
+    assert stars.flags.dtype == stars.hip.dtype == np.int64
+    np.testing.assert_array_equal(stars.position_motion, np.zeros((4, 2)))
+
+
+def test_photometry_and_flags_follow_their_stars() -> None:
+    flags = [0, StarQuality.DOUBLE, StarQuality.DOUBLE | StarQuality.VARIABLE, 0]
+    stars = replace(table(), v_mag=np.arange(4.0), b_v=np.arange(4.0) / 10.0, flags=flags, hip=np.arange(4))
+    part = StarTable.concatenate([stars.take([2, 0]), table(1)])
+    np.testing.assert_array_equal(part.v_mag, [2.0, 0.0, np.nan])
+    assert part.flags.tolist() == [65, 0, 0]
+    assert part.hip.tolist() == [2, 0, 0]
+    shown = stars.to_qtable()
+    assert shown["v_mag"].unit == u.mag
+    assert list(shown["flags"]) == [0, 1, 65, 0]
+    with pytest.raises(CatalogError, match=r"v_mag has shape \(3,.*expected \(4,"):
+        replace(stars, v_mag=np.zeros(3))
+    with pytest.raises(CatalogError, match=r"position_motion has shape \(4,.*expected \(4, 2"):
+        replace(stars, position_motion=np.zeros(4))
+
+
+def test_position_and_motion_vary_together() -> None:
+    """A position reduced to J2000 from its mean epoch: the sigma at that epoch is the observed one again."""
+    observed, motion, years = 20e-9, 3e-9, 12.0
+    sigma = np.tile([np.hypot(observed, years * motion)] * 2 + [0.0] + [motion] * 2, (4, 1))
+    stars = replace(
+        table(),
+        epoch_jyear=np.full(4, 2000.0),
+        sigma=sigma,
+        position_motion=np.full((4, 2), years * motion**2),
+    )
+    for year, expected in (
+        (1988.0, observed),
+        (2000.0, sigma[0, 0]),
+        (2015.0, np.hypot(observed, 27.0 * motion)),
+    ):
+        variance = stars.sky_covariance(float(et_from_jyear(year)))
+        np.testing.assert_allclose(np.sqrt(variance[:, [0, 1], [0, 1]]), expected, rtol=1e-6)
+    for matrix in stars.covariance:
+        assert np.linalg.eigvalsh(matrix).min() > -1e-30
+
+
+def test_a_table_of_no_stars_may_have_forgotten_its_widths() -> None:
+    empty = {name: np.array([]) for name in StarTable.__slots__}  # as JSON gives them back
+    assert StarTable(**empty).covariance.shape == (0, 5, 5)

@@ -14,7 +14,7 @@ from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.version import __version__
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-COMMANDS = ("demo", "process", "doctor")
+COMMANDS = ("demo", "process", "simulate", "doctor")
 
 
 def _invoke(*arguments: object):

@@ -221,3 +221,13 @@ def test_rotations_are_vectorised():
 def test_zero_vectors_have_no_direction():
     with pytest.raises(ValueError, match="zero vector"):
         geo.unit([[1.0, 0, 0], [0, 0, 0]])
+
+
+def test_stacks_of_attitudes_are_those_of_single_ones():
+    focal = np.diag([1.0, -1.0, 1.0])
+    ra, dec, twist = np.array([[0.1, 3.0, 6.2], [-1.5, 0.0, 1.2], [0.3, 2.0, 5.0]])
+    stack = geo.camera_from_j2000(ra, dec, twist, focal)
+    for i in range(3):
+        assert stack[i] == pytest.approx(geo.camera_from_j2000(ra[i], dec[i], twist[i], focal), abs=1e-15)
+    assert geo.camera_from_j2000(0.1, dec, 0.3, focal).shape == (3, 3, 3)
+    np.testing.assert_allclose(geo.pointing_angle_arrays(stack, focal), [ra, dec, twist], atol=1e-14)

@@ -8,10 +8,9 @@ import pytest
 import spiceypy
 from astropy.io import fits
 
-from opnav_workbench.errors import MissionError
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_PICTURES, approach, simulate_picture
+from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_PICTURES, simulate_picture
 from opnav_workbench.scene import observer_from_header, observer_from_kernels
 from opnav_workbench.spice import KernelSet
 
@@ -91,7 +90,7 @@ def test_bodies_are_at_their_true_places(simulated, frame):
 
 
 def test_the_header_does_not_leak_the_true_attitude(simulated, frame):
-    true = simulated.camera_from_j2000
+    true = simulated.camera_from_j2000.copy()
     assert (
         np.abs(true - simulated.predicted_camera_from_j2000).max() > 1e-5
     )  # rad: there is something to hide
@@ -115,22 +114,6 @@ def test_seeds_are_repeatable_and_differ(simulated, kernels, mission, tmp_path):
     assert np.abs(other.camera_from_j2000 - simulated.camera_from_j2000).max() > 1e-6
 
 
-def test_pointing_errors_have_the_a_priori_size(mission):
-    camera = mission.camera_for(LORRI.header)
-    nominal = np.array(spiceypy.eul2m(0.3, 1.2, -2.0, 3, 1, 3))
-    turns = np.array(
-        [spiceypy.raxisa(approach._misaligned(nominal, camera, s) @ nominal.T) for s in range(500)],
-        dtype=object,
-    )
-    vectors = np.array([axis * angle for axis, angle in turns])
-    sigma = camera.attitude_sigma
-    px = 51.988e-3 / 2618.4775964615382691  # rad
-    # 500 draws tell a deviation to 3.2 %; LORRI's pixel, line and boresight are its X, Y and -Z.
-    assert vectors[:, :2].std(axis=0) / px == pytest.approx([sigma.cross_px] * 2, rel=0.13)
-    assert np.degrees(vectors[:, 2].std()) == pytest.approx(sigma.twist_deg, rel=0.13)
-    assert np.abs(vectors.mean(axis=0) / vectors.std(axis=0)).max() < 0.18  # 4 sigmas of a mean
-
-
 def test_a_mission_with_few_and_other_keywords(kernels, mission, tmp_path):
     keywords = {
         "required": {"MISSION": ["New Horizons", "NH"]},
@@ -151,17 +134,19 @@ def test_a_mission_with_few_and_other_keywords(kernels, mission, tmp_path):
     assert frame.header_geometry is None
 
 
-def test_the_clock_is_asked_by_its_own_id(kernels, mission, tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        approach, "sclk_from_et", lambda clock, et: asked.append(clock) or "3/0000000000:00000"
-    )
-    simulate_picture(LORRI, replace(mission, clock_id=-98999), DEMO_CATALOG, tmp_path)
-    assert asked == [-98999]
+def test_the_clock_is_asked_by_its_own_id(kernels, mission, tmp_path):
+    """A clock that the kernels do not know leaves the header without a reading."""
+    truth = simulate_picture(LORRI, replace(mission, clock_id=-98999), DEMO_CATALOG, tmp_path)
+    with fits.open(truth.picture) as hdus:
+        assert "/" not in str(hdus[0].header["SPCSCLK"])
+    frame = read_image(truth.picture, KeywordMap(**mission.keywords))
+    assert frame.et == pytest.approx(spiceypy.str2et(LORRI.utc), abs=1e-6)
 
 
-def test_a_target_of_unknown_brightness_is_refused(kernels, mission, tmp_path):
+def test_a_target_of_unknown_brightness_shines_by_its_albedo(kernels, mission, tmp_path):
     dark = replace(mission, target_photometry={})
-    with pytest.raises(MissionError, match=r"PLUTO.*absolute_mag"):
-        simulate_picture(LORRI, dark, DEMO_CATALOG, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    dim, bright = (simulate_picture(LORRI, m, DEMO_CATALOG, tmp_path / m.name) for m in (dark, mission))
+    assert dim.bodies["PLUTO"] == pytest.approx(bright.bodies["PLUTO"], abs=1e-9)
+    flux = [float(t.objects["flux"][list(t.objects["id"]).index("PLUTO")].value) for t in (dim, bright)]
+    assert 0.2 < flux[0] / flux[1] < 5.0  # geometric albedo 0.33 of a Lambert sphere against the measured magnitude
+    assert np.isnan(dim.objects["mag"][list(dim.objects["id"]).index("PLUTO")].value)

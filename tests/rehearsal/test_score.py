@@ -8,6 +8,7 @@ import spiceypy
 
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import Truth, compare
+from opnav_workbench.simulation.truth import BodyTruth, body_rows
 
 PX = 12.997e-3 / 2618.4775964615382691  # rad, LORRI 1x1
 PREDICTED = np.array(spiceypy.eul2m(0.3, 1.2, -2.0, 3, 1, 3))
@@ -39,7 +40,18 @@ def result_of(attitude, covariance=None, bodies=()):
 
 
 def truth_of(attitude, **bodies):
-    return Truth(Path("p.fit"), attitude, PREDICTED, {n: np.array(c) for n, c in bodies.items()}, 9)
+    rows = [BodyTruth(n, np.array(c), np.array(c), 1.0, 1.0, 0.0, on_detector=True) for n, c in bodies.items()]
+    return Truth(
+        picture=Path("p.fit"),
+        mission="new_horizons",
+        camera="LORRI 1x1",
+        utc="2015-04-09T12:00:00.000",
+        et=0.0,
+        exposure_s=1.0,
+        camera_from_j2000=attitude,
+        predicted_camera_from_j2000=PREDICTED,
+        objects=body_rows(rows),
+    )
 
 
 def test_attitude_errors_are_solved_minus_true(lorri):

@@ -84,13 +84,27 @@ def test_body_target_is_what_spice_says():
         pluto = body_target("PLUTO", SPACECRAFT, et)
         position, light_time = spiceypy.spkpos("PLUTO", et, "J2000", "CN", str(SPACECRAFT))
         attitude = spiceypy.pxform("J2000", "IAU_PLUTO", et - light_time)
-        sun, _ = spiceypy.spkpos("SUN", et - light_time, "J2000", "NONE", "PLUTO")
+        sun, _ = spiceypy.spkpos("SUN", et - light_time, "J2000", "CN", "PLUTO")
+        phase = spiceypy.phaseq(et, "PLUTO", "SUN", str(SPACECRAFT), "CN")
     assert pluto.position_km == pytest.approx(position, abs=1e-3)
     assert pluto.body_from_j2000 == pytest.approx(attitude, abs=1e-10)
-    assert pluto.sun_position_km == pytest.approx(sun, abs=1.0)
+    assert pluto.sun_position_km == pytest.approx(sun, abs=1e-3)
+    assert spiceypy.vsep(pluto.sun_position_km.copy(), -pluto.position_km) == pytest.approx(phase, abs=1e-13)
     assert pluto.radii_km.tolist() == [1188.3] * 3
     assert not pluto.is_star
     assert pluto.covariance_km2 is None
+
+
+def test_sun_where_it_is_if_its_light_left_before_the_kernels_begin():
+    """The Sun's light takes 4.5 h to Pluto: at the start of the ephemerides the geometric Sun stands in."""
+    with KernelSet("new_horizons/pluto_approach") as kernels:
+        windows = {c.body: c.intervals_et for c in kernels.coverage("SPK")}
+        start = max(windows[b][0, 0] for b in (10, 9, 999, -98)) + 1800.0
+        pluto = body_target("PLUTO", SPACECRAFT, start)
+        emitted = start - pluto.range_km / 299792.458
+        sun, _ = spiceypy.spkpos("SUN", emitted, "J2000", "NONE", "PLUTO")
+        reaches_back = kernels.covers_state("SUN", "PLUTO", emitted, "CN")
+    assert np.linalg.norm(pluto.sun_position_km - sun) < (500.0 if reaches_back else 1e-3)  # 4.5 h at 15 m/s
 
 
 def test_what_kernels_do_not_know_is_left_out_alone(monkeypatch):

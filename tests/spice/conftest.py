@@ -1,5 +1,6 @@
 """A small made-up mission whose every number is known, and the flight slices with the kernels they need."""
 
+import copy
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -222,3 +223,64 @@ SLICES = {
 @pytest.fixture
 def flight_slices() -> dict[str, Slice]:
     return SLICES
+
+
+PROBE = {
+    "mission": "rock_probe",
+    "name": "flyby",
+    "span": {"start": "2031-03-01T00:00:00", "end": "2031-03-02T00:00:00"},
+    "spacecraft": {"name": "ROCK PROBE", "id": -999, "frame": {"name": "RP_BUS", "id": -999000}},
+    "clock": {"id": -999, "start": "2031-01-01T00:00:00"},
+    "frames": [
+        {
+            "name": "RP_NAVCAM", "id": -999100, "relative_to": "RP_BUS",
+            "matrix": [[0.6, 0.8, 0.0], [0.0, 0.0, 1.0], [0.8, -0.6, 0.0]],
+        }
+    ],
+    "instruments": [
+        {
+            "name": "RP_NAVCAM", "id": -999100, "frame": "RP_NAVCAM", "focal_length_mm": 100.0,
+            "pixel_size_um": 10.0, "n_pixel": 1000, "n_line": 800,
+            "focal_from_camera": [[1, 0, 0], [0, 1, 0], [0, 0, -1]],  # mirrored, as LORRI
+        }
+    ],
+    "bodies": [
+        {"name": "TEST ROCK", "id": 3999999, "source": "made up", "radii_km": [9.0, 8.0, 7.0]},
+        {"name": "TEST MOON", "id": 3999998, "source": "made up"},
+    ],
+    "trajectories": [  # straight flight: the probe passes the rock at 30 000 km, 10 km/s, at noon
+        {
+            "kind": "states", "target": "TEST ROCK", "center": 0, "source": "made up",
+            "rows": [
+                ["2031-02-25T00:00:00", 1.4e8, 2.0e7, -3.0e7, 5.0, 20.0, 3.0],
+                ["2031-03-05T00:00:00", 143456000.0, 33824000.0, -27926400.0, 5.0, 20.0, 3.0],
+            ],
+        },
+        {
+            "kind": "states", "target": "TEST MOON", "center": "TEST ROCK", "source": "made up",
+            "rows": [
+                ["2031-02-25T00:00:00", 5000.0, 0.0, 1000.0, 0.0, 0.0, 0.0],
+                ["2031-03-05T00:00:00", 5000.0, 0.0, 1000.0, 0.0, 0.0, 0.0],
+            ],
+        },
+        {
+            "kind": "states", "target": -999, "center": "TEST ROCK", "source": "made up",
+            "rows": [
+                ["2031-02-28T12:00:00", -864000.0, 30000.0, 4000.0, 10.0, 0.0, 0.0],
+                ["2031-03-02T12:00:00", 864000.0, 30000.0, 4000.0, 10.0, 0.0, 0.0],
+            ],
+        },
+    ],
+    "pointing": {"instrument": "RP_NAVCAM", "windows": []},
+}  # fmt: skip
+
+
+@pytest.fixture
+def probe():
+    """Return a function that makes a flyby scenario with the given windows (and attitude error)."""
+
+    def scenario(*windows: dict, actual: dict | None = None, **changes) -> dict:
+        pointing = {"instrument": "RP_NAVCAM", "windows": list(windows), "actual": actual}
+        return copy.deepcopy(PROBE) | {"pointing": pointing} | changes
+
+    return scenario

@@ -166,8 +166,8 @@ def test_kepler_orbits_between_nodes(loaded, index, target, center, tolerance_km
 def test_target_stands_where_the_plan_puts_it(loaded):
     for utc in ("2031-03-01T01:00:00", "2031-03-01T01:30:00", "2031-03-01T02:00:00"):
         x, y, z = state("TEST ROCK", et_from_utc(utc), "RP", "RP_NAVCAM", "CN+S").position_km
-        # 1e-3 px: the rock is 1 km away, and barycentric positions keep 3e-8 km
-        assert [x / z / PIXEL_RAD, y / z / PIXEL_RAD] == pytest.approx([100.0, -50.0], abs=1e-3)
+        # 1e-2 px: the rock is 1.5 km away, and SPICE's light time is rounded to 6e-8 s, in which it moves 2e-6 km
+        assert [x / z / PIXEL_RAD, y / z / PIXEL_RAD] == pytest.approx([100.0, -50.0], abs=1e-2)
 
 
 def test_fixed_direction_and_twist(loaded):
@@ -290,8 +290,8 @@ def test_yaml_file_and_mapping_give_the_same_scenario(tmp_path):
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("mission", ..., "mission: Field required"),
-        ("colour", "red", "colour: Extra inputs"),
+        ("mission", ..., "mission: this field is required"),
+        ("colour", "red", "colour: unknown field"),
         ("name", "../escape", "name: String should match"),
         ("span.end", "2031-02-01T00:00:00", "span: end 2031-02-01"),
         ("span.start", "yesterday", "span.start: "),
@@ -299,6 +299,12 @@ def test_yaml_file_and_mapping_give_the_same_scenario(tmp_path):
         ("spacecraft.frame.name", "lower", "spacecraft.frame.name: String should match"),
         ("clock.start", ..., "clock: give either start or correlation"),
         ("clock.subcounts", 0, "clock.subcounts: "),
+        ("clock.partitions", [[0, 1000000], [500000, 2000000]], "clock: partitions.1: .* overlaps"),
+        ("clock.partitions", [[5, 5]], "clock: partitions.0: .* no interval"),
+        ("span.end", 1.9e9, "span.end: .* is a number; write a calendar time"),
+        ("instruments.0.distortion", {"model": "owen", "k1": 1.0}, "instruments.0.distortion.*k1: unknown"),
+        ("trajectories.2.spk_type", 3, "trajectories.2.spk_type: "),
+        ("trajectories.2.start", "2031-04-01T00:00:00", r"trajectories.2 \(TEST ROCK\): start and end leave"),
         ("frames.0.matrix", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "frames.0.matrix: .*mirrors"),
         ("frames.0.matrix.0.0", 7.0, "frames.0.matrix: .*not orthonormal"),
         ("frames.0.relative_to", "ELSEWHERE", "frames.0.relative_to: ELSEWHERE"),
@@ -310,7 +316,7 @@ def test_yaml_file_and_mapping_give_the_same_scenario(tmp_path):
             [[1, 0, 0], [1, 0, 0], [0, 0, 1]],
             "instruments.0.focal_from_camera",
         ),
-        ("bodies.0.radii_km", [1.0, 1.0], "bodies.0.radii_km.2: Field required"),
+        ("bodies.0.radii_km", [1.0, 1.0], "bodies.0.radii_km.2: this field is required"),
         ("bodies.0.pole_ra_deg", [], "bodies.0: pole_ra_deg, pole_dec_deg"),
         ("bodies.0.gm_km3_s2", float("nan"), "bodies.0.gm_km3_s2: "),
         ("trajectories.0.kind", "magic", "trajectories.0: .*magic"),
@@ -318,7 +324,7 @@ def test_yaml_file_and_mapping_give_the_same_scenario(tmp_path):
         ("trajectories.2.eccentricity", -0.1, "trajectories.2.eccentricity: "),
         ("trajectories.2.center", "VULCAN", "trajectories.2.center: 'VULCAN' is not a body"),
         ("trajectories.3.target", 10, "trajectories: none has the spacecraft -999"),
-        ("trajectories.3.step_s", 0.001, "trajectories.3.step_s: a table of .* states"),
+        ("trajectories.3.step_s", 0.001, r"trajectories.3 \(RP\): step_s: a table of .* states"),
         ("pointing.instrument", "OTHER", "pointing.instrument: OTHER"),
         ("pointing.windows", [], "pointing.windows: "),
         ("pointing.windows.0.track", ["VULCAN"], "pointing.windows.0.track: 'VULCAN'"),
@@ -348,7 +354,7 @@ STATES = {"kind": "states", "target": -999, "center": 3999999, "source": "made u
             [["2031-03-01T00:00:00Z", 1, 2, 3, 4, 5, 6]] * 2,
             "trajectories.0.rows.0.0: this epoch has no time zone",
         ),
-        ([["2031-03-01T00:00:00", 1, 2, 3, 4, 5]] * 2, "trajectories.0.rows.0.6: Field required"),
+        ([["2031-03-01T00:00:00", 1, 2, 3, 4, 5]] * 2, "trajectories.0.rows.0.6: this field is required"),
         (
             [["2031-03-01T00:00:00", 1, 2, 3, 4, 5, "x"]] * 2,
             "trajectories.0.rows.0.6: Input should be a valid number",
@@ -385,7 +391,7 @@ def test_files_that_are_no_scenario(tmp_path, text):
 
 
 def test_file_that_is_not_there(tmp_path):
-    with pytest.raises(MissionError, match=r"nothing.yaml: cannot be read: No such file"):
+    with pytest.raises(MissionError, match=r"nothing.yaml cannot be read: .*No such file"):
         load_scenario(tmp_path / "nothing.yaml")
 
 

@@ -1,6 +1,7 @@
 """CK files: attitudes and rates come back through SPICE; gaps stay gaps; bad input leaves nothing behind."""
 
 import json
+import os
 import subprocess
 import sys
 from importlib import resources
@@ -16,7 +17,7 @@ from opnav_workbench.errors import KernelError
 from opnav_workbench.spice.assignments import bus_frame_assignments, sclk_assignments
 from opnav_workbench.spice.kernels import KernelSet
 from opnav_workbench.spice.text_kernels import metakernel_assignments, write_text_kernel
-from opnav_workbench.spice.writing import write_ck
+from opnav_workbench.spice.writing_ck import write_ck
 
 ATTITUDE_TOLERANCE_RAD = 1e-12
 RATE_TOLERANCE_RAD_S = 1e-12
@@ -216,3 +217,41 @@ def test_without_a_clock(tmp_path, clock):
         write_ck(tmp_path / "a.bc", BUS, CRAFT, **GOOD)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_ticks_are_et_within_a_microsecond(clock):
+    """What a CK is tagged with, there and back: the clock of 1/65536 s loses nothing of et."""
+    with KernelSet(clock):
+        for et in np.linspace(START, START + 3e8, 200):
+            assert spiceypy.sct2e(CRAFT, spiceypy.sce2c(CRAFT, et)) == pytest.approx(et, abs=1e-6)
+
+
+def test_one_attitude_outside_the_clock_is_named_with_its_time(tmp_path, clock):
+    et = np.r_[EPOCHS[:-1], START + 7e9]  # the 32-bit counter has run out
+    with KernelSet(clock), pytest.raises(KernelError, match=rf"clock {CRAFT} at 2237-") as caught:
+        write_ck(tmp_path / "a.bc", BUS, CRAFT, et, spin(EPOCHS, RATE))
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_folder_that_is_a_file(tmp_path, clock):
+    (tmp_path / "file").write_text("x")
+    with KernelSet(clock), pytest.raises(KernelError, match="cannot write"):
+        write_ck(tmp_path / "file" / "a.bc", BUS, CRAFT, **GOOD)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_folder_that_is_read_only(tmp_path, clock):
+    tmp_path.chmod(0o555)
+    with KernelSet(clock), pytest.raises(KernelError, match="cannot write"):
+        write_ck(tmp_path / "a.bc", BUS, CRAFT, **GOOD)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_older_file_stays_if_the_new_one_fails(tmp_path, clock):
+    write(tmp_path / "a.bc", clock, EPOCHS, spin(EPOCHS, RATE))
+    before = (tmp_path / "a.bc").read_bytes()
+    with pytest.raises(KernelError, match="not orthonormal"):
+        write(tmp_path / "a.bc", clock, EPOCHS, np.zeros((6, 3, 3)))
+    assert (tmp_path / "a.bc").read_bytes() == before

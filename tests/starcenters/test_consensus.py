@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from opnav_workbench.psf import shape_from_ellipse
 from opnav_workbench.starcenters import (
     NoiseModel,
     ShapePrior,
@@ -12,7 +13,6 @@ from opnav_workbench.starcenters import (
     fit_stars,
     shape_from_stars,
 )
-from opnav_workbench.starcenters.psf import shape_from_ellipse
 
 NOISE_DN = 2.0
 TRUE_ELLIPSE = (0.42, 0.31, 0.8)  # an undersampled, smeared PSF: sigma_major_px, sigma_minor_px, angle_rad

@@ -1,6 +1,6 @@
 """The canonical star image: an elliptical Gaussian integrated over detector pixels.
 
-Flow   center and shape of a star -> here -> its flux in each pixel, with derivatives -> `least_squares`
+Flow   center and shape of a star -> here -> its flux in each pixel, with derivatives -> `starcenters`, `GaussianPsf`
 Frame  (pixel, line), integer = pixel center; every pixel is a unit square
 Units  px; the integral over the whole plane is 1
 
@@ -24,12 +24,14 @@ from scipy.special import erf
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
 
-__all__ = ["PixelIntegrals", "box_integrals", "covariance_from_shape", "ellipse_from_shape", "pixel_gaussian",
-           "shape_from_ellipse"]  # fmt: skip
+__all__ = ["PixelIntegrals", "box_integrals", "box_values", "covariance_from_shape", "ellipse_from_shape",
+           "pixel_gaussian", "shape_from_ellipse"]  # fmt: skip
 
-# Gauss-Legendre nodes per pixel that keep the error of P below 1e-7, by the smallest sigma (px) they are good
+# Gauss-Legendre nodes per pixel that keep the error of P below 1e-9, by the smallest sigma (px) they are good
 # for.
-NODES_FOR_SIGMA_PX = ((0.8, 4), (0.5, 6), (0.3, 8), (0.2, 10), (0.0, 20))
+NODES_FOR_SIGMA_PX = (
+    (1.4, 4), (1.0, 5), (0.65, 6), (0.5, 7), (0.4, 8), (0.3, 9), (0.25, 10), (0.2, 12), (0.15, 14), (0.0, 32)
+)  # fmt: skip
 
 SQRT2 = np.sqrt(2.0)
 SQRT2PI = np.sqrt(2.0 * np.pi)
@@ -96,7 +98,7 @@ def pixel_gaussian(center: ArrayLike, shape: ArrayLike, pixel: ArrayLike, line: 
     Returns
     -------
     PixelIntegrals
-        Arrays of shape (n, m); `value` is accurate to 1e-6 of the total flux for sigma from 0.2 px up.
+        Arrays of shape (n, m); `value` is accurate to 1e-9 of the total flux for sigma from 0.15 px up.
 
     Examples
     --------
@@ -137,21 +139,7 @@ def box_integrals(center: FloatArray, shape: FloatArray, first: FloatArray, size
     CenterfindingError
         A shape that is no ellipse (|e| >= 1) or not finite.
     """
-    log_scale, e1, e2 = np.moveaxis(np.asarray(shape, float), -1, 0)
-    if not np.all(np.hypot(e1, e2) < 1.0) or not np.all(np.isfinite(log_scale)):
-        worst = float(np.max(np.hypot(e1, e2), initial=0.0))
-        raise CenterfindingError(
-            f"PSF ellipticity must stay below 1 and its scale finite; largest |e| is {worst:.3g}."
-        )
-    uu, uv, vv = covariance_from_shape(log_scale, e1, e2)
-    edges = (
-        np.asarray(first, float)[:, :, None]
-        - 0.5
-        + np.arange(size + 1)
-        - np.asarray(center, float)[:, :, None]
-    )
-    u, v = edges[:, 0], edges[:, 1]
-    sigma_minor = np.exp(log_scale) * np.sqrt(1.0 - np.hypot(e1, e2))
+    u, v, uu, uv, vv, sigma_minor = _edges_and_covariance(center, shape, first, size)
     value = _values(u, v, uu, uv, vv, _node_count(sigma_minor))
 
     corner, along_v, along_u = _edge_integrals(u, v, uu, uv, vv)
@@ -170,6 +158,35 @@ def box_integrals(center: FloatArray, shape: FloatArray, first: FloatArray, size
         d_e1=0.5 * variance * (g_uu - g_vv),
         d_e2=variance * g_uv,
     )
+
+
+def box_values(center: FloatArray, shape: FloatArray, first: FloatArray, size: int) -> FloatArray:
+    """Return the `value` of `box_integrals` alone, (n, size, size): several times faster without derivatives.
+
+    Where the axes of every Gaussian run along pixel and line, the integral is a product of error functions.
+    """
+    u, v, uu, uv, vv, sigma_minor = _edges_and_covariance(center, shape, first, size)
+    if np.any(uv != 0.0):
+        return _values(u, v, uu, uv, vv, _node_count(sigma_minor))
+    along_u = 0.5 * np.diff(erf(u / (SQRT2 * np.sqrt(uu))[:, None]), axis=-1)
+    along_v = 0.5 * np.diff(erf(v / (SQRT2 * np.sqrt(vv))[:, None]), axis=-1)
+    return np.asarray(along_v[:, :, None] * along_u[:, None, :])
+
+
+def _edges_and_covariance(
+    center: FloatArray, shape: FloatArray, first: FloatArray, size: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Edges u, v (n, size + 1) of the pixels from the centers; S_uu, S_uv, S_vv and the smaller sigma (n,)."""
+    log_scale, e1, e2 = np.moveaxis(np.asarray(shape, float), -1, 0)
+    if not np.all(np.hypot(e1, e2) < 1.0) or not np.all(np.isfinite(log_scale)):
+        worst = float(np.max(np.hypot(e1, e2), initial=0.0))
+        raise CenterfindingError(
+            f"PSF ellipticity must stay below 1 and its scale finite; largest |e| is {worst:.3g}."
+        )
+    start = np.asarray(first, float) - 0.5 - np.asarray(center, float)
+    edges = start[:, :, None] + np.arange(size + 1)
+    uu, uv, vv = covariance_from_shape(log_scale, e1, e2)
+    return edges[:, 0], edges[:, 1], uu, uv, vv, np.exp(log_scale) * np.sqrt(1.0 - np.hypot(e1, e2))
 
 
 def _node_count(sigma_minor: FloatArray) -> int:

@@ -1,0 +1,160 @@
+"""Converted catalogs in the user's cache folder: one file each, memory-mapped, built anew when its source changes.
+
+Layout: 8 bytes ``OPNAVSTR``, length and CRC-32 of the header (two little-endian u4), the header (JSON, padded to
+`HEADER_BYTES`), n sort keys (f8), n records (`records.STAR`). The header says what the file was made from
+(`identity`: format, versions, or names, sizes and times of the source files), the CRC-32 of all that follows it, and
+what a catalog tells of itself, so that opening reads no star. A file that fails any check is built anew; one that
+cannot be written is done without. It is written under another name and renamed, so that two processes may build at once.
+"""
+
+import contextlib
+import json
+import math
+import struct
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.catalog.records import STAR, Records
+from opnav_workbench.catalog.sky import sort_keys
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import atomic_path
+from opnav_workbench.resources import cache_root
+
+__all__ = ["CachedStars", "Progress", "cache_name", "cache_path", "cached_stars", "source_identity"]
+
+Progress = Callable[[float], None]  # told the fraction done, 0 to 1
+
+MAGIC = b"OPNAVSTR"
+LAYOUT = 1  # raise it whenever `records.STAR` or the meaning of one of its columns changes
+PREFIX = struct.Struct("<8sII")
+HEADER_BYTES = 1 << 16
+CHUNK_BYTES = 1 << 23
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CachedStars:
+    """The stars of a cache file, sorted by place, and what the whole catalog is like."""
+
+    records: Records
+    keys: FloatArray
+    limits: Mapping[str, float]  # brightest_mag, faintest_mag
+    fastest_rad_yr: float
+    first_jyear: float
+    last_jyear: float
+    n_with_motion: int
+
+
+def cache_path(name: str) -> Path:
+    """Return where the cache file of this name stands, built or not."""
+    return cache_root() / "catalogs" / f"{name}.stars"
+
+
+def cache_name(kind: str, source: Path) -> str:
+    """Return the name of the cache file of a source folder or file: one a path."""
+    return f"{kind}-{sha256(str(source.resolve()).encode()).hexdigest()[:16]}"
+
+
+def source_identity(files: Sequence[Path]) -> dict[str, Any]:
+    """Return name, size and time of change of source files: what a cache is valid for."""
+    stats = [(file, file.stat()) for file in files]
+    return {"files": [[file.name, stat.st_size, stat.st_mtime_ns] for file, stat in stats]}
+
+
+def cached_stars(path: Path, identity: Mapping[str, Any], build: Callable[[], Records]) -> CachedStars:
+    """Return the stars of a cache file, built first where there is none that is whole and of this identity.
+
+    Parameters
+    ----------
+    path : Path
+        The file; see `cache_path`.
+    identity : mapping
+        JSON values that change when the content would.
+    build : callable
+        Returns the records in any order.
+    """
+    wanted = {"layout": LAYOUT, **identity}
+    found = _open(path, wanted)
+    if found is not None:
+        return found
+    records = build()
+    keys = sort_keys(records["ra_rad"], records["dec_rad"])
+    order = np.argsort(keys, kind="stable")
+    with contextlib.suppress(SessionError):  # an unwritable cache: the next session builds it again
+        _write(path, wanted, records, keys, order)
+        found = _open(path, wanted)
+    return found or CachedStars(records[order], keys[order], **_facts(records))
+
+
+def _open(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
+    """Return the stars of a whole file of this identity, else None."""
+    try:
+        with path.open("rb") as stream:
+            header = _header(stream)
+            if header is None or header["identity"] != identity:
+                return None
+            n, size = int(header["n"]), path.stat().st_size
+            if size != HEADER_BYTES + n * (8 + STAR.itemsize) or _crc(stream) != header["crc"]:
+                return None
+        keys = np.memmap(path, dtype="<f8", mode="r", offset=HEADER_BYTES, shape=(n,))
+        records = np.memmap(path, dtype=STAR, mode="r", offset=HEADER_BYTES + 8 * n, shape=(n,))
+        # Plain views: every element of a memmap object would cost a microsecond more.
+        return CachedStars(records.view(np.ndarray), keys.view(np.ndarray), **header["facts"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _header(stream: BinaryIO) -> dict[str, Any] | None:
+    start = stream.read(HEADER_BYTES)
+    if len(start) != HEADER_BYTES:
+        return None
+    magic, length, crc = PREFIX.unpack_from(start)
+    text = start[PREFIX.size : PREFIX.size + length]
+    return json.loads(text) if magic == MAGIC and zlib.crc32(text) == crc else None
+
+
+def _crc(stream: BinaryIO) -> int:
+    crc = 0
+    while chunk := stream.read(CHUNK_BYTES):
+        crc = zlib.crc32(chunk, crc)
+    return crc
+
+
+def _write(
+    path: Path, identity: Mapping[str, Any], records: Records, keys: FloatArray, order: np.ndarray[Any, Any]
+) -> None:
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.write(bytes(HEADER_BYTES))
+        crc = 0
+        for column in (keys, records):
+            step = max(CHUNK_BYTES // column.itemsize, 1)
+            for first in range(0, len(order), step):
+                chunk = column[order[first : first + step]].tobytes()
+                crc = zlib.crc32(chunk, crc)
+                stream.write(chunk)
+        header = {"identity": identity, "n": len(order), "crc": crc, "facts": _facts(records)}
+        text = json.dumps(header, allow_nan=False).encode()
+        if len(text) > HEADER_BYTES - PREFIX.size:
+            raise OSError(f"header of {len(text)} bytes is larger than {HEADER_BYTES}")
+        stream.seek(0)
+        stream.write(PREFIX.pack(MAGIC, len(text), zlib.crc32(text)) + text)
+
+
+def _facts(records: Records) -> dict[str, Any]:
+    speed = math.hypot(*(float(np.abs(records[name]).max()) for name in ("pmra_rad_yr", "pmdec_rad_yr")))
+    return {
+        "limits": {
+            "brightest_mag": float(records["mag"].min()),
+            "faintest_mag": float(records["mag"].max()),
+        },
+        "fastest_rad_yr": min(speed, float(np.hypot(records["pmra_rad_yr"], records["pmdec_rad_yr"]).max())),
+        "first_jyear": float(records["epoch_jyear"].min()),
+        "last_jyear": float(records["epoch_jyear"].max()),
+        "n_with_motion": int(np.count_nonzero(records["motion_known"])),
+    }

@@ -1,0 +1,169 @@
+"""``opnav simulate``: pictures with known truth, from a scenario file."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from opnav_workbench.errors import MissionError
+from opnav_workbench.simulation import (
+    PictureReport,
+    PictureScenario,
+    chosen_tasks,
+    load_picture_scenario,
+    picture_scenario_names,
+)
+from opnav_workbench.simulation import simulate as simulate_pictures
+
+__all__ = ["simulate"]
+
+FEW_PICTURES = 3  # starting a process costs about as much as two star fields
+
+
+def simulate(
+    scenario: Annotated[
+        str | None, typer.Argument(help="Scenario YAML, or the name of a ready one.", show_default=False)
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("simulated"),
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes; default: all cores.", show_default=False)
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="In place of the scenario's seed.", show_default=False)
+    ] = None,
+    kernels: Annotated[
+        str | None, typer.Option(help="In place of the scenario's kernels.", show_default=False)
+    ] = None,
+    catalog: Annotated[
+        str | None, typer.Option(help="In place of the scenario's star catalog.", show_default=False)
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Only the picture (or series) of this name.", show_default=False)
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the ready scenarios.")] = False,
+) -> None:
+    """Simulate pictures, each with its truth and a preview.
+
+    [bold]Example[/]
+
+      opnav simulate new_horizons/pluto_charon --out simulated
+
+    Writes for each picture NAME.fit (as the mission's own files, with the predicted attitude), its truth in files of their
+    own, and NAME_log.png or NAME_linear.png. The same scenario and seed give the same bytes.
+    """
+    console = Console(soft_wrap=False)
+    if list_ or scenario is None:
+        if not list_:
+            raise MissionError(
+                "no scenario given; give a YAML file, or a name that opnav simulate --list shows."
+            )
+        console.print(_listing())
+        return
+    content = load_picture_scenario(scenario).with_options(seed=seed, kernels=kernels, catalog=catalog)
+    reports = _run(content, out, jobs, only or ())
+    console.print(_picture_table(reports))
+    if any(report.bodies for report in reports):
+        console.print(_body_table(reports))
+    console.print(f"Pictures in {escape(str(out))}/: {_files(reports)}", highlight=False, soft_wrap=True)
+
+
+def _run(
+    scenario: PictureScenario, out: Path, jobs: int | None, only: Sequence[str]
+) -> tuple[PictureReport, ...]:
+    errors = Console(stderr=True, soft_wrap=True)
+    count = len(chosen_tasks(scenario, only))
+    processes = jobs or (1 if count <= FEW_PICTURES else os.cpu_count() or 1)
+    progress = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=errors,
+        transient=True,
+        disable=not errors.is_terminal,
+    )
+    with progress:
+        task = progress.add_task("opening kernels and catalog", total=count)
+        return simulate_pictures(
+            scenario,
+            out,
+            jobs=processes,
+            only=only,
+            done=lambda report: progress.update(task, advance=1, description=escape(report.name)),
+        )
+
+
+def _listing() -> Table:
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("scenario", no_wrap=True)
+    table.add_column("pictures", justify="right")
+    table.add_column("what it shows")
+    for name in picture_scenario_names():
+        content = load_picture_scenario(name)
+        count = sum(len(entry.expanded()) for entry in content.pictures)
+        table.add_row(name, str(count), " ".join(content.description.split()))
+    return table
+
+
+def _plain_table(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for i, name in enumerate(texts):  # on a narrow terminal only the picture's name folds
+        table.add_column(name, no_wrap=i > 0, overflow="fold")
+    for name in numbers:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _picture_table(reports: Sequence[PictureReport]) -> Table:
+    table = _plain_table(
+        "Pictures", ("picture", "UTC", "camera"), ("exposure s", "stars", "brightest mag")
+    )
+    for report in reports:
+        table.add_row(
+            escape(report.name),
+            report.utc.removesuffix(".000"),
+            report.camera,
+            f"{report.exposure_s:g}",
+            str(report.stars_drawn),
+            "–" if report.brightest_mag is None else f"{report.brightest_mag:.1f}",
+        )
+    return table
+
+
+def _body_table(reports: Sequence[PictureReport]) -> Table:
+    table = _plain_table(
+        "Bodies", ("picture", "body", "drawn as"), ("pixel", "line", "diameter px", "SNR", "hidden")
+    )
+    for report in reports:
+        for body in report.bodies:
+            table.add_row(
+                escape(report.name),
+                escape(body.name),
+                body.regime,
+                *(f"{value:.2f}" for value in body.center_px),
+                f"{body.diameter_px:.2f}",
+                f"{body.snr:.0f}",
+                f"{body.occulted_fraction:.0%}",
+            )
+    return table
+
+
+def _files(reports: Sequence[PictureReport]) -> str:
+    """Name the files of the first picture; the others have the same endings."""
+    names = [path.name for path in reports[0].files]
+    more = f", and as many for each of the other {len(reports) - 1}" if len(reports) > 1 else ""
+    return ", ".join(names) + more

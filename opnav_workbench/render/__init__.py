@@ -1,0 +1,45 @@
+"""Bodies as the camera sees them: surfaces, scattering laws, albedo maps, and their light spread over pixels.
+
+scattering, roughness, laws   how bright a surface element is, per unit albedo; laws by name
+disk_functions                closed forms for whole spheres
+maps                          albedo against longitude and latitude
+surface, ellipsoid            what a ray meets: the protocol, and triaxial ellipsoids
+plates, shape                 shape models of triangular plates, with the shadows they cast
+body, light                   one body before the camera; its flux, center and spread
+grid, sampling                directions of pixels; pixels divided where edges pass
+convolution                   the PSF
+bodies                        `render_bodies`: all of it
+"""
+
+from opnav_workbench.render.bodies import RenderedBody, Rendering, render_bodies
+from opnav_workbench.render.body import BodyModel
+from opnav_workbench.render.disk_functions import lambert_phase_function, lommel_seeliger_phase_function
+from opnav_workbench.render.laws import law_from_mapping
+from opnav_workbench.render.maps import AlbedoMap
+from opnav_workbench.render.scattering import (
+    Hapke,
+    Lambert,
+    LommelSeeliger,
+    LunarLambert,
+    Minnaert,
+    ScatteringLaw,
+)
+from opnav_workbench.render.shape import ShapeModel
+
+__all__ = [
+    "AlbedoMap",
+    "BodyModel",
+    "Hapke",
+    "Lambert",
+    "LommelSeeliger",
+    "LunarLambert",
+    "Minnaert",
+    "RenderedBody",
+    "Rendering",
+    "ScatteringLaw",
+    "ShapeModel",
+    "lambert_phase_function",
+    "law_from_mapping",
+    "lommel_seeliger_phase_function",
+    "render_bodies",
+]

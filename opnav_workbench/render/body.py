@@ -1,0 +1,209 @@
+"""One body to render: its model, and that model placed before the camera and under the Sun."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.errors import MissionError
+from opnav_workbench.geometry import AU_KM
+from opnav_workbench.render.ellipsoid import Ellipsoid
+from opnav_workbench.render.maps import AlbedoMap
+from opnav_workbench.render.scattering import Lambert, ScatteringLaw
+from opnav_workbench.render.shape import PlateSurface, ShapeModel
+from opnav_workbench.render.surface import Surface, SurfacePoints, column_dot
+
+__all__ = ["BodyModel", "PlacedBody"]
+
+SUN_RADIUS_KM = 695_700.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyModel:
+    """A body and how its surface reflects light.
+
+    Attributes
+    ----------
+    target : TargetState
+        Where it is, how it is turned and where its Sun is. A target without radii (and without `shape`) is a point.
+    law : ScatteringLaw
+    albedo : float or AlbedoMap
+        Normal albedo, see `opnav_workbench.render.scattering`.
+    shape : ShapeModel, optional
+        Replaces the ellipsoid of ``target.radii_km``.
+    flux_e : float, optional
+        Electrons of the whole body, unocculted and uneclipsed; `albedo` then sets the pattern only. None: from albedo
+        and sunlight.
+
+    Raises
+    ------
+    MissionError
+        A negative albedo or flux, a point without `flux_e`, a body whose Sun is unknown, or one whose orientation matters
+        and is unknown.
+    """
+
+    target: TargetState
+    law: ScatteringLaw = field(default_factory=Lambert)
+    albedo: float | AlbedoMap = 1.0
+    shape: ShapeModel | None = None
+    flux_e: float | None = None
+
+    def __post_init__(self) -> None:
+        name = self.target.name
+        for label, value in (("albedo", self.albedo), ("flux_e", self.flux_e)):
+            if isinstance(value, int | float) and not 0.0 <= value < np.inf:
+                raise MissionError(f"{name}: {label} is {value}; give a finite number, not negative.")
+        if self.is_point:
+            if self.flux_e is None:
+                raise MissionError(f"{name} has no radii; give flux_e for a point, or its radii or shape.")
+            return
+        if self.target.sun_position_km is None:
+            raise MissionError(f"{name}: the Sun's direction is unknown; give the target's sun_position_km.")
+        radii = self.target.radii_km
+        round_and_plain = (
+            self.shape is None
+            and radii is not None
+            and np.ptp(radii) == 0.0
+            and not isinstance(self.albedo, AlbedoMap)
+        )
+        if self.target.body_from_j2000 is None and not round_and_plain:
+            raise MissionError(
+                f"{name}: its orientation is unknown, but its shape or map needs it; give body_from_j2000."
+            )
+
+    @property
+    def is_point(self) -> bool:
+        """Whether the body has neither shape nor size."""
+        radii = self.target.radii_km
+        return self.shape is None and (radii is None or not np.all(radii > 0.0))
+
+
+class PlacedBody:
+    """A body that is not a point, placed before a camera: what every ray that meets it shows.
+
+    Rays are J2000 vectors (3, n) from the camera, of any length; points on the surface are body-fixed, km.
+    """
+
+    def __init__(self, model: BodyModel) -> None:
+        target = model.target
+        assert target.sun_position_km is not None
+        turn = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
+        self.model, self._turn = model, turn
+        self._camera, self._sun = -turn @ target.position_km, turn @ target.sun_position_km
+        self.position_km: FloatArray = target.position_km
+        self.surface: Surface = (
+            PlateSurface(model.shape, self._camera, self._sun)
+            if model.shape is not None
+            else Ellipsoid(np.asarray(target.radii_km), self._camera, self._sun)
+        )
+        self._shading_bodies: list[PlacedBody] = []
+        self._hiding_bodies: list[PlacedBody] = []
+
+    @property
+    def sunlight(self) -> float:
+        """Sunlight at the body over that at 1 au."""
+        return float((AU_KM / np.linalg.norm(self._sun)) ** 2)
+
+    @property
+    def hidden_by(self) -> "list[PlacedBody]":
+        """Bodies that may stand before this one."""
+        return self._hiding_bodies
+
+    @property
+    def angular_radius_rad(self) -> float:
+        """Angular radius of the sphere that holds the body."""
+        return float(np.arcsin(self.surface.bounding_km / np.linalg.norm(self._camera)))
+
+    def to_body(self, rays: FloatArray) -> FloatArray:
+        """Return J2000 rays (3, n) in the body-fixed frame."""
+        return np.asarray(self._turn @ rays)
+
+    def meet_others(self, others: "list[PlacedBody]") -> None:
+        """Note which of the other bodies may hide this one, or shade it."""
+        self._hiding_bodies = [b for b in others if b is not self and b._may_hide(self)]
+        self._shading_bodies = [b for b in others if b is not self and b._may_shade(self)]
+
+    def radiance(self, rays: FloatArray) -> FloatArray:
+        """Return I/F (n,) times sunlight (see `sunlight`) along rays; 0 where another body is nearer."""
+        points = self.surface.meet(self.to_body(rays))
+        out = np.zeros(rays.shape[1])
+        out[points.ray] = self.brightness(points.point, points.normal)
+        for other in self._hiding_bodies:
+            if len(points.ray) == 0:
+                break
+            hidden = other.blocks(rays[:, points.ray], points.distance)
+            out[points.ray[hidden]] = 0.0
+        return out
+
+    def brightness(self, point: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return I/F (n,) times sunlight of surface points (3, n) with outward normals."""
+        to_camera, to_sun = self._camera[:, None] - point, self._sun[:, None] - point
+        to_camera /= np.sqrt(column_dot(to_camera, to_camera))
+        to_sun /= np.sqrt(column_dot(to_sun, to_sun))
+        cos_i = column_dot(normal, to_sun)
+        phase = (
+            np.arccos(np.clip(column_dot(to_camera, to_sun), -1.0, 1.0)) if self.model.law.uses_phase else 0.0
+        )
+        shine = self.model.law.reflectance(cos_i, column_dot(normal, to_camera), phase)
+        albedo = self.model.albedo
+        shine *= albedo.sample_points(point) if isinstance(albedo, AlbedoMap) else albedo
+        shine *= self.sunlight
+        return shine * self._sun_visible(point, to_sun, shine > 0.0)
+
+    def blocks(self, rays: FloatArray, distance: FloatArray) -> BoolArray:
+        """Tell which rays meet this body before `distance` (n,), in lengths of the ray vectors."""
+        met: SurfacePoints = self.surface.meet(self.to_body(rays))
+        out = np.zeros(rays.shape[1], dtype=bool)
+        out[met.ray] = met.distance < distance[met.ray]
+        return out
+
+    def nodes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return J2000 rays (3, n) to points over the lit and visible surface, the light of each, and whether it is seen.
+
+        Light is I/F times sunlight times solid angle, sr; the third array is 0 where another body stands before.
+        """
+        nodes = self.surface.nodes()
+        rays = self._turn.T @ (nodes.point - self._camera[:, None])
+        light = self.brightness(nodes.point, nodes.normal) * nodes.solid_angle
+        seen = np.ones(len(light))
+        for other in self._hiding_bodies:
+            seen[other.blocks(rays, np.ones(len(light)))] = 0.0
+        return rays, light, seen
+
+    def _sun_visible(self, point: FloatArray, to_sun: FloatArray, lit: BoolArray) -> FloatArray:
+        share = np.ones(point.shape[1])
+        rows = np.flatnonzero(lit)
+        share[rows] = self.surface.sunlit(point[:, rows])
+        for other in self._shading_bodies:
+            share[rows] *= other._sun_share_behind(self, point[:, rows], to_sun[:, rows])
+        return share
+
+    def _sun_share_behind(self, shaded: "PlacedBody", point: FloatArray, to_sun: FloatArray) -> FloatArray:
+        """Return the share of the Sun's disk that this body leaves free, seen from points of another body.
+
+        The limb counts as straight across the Sun, and a body smaller than the Sun hides no more than its own area.
+        """
+        here_from_there = self._turn @ shaded._turn.T
+        offset = self._turn @ (shaded.position_km - self.position_km)
+        inside = self.surface.inside_limb(here_from_there @ point + offset[:, None], here_from_there @ to_sun)
+        sun_radius = SUN_RADIUS_KM / float(np.linalg.norm(self._sun))
+        own_radius = self.surface.bounding_km / float(np.linalg.norm(offset))
+        depth = np.clip(inside / sun_radius, -1.0, 1.0)
+        covered = 0.5 + (depth * np.sqrt(1.0 - depth * depth) + np.arcsin(depth)) / np.pi
+        return np.asarray(1.0 - covered * min(1.0, (own_radius / sun_radius) ** 2))
+
+    def _may_hide(self, other: "PlacedBody") -> bool:
+        cosine = self.position_km @ other.position_km
+        across = float(np.linalg.norm(np.cross(self.position_km, other.position_km)))
+        separation = np.arctan2(across, cosine)
+        nearer = np.linalg.norm(self._camera) < np.linalg.norm(other._camera)
+        return bool(nearer and separation < self.angular_radius_rad + other.angular_radius_rad)
+
+    def _may_shade(self, other: "PlacedBody") -> bool:
+        offset = self.position_km - other.position_km
+        sun = other._turn.T @ other._sun
+        along = float(offset @ sun / np.linalg.norm(sun))
+        across = float(np.linalg.norm(offset - along * sun / np.linalg.norm(sun)))
+        penumbra = along * SUN_RADIUS_KM / float(np.linalg.norm(sun))
+        return along > 0.0 and across < self.surface.bounding_km + other.surface.bounding_km + penumbra

@@ -1,0 +1,205 @@
+"""A simulated picture on disk: the mission's own FITS file, the truth beside it, and a preview for people."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.mission import Mission
+from opnav_workbench.render import RenderedBody
+from opnav_workbench.simulation.flight_fits import FlightRecord, write_flight_fits
+from opnav_workbench.simulation.flight_quantities import utc_text
+from opnav_workbench.simulation.picture import SimulatedPicture
+from opnav_workbench.simulation.preview import Stretch, write_preview
+from opnav_workbench.simulation.truth import (
+    BodyTruth,
+    Truth,
+    body_rows,
+    star_rows,
+    truth_table,
+    write_truth,
+)
+
+__all__ = ["BodyReport", "PictureReport", "truth_of", "write_picture"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyReport:
+    """What came out of one body.
+
+    Attributes
+    ----------
+    name, regime : str
+        SPICE name; drawn as "point", "small" or "disk".
+    center_px : (2,) array
+        True center of figure.
+    diameter_px, snr, occulted_fraction : float
+        `snr` is that of all its light against photon and read noise.
+    """
+
+    name: str
+    regime: str
+    center_px: FloatArray
+    diameter_px: float
+    snr: float
+    occulted_fraction: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True)
+class PictureReport:
+    """What came out of one picture.
+
+    Attributes
+    ----------
+    name, utc, camera : str
+    exposure_s : float
+    stars_drawn : int
+        On the detector and not behind a body.
+    brightest_mag : float or None
+        Of these.
+    bodies : tuple of BodyReport
+    files : tuple of Path
+        The picture first.
+    """
+
+    name: str
+    utc: str
+    camera: str
+    exposure_s: float
+    stars_drawn: int
+    brightest_mag: float | None
+    bodies: tuple[BodyReport, ...]
+    files: tuple[Path, ...]
+
+
+def write_picture(
+    picture: SimulatedPicture,
+    mission: Mission,
+    out: Path,
+    stretches: Sequence[Stretch] = ("log",),
+    settings: Mapping[str, Any] | None = None,
+) -> PictureReport:
+    """Write a picture, its truth and its previews; the picture last, so that where it stands the others do.
+
+    Parameters
+    ----------
+    picture : SimulatedPicture
+    mission : Mission
+    out : Path
+        Folder; gets ``NAME.fit``, ``NAME.truth.*`` and ``NAME_<stretch>.png``.
+    stretches : sequence of {"linear", "log"}
+    settings : mapping, optional
+        What made the picture, for the truth file.
+
+    Raises
+    ------
+    SessionError
+        A file cannot be written.
+    """
+    inputs = picture.inputs
+    path = out / f"{inputs.name}.fit"
+    truth = truth_of(picture, mission, path, settings)
+    files = [*write_truth(truth)]
+    for stretch in stretches:
+        preview = out / f"{inputs.name}_{stretch}.png"
+        write_preview(preview, picture.image_dn, stretch)
+        files.append(preview)
+    write_flight_fits(path, picture.exposed, _record(picture, mission))
+    return _report(picture, truth, (path, *files))
+
+
+def truth_of(
+    picture: SimulatedPicture, mission: Mission, path: Path, settings: Mapping[str, Any] | None = None
+) -> Truth:
+    """Return the truth of a picture that stands, or will stand, at `path`."""
+    inputs = picture.inputs
+    stars = star_rows(
+        picture.stars.id,
+        picture.stars.mag,
+        picture.star_flux_e,
+        picture.star_trails,
+        picture.stars.on_detector,
+        picture.star_hidden,
+    )
+    bodies = [_body_truth(picture, body) for body in picture.rendering.bodies]
+    return Truth(
+        picture=path,
+        mission=mission.name,
+        camera=inputs.camera.name,
+        utc=utc_text(inputs.et),
+        et=inputs.et,
+        exposure_s=inputs.exposure_s,
+        camera_from_j2000=picture.camera_from_j2000,
+        predicted_camera_from_j2000=inputs.predicted_camera_from_j2000,
+        objects=truth_table(stars, body_rows(bodies)),
+        seed=inputs.seed,
+        settings=settings or {},
+        exposure=picture.exposed.summary(),
+        cosmic_rays=picture.exposed.cosmic_rays,
+        noiseless_electrons=picture.noiseless_electrons,
+    )
+
+
+def _body_truth(picture: SimulatedPicture, body: RenderedBody) -> BodyTruth:
+    inputs = picture.inputs
+    model = next(m for m in inputs.bodies if m.target.name == body.name)
+    magnitude = model.target.magnitude
+    return BodyTruth(
+        name=body.name,
+        center_px=body.center_px,
+        light_px=body.light_px,
+        flux_e=body.flux_e,
+        mag=float("nan") if magnitude is None else magnitude,
+        diameter_px=body.diameter_px,
+        on_detector=bool(inputs.camera.on_detector(body.center_px)),
+        occulted_fraction=body.occulted_fraction,
+        smear_px=picture.body_smear_px,
+    )
+
+
+def _record(picture: SimulatedPicture, mission: Mission) -> FlightRecord:
+    inputs = picture.inputs
+    return FlightRecord(
+        mission=mission,
+        camera=inputs.camera,
+        et=inputs.et,
+        exposure_s=inputs.exposure_s,
+        camera_from_j2000=inputs.predicted_camera_from_j2000,
+        identity=inputs.header,
+        target=inputs.bodies[0].target.name if inputs.bodies else None,
+    )
+
+
+def _report(picture: SimulatedPicture, truth: Truth, files: tuple[Path, ...]) -> PictureReport:
+    drawn = picture.star_drawn
+    return PictureReport(
+        name=picture.inputs.name,
+        utc=truth.utc,
+        camera=truth.camera,
+        exposure_s=truth.exposure_s,
+        stars_drawn=int(drawn.sum()),
+        brightest_mag=float(np.min(picture.stars.mag[drawn])) if drawn.any() else None,
+        bodies=tuple(_body_report(picture, body) for body in picture.rendering.bodies),
+        files=files,
+    )
+
+
+def _body_report(picture: SimulatedPicture, body: RenderedBody) -> BodyReport:
+    values = picture.exposed.values
+    read_e = values.read_noise_dn * values.gain_e_per_dn
+    blur = 4.0 * np.pi * float(np.prod(picture.inputs.psf.sigma_px))  # pixels that a point's light counts in
+    pixels = 0.25 * np.pi * np.nan_to_num(body.diameter_px) ** 2 + blur
+    return BodyReport(
+        name=body.name,
+        regime=body.regime,
+        center_px=body.center_px,
+        diameter_px=body.diameter_px,
+        snr=float(body.flux_e / np.sqrt(body.flux_e + pixels * read_e**2)) if body.flux_e > 0.0 else 0.0,
+        occulted_fraction=body.occulted_fraction,
+    )

@@ -1,0 +1,162 @@
+"""One simulated picture: stars and bodies through optics and detector, and what it really shows.
+
+Flow   `PictureInputs` -> true places of stars and bodies -> electrons without noise -> detector -> `SimulatedPicture`
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.camera import Camera
+from opnav_workbench.camera.distortion import NoDistortion
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.psf import Psf
+from opnav_workbench.psf.trailed import TrailedPsf
+from opnav_workbench.render import Rendering, render_bodies
+from opnav_workbench.scene import Observer, StarPrediction, predict_stars
+from opnav_workbench.simulation.detector import Exposed, expose
+from opnav_workbench.simulation.inputs import PictureInputs
+from opnav_workbench.simulation.scenario_parts import Switches
+from opnav_workbench.simulation.starlight import Trails, add_stars, trails
+
+__all__ = ["SimulatedPicture", "expose_picture"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedPicture:
+    """A picture and its truth; arrays are read-only and indexed ``[line, pixel]``.
+
+    Attributes
+    ----------
+    inputs : PictureInputs
+    exposed : Exposed
+        The picture in DN, and the electrons before and after the detector's effects.
+    stars : StarPrediction
+        True places of the stars in or just outside the picture.
+    star_flux_e : (n,) array
+        Electrons of each star over the exposure; 0 without a magnitude.
+    star_hidden : (n,) array of bool
+        Behind a body, and therefore not drawn.
+    star_trails : Trails
+    rendering : Rendering
+        The bodies: true centers, sizes and light.
+    """
+
+    inputs: PictureInputs
+    exposed: Exposed
+    stars: StarPrediction
+    star_flux_e: FloatArray
+    star_hidden: BoolArray
+    star_trails: Trails
+    rendering: Rendering
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def image_dn(self) -> FloatArray:
+        """The picture as the file has it (n_line, n_pixel)."""
+        return self.exposed.image_dn
+
+    @property
+    def noiseless_electrons(self) -> FloatArray:
+        """The light of stars and bodies, without detector (n_line, n_pixel)."""
+        return self.exposed.noiseless_electrons
+
+    @property
+    def camera_from_j2000(self) -> FloatArray:
+        """The true attitude (3, 3) at mid-exposure."""
+        return self.inputs.path.middle
+
+    @property
+    def body_smear_px(self) -> float:
+        """Length of the bodies' trail, px."""
+        return body_track(self.inputs, _optics(self.inputs.camera, self.inputs.switches))[1]
+
+    @property
+    def star_drawn(self) -> BoolArray:
+        """Which stars (n,) are on the detector and not hidden."""
+        return np.asarray(self.stars.on_detector & ~self.star_hidden & (self.star_flux_e > 0.0))
+
+
+def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
+    """Simulate one picture.
+
+    The same inputs give the same picture, bit for bit.
+
+    Raises
+    ------
+    CameraError
+        The camera does not know a number that is needed.
+    """
+    optics, observer = _optics(inputs.camera, inputs.switches), _observer(inputs.observer, inputs.switches)
+    rendering = _bodies(inputs, optics, observer)
+    stars = _stars(inputs, optics, observer)
+    places = inputs.path.places(optics, stars.directions)
+    hidden = rendering.occults(stars.directions)
+    flux = np.nan_to_num(inputs.camera.electrons(stars.mag, inputs.exposure_s))
+    electrons = np.array(rendering.electrons)
+    seen = ~hidden
+    add_stars(electrons, places[seen], flux[seen], inputs.psf, inputs.path.weights)
+    exposed = expose(
+        electrons,
+        inputs.camera,
+        inputs.effects,
+        exposure_s=inputs.exposure_s,
+        seed=inputs.seed,
+        level=inputs.level,
+    )
+    return SimulatedPicture(
+        inputs, exposed, stars, flux, hidden, trails(places, inputs.path.weights), rendering
+    )
+
+
+def _optics(camera: Camera, switches: Switches) -> Camera:
+    return camera if switches.distortion else replace(camera, distortion=NoDistortion())
+
+
+def _observer(observer: Observer, switches: Switches) -> Observer:
+    """Return the observer that aberration is computed with."""
+    return observer if switches.aberration else replace(observer, velocity_km_s=np.zeros(3))
+
+
+def _stars(inputs: PictureInputs, optics: Camera, observer: Observer) -> StarPrediction:
+    """Predict the stars whose light reaches the detector."""
+    moved = np.abs(inputs.path.offsets_px(optics)).max()
+    margin = float(inputs.psf.half_size_px + moved + 1.0)
+    table = _switched(inputs.stars, inputs.switches)
+    return predict_stars(table, inputs.et, observer, optics, inputs.path.middle, margin_px=margin)
+
+
+def _switched(stars: StarTable, switches: Switches) -> StarTable:
+    """Take parallax or motion from the stars where they are switched off."""
+    zero = np.zeros(len(stars))
+    update: dict[str, Any] = {} if switches.parallax else {"parallax_rad": zero}
+    if not switches.proper_motion:
+        update |= {"pmra_rad_yr": zero, "pmdec_rad_yr": zero, "rv_km_s": np.full(len(stars), np.nan)}
+    return replace(stars, **update) if update else stars
+
+
+def _bodies(inputs: PictureInputs, optics: Camera, observer: Observer) -> Rendering:
+    return render_bodies(
+        inputs.bodies,
+        optics,
+        inputs.path.middle,
+        observer.velocity_km_s,
+        psf=_body_psf(inputs, optics),
+        sunlight_e=inputs.camera.sunlight_e(inputs.exposure_s),
+    )
+
+
+def _body_psf(inputs: PictureInputs, optics: Camera) -> Psf:
+    """Return the PSF, drawn out along the way that bodies take during the exposure."""
+    track, _ = body_track(inputs, optics)
+    return inputs.psf if len(track) == 1 else TrailedPsf(inputs.psf, track, np.ones(len(track)))
+
+
+def body_track(inputs: PictureInputs, optics: Camera) -> tuple[FloatArray, float]:
+    """Return where the bodies are in equal parts of the exposure (k, 2), px from mid-exposure, and how far that is."""
+    track = inputs.path.offsets_px(optics) if inputs.body_track_px is None else inputs.body_track_px
+    return track, float(trails(track[None]).length_px[0])

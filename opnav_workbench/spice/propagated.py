@@ -1,0 +1,101 @@
+"""Propagated trajectories of a scenario: initial state and forces as the file says them, for `nbody`."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import spiceypy
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.errors import MissionError
+from opnav_workbench.spice.epochs import AU_KM, DAY_S, utc_to_et
+from opnav_workbench.spice.guard import spice_call
+from opnav_workbench.spice.nbody import ForceModel, Impulse, OrbitArc, propagate
+from opnav_workbench.spice.planets import PLANETS, SUN, PointMass
+from opnav_workbench.spice.scenario import Scenario
+from opnav_workbench.spice.scenario_trajectories import ElementsOrbit, Forces, PropagatedOrbit
+from opnav_workbench.spice.two_body import conic, conic_states, epoch_et
+
+__all__ = ["propagated_arcs"]
+
+# Solar constant (IAU 2015 B3, 1361 W/m^2) over the speed of light, in kN/m^2: km/s^2 on 1 m^2 and 1 kg.
+RADIATION_KPA = 1361.0 / 299792458.0 * 1e-3
+EARTH_SYSTEM = {3, 301, 399}  # the barycenter is not a third body beside its two
+# Other names of the same masses, for lists of perturbers.
+SINGLE_PLANETS = (replace(PLANETS[1], body=199), replace(PLANETS[2], body=299))
+EARTH_AND_MOON = PointMass(3, 403503.23562548, 6378.1366)
+
+
+def propagated_arcs(
+    scenario: Scenario, orbit: PropagatedOrbit | ElementsOrbit, span_et: tuple[float, float]
+) -> tuple[OrbitArc, ...]:
+    """Return the ballistic pieces of a propagated trajectory; states are J2000.
+
+    Needs an active `KernelSet` with the bodies' SPKs.
+
+    Raises
+    ------
+    MissionError
+        A perturber's mass is not known.
+    ValueError
+        The orbit runs into a body, or the integration fails.
+    KernelError
+        A body's position is not covered.
+    """
+    target = scenario.body_id(orbit.target)
+    center = scenario.body_id(orbit.center)
+    et = epoch_et(orbit.epoch)
+    j2000_from_frame = _to_j2000(orbit.frame, et)
+    impulses = [
+        Impulse(utc_to_et(m.epoch), tuple(_to_j2000(orbit.frame, utc_to_et(m.epoch))[:3, :3] @ m.delta_v_m_s * 1e-3))
+        for m in orbit.maneuvers
+    ]
+    state = j2000_from_frame @ _initial_state(orbit, et)
+    return propagate(state, et, span_et, _force_model(scenario, orbit, target, center), impulses)
+
+
+def _initial_state(orbit: PropagatedOrbit | ElementsOrbit, et: float) -> FloatArray:
+    if isinstance(orbit, PropagatedOrbit):
+        scale = (1.0, 1.0) if orbit.units == "km" else (AU_KM, AU_KM / DAY_S)
+        return np.asarray(orbit.state) * np.repeat(scale, 3)
+    return np.asarray(conic_states(conic(orbit, PLANETS[0].gm_km3_s2), np.array([et]))[0])
+
+
+def _to_j2000(frame: str, et: float) -> FloatArray:
+    with spice_call(f"frame {frame}"):
+        return np.asarray(spiceypy.sxform(frame, "J2000", et))
+
+
+def _force_model(scenario: Scenario, forces: Forces, target: int, center: int) -> ForceModel:
+    light = forces.radiation
+    model = ForceModel(
+        center=center,
+        masses=tuple(_masses(scenario, forces, target)),
+        relativity=forces.relativity and target != SUN,
+        transverse_km_s2=forces.transverse_au_d2 * AU_KM / DAY_S**2,
+        tolerance=forces.tolerance,
+    )
+    if light is None:
+        return model
+    return replace(model, radiation_km_s2=light.reflectivity * RADIATION_KPA * light.area_m2 / light.mass_kg)
+
+
+def _masses(scenario: Scenario, forces: Forces, target: int) -> Iterable[PointMass]:
+    planets = {p.body: p for p in (*PLANETS, *SINGLE_PLANETS, EARTH_AND_MOON)}
+    excluded = EARTH_SYSTEM if target == 3 else {target}
+    if forces.perturbers is None:
+        yield from (p for p in PLANETS if p.body not in excluded)
+        return
+    own = {b.id: b for b in scenario.bodies}
+    for reference in forces.perturbers:
+        body = scenario.body_id(reference)
+        known = planets.get(body)
+        gm = own[body].gm_km3_s2 if body in own else None
+        radii = own[body].radii_km if body in own else None
+        if gm is None and known is None:
+            raise MissionError(f"the perturber {reference} has no gm_km3_s2; add it to the body")
+        yield PointMass(
+            body,
+            gm if gm is not None else known.gm_km3_s2,  # type: ignore[union-attr]  # one of the two is there
+            min(radii) if radii else known.radius_km if known else 0.0,
+        )

@@ -1,0 +1,222 @@
+"""Scenarios made into files: names, bytes, processes, interruptions and full disks."""
+
+import errno
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from opnav_workbench.errors import MissionError, SessionError
+from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.mission import load_mission
+from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate, varied
+from opnav_workbench.simulation import output as output_module
+from opnav_workbench.simulation.sequence import chosen_tasks
+from opnav_workbench.simulation.workshop import picture_seed
+from opnav_workbench.spice import KernelSet
+
+KERNELS = "new_horizons/pluto_opnav"
+LORRI_4X4 = {"name": "lorri", "utc": "2015-04-09T12:00:00", "camera": "lorri_4x4", "exposure_s": 0.1}
+SERIES = {
+    "name": "series",
+    "start": "2015-04-09T12:10:00",
+    "stop": "2015-04-09T12:12:00",
+    "step_s": 60.0,
+    "camera": "lorri_4x4",
+    "exposure_s": 0.2,
+}
+
+
+def scenario(**values):
+    given = {
+        "mission": "new_horizons",
+        "kernels": KERNELS,
+        "seed": 3,
+        "bodies": [{"name": "PLUTO"}, {"name": "CHARON"}],
+        "pictures": [LORRI_4X4, SERIES],
+    }
+    return load_picture_scenario(given | values)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    out = tmp_path_factory.mktemp("made")
+    finished = []
+    reports = simulate(scenario(), out, done=lambda report: finished.append(report.name))
+    return out, reports, finished
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_every_picture_has_its_files(made):
+    out, reports, finished = made
+    names = ["lorri", "series_0001", "series_0002", "series_0003"]
+    assert [report.name for report in reports] == finished == names
+    for name in names:
+        for ending in (".fit", ".truth.json", ".truth.ecsv", ".truth.fits", "_log.png"):
+            assert (out / f"{name}{ending}").stat().st_size > 100
+    assert len(list(out.iterdir())) == 5 * len(names)  # and no temporary ones
+
+
+def test_flight_readers_take_the_picture_for_their_own(made):
+    out, reports, _ = made
+    mission = load_mission("new_horizons")
+    frame = read_image(out / "lorri.fit", KeywordMap(**mission.keywords))
+    truth = read_truth(out / "lorri.fit")
+    camera = mission.camera_for(frame.header)
+    assert camera.name == "LORRI 4x4" == reports[0].camera
+    assert frame.exposure_s == 0.1
+    assert frame.utc == truth.utc == "2015-04-09T12:00:00.000"
+    predicted = truth.predicted_camera_from_j2000
+    assert frame.header_geometry.camera_from_j2000 == pytest.approx(predicted, abs=1e-12)
+    assert np.abs(truth.camera_from_j2000 - predicted).max() > 1e-5  # there is something to find
+
+
+def test_the_truth_holds_what_made_the_picture(made):
+    out, reports, _ = made
+    values = json.loads((out / "lorri.truth.json").read_text())
+    assert values["seed"] == picture_seed(3, "lorri")
+    assert values["settings"]["seed"] == 3
+    assert values["settings"]["picture"]["camera"] == "lorri_4x4"
+    assert sorted(values["bodies"]) == ["CHARON", "PLUTO"]
+    truth = read_truth(out / "lorri.fit")
+    assert truth.noiseless_electrons.shape == (256, 256)
+    assert truth.stars >= reports[0].stars_drawn > 0
+    assert {body.name: body.regime for body in reports[0].bodies}.keys() == {"PLUTO", "CHARON"}
+    assert all(body.snr > 50.0 for body in reports[0].bodies)
+
+
+def test_two_processes_write_the_same_bytes(made, tmp_path):
+    out, _, _ = made
+    reports = simulate(scenario(), tmp_path, jobs=2)
+    assert [report.name for report in reports] == [report.name for report in made[1]]
+    assert contents(tmp_path) == contents(out)
+
+
+def test_a_picture_alone_is_the_same_as_among_others(made, tmp_path):
+    (report,) = simulate(scenario(), tmp_path, only=["series_0002"])
+    assert report.name == "series_0002"
+    assert {name: made[0].joinpath(name).read_bytes() for name in contents(tmp_path)} == contents(tmp_path)
+
+
+def test_another_seed_is_another_picture(made, tmp_path):
+    simulate(scenario(seed=4), tmp_path, only=["lorri"])
+    assert (tmp_path / "lorri.fit").read_bytes() != (made[0] / "lorri.fit").read_bytes()
+
+
+def test_only_takes_names_of_pictures_and_series():
+    assert [t.picture.name for t in chosen_tasks(scenario(), ["series"])] == [
+        "series_0001",
+        "series_0002",
+        "series_0003",
+    ]
+    with pytest.raises(MissionError, match="no picture named two .*lorri, series"):
+        chosen_tasks(scenario(), ["two"])
+
+
+def test_kernels_of_the_caller_serve_a_scenario_without(made, tmp_path):
+    alone = scenario(kernels=None)
+    with pytest.raises(MissionError, match="kernels: the scenario names no kernels"):
+        simulate(alone, tmp_path)
+    with KernelSet(KERNELS):
+        simulate(alone, tmp_path, only=["lorri", "series_0001"], jobs=2)
+    for name in ("lorri.fit", "series_0001.fit"):
+        assert (tmp_path / name).read_bytes() == (made[0] / name).read_bytes()
+
+
+# -- what goes wrong -----------------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_keeps_what_is_finished(tmp_path):
+    def stop(report):
+        if report.name == "series_0001":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(scenario(), tmp_path, done=stop)
+    assert {path.stem for path in tmp_path.glob("*.fit")} == {"lorri", "series_0001"}
+    assert read_truth(tmp_path / "series_0001.fit").stars > 0
+
+
+def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch):
+    real = output_module.write_flight_fits
+
+    def full(path, *arguments):
+        if Path(path).stem == "series_0002":
+            raise SessionError(
+                f"cannot write {path}: No space left on device. Free some space."
+            ) from OSError(errno.ENOSPC, "No space left on device")
+        return real(path, *arguments)
+
+    monkeypatch.setattr(output_module, "write_flight_fits", full)
+    with pytest.raises(SessionError, match="No space left"):
+        simulate(scenario(), tmp_path)
+    assert {path.stem for path in tmp_path.glob("*.fit")} == {"lorri", "series_0001"}
+
+
+def test_a_folder_that_cannot_be_written_is_refused_from_processes_too(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SessionError, match="cannot write into"):
+        simulate(scenario(), tmp_path / "file" / "out", jobs=2)
+
+
+WRONG = [
+    ({"bodies": [{"name": "NEMESIS"}]}, r"bodies\.0\.name: .*NEMESIS"),
+    ({"pictures": [LORRI_4X4 | {"targets": ["NEMESIS"]}]}, r"pictures\.0\.targets: .*NEMESIS"),
+    (
+        {"pictures": [LORRI_4X4 | {"camera": "ralph"}]},
+        r"camera: unknown camera 'ralph'; new_horizons has lorri_1x1",
+    ),
+    ({"pictures": [LORRI_4X4 | {"utc": "2016-04-09T12:00:00"}]}, r"pictures\.0\.utc: .*2015"),
+    ({"pictures": [LORRI_4X4 | {"exposure_s": 70.0}]}, r"exposure_s: 70 s; LORRI 4x4 takes 0 to 64\.967 s"),
+    (
+        {"bodies": [{"name": "PLUTO", "albedo": {"map": "file", "file": "none.png"}}]},
+        r"bodies\.0\.albedo: .*none",
+    ),
+    ({"perturbations": {"bodies": [{"name": "NEMESIS"}]}}, r"perturbations\.bodies\.0\.name: .*NEMESIS"),
+    ({"kernels": "new_horizons/pluto"}, r"kernels: .*did you mean new_horizons/pluto"),
+    ({"catalog": "sao"}, r"catalog: .*use bundled"),
+    ({"mission": "voyager"}, "mission: .*unknown mission"),
+    (
+        {"pictures": [LORRI_4X4], "bodies": [{"name": "SUN", "brightness": "mission"}]},
+        "photometry of PLUTO, CHARON",
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG, ids=[m for _, m in WRONG])
+def test_wrong_scenarios_are_refused_before_anything_is_written(change, message, tmp_path):
+    with pytest.raises(MissionError, match=message) as caught:
+        simulate(scenario(**change), tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+# -- variations ----------------------------------------------------------------------------------------------------
+
+
+def test_a_variation_changes_what_is_asked_and_nothing_else():
+    base = scenario()
+    same = varied(base)
+    assert same.model_dump() == base.model_dump()
+    other = varied(
+        base,
+        exposure_s=0.5,
+        noise=False,
+        law="minnaert",
+        albedo="mottled",
+        offset_body="PLUTO",
+        toward_sun_km=50.0,
+    )
+    assert [p.exposure_s for p in other.pictures] == [0.5, 0.5]
+    assert not other.detector.shot_noise
+    assert other.detector.read_noise is None
+    assert {body.law.law for body in other.bodies} == {"minnaert"}
+    assert {body.albedo.map for body in other.bodies} == {"mottled"}
+    assert other.perturbations.bodies[0].toward_sun_km == 50.0
+    assert other.seed == base.seed
+    with pytest.raises(MissionError, match="exposure_s"):
+        varied(base, exposure_s=-1.0)
