@@ -56,7 +56,9 @@ def ucac4_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stars = np.zeros(n, dtype=UCAC4_RECORD)
         stars["ra"] = np.sort(rng.integers(0, 1_296_000_000, n))
         stars["spd"] = rng.integers((zone - 1) * 720_000, zone * 720_000, n)
-        stars["maga"] = rng.integers(8_000, 16_500, n)
+        stars["maga"] = np.maximum(
+            16_500 - rng.exponential(1_150.0, n), 6_000
+        )  # 2.4 times as many a magnitude
         stars["magm"], stars["sigmag"] = stars["maga"] + rng.integers(-50, 50, n), rng.integers(1, 40, n)
         stars["sigra"], stars["sigdc"] = rng.integers(-127, 127, n), rng.integers(-127, 127, n)
         stars["na1"] = stars["nu1"] = 2
@@ -66,7 +68,7 @@ def ucac4_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         apass = rng.random(n)[:, None] < 0.45  # as many as in the real catalog
         stars["apasm"] = np.where(apass, stars["maga"][:, None] + rng.integers(-500, 1_500, (n, 5)), 20_000)
         stars["apase"] = np.where(apass, rng.integers(1, 20, (n, 5)), 99)
-        stars["apase"][rng.random(n) < 0.02, :2] = 0  # bright stars: Tycho magnitudes
+        stars["apase"][apass[:, 0] & (stars["maga"] < 8_500), :2] = 0  # Tycho magnitudes in their place
         stars["rnm"] = zone * 1_000_000 + np.arange(n)
         stars.tofile(folder / "u4b" / f"z{zone:03d}")
     return folder

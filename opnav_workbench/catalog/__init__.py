@@ -1,8 +1,13 @@
-"""Star catalogs: opened by a one-line spec, asked for the stars within a cone.
+"""Star catalogs: opened by a one-line spec, asked for the stars within a cone or a polygon.
 
-table           the stars themselves, with sigmas
+table, quality  the stars themselves, with sigmas, Johnson V and B-V, and flags
 specs           spec -> catalog
-bundled         Hipparcos and Gaia DR3 from two data packages, merged by `merge`, kept in the user's cache
+indexed         the one search; `region` says where, a `store` holds the stars: in memory, as mapped `records` of a
+                `cache` file, or in `zones`; `sky` orders them
+bands           V and B-V from the catalogs' passbands
+bundled         Hipparcos and Gaia DR3 from two data packages, merged by `merge`
+tycho2, hip2    text catalogs of the CDS, converted once into a cache file
+ucac2, ucac4    binary zone files, read where they stand
 npz             a file of the user's own arrays
 astrometry_net  index files
 status          what is available here

@@ -33,13 +33,13 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.bands import (
-    Johnson,
     johnson_from_bands,
     johnson_from_gaia,
     johnson_from_tycho,
 )
 from opnav_workbench.catalog.index_files import read_index
 from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import (
     RAD_PER_DEG,
     RAD_PER_MAS,

@@ -24,16 +24,13 @@ APASS B, V             Johnson by construction; where UCAC4 puts Tycho magnitude
 =====================  =============================================================================================
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.catalog.johnson import Johnson
 
 __all__ = [
-    "Johnson",
     "johnson_from_2mass_color",
     "johnson_from_bands",
     "johnson_from_gaia",
@@ -80,63 +77,6 @@ BV_FROM_JK, BV_JK_SCATTER = (0.05, 1.55), 0.08
 BEYOND_RANGE = 0.5  # what is added to a sigma, in mag per mag beyond the range of colors
 
 
-class Johnson(NamedTuple):
-    """Johnson V and B-V with 1 sigma, columns (n,) as `StarTable` has them; nan where unknown."""
-
-    v_mag: FloatArray
-    v_sigma: FloatArray
-    b_v: FloatArray
-    b_v_sigma: FloatArray
-
-    @classmethod
-    def unknown(cls, n: int) -> "Johnson":
-        """Return n stars of which nothing is known."""
-        return cls(*np.full((4, n), np.nan))
-
-    @classmethod
-    def concatenate(cls, parts: Sequence["Johnson"]) -> "Johnson":
-        """Return the stars of all parts one after the other."""
-        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-    def columns(self) -> dict[str, Any]:
-        """Return the columns by name, for `StarTable`."""
-        return self._asdict()
-
-    def or_else(self, other: "Johnson") -> "Johnson":
-        """Return these values, and those of `other` where V or B-V is unknown here."""
-        no_v, no_color = np.isnan(self.v_mag), np.isnan(self.b_v)
-        if not (no_v.any() or no_color.any()):
-            return self
-        return Johnson(
-            np.where(no_v, other.v_mag, self.v_mag),
-            np.where(no_v, other.v_sigma, self.v_sigma),
-            np.where(no_color, other.b_v, self.b_v),
-            np.where(no_color, other.b_v_sigma, self.b_v_sigma),
-        )
-
-    def or_at(self, rows: IntArray, other: "Johnson") -> "Johnson":
-        """Return these values, and in some rows, where V or B-V is unknown here, those of `other`, one a row."""
-        columns = [column.copy() for column in self]
-        for column, values in zip(columns, self.take(rows).or_else(other), strict=True):
-            column[rows] = values
-        return Johnson(*columns)
-
-    def better_of(self, other: "Johnson") -> "Johnson":
-        """Return, of each star and quantity, the value of the smaller sigma."""
-        worse_v = ~(self.v_sigma <= np.nan_to_num(other.v_sigma, nan=np.inf))
-        worse_color = ~(self.b_v_sigma <= np.nan_to_num(other.b_v_sigma, nan=np.inf))
-        return Johnson(
-            np.where(worse_v, other.v_mag, self.v_mag),
-            np.where(worse_v, other.v_sigma, self.v_sigma),
-            np.where(worse_color, other.b_v, self.b_v),
-            np.where(worse_color, other.b_v_sigma, self.b_v_sigma),
-        )
-
-    def take(self, rows: IntArray | BoolArray) -> "Johnson":
-        """Return the chosen rows."""
-        return Johnson(*(column[rows] for column in self))
-
-
 def johnson_from_standard(b: ArrayLike, b_sigma: ArrayLike, v: ArrayLike, v_sigma: ArrayLike) -> Johnson:
     """Return V and B-V of magnitudes that are Johnson's already, such as those of APASS.
 
@@ -146,7 +86,7 @@ def johnson_from_standard(b: ArrayLike, b_sigma: ArrayLike, v: ArrayLike, v_sigm
     array([0.6])
     """
     blue, visual, b_err, v_err = _columns(b, v, b_sigma, v_sigma)
-    return _johnson(visual, v_err, blue - visual, np.asarray(np.hypot(b_err, v_err)))
+    return _johnson(visual, v_err, blue - visual, np.sqrt(b_err * b_err + v_err * v_err))
 
 
 def johnson_from_tycho(bt: ArrayLike, bt_sigma: ArrayLike, vt: ArrayLike, vt_sigma: ArrayLike) -> Johnson:
@@ -163,16 +103,19 @@ def johnson_from_tycho(bt: ArrayLike, bt_sigma: ArrayLike, vt: ArrayLike, vt_sig
     (array([8.49]), array([1.515]))
     """
     blue, visual, b_err, v_err = _columns(bt, vt, bt_sigma, vt_sigma)
-    color, beyond = _within(blue - visual, TYCHO_RANGE)
-    raw = blue - visual
-    inside = beyond == 0.0
-    v = visual + np.where(inside, _poly(color, TYCHO_V), -0.090 * raw)
-    curved = np.where(color < TYCHO_SPLIT, _poly(color, TYCHO_BLUE), _poly(color, TYCHO_RED))
-    b_v = np.where(inside, curved, 0.850 * raw)
-    slope = 0.1  # of V - VT in color, over the whole range
-    color_err = np.hypot(b_err, v_err)
-    v_sigma = np.sqrt(v_err**2 + (slope * color_err) ** 2 + TYCHO_SCATTER[0] ** 2) + 0.2 * beyond
-    full = _johnson(v, v_sigma, b_v, np.hypot(0.85 * color_err, TYCHO_SCATTER[1]) + BEYOND_RANGE * beyond)
+    color = blue - visual
+    held, beyond = _within(color, TYCHO_RANGE)
+    v = visual + _poly(held, TYCHO_V)
+    b_v = np.where(held < TYCHO_SPLIT, _poly(held, TYCHO_BLUE), _poly(held, TYCHO_RED))
+    outside = beyond > 0.0
+    if outside.any():
+        v = np.where(outside, visual - 0.090 * color, v)
+        b_v = np.where(outside, 0.850 * color, b_v)
+    color_variance = b_err**2 + v_err**2
+    # V - VT changes by 0.1 a magnitude of color, B-V by 0.85.
+    v_sigma = np.sqrt(v_err**2 + 0.01 * color_variance + TYCHO_SCATTER[0] ** 2) + 0.2 * beyond
+    b_v_sigma = np.sqrt(0.7225 * color_variance + TYCHO_SCATTER[1] ** 2) + BEYOND_RANGE * beyond
+    full = _johnson(v, v_sigma, b_v, b_v_sigma)
     return _or_mean_color(_or_mean_color(full, visual, v_err, "VT"), blue, b_err, "BT")
 
 
@@ -239,7 +182,7 @@ def johnson_from_ucac(mag: ArrayLike, mag_sigma: ArrayLike, j: ArrayLike, k: Arr
     """
     red, mag_err, near, far = _columns(mag, mag_sigma, j, k)
     held, beyond = _within(near - far, JK_RANGE)
-    v_sigma = np.hypot(mag_err, UCAC_SCATTER) + BEYOND_RANGE * beyond
+    v_sigma = np.sqrt(mag_err * mag_err + UCAC_SCATTER**2) + BEYOND_RANGE * beyond
     v_minus_r = VR_FROM_JK[0] + VR_FROM_JK[1] * held
     full = _johnson(red + UCAC_SHARE * v_minus_r, v_sigma, *_b_v_of_jk(held, beyond))
     return _or_mean_color(full, red, mag_err, "UCAC")

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.catalog.bands import Johnson, johnson_from_gaia
+from opnav_workbench.catalog.bands import johnson_from_gaia
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import RAD_PER_DEG
 from opnav_workbench.errors import CatalogError
 

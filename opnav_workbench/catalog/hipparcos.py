@@ -31,7 +31,8 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.catalog.bands import Johnson, johnson_from_hipparcos
+from opnav_workbench.catalog.bands import johnson_from_hipparcos
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.text import TextRows, read_rows

@@ -188,16 +188,14 @@ class StoredCatalog:
         ra, dec = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
         found = self._store.near(ra, dec, reach)
         places = unit_from_radec(found.ra_rad, found.dec_rad)
-        if et_s is None:
-            found = found.take(region.contains(places))
-        else:
-            found = found.take(np.asarray(angle_between(places, region.center) <= reach))
+        inside = region.contains(places) if et_s is None else angle_between(places, region.center) <= reach
         mag = self._store.mag(found)
-        order = np.lexsort((found.rows, mag))
-        order = order[: np.searchsorted(mag[order], mag_limit, side="right")]
+        chosen = np.flatnonzero(inside & (mag <= mag_limit))
+        chosen = chosen[np.argsort(mag[chosen], kind="stable")]
+        found = found.take(chosen)
         if exclude_flags:
-            order = order[(self._store.flags(found.take(order)) & int(exclude_flags)) == 0]
-        stars = self._store.build(found.take(order))
+            found = found.take((self._store.flags(found) & int(exclude_flags)) == 0)
+        stars = self._store.build(found)
         if et_s is not None:
             stars = stars.take(region.contains(stars.directions(et_s)))
         return with_mean_motion(stars)

@@ -37,9 +37,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.catalog.bands import Johnson
 from opnav_workbench.catalog.gaia import GAIA_JYEAR, GaiaStars
 from opnav_workbench.catalog.hipparcos import HIPPARCOS_JYEAR, HipparcosStars
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
 from opnav_workbench.catalog.sky import sort_keys
 from opnav_workbench.catalog.two_epoch import sky_offset_rad, two_epoch_motion_rad_yr

@@ -18,7 +18,7 @@ __all__ = ["ArrayStore", "Candidates", "StarStore"]
 class Candidates:
     """Stars that a search looks at before any row of a table is built; columns (k,)."""
 
-    rows: IntArray  # the store's own numbers of the stars; they ascend in catalog order
+    rows: IntArray  # the store's own numbers of the stars; they ascend as `near` gives them
     ra_rad: FloatArray
     dec_rad: FloatArray
     records: NDArray[Any] | None = None  # as the store read them, where it reads whole records
@@ -81,7 +81,7 @@ class ArrayStore:
 
     def near(self, ra_rad: float, dec_rad: float, radius_rad: float) -> Candidates:
         """Return the stars of the index ranges that the cone meets."""
-        rows = self._index.candidates(ra_rad, dec_rad, radius_rad)
+        rows = np.sort(self._index.candidates(ra_rad, dec_rad, radius_rad))
         return Candidates(rows, self._ra_rad[rows], self._dec_rad[rows])
 
     def mag(self, found: Candidates) -> FloatArray:

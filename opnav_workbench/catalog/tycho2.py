@@ -23,9 +23,10 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
-from opnav_workbench.catalog.bands import Johnson, johnson_from_hipparcos, johnson_from_tycho
+from opnav_workbench.catalog.bands import johnson_from_hipparcos, johnson_from_tycho
 from opnav_workbench.catalog.cache import Progress, cache_name, cache_path, cached_stars, source_identity
 from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import (
     RAD_PER_DEG,
     RAD_PER_MAS,

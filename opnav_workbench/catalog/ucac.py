@@ -42,19 +42,23 @@ def astrometry_columns(
     mag : (n,) array
         For the parallax, which neither catalog gives.
     """
-    both = known[:, None]
-    years = np.where(both, 2000.0 - central_jyear, 0.0)
-    spread = np.where(both, motion_sigma, UNKNOWN_MOTION_MAS_YR)
-    place = np.hypot(place_sigma, years * spread)
-    moving = np.where(both, motion, 0.0) * RAD_PER_MAS
-    parallax = unknown_parallax_sigma_mas(mag)[:, None]
+    moving, spread, years = motion * RAD_PER_MAS, motion_sigma, 2000.0 - central_jyear
+    epoch = np.full(len(mag), 2000.0)
+    if not known.all():
+        still = ~known
+        moving, spread = moving.copy(), spread.copy()
+        moving[still], spread[still], years[still] = 0.0, UNKNOWN_MOTION_MAS_YR, 0.0
+        epoch[still] = central_jyear[still].mean(axis=1)
+    sigma = np.empty((len(mag), 5))
+    sigma[:, :2] = np.sqrt(place_sigma**2 + (years * spread) ** 2)
+    sigma[:, 2], sigma[:, 3:] = unknown_parallax_sigma_mas(mag), spread
     return {
         "pmra_rad_yr": moving[:, 0],
         "pmdec_rad_yr": moving[:, 1],
         "parallax_rad": np.zeros(len(mag)),
         "rv_km_s": np.full(len(mag), np.nan),
-        "epoch_jyear": np.where(known, 2000.0, central_jyear.mean(axis=1)),
-        "sigma": np.concatenate([place, parallax, spread], axis=1) * RAD_PER_MAS,
+        "epoch_jyear": epoch,
+        "sigma": sigma * RAD_PER_MAS,
         "position_motion": years * spread**2 * RAD_PER_MAS**2,
         "motion_known": known,
     }

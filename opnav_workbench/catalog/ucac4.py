@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.bands import (
-    Johnson,
     johnson_from_2mass_color,
     johnson_from_standard,
     johnson_from_tycho,
     johnson_from_ucac,
 )
 from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.table import StarTable
@@ -45,7 +45,7 @@ NO_MAG = 20_000  # mmag
 ELSEWHERE = 32_767  # the motion stands in u4hpm.dat
 NO_MOTION = 255  # sigma of the motion, after + 128
 LARGE_SIGMAS = {251: 27.5, 252: 32.5, 253: 37.5, 254: 45.0}  # mas/yr
-SINGLE_APASS_MAG = 0.05  # added to the formal error of a single APASS observation (stored negative)
+SINGLE_APASS_MAG = 0.05  # added to the formal error of a single APASS observation, which is stored negative
 HPM_SIGMA_MAS_YR = 10.0  # u4hpm.dat gives none; between its sources (Hipparcos, LSPM) motions differ by that
 NO_SIGMA, UNKNOWN_MAG_SIGMA = 99, 0.3
 TYCHO_MAG_SIGMA = 0.05  # UCAC4 does not repeat it; Tycho-2 has 0.013 to magnitude 9 and 0.06 at 11
@@ -140,9 +140,9 @@ def _choose_mag(records: NDArray[np.void]) -> tuple[FloatArray, IntArray]:
     for choice, column in enumerate(columns[1:], start=1):
         missing = np.isnan(mag)
         if not missing.any():
-            break
+            return mag, which
         mag, which = np.where(missing, _mmag(column), mag), np.where(missing, choice, which)
-    return np.nan_to_num(mag, nan=20.0), which
+    return np.where(np.isnan(mag), 20.0, mag), which
 
 
 def _mag(records: NDArray[np.void]) -> FloatArray:
@@ -152,12 +152,11 @@ def _mag(records: NDArray[np.void]) -> FloatArray:
 def _flags(records: NDArray[np.void]) -> IntArray:
     unused = (records["nu1"] == 0) & (records["na1"] > 0)  # every picture of the star has some problem
     extended = (records["leda"] > 0) | (records["x2m"] > 0)
-    few = {
-        StarQuality.BAD_ASTROMETRY: unused,
-        StarQuality.EXTENDED: extended,
-        StarQuality.BAD_PHOTOMETRY: records["maga"] >= NO_MAG,
-    }
-    return np.asarray(KIND_FLAGS[records["objt"]] | DOUBLE_FLAGS[records["cdf"]] | quality_flags(few))
+    flags = KIND_FLAGS[records["objt"]] | DOUBLE_FLAGS[records["cdf"]]
+    flags[unused] |= int(StarQuality.BAD_ASTROMETRY)
+    flags[extended] |= int(StarQuality.EXTENDED)
+    flags[records["maga"] >= NO_MAG] |= int(StarQuality.BAD_PHOTOMETRY)
+    return np.asarray(flags)
 
 
 def _table(
@@ -185,8 +184,8 @@ def _motions(
     """Return motions and their sigmas (n, 2), mas/yr, and whether the star has one (n,)."""
     code = records["sigpm"].astype(np.int64) + 128
     motion, sigma = np.asarray(records["pm"] * 0.1), MOTION_SIGMAS[code]
-    known = np.all(code != NO_MOTION, axis=1)
-    elsewhere = np.any(records["pm"] == ELSEWHERE, axis=1)
+    known = (code[:, 0] != NO_MOTION) & (code[:, 1] != NO_MOTION)
+    elsewhere = (records["pm"][:, 0] == ELSEWHERE) | (records["pm"][:, 1] == ELSEWHERE)
     if elsewhere.any():
         listed = elsewhere & np.isin(records["rnm"], fast)
         motion[listed] = 0.1 * fast_motions[np.searchsorted(fast, records["rnm"][listed])]
@@ -196,19 +195,19 @@ def _motions(
 
 
 def _johnson(records: NDArray[np.void], mag: FloatArray, which: IntArray) -> Johnson:
-    b, v = _mmag(records["apasm"][:, :2]).T
-    raw = records["apase"][:, :2] * 0.01
-    b_sigma, v_sigma = np.where(raw < 0.0, np.hypot(raw, SINGLE_APASS_MAG), raw).T
-    tycho_b, tycho_v = (raw == 0.0).T
+    b, v = (_mmag(records["apasm"][:, column]) for column in (0, 1))
+    error = records["apase"][:, :2]
+    sigma = np.abs(error * 0.01) + (error < 0) * SINGLE_APASS_MAG
+    tycho_b, tycho_v = ((error == 0) & (records["apasm"][:, :2] < NO_MAG)).T
     johnson = johnson_from_standard(
-        np.where(tycho_b, np.nan, b), b_sigma, np.where(tycho_v, np.nan, v), v_sigma
+        np.where(tycho_b, np.nan, b), sigma[:, 0], np.where(tycho_v, np.nan, v), sigma[:, 1]
     )
     rows = np.flatnonzero(tycho_b | tycho_v)
     if rows.size:
-        bt, vt = (np.where(own[rows], mags[rows], np.nan) for own, mags in ((tycho_b, b), (tycho_v, v)))
+        bt, vt = np.where(tycho_b, b, np.nan)[rows], np.where(tycho_v, v, np.nan)[rows]
         johnson = johnson.or_at(rows, johnson_from_tycho(bt, TYCHO_MAG_SIGMA, vt, TYCHO_MAG_SIGMA))
     if np.isnan(johnson.b_v).any():
-        j, k = _mmag(records["jhk"][:, ::2]).T
+        j, k = (_mmag(records["jhk"][:, column]) for column in (0, 2))
         ucac = np.where(which <= 1, mag, np.nan)
         sigma = np.where(records["sigmag"] < NO_SIGMA, records["sigmag"] * 0.01, UNKNOWN_MAG_SIGMA)
         johnson = johnson.or_else(johnson_from_ucac(ucac, sigma, j, k))

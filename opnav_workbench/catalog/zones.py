@@ -25,7 +25,7 @@ from opnav_workbench.errors import CatalogError
 __all__ = ["FASTEST_RAD_YR", "ZoneLayout", "ZoneStore", "open_zones", "zone_names"]
 
 ROW_BITS = 24  # row number = zone * 2**24 + record; the largest zone has 0.3 million records
-THREE_DIGITS = np.array([[ord(digit) for digit in f"{value:03d}"] for value in range(1000)], dtype=np.uint32)
+THREE_DIGITS = np.array([f"{value:03d}" for value in range(1000)])
 TURN_MAS = 1_296_000_000
 FASTEST_RAD_YR = 10_400.0 * RAD_PER_MAS  # Barnard's star; no star moves faster
 
@@ -193,13 +193,15 @@ def zone_names(catalog: str, zones: IntArray, numbers: IntArray) -> NDArray[np.s
     >>> zone_names("UCAC4", np.array([451]), np.array([12]))
     array(['UCAC4-451-000012'], dtype='<U16')
     """
-    size = len(catalog) + 11
-    letters = np.empty((len(zones), size), dtype=np.uint32)
-    letters[:, :-10] = [ord(letter) for letter in f"{catalog}-"]
-    letters[:, -7] = ord("-")
-    letters[:, -10:-7] = THREE_DIGITS[zones]
-    letters[:, -6:-3], letters[:, -3:] = THREE_DIGITS[numbers // 1000], THREE_DIGITS[numbers % 1000]
-    return letters.view(f"<U{size}").ravel()
+    parts = {"head": f"{catalog}-", "zone": THREE_DIGITS[zones], "dash": "-"}
+    parts |= {"thousands": THREE_DIGITS[numbers // 1000], "rest": THREE_DIGITS[numbers % 1000]}
+    widths = (len(catalog) + 1, 3, 1, 3, 3)
+    names = np.empty(
+        len(zones), dtype=[(name, f"U{width}") for name, width in zip(parts, widths, strict=True)]
+    )
+    for name, letters in parts.items():
+        names[name] = letters
+    return names.view(f"U{sum(widths)}")
 
 
 def _records(found: Candidates) -> NDArray[np.void]:

@@ -8,7 +8,7 @@ plates, shape                 shape models of triangular plates, with the shadow
 body, light                   one body before the camera; its flux, center and spread
 grid, sampling                directions of pixels; pixels divided where edges pass
 convolution                   the PSF
-bodies                        `render_bodies`: all of it
+disk, bodies                  a resolved body in the picture; `render_bodies`: all of it
 """
 
 from opnav_workbench.render.bodies import RenderedBody, Rendering, render_bodies

@@ -27,21 +27,18 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, readonl
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError
-from opnav_workbench.geometry import apparent_direction, geometric_direction
+from opnav_workbench.geometry import geometric_direction
 from opnav_workbench.psf import Psf, add_sources
 from opnav_workbench.render.body import BodyModel, PlacedBody
-from opnav_workbench.render.convolution import add_spread_light
-from opnav_workbench.render.grid import PixelGrid, Window, pixel_grid
-from opnav_workbench.render.light import BodyLight, body_light
-from opnav_workbench.render.sampling import sample_pixels
-from opnav_workbench.scene import BodyPrediction, Observer, predict_body
+from opnav_workbench.render.disk import View, add_disk
+from opnav_workbench.render.grid import Window
+from opnav_workbench.render.light import body_light
 
 __all__ = ["BodyModel", "RenderedBody", "Rendering", "render_bodies"]
 
 Regime = Literal["point", "small", "disk"]
 
 SMALL_FROM_PX, DISK_FROM_PX = 1.0, 4.0  # diameters; AAS 13-443, "Simulating Target Bodies in OpNav Images"
-LIMB_MARGIN_PX = (
     2  # around the outline that predict_body draws with 180 points: the chords miss 2e-4 of the radius
 )
 
@@ -95,7 +92,7 @@ class Rendering:
     electrons: FloatArray
     window: Window
     bodies: tuple[RenderedBody, ...]
-    _view: "_View"
+    _view: "View"
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -116,31 +113,6 @@ class Rendering:
             near = np.flatnonzero(toward @ rays >= np.cos(min(1.01 * body.angular_radius_rad, np.pi)))
             hidden[near] |= body.blocks(rays[:, near], np.full(len(near), np.inf))
         return hidden
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """Camera, attitude and velocity that a picture is taken with, and the bodies before it."""
-
-    camera: Camera
-    camera_from_j2000: FloatArray
-    velocity_km_s: FloatArray
-    window: Window
-    placed: tuple[PlacedBody, ...] = ()
-
-    def predict(self, target: TargetState) -> BodyPrediction:
-        observer = Observer(
-            np.zeros(3), self.velocity_km_s, "rendering"
-        )  # predict_body uses the velocity alone
-        return predict_body(target, observer, self.camera, self.camera_from_j2000)
-
-    def project(self, rays: FloatArray) -> FloatArray:
-        """Return where geometric J2000 rays (3, n) fall, (n, 2) px."""
-        apparent = apparent_direction(rays.T, self.velocity_km_s)
-        return self.camera.project(apparent @ self.camera_from_j2000.T)
-
-    def grid(self, window: Window) -> PixelGrid:
-        return pixel_grid(self.camera, self.camera_from_j2000, self.velocity_km_s, window)
 
 
 def render_bodies(
@@ -185,7 +157,7 @@ def render_bodies(
     Pixels of bodies are exact to 0.1 % of the peak. Radiance is taken at each pixel's geometric direction; the change of
     brightness with the observer's motion (2 v/c, 1e-4) is left out.
     """
-    view = _View(
+    view = View(
         camera,
         readonly(camera_from_j2000, (3, 3), "camera_from_j2000"),
         readonly(observer_velocity_km_s, (3,), "observer_velocity_km_s"),
@@ -208,7 +180,7 @@ def render_bodies(
     return Rendering(picture, view.window, bodies, view)
 
 
-def _render_point(picture: FloatArray, model: BodyModel, view: _View, psf: Psf) -> RenderedBody:
+def _render_point(picture: FloatArray, model: BodyModel, view: View, psf: Psf) -> RenderedBody:
     center = view.predict(model.target).pixel_line
     flux = float(model.flux_e or 0.0)
     ray = model.target.position_km[:, None]
@@ -220,7 +192,7 @@ def _render_point(picture: FloatArray, model: BodyModel, view: _View, psf: Psf) 
 
 
 def _render_body(
-    picture: FloatArray, body: PlacedBody, view: _View, psf: Psf, sunlight_e: float
+    picture: FloatArray, body: PlacedBody, view: View, psf: Psf, sunlight_e: float
 ) -> RenderedBody:
     prediction = view.predict(_sized(body))
     light = body_light(body, view.project)
@@ -235,8 +207,8 @@ def _render_body(
     regime: Regime = "point" if diameter < SMALL_FROM_PX else "small" if diameter < DISK_FROM_PX else "disk"
     if regime == "point":
         _add_points(picture, view, psf, *light.four_points(scale), light.center_px)
-    elif light.total > 0.0:
-        _add_disk(picture, body, view, psf, prediction, light, scale)
+    elif light.total > 0.0 and view.may_show(body):
+        add_disk(picture, body, view, psf, prediction, light, scale, small=regime == "small")
     return RenderedBody(
         body.model.target.name, prediction.pixel_line, light.center_px, scale * light.seen, diameter,
         light.occulted_fraction, regime,
@@ -252,70 +224,7 @@ def _sized(body: PlacedBody) -> TargetState:
 
 
 def _add_points(
-    picture: FloatArray, view: _View, psf: Psf, places: FloatArray, flux_e: FloatArray, center: FloatArray
+    picture: FloatArray, view: View, psf: Psf, places: FloatArray, flux_e: FloatArray, center: FloatArray
 ) -> None:
     if np.isfinite(center).all():
         add_sources(picture, psf.at(center), places - np.array(view.window[:2]), flux_e)
-
-
-def _add_disk(
-    picture: FloatArray,
-    body: PlacedBody,
-    view: _View,
-    psf: Psf,
-    prediction: BodyPrediction,
-    light: BodyLight,
-    scale: float,
-) -> None:
-    here = psf.at(prediction.pixel_line) if np.isfinite(prediction.pixel_line).all() else psf
-    outline = _outline_px(body, prediction, view)
-    window, whole_body = _sampled_window(outline, view.window, int(np.ceil(here.half_size_px)))
-    if window is None:
-        return
-    grid = view.grid(window)
-
-    def near_edge(rays: FloatArray, reach_rad: float) -> BoolArray:
-        near = body.surface.crossed_by_limb(body.to_body(rays), reach_rad)
-        for other in body.hidden_by:
-            near |= other.surface.crossed_by_limb(other.to_body(rays), reach_rad)
-        return near
-
-    small = prediction.diameter_px < DISK_FROM_PX
-    samples = sample_pixels(grid, body.radiance, near_edge, everywhere=small)
-    per_pixel = scale * grid.solid_angle
-    whole = samples.whole * per_pixel
-    cells = (
-        samples.cells
-        * (per_pixel.ravel()[samples.divided] / max(samples.cells.shape[1] ** 2, 1))[:, None, None]
-    )
-    found = float(whole[0].sum() + cells.sum())
-    if small and whole_body and found > 0.0:
-        whole, cells = (a * (scale * light.seen / found) for a in (whole, cells))
-    first = (window[0] - view.window[0], window[1] - view.window[1])
-    add_spread_light(picture, first, whole, samples.divided, cells, here)
-
-
-def _outline_px(body: PlacedBody, prediction: BodyPrediction, view: _View) -> FloatArray:
-    """Return points (n, 2) px around all that the body may cover."""
-    if body.model.shape is None:
-        return prediction.limb_px
-    sphere = replace(body.model.target, radii_km=np.full(3, body.surface.bounding_km))
-    return view.predict(sphere).limb_px
-
-
-def _sampled_window(outline: FloatArray, window: Window, margin: int) -> tuple[Window | None, bool]:
-    """Return the part of the picture to sample, and whether it holds the whole body.
-
-    Light that falls up to `margin` pixels off the window reaches into it through the PSF.
-    """
-    low = np.array(window[:2]) - margin
-    high = np.array(window[:2]) + np.array(window[2:]) - 1 + margin
-    if not np.isfinite(outline).all():
-        return (int(low[0]), int(low[1]), int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)), False
-    begin = np.floor(outline.min(axis=0)).astype(int) - LIMB_MARGIN_PX
-    end = np.ceil(outline.max(axis=0)).astype(int) + LIMB_MARGIN_PX
-    first, last = np.maximum(begin, low), np.minimum(end, high)
-    if np.any(last < first):
-        return None, False
-    held = bool(np.all(first == begin) and np.all(last == end))
-    return (int(first[0]), int(first[1]), int(last[0] - first[0] + 1), int(last[1] - first[1] + 1)), held

@@ -89,13 +89,13 @@ class PlacedBody:
         target = model.target
         assert target.sun_position_km is not None
         turn = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
-        self.model, self._turn = model, turn
-        self._camera, self._sun = -turn @ target.position_km, turn @ target.sun_position_km
+        self.model, self.body_from_j2000 = model, turn
+        self.camera_km, self.sun_km = -turn @ target.position_km, turn @ target.sun_position_km
         self.position_km: FloatArray = target.position_km
         self.surface: Surface = (
-            PlateSurface(model.shape, self._camera, self._sun)
+            PlateSurface(model.shape, self.camera_km, self.sun_km)
             if model.shape is not None
-            else Ellipsoid(np.asarray(target.radii_km), self._camera, self._sun)
+            else Ellipsoid(np.asarray(target.radii_km), self.camera_km, self.sun_km)
         )
         self._shading_bodies: list[PlacedBody] = []
         self._hiding_bodies: list[PlacedBody] = []
@@ -103,7 +103,7 @@ class PlacedBody:
     @property
     def sunlight(self) -> float:
         """Sunlight at the body over that at 1 au."""
-        return float((AU_KM / np.linalg.norm(self._sun)) ** 2)
+        return float((AU_KM / np.linalg.norm(self.sun_km)) ** 2)
 
     @property
     def hidden_by(self) -> "list[PlacedBody]":
@@ -113,16 +113,16 @@ class PlacedBody:
     @property
     def angular_radius_rad(self) -> float:
         """Angular radius of the sphere that holds the body."""
-        return float(np.arcsin(self.surface.bounding_km / np.linalg.norm(self._camera)))
+        return float(np.arcsin(self.surface.bounding_km / np.linalg.norm(self.camera_km)))
 
     def to_body(self, rays: FloatArray) -> FloatArray:
         """Return J2000 rays (3, n) in the body-fixed frame."""
-        return np.asarray(self._turn @ rays)
+        return np.asarray(self.body_from_j2000 @ rays)
 
     def meet_others(self, others: "list[PlacedBody]") -> None:
         """Note which of the other bodies may hide this one, or shade it."""
-        self._hiding_bodies = [b for b in others if b is not self and b._may_hide(self)]
-        self._shading_bodies = [b for b in others if b is not self and b._may_shade(self)]
+        self._hiding_bodies = [b for b in others if b is not self and b.may_hide(self)]
+        self._shading_bodies = [b for b in others if b is not self and b.may_shade(self)]
 
     def radiance(self, rays: FloatArray) -> FloatArray:
         """Return I/F (n,) times sunlight (see `sunlight`) along rays; 0 where another body is nearer."""
@@ -138,7 +138,7 @@ class PlacedBody:
 
     def brightness(self, point: FloatArray, normal: FloatArray) -> FloatArray:
         """Return I/F (n,) times sunlight of surface points (3, n) with outward normals."""
-        to_camera, to_sun = self._camera[:, None] - point, self._sun[:, None] - point
+        to_camera, to_sun = self.camera_km[:, None] - point, self.sun_km[:, None] - point
         to_camera /= np.sqrt(column_dot(to_camera, to_camera))
         to_sun /= np.sqrt(column_dot(to_sun, to_sun))
         cos_i = column_dot(normal, to_sun)
@@ -164,7 +164,7 @@ class PlacedBody:
         Light is I/F times sunlight times solid angle, sr; the third array is 0 where another body stands before.
         """
         nodes = self.surface.nodes()
-        rays = self._turn.T @ (nodes.point - self._camera[:, None])
+        rays = self.body_from_j2000.T @ (nodes.point - self.camera_km[:, None])
         light = self.brightness(nodes.point, nodes.normal) * nodes.solid_angle
         seen = np.ones(len(light))
         for other in self._hiding_bodies:
@@ -176,33 +176,35 @@ class PlacedBody:
         rows = np.flatnonzero(lit)
         share[rows] = self.surface.sunlit(point[:, rows])
         for other in self._shading_bodies:
-            share[rows] *= other._sun_share_behind(self, point[:, rows], to_sun[:, rows])
+            share[rows] *= other.sun_share_behind(self, point[:, rows], to_sun[:, rows])
         return share
 
-    def _sun_share_behind(self, shaded: "PlacedBody", point: FloatArray, to_sun: FloatArray) -> FloatArray:
+    def sun_share_behind(self, shaded: "PlacedBody", point: FloatArray, to_sun: FloatArray) -> FloatArray:
         """Return the share of the Sun's disk that this body leaves free, seen from points of another body.
 
         The limb counts as straight across the Sun, and a body smaller than the Sun hides no more than its own area.
         """
-        here_from_there = self._turn @ shaded._turn.T
-        offset = self._turn @ (shaded.position_km - self.position_km)
+        here_from_there = self.body_from_j2000 @ shaded.body_from_j2000.T
+        offset = self.body_from_j2000 @ (shaded.position_km - self.position_km)
         inside = self.surface.inside_limb(here_from_there @ point + offset[:, None], here_from_there @ to_sun)
-        sun_radius = SUN_RADIUS_KM / float(np.linalg.norm(self._sun))
+        sun_radius = SUN_RADIUS_KM / float(np.linalg.norm(self.sun_km))
         own_radius = self.surface.bounding_km / float(np.linalg.norm(offset))
         depth = np.clip(inside / sun_radius, -1.0, 1.0)
         covered = 0.5 + (depth * np.sqrt(1.0 - depth * depth) + np.arcsin(depth)) / np.pi
         return np.asarray(1.0 - covered * min(1.0, (own_radius / sun_radius) ** 2))
 
-    def _may_hide(self, other: "PlacedBody") -> bool:
+    def may_hide(self, other: "PlacedBody") -> bool:
+        """Tell whether this body may stand before another, as the camera sees them."""
         cosine = self.position_km @ other.position_km
         across = float(np.linalg.norm(np.cross(self.position_km, other.position_km)))
         separation = np.arctan2(across, cosine)
-        nearer = np.linalg.norm(self._camera) < np.linalg.norm(other._camera)
+        nearer = np.linalg.norm(self.camera_km) < np.linalg.norm(other.camera_km)
         return bool(nearer and separation < self.angular_radius_rad + other.angular_radius_rad)
 
-    def _may_shade(self, other: "PlacedBody") -> bool:
+    def may_shade(self, other: "PlacedBody") -> bool:
+        """Tell whether this body may cast its shadow on another."""
         offset = self.position_km - other.position_km
-        sun = other._turn.T @ other._sun
+        sun = other.body_from_j2000.T @ other.sun_km
         along = float(offset @ sun / np.linalg.norm(sun))
         across = float(np.linalg.norm(offset - along * sun / np.linalg.norm(sun)))
         penumbra = along * SUN_RADIUS_KM / float(np.linalg.norm(sun))

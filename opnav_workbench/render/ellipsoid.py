@@ -138,7 +138,7 @@ def _lune(camera: FloatArray, sun: FloatArray) -> tuple[FloatArray, FloatArray]:
     sun_longitude = np.arctan2(sun @ side, sun @ middle)
     node, weight = np.polynomial.legendre.leggauss(NODES)
     # Beyond the latitude where one of the circles ends there is nothing to see or no light.
-    highest = np.arccos(1.0 / min(np.linalg.norm(camera), np.hypot(sun @ side, sun @ middle)))
+    highest = np.arccos(1.0 / min(float(np.linalg.norm(camera)), float(np.linalg.norm(sun))))
     latitude, d_latitude = highest * node, highest * weight
     cos_latitude = np.cos(latitude)
     see = np.arccos(np.minimum(1.0 / (np.linalg.norm(camera) * cos_latitude), 1.0))

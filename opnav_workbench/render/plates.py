@@ -22,7 +22,7 @@ NO_PLATE = -1
 MIRROR = np.array(
     [[-1.0], [1.0]]
 )  # parallel rays come down the third axis: seen along them, the first points left
-PLATES_PER_CELL = 2.0  # mean: fewer make the lists long, more the tests many
+PLATES_PER_CELL = 0.7  # mean: fewer make the lists long, more the tests many
 MOST_CELLS = 1024  # along a side
 RAYS_AT_ONCE = 200_000  # some 2 million tests of 8 numbers: 130 MB
 # A ray along an edge belongs to both its plates: rounding must not let it slip between them.

@@ -2,8 +2,8 @@
 
 Every pixel of the window gets a ray through its center. Pixels that an edge may cross, and those whose brightness bends
 too much between its neighbours, are divided into 4 x 4 cells; cells where the same holds again into 4 x 4, and those into
-2 x 2. For small bodies every pixel near the body is divided: AAS 13-443 asks for 5 x 5 cells there, which err by 5 % of
-the peak at the limb.
+2 x 2. For small bodies every pixel near the body is divided: AAS 13-443 asks for 5 x 5 cells there, on which a
+limb is off by up to 1/10 px.
 
 The result is a mean brightness and its slopes for every pixel left whole, and mean brightnesses of 16 x 16 cells for every pixel that was
 divided. An edge falls on the wrong side of half a finest cell at most, 1/64 px.
@@ -17,15 +17,36 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.render.grid import PixelGrid
 
-__all__ = ["PixelSamples", "sample_pixels"]
+__all__ = [
+    "PATTERNED_SURFACE",
+    "PLATED_SURFACE",
+    "SMOOTH_SURFACE",
+    "Fineness",
+    "PixelSamples",
+    "sample_pixels",
+]
 
 FIRST, SECOND, THIRD = 4, 4, 2  # cells along a side, in each division
-# A mid-pixel ray misses the pixel's mean by 1/24 of the brightness's second differences. That is corrected, but at a kink
-# it is only a bound: this share of the peak is allowed.
-BEND = 24.0 * 4e-4
-# Cells are divided further where a neighbour differs by this share of the peak.
-STEP = 0.01
 RAYS_AT_ONCE = 400_000
+
+
+@dataclass(frozen=True, slots=True)
+class Fineness:
+    """When a pixel or cell is divided, in shares of the peak brightness.
+
+    A mid-pixel ray misses the pixel's mean by 1/24 of the brightness's second differences. That is corrected, but at a
+    kink it is only a bound, and at a jump 12 times more is possible.
+    """
+
+    bend: float  # second difference between neighbouring pixels
+    step: float  # difference between neighbouring cells
+
+
+SMOOTH_SURFACE = Fineness(bend=24.0 * 4e-4, step=0.01)
+# A map's cells show everywhere: 0.3 % of the peak is allowed where 0.1 % would cost four times the rays.
+PATTERNED_SURFACE = Fineness(bend=24.0 * 4e-4, step=0.03)
+# Plates differ from each other by a few percent: that pattern is sampled, outline and shadows are refined.
+PLATED_SURFACE = Fineness(bend=0.02, step=0.2)
 
 Radiance = Callable[[FloatArray], FloatArray]  # rays (3, n) -> (n,)
 NearEdge = Callable[[FloatArray, float], BoolArray]  # rays (3, n), reach in rad -> (n,)
@@ -41,7 +62,7 @@ class PixelSamples:
 
 
 def sample_pixels(
-    grid: PixelGrid, radiance: Radiance, near_edge: NearEdge, *, everywhere: bool
+    grid: PixelGrid, radiance: Radiance, near_edge: NearEdge, fineness: Fineness, *, everywhere: bool
 ) -> PixelSamples:
     """Return the mean radiance of every pixel, divided where it needs to be.
 
@@ -50,6 +71,7 @@ def sample_pixels(
     grid : PixelGrid
     radiance, near_edge : callable
         What rays show, and whether an edge may pass within an angle of them.
+    fineness : Fineness
     everywhere : bool
         Divide every pixel near the body.
     """
@@ -58,42 +80,52 @@ def sample_pixels(
     whole, bend = _expanded(center.reshape(grid.shape))
     edge = near_edge(rays, grid.half_pixel_rad)
     peak = float(center[~edge].max(initial=0.0))
-    wanted = edge | (bend.ravel() > BEND * peak)
+    wanted = edge | (bend.ravel() > fineness.bend * peak)
+    # Between a bright limb and the night lies a crescent that may be thinner than a pixel.
+    wanted |= (center == 0.0) & _beside(edge.reshape(grid.shape)).ravel()
     if everywhere:
         wanted |= center > 0.0
     divided = np.flatnonzero(wanted)
     whole.reshape(3, -1)[:, divided] = 0.0
-    return PixelSamples(whole, divided, _divide(grid, radiance, near_edge, divided, peak))
+
+    rays = grid.directions_within(divided, _cell_offsets(FIRST)[None]).reshape(3, -1)
+    coarse = _in_parts(radiance, rays).reshape(-1, FIRST, FIRST)
+    limit = fineness.step * max(peak, float(coarse.mean(axis=(1, 2)).max(initial=0.0)))
+    edge = near_edge(rays, grid.half_pixel_rad / FIRST).reshape(coarse.shape)
+    again = (
+        edge | _uneven(coarse, limit) | _unlike_neighbours(coarse, divided, center.reshape(grid.shape), limit)
+    )
+    return PixelSamples(whole, divided, _divide(grid, radiance, near_edge, limit, divided, coarse, again))
 
 
 def _divide(
-    grid: PixelGrid, radiance: Radiance, near_edge: NearEdge, pixels: IntArray, peak: float
+    grid: PixelGrid,
+    radiance: Radiance,
+    near_edge: NearEdge,
+    limit: float,
+    pixels: IntArray,
+    coarse: FloatArray,
+    again: BoolArray,
 ) -> FloatArray:
-    """Return the means (n, s, s) of the cells of pixels (n,), s = 16."""
-    n = len(pixels)
-    offsets = _cell_offsets(FIRST)
-    rays = grid.directions_within(pixels, offsets[None]).reshape(3, -1)
-    level1 = _in_parts(radiance, rays).reshape(n, FIRST, FIRST)
-    peak = max(peak, float(level1.mean(axis=(1, 2)).max(initial=0.0)))
-    edge = near_edge(rays, grid.half_pixel_rad / FIRST).reshape(level1.shape)
-    pixel, line_cell, pixel_cell = np.nonzero(edge | _uneven(level1, peak))
-    cells = np.repeat(np.repeat(level1, SECOND, axis=1), SECOND, axis=2)
-
-    center = offsets.reshape(FIRST, FIRST, 2)[line_cell, pixel_cell]
+    """Return the means (n, 16, 16) of the cells of pixels (n,) from those of coarse cells (n, 4, 4)."""
+    pixel, line_cell, pixel_cell = np.nonzero(again)
+    center = _cell_offsets(FIRST).reshape(FIRST, FIRST, 2)[line_cell, pixel_cell]
     at = center[:, None] + _cell_offsets(SECOND) / FIRST
     rays = grid.directions_within(pixels[pixel], at).reshape(3, -1)
-    level2 = _in_parts(radiance, rays).reshape(-1, SECOND, SECOND)
-    edge = near_edge(rays, grid.half_pixel_rad / (FIRST * SECOND)).reshape(level2.shape)
-    which, line_sub, pixel_sub = np.nonzero(edge | _uneven(level2, peak))
+    fine = _in_parts(radiance, rays).reshape(-1, SECOND, SECOND)
+    edge = near_edge(rays, grid.half_pixel_rad / (FIRST * SECOND)).reshape(fine.shape)
+    which, line_sub, pixel_sub = np.nonzero(edge | _uneven(fine, limit))
 
-    size = FIRST * SECOND
-    at = at.reshape(-1, SECOND, SECOND, 2)[which, line_sub, pixel_sub][:, None] + _cell_offsets(THIRD) / size
+    center = at.reshape(-1, SECOND, SECOND, 2)[which, line_sub, pixel_sub]
+    at = center[:, None] + _cell_offsets(THIRD) / (FIRST * SECOND)
     rays = grid.directions_within(pixels[pixel[which]], at).reshape(3, -1)
-    level2[which, line_sub, pixel_sub] = _in_parts(radiance, rays).reshape(-1, THIRD * THIRD).mean(axis=1)
-    sub = np.arange(SECOND)
-    lines = (line_cell * SECOND)[:, None, None] + sub[:, None]
-    columns = (pixel_cell * SECOND)[:, None, None] + sub
-    cells[pixel[:, None, None], lines, columns] = level2
+    fine[which, line_sub, pixel_sub] = _in_parts(radiance, rays).reshape(-1, THIRD * THIRD).mean(axis=1)
+
+    cells = np.repeat(np.repeat(coarse, SECOND, axis=1), SECOND, axis=2)
+    step = np.arange(SECOND)
+    lines = (line_cell * SECOND)[:, None, None] + step[:, None]
+    columns = (pixel_cell * SECOND)[:, None, None] + step
+    cells[pixel[:, None, None], lines, columns] = fine
     return cells
 
 
@@ -116,9 +148,15 @@ def _expanded(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     return expanded, np.maximum(np.abs(along), np.abs(down))
 
 
-def _uneven(blocks: FloatArray, peak: float) -> BoolArray:
-    """Tell which cells (n, k, k) differ much from a neighbour in their block."""
-    limit = STEP * peak
+def _beside(mask: BoolArray) -> BoolArray:
+    """Tell which pixels touch one of the mask, by a side or a corner."""
+    rows = np.pad(mask, 1)
+    rows = rows[:-2] | rows[1:-1] | rows[2:]
+    return np.asarray(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
+
+
+def _uneven(blocks: FloatArray, limit: float) -> BoolArray:
+    """Tell which cells (n, k, k) differ by more than `limit` from a neighbour in their block."""
     out = np.zeros(blocks.shape, dtype=bool)
     down = np.abs(np.diff(blocks, axis=1)) > limit
     along = np.abs(np.diff(blocks, axis=2)) > limit
@@ -126,6 +164,27 @@ def _uneven(blocks: FloatArray, peak: float) -> BoolArray:
     out[:, :-1] |= down
     out[:, :, 1:] |= along
     out[:, :, :-1] |= along
+    return out
+
+
+def _unlike_neighbours(blocks: FloatArray, pixels: IntArray, center: FloatArray, limit: float) -> BoolArray:
+    """Tell which cells (n, k, k) differ by more than `limit` from what lies across their pixel's border.
+
+    A neighbour pixel that is not divided counts as its center; beyond the window counts as dark.
+    """
+    padded = np.pad(center, 1)
+    slot = np.full(padded.size, -1)
+    width = padded.shape[1]
+    line, pixel = np.divmod(pixels, center.shape[1])
+    place = (line + 1) * width + pixel + 1
+    slot[place] = np.arange(len(pixels))
+    out = np.zeros(blocks.shape, dtype=bool)
+    for axis, side, step in ((1, 0, -width), (1, -1, width), (2, 0, -1), (2, -1, 1)):
+        mine = np.take(blocks, side, axis=axis)
+        beyond = np.take(blocks, -1 - side, axis=axis)[slot[place + step]]
+        whole = padded.ravel()[place + step, None]
+        other = np.where(slot[place + step, None] >= 0, beyond, whole)
+        np.moveaxis(out, axis, 0)[side] |= np.abs(mine - other) > limit
     return out
 
 

@@ -21,7 +21,9 @@ from opnav_workbench.spice.shapes import checked_shape, read_shape
 
 __all__ = ["PlateSurface", "ShapeModel"]
 
-NODES = 192  # rays along a side of the square about the body: its light to 1e-3
+NODES = (
+    384  # rays along a side of the square about the body: its light to 1e-3, that of a thin crescent to 1e-2
+)
 # A point lies in shadow if a plate stands this much nearer to the Sun, in radii: above the rounding of its own height.
 SHADOW_CLEARANCE = 1e-6
 

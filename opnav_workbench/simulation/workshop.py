@@ -103,7 +103,10 @@ class Workshop:
         for task in tasks:
             camera = self.camera(task)
             self._check_exposure(task, camera)
-            with at(self.scenario, task.place("utc" if task.picture.step_s is None else "start")):
+            with at(
+                self.scenario,
+                task.place("start" if self.scenario.pictures[task.index].utc is None else "utc"),
+            ):
                 et = self._et(task)
                 true_observer(self.mission.spacecraft_id, et, self.scenario.perturbations)
                 predicted_attitude(self.scenario.attitude.predicted, camera, et)

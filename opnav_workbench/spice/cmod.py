@@ -45,9 +45,7 @@ def read_cmod(content: bytes) -> tuple[FloatArray, IntArray]:
         read = _text_meshes if content.startswith(TEXT_HEADER) else _binary_meshes
         meshes = list(read(content))
     except (struct.error, StopIteration, KeyError, UnicodeDecodeError, RuntimeError) as error:
-        raise ValueError(
-            f"the cmod file ends early or is damaged ({error or type(error).__name__})"
-        ) from error
+        raise ValueError(f"the cmod file ends early or is damaged ({type(error).__name__})") from error
     vertices: list[FloatArray] = [np.empty((0, 3))]
     plates: list[IntArray] = [np.empty((0, 3), dtype=np.int64)]
     known = 0

@@ -150,7 +150,7 @@ def _spatial_index(vertices: FloatArray, one_based: Any) -> tuple[Any, Any]:
     for growth in ROOM_GROWTH:
         room = growth * tables
         try:
-            return spiceypy.dskmi2(
+            doubles, integers = spiceypy.dskmi2(
                 vertices, one_based, FINE_VOXEL_PLATES, coarse, room, room, room, False,
                 2 * room + len(vertices) + 100_010,
             )  # fmt: skip
@@ -158,4 +158,6 @@ def _spatial_index(vertices: FloatArray, one_based: Any) -> tuple[Any, Any]:
             spiceypy.reset()
             if growth == ROOM_GROWTH[-1]:
                 raise
+        else:
+            return doubles, integers
     raise AssertionError("unreachable")

@@ -34,7 +34,7 @@ def et_from_jd(julian_date: str | float) -> float:
 
     Examples
     --------
-    >>> et_from_jd("2457205.500000001157"), et_from_jd(2451546.0)
-    (489024000.0001, 86400.0)
+    >>> et_from_jd("2457205.50000000125"), et_from_jd(2451546.0)
+    (489067200.000108, 86400.0)
     """
     return float((Decimal(str(julian_date)) - Decimal(J2000_JD)) * Decimal(DAY_S))

@@ -38,7 +38,8 @@ def make_kernels(
     """Write all kernels of a scenario and return the path of their metakernel.
 
     The folder then holds LSK, SCLK, FK, IK, PCK, the SPK of the spacecraft, the SPK of the bodies and the CK
-    with the predicted attitudes, named after the scenario, and ``NAME.tm``. Its paths are relative:
+    with the predicted attitudes, a DSK for every body with a shape model, all named after the scenario, and
+    ``NAME.tm``. Its paths are relative:
     SPICE's own tools load it from inside the folder, `KernelSet` from anywhere. The same scenario gives the
     same bytes.
 
@@ -137,13 +138,16 @@ class _Builder:
         names = [f"{stem}_bodies.bsp", f"{stem}_spacecraft.bsp"]
         place = Workplace(self.beside, tuple(self.folder / name for name in text), self.folder)
         made = spk_segments(s, place)
+        written = []
         for name, of_spacecraft in zip(names, (False, True), strict=True):
             chosen = [(i, x) for i, x in made if (x.target == s.spacecraft.id) is of_spacecraft]
             sources = (f"{x.target} about {x.center}: {s.trajectories[i].source}" for i, x in chosen)
             comment = self.comment + "\n".join(dict.fromkeys(sources))
             segments = list(dict.fromkeys(x for _, x in chosen))  # two excerpts may need the same center
-            write_spk(self.folder / name, segments, comment)
-        return names
+            if segments:  # a scenario may leave the bodies to other kernels
+                write_spk(self.folder / name, segments, comment)
+                written.append(name)
+        return written
 
     def _shapes(self, stem: str) -> list[str]:
         """Write a DSK for every body with a shape model."""

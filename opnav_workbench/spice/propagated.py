@@ -9,8 +9,9 @@ import spiceypy
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import MissionError
 from opnav_workbench.spice.epochs import AU_KM, DAY_S, utc_to_et
+from opnav_workbench.spice.forces import ForceModel
 from opnav_workbench.spice.guard import spice_call
-from opnav_workbench.spice.nbody import ForceModel, Impulse, OrbitArc, propagate
+from opnav_workbench.spice.nbody import Impulse, OrbitArc, propagate
 from opnav_workbench.spice.planets import PLANETS, SUN, PointMass
 from opnav_workbench.spice.scenario import Scenario
 from opnav_workbench.spice.scenario_trajectories import ElementsOrbit, Forces, PropagatedOrbit
@@ -47,7 +48,10 @@ def propagated_arcs(
     et = epoch_et(orbit.epoch)
     j2000_from_frame = _to_j2000(orbit.frame, et)
     impulses = [
-        Impulse(utc_to_et(m.epoch), tuple(_to_j2000(orbit.frame, utc_to_et(m.epoch))[:3, :3] @ m.delta_v_m_s * 1e-3))
+        Impulse(
+            utc_to_et(m.epoch),
+            tuple(_to_j2000(orbit.frame, utc_to_et(m.epoch))[:3, :3] @ m.delta_v_m_s * 1e-3),
+        )
         for m in orbit.maneuvers
     ]
     state = j2000_from_frame @ _initial_state(orbit, et)
@@ -57,7 +61,7 @@ def propagated_arcs(
 def _initial_state(orbit: PropagatedOrbit | ElementsOrbit, et: float) -> FloatArray:
     if isinstance(orbit, PropagatedOrbit):
         scale = (1.0, 1.0) if orbit.units == "km" else (AU_KM, AU_KM / DAY_S)
-        return np.asarray(orbit.state) * np.repeat(scale, 3)
+        return np.asarray(np.asarray(orbit.state) * np.repeat(scale, 3))
     return np.asarray(conic_states(conic(orbit, PLANETS[0].gm_km3_s2), np.array([et]))[0])
 
 
@@ -89,6 +93,8 @@ def _masses(scenario: Scenario, forces: Forces, target: int) -> Iterable[PointMa
     own = {b.id: b for b in scenario.bodies}
     for reference in forces.perturbers:
         body = scenario.body_id(reference)
+        if body in excluded:
+            continue
         known = planets.get(body)
         gm = own[body].gm_km3_s2 if body in own else None
         radii = own[body].radii_km if body in own else None

@@ -64,7 +64,9 @@ def sampled(
         if not rough.any():
             return table
         et = np.sort(np.concatenate([et, middle[rough]]))
-    raise ValueError(f"a table of {MAX_STATES} states does not follow this motion to {LARGEST_ERROR_KM * 1e3} m")
+    raise ValueError(
+        f"a table of {MAX_STATES} states does not follow this motion to {LARGEST_ERROR_KM * 1e3} m"
+    )
 
 
 def read_back(segment: SpkSegment, et: FloatArray) -> FloatArray:

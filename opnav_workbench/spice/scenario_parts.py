@@ -158,7 +158,9 @@ class Clock(Strict):
         last_tick = self.counts * self.subcounts - 1
         for i, (first, last) in enumerate(self.partitions):
             if not 0 <= first < last <= last_tick:
-                raise ValueError(f"partitions.{i}: [{first}, {last}] is no interval of ticks within 0..{last_tick}")
+                raise ValueError(
+                    f"partitions.{i}: [{first}, {last}] is no interval of ticks within 0..{last_tick}"
+                )
         for i, (before, after) in enumerate(pairwise(self.partitions), start=1):
             # A clock may start again from any earlier reading; flight clocks go back by less than a count, too.
             if before[0] < after[0] < before[1] - self.subcounts:

@@ -36,7 +36,7 @@ __all__ = [
 Row = tuple[Tdb, float, float, float, float, float, float]
 State = tuple[float, float, float, float, float, float]
 Epoch = JulianDate | Tdb
-SUN = 10
+SUN: Literal[10] = 10
 
 
 class _Arc(Strict):
@@ -174,7 +174,7 @@ class ElementsOrbit(_Trajectory, Forces):
     """A small body from osculating elements as the MPC and JPL print them; propagated, or as a fixed ellipse."""
 
     kind: Literal["elements"]
-    center: BodyRef = SUN
+    center: Literal[10, "SUN"] = SUN
     frame: FrameName = "ECLIPJ2000"
     epoch: Epoch
     perihelion_au: PositiveFloat | None = None

@@ -124,7 +124,9 @@ def _read_obj(text: str) -> tuple[FloatArray, IntArray]:
                 plates.extend(_obj_face(words[1:], len(vertices)))
         except (ValueError, IndexError) as error:
             raise ValueError(f"line {number}, {line.strip()[:40]!r}: {error}") from error
-    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(plates, dtype=np.int64).reshape(-1, 3)
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(plates, dtype=np.int64).reshape(
+        -1, 3
+    )
 
 
 def _obj_face(words: list[str], known: int) -> list[tuple[int, int, int]]:

@@ -66,7 +66,9 @@ def spk_segments(scenario: Scenario, place: Workplace) -> list[tuple[int, Segmen
         A trajectory that cannot be made; the message names it.
     """
     numbers = range(len(scenario.trajectories))
-    of_spacecraft = [scenario.body_id(scenario.trajectories[i].target) == scenario.spacecraft.id for i in numbers]
+    of_spacecraft = [
+        scenario.body_id(scenario.trajectories[i].target) == scenario.spacecraft.id for i in numbers
+    ]
     done: list[tuple[int, Segment]] = []
     for i in sorted(numbers, key=lambda i: of_spacecraft[i]):
         with _naming_field(scenario, i), _ephemerides(scenario.trajectories[i], place, [s for _, s in done]):
@@ -88,12 +90,13 @@ def _naming_field(scenario: Scenario, index: int) -> Iterator[None]:
 def _ephemerides(trajectory: Trajectory, place: Workplace, done: Sequence[Segment]) -> Iterator[None]:
     """Load the text kernels and, for what needs it, the planets and the trajectories made so far."""
     files = list(place.kernels)
-    if isinstance(trajectory, PropagatedOrbit | ElementsOrbit | EphemerisExcerpt):
+    excerpt = isinstance(trajectory, EphemerisExcerpt) and trajectory.center is None  # copied, not computed
+    if isinstance(trajectory, PropagatedOrbit | ElementsOrbit | EphemerisExcerpt) and not excerpt:
         files.append(planet_ephemeris())
         if done:
             files.append(place.scratch / "made_so_far.bsp")
             write_spk(files[-1], done)
-    if isinstance(trajectory, EphemerisExcerpt) and trajectory.file is not None:
+    if isinstance(trajectory, EphemerisExcerpt) and trajectory.file is not None and not excerpt:
         files.append(_spk_file(trajectory, place))
     with KernelSet(files):
         yield
@@ -130,7 +133,9 @@ def _segments(scenario: Scenario, trajectory: Trajectory, place: Workplace) -> S
 
 
 def _span(scenario: Scenario, trajectory: Trajectory) -> tuple[float, float]:
-    start = utc_to_et(scenario.span.start) - MARGIN_S if trajectory.start is None else utc_to_et(trajectory.start)
+    start = (
+        utc_to_et(scenario.span.start) - MARGIN_S if trajectory.start is None else utc_to_et(trajectory.start)
+    )
     end = utc_to_et(scenario.span.end) + MARGIN_S if trajectory.end is None else utc_to_et(trajectory.end)
     if end <= start:
         raise MissionError("start and end leave nothing of the scenario's span")

@@ -65,7 +65,8 @@ def read_states(folder: Path, name: str, bodies: frozenset[str]) -> tuple[FloatA
         raise MissionError(f"{name} cannot be read: {error}; put it beside the scenario") from error
     except SessionError as error:
         raise MissionError(str(error).rstrip(".")) from error
-    et, states = [], []
+    et: list[float] = []
+    states: list[list[float]] = []
     for where, row in _rows(name, lines):
         if BODY_COLUMN in row and row[BODY_COLUMN].strip().upper() not in bodies:
             continue
@@ -80,16 +81,24 @@ def read_states(folder: Path, name: str, bodies: frozenset[str]) -> tuple[FloatA
         et.append(epoch)
         states.append(state)
     if len(et) < LEAST_ROWS:
-        raise MissionError(f"{name}: {len(et)} states of {' or '.join(sorted(bodies))}; two are needed at least")
+        raise MissionError(
+            f"{name}: {len(et)} states of {' or '.join(sorted(bodies))}; two are needed at least"
+        )
     return np.array(et), np.array(states)
 
 
 def _rows(name: str, lines: list[str]) -> Iterator[tuple[str, dict[str, str]]]:
     """Yield the place and the fields of every row of data, once the columns are known to be right."""
-    kept = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.startswith(COMMENT)]
+    kept = [
+        (i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.startswith(COMMENT)
+    ]
     columns = [c.strip().lower() for c in next(csv.reader([kept[0][1]]))] if kept else []
     epochs = [c for c in columns if c in EPOCH_COLUMNS]
-    if len(epochs) != 1 or _units(columns, "", POSITION_UNITS) is None or _units(columns, "v", VELOCITY_UNITS) is None:
+    if (
+        len(epochs) != 1
+        or _units(columns, "", POSITION_UNITS) is None
+        or _units(columns, "v", VELOCITY_UNITS) is None
+    ):
         raise MissionError(
             f"{name}: columns are {', '.join(columns) or 'none'}; needed are one of {', '.join(EPOCH_COLUMNS)}, "
             "x_km y_km z_km (or x_au ...) and vx_km_s vy_km_s vz_km_s (or vx_au_d ...)"

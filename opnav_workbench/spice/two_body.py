@@ -32,7 +32,9 @@ def conic(orbit: KeplerOrbit | ElementsOrbit, gm_km3_s2: float) -> list[float]:
             anomaly = math.radians(orbit.mean_anomaly_deg)
         else:
             assert orbit.perihelion_time is not None  # the scenario has looked
-            anomaly = _mean_motion(periapsis_km, orbit.eccentricity, gm_km3_s2) * (et - epoch_et(orbit.perihelion_time))
+            anomaly = _mean_motion(periapsis_km, orbit.eccentricity, gm_km3_s2) * (
+                et - epoch_et(orbit.perihelion_time)
+            )
     angles = (orbit.inclination_deg, orbit.node_deg, orbit.argument_deg)
     return [periapsis_km, orbit.eccentricity, *np.radians(angles), anomaly, et, gm_km3_s2]
 

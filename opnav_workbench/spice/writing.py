@@ -48,7 +48,9 @@ class SpkSegment:
     states: FloatArray  # (n, 6) km, km/s
     frame: str = "J2000"
     interpolation: Literal["hermite", "lagrange"] = "hermite"  # SPK types 13 and 9
-    span_et: tuple[float, float] | None = None  # what the segment serves; none: from the first state to the last
+    span_et: tuple[float, float] | None = (
+        None  # what the segment serves; none: from the first state to the last
+    )
 
     def __post_init__(self) -> None:
         """Check shapes, order and finiteness.
@@ -70,7 +72,9 @@ class SpkSegment:
                 raise ValueError(f"interpolation {self.interpolation!r} is neither hermite nor lagrange")
             first, last = self.coverage_et
             if not self.et[0] <= first < last <= self.et[-1]:
-                raise ValueError(f"span {first} to {last} is not within the states, {self.et[0]} to {self.et[-1]}")
+                raise ValueError(
+                    f"span {first} to {last} is not within the states, {self.et[0]} to {self.et[-1]}"
+                )
         freeze_arrays(self)
 
     @property

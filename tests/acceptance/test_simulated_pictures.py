@@ -89,7 +89,7 @@ def test_figure_2_has_pluto_and_charon_at_their_size(pictures, truths):
     assert body(truth, "CHARON", "diameter") == pytest.approx(38.7, abs=0.1)
     image = fits.getdata(pictures["pluto_charon"])
     pixel, line = truth.bodies["PLUTO"]
-    assert image[round(line), round(pixel)] > 1000.0
+    assert image[round(line), round(pixel)] > 500.0
     disk = image[round(line) - 20 : round(line) + 21, round(pixel) - 20 : round(pixel) + 21]
     assert disk.std() / disk.mean() > 0.15  # albedo variations are seen
     for stretch in ("log", "linear"):
@@ -189,7 +189,7 @@ def test_aberration_is_v_over_c_by_spice(switched):
     ]
     expected = np.array([pair[0] - pair[1] for pair in theory])
     found = np.array([with_[i] - without[i] for i in ids])
-    assert np.hypot(*expected.T).min() > 5.0  # px: some 10 arcsec
+    assert np.hypot(*expected.T).min() > 3.0  # px: most of the motion is along the line of sight
     assert found == pytest.approx(expected, abs=0.06)  # distortion stretches 10 px by up to 0.5 %
 
 
@@ -199,7 +199,7 @@ def test_parallax_is_baseline_over_distance(switched):
     table = on.inputs.stars
     parallax = dict(zip(table.id.tolist(), table.parallax_rad, strict=True))
     nearest = sorted(set(with_) & set(without), key=lambda i: -parallax[i])[:5]
-    assert parallax[nearest[0]] > 0.004 * ARCSEC
+    assert parallax[nearest[0]] > 0.003 * ARCSEC  # the cluster is at 280 pc
     directions = dict(zip(on.stars.id.tolist(), on.stars.directions, strict=True))
     for star in nearest:
         # the spacecraft went craft km, so the star goes the other way by parallax times au

@@ -15,16 +15,21 @@ ROUNDS = 15
 
 
 def peer_cone(catalog, ra, dec):
-    """All stars of the box about the cone; starcat knows boxes only, and cutting the corners would cost more."""
-    return list(
-        catalog.find_stars(
-            ra_min=ra - RADIUS,
-            ra_max=ra + RADIUS,
-            dec_min=dec - RADIUS,
-            dec_max=dec + RADIUS,
-            return_everything=True,
-        )
+    """The stars of a cone, brightest first: starcat knows boxes, so that its user has to cut the corners."""
+    box = catalog.find_stars(
+        ra_min=ra - RADIUS,
+        ra_max=ra + RADIUS,
+        dec_min=dec - RADIUS,
+        dec_max=dec + RADIUS,
+        return_everything=True,
     )
+    sin_dec, cos_dec, limit = math.sin(dec), math.cos(dec), math.cos(RADIUS)
+    inside = [
+        star
+        for star in box
+        if sin_dec * math.sin(star.dec) + cos_dec * math.cos(star.dec) * math.cos(star.ra - ra) >= limit
+    ]
+    return sorted(inside, key=lambda star: star.vmag)
 
 
 def best_time(call) -> float:
@@ -41,7 +46,7 @@ def best_time(call) -> float:
 @pytest.mark.benchmark(group="catalog cone")
 def test_a_cone_in_ucac4_zones_is_twenty_times_faster_than_a_python_reader(ucac4_folder, benchmark) -> None:
     ours, peer = open_catalog(f"ucac4:{ucac4_folder}"), UCAC4StarCatalog(ucac4_folder)
-    assert {star.id_str for star in peer_cone(peer, *CENTERS[0])} >= set(ours.cone(*CENTERS[0], RADIUS).id)
+    assert {star.id_str for star in peer_cone(peer, *CENTERS[0])} == set(ours.cone(*CENTERS[0], RADIUS).id)
     ratio = best_time(lambda ra, dec: peer_cone(peer, ra, dec)) / best_time(
         lambda ra, dec: ours.cone(ra, dec, RADIUS)
     )

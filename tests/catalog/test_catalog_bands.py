@@ -6,7 +6,6 @@ import pytest
 from opnav_workbench.catalog import bundled, merge
 from opnav_workbench.catalog.bands import (
     MEAN_V_MINUS,
-    Johnson,
     johnson_from_2mass_color,
     johnson_from_bands,
     johnson_from_gaia,
@@ -17,6 +16,7 @@ from opnav_workbench.catalog.bands import (
 )
 from opnav_workbench.catalog.gaia import read_gaia
 from opnav_workbench.catalog.hipparcos import read_hipparcos
+from opnav_workbench.catalog.johnson import Johnson
 
 
 @pytest.fixture(scope="module")

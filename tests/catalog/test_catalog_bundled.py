@@ -10,9 +10,9 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 from opnav_workbench.catalog import bundled, open_catalog
-from opnav_workbench.catalog.bands import Johnson
 from opnav_workbench.catalog.gaia import GaiaStars, read_gaia
 from opnav_workbench.catalog.hipparcos import HipparcosStars, read_hipparcos
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.merge import merge
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, et_from_jyear, propagate, unit_from_radec

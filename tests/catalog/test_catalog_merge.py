@@ -9,9 +9,9 @@ from astropy.coordinates import SkyCoord
 from astropy.time import Time
 
 from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, StarQuality, merge
-from opnav_workbench.catalog.bands import Johnson
 from opnav_workbench.catalog.gaia import GaiaStars
 from opnav_workbench.catalog.hipparcos import HipparcosStars
+from opnav_workbench.catalog.johnson import Johnson
 
 MAS = math.radians(1.0 / 3.6e6)
 YEARS = 24.75

@@ -148,5 +148,7 @@ def test_a_target_of_unknown_brightness_shines_by_its_albedo(kernels, mission, t
     dim, bright = (simulate_picture(LORRI, m, DEMO_CATALOG, tmp_path / m.name) for m in (dark, mission))
     assert dim.bodies["PLUTO"] == pytest.approx(bright.bodies["PLUTO"], abs=1e-9)
     flux = [float(t.objects["flux"][list(t.objects["id"]).index("PLUTO")].value) for t in (dim, bright)]
-    assert 0.2 < flux[0] / flux[1] < 5.0  # geometric albedo 0.33 of a Lambert sphere against the measured magnitude
+    assert (
+        0.2 < flux[0] / flux[1] < 5.0
+    )  # geometric albedo 0.33 of a Lambert sphere against the measured magnitude
     assert np.isnan(dim.objects["mag"][list(dim.objects["id"]).index("PLUTO")].value)

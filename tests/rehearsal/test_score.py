@@ -40,7 +40,9 @@ def result_of(attitude, covariance=None, bodies=()):
 
 
 def truth_of(attitude, **bodies):
-    rows = [BodyTruth(n, np.array(c), np.array(c), 1.0, 1.0, 0.0, on_detector=True) for n, c in bodies.items()]
+    rows = [
+        BodyTruth(n, np.array(c), np.array(c), 1.0, 1.0, 0.0, on_detector=True) for n, c in bodies.items()
+    ]
     return Truth(
         picture=Path("p.fit"),
         mission="new_horizons",

@@ -60,9 +60,9 @@ def inputs(camera, stars, **values):
 
 def centroid(image, place, half=9):
     """First moments in a window: for noiseless pictures."""
-    p, l = (round(x) for x in place)
-    box = image[l - half : l + half + 1, p - half : p + half + 1]
-    line, pixel = np.mgrid[l - half : l + half + 1, p - half : p + half + 1]
+    p0, l0 = (round(x) for x in place)
+    box = image[l0 - half : l0 + half + 1, p0 - half : p0 + half + 1]
+    line, pixel = np.mgrid[l0 - half : l0 + half + 1, p0 - half : p0 + half + 1]
     return np.array([(box * pixel).sum(), (box * line).sum()]) / box.sum()
 
 
@@ -109,7 +109,9 @@ def test_a_body_hides_the_stars_behind_it(pinhole):
     assert picture.star_hidden.tolist() == [True, True, False, False]
     assert picture.star_drawn.tolist() == [False, False, True, True]
     drawn = picture.star_flux_e[~picture.star_hidden].sum()
-    assert picture.noiseless_electrons.sum() == pytest.approx(1e6 + drawn, rel=5e-4)  # a disk of 40 px in pixels
+    assert picture.noiseless_electrons.sum() == pytest.approx(
+        1e6 + drawn, rel=5e-4
+    )  # a disk of 40 px in pixels
 
 
 def test_the_center_of_a_body_is_in_the_truth(pinhole):

@@ -113,7 +113,7 @@ def test_only_takes_names_of_pictures_and_series():
         "series_0002",
         "series_0003",
     ]
-    with pytest.raises(MissionError, match="no picture named two .*lorri, series"):
+    with pytest.raises(MissionError, match=r"no picture named two .*lorri, series"):
         chosen_tasks(scenario(), ["two"])
 
 

@@ -15,7 +15,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from opnav_workbench.errors import KernelError, MissionError
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import KernelError, MissionError, OpNavError
 from opnav_workbench.spice import (
     KernelSet,
     camera_attitude,
@@ -408,3 +409,83 @@ def test_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(KernelError, match="cannot write kernels"):
         make_kernels(MINI, tmp_path / "file" / "out")
+
+
+OCTAHEDRON = """
+v 300 0 0
+v -300 0 0
+v 0 280 0
+v 0 -280 0
+v 0 0 250
+v 0 0 -250
+f 1 3 5
+f 3 2 5
+f 2 4 5
+f 4 1 5
+f 3 1 6
+f 2 3 6
+f 4 2 6
+f 1 4 6
+"""
+
+
+def test_shape_beside_the_scenario_becomes_a_dsk(tmp_path):
+    (tmp_path / "rock.obj").write_text(OCTAHEDRON)
+    path = tmp_path / "s.yaml"
+    path.write_text(yaml.safe_dump(changed("bodies.0.shape", {"file": "rock.obj", "unit": "m"})))
+    with KernelSet(make_kernels(path, tmp_path / "out")) as kernels:
+        assert "DSK" in [k.kind for k in kernels.kernels()]
+        et = et_from_utc("2031-03-01T12:00:00")
+        hits, found = spiceypy.dskxv(
+            False,
+            "TEST ROCK",
+            [],
+            et,
+            "TEST_ROCK_FIXED",
+            [[5.0, 0.0, 0.0], [0.05, 0.0, -9.0]],
+            [[-1, 0, 0], [0, 0, 1]],
+        )
+    assert list(found) == [True, True]
+    assert hits[0] == pytest.approx([0.3, 0.0, 0.0], abs=1e-9)
+    assert hits[1] == pytest.approx([0.05, 0.0, -0.25 * (1 - 0.05 / 0.3)], abs=1e-9)
+
+
+@pytest.mark.parametrize("text", [None, "no shape", "v 1 0 0\nf 1 2 3\n"])
+def test_shape_that_is_none(tmp_path, text):
+    if text is not None:
+        (tmp_path / "rock.obj").write_text(text)
+    path = tmp_path / "s.yaml"
+    path.write_text(yaml.safe_dump(changed("bodies.0.shape", {"file": "rock.obj"})))
+    with pytest.raises(OpNavError, match=r"rock\.obj") as caught:
+        make_kernels(path, tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_scenario_without_bodies_trajectories(tmp_path):
+    """The targets' ephemeris may come from elsewhere."""
+    scenario = changed("pointing.windows", [MINI["pointing"]["windows"][1]])
+    rows = [[f"2031-03-0{d}T00:00:00", 1e8, 0.0, 0.0, 0.0, 1e-5, 0.0] for d in (1, 2)]
+    scenario["trajectories"] = [STATES | {"rows": rows, "center": 0}]
+    make_kernels(scenario, tmp_path)
+    assert not (tmp_path / "orbit_bodies.bsp").exists()
+    with KernelSet(tmp_path / "orbit.tm"):
+        assert state(-999, et_from_utc("2031-03-01T12:00:00"), 0).position_km[0] == pytest.approx(1e8)
+
+
+def test_distortion_and_clock_as_the_scenario_says(tmp_path):
+    owen = {"model": "owen", "e2_per_mm2": 2.5e-5, "e5_per_mm": -1.9e-5, "e6_per_mm": 3.1e-5}
+    scenario = changed("instruments.0.distortion", owen)
+    scenario["instruments"][0]["focal_from_camera"] = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
+    scenario["clock"]["delimiter"] = "."
+    with KernelSet(make_kernels(scenario, tmp_path)):
+        camera = Camera.from_ik(instrument_values(-999100), -999100)
+        assert sclk_from_et(-999, et_from_utc("2031-03-01T00:00:00")) == "1/0005097600.000"
+    assert camera.focal_from_camera.tolist() == [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
+    assert camera.center_pixel_line.tolist() == [499.5, 399.5]
+    assert camera.project([1e-3, 2e-3, 1.0]) == pytest.approx(
+        # 0.2 mm along pixel, 0.1 mm along line, moved by the factor of the formula, 100 px/mm
+        np.array([499.5, 399.5])
+        + 100 * np.array([0.2, 0.1]) * (1 + 2.5e-5 * 0.05 - 1.9e-5 * 0.1 + 3.1e-5 * 0.2),
+        abs=1e-9,
+    )

@@ -8,7 +8,8 @@ import spiceypy
 
 from opnav_workbench.errors import KernelError
 from opnav_workbench.spice import KernelSet
-from opnav_workbench.spice.nbody import ForceModel, Impulse, propagate
+from opnav_workbench.spice.forces import ForceModel
+from opnav_workbench.spice.nbody import Impulse, propagate
 from opnav_workbench.spice.planets import PLANETS, PointMass, planet_ephemeris
 from opnav_workbench.spice.writing import SpkSegment, write_spk
 
@@ -136,7 +137,9 @@ def test_impulses_cut_the_orbit_and_change_its_velocity():
 def test_only_what_is_asked_for_and_what_the_orbit_knows():
     start = spiceypy.spkgeo(4, ET, "J2000", 0)[0]
     forces = ForceModel(0, without(4))
-    (arc,) = propagate(start, ET, (ET + 5 * DAY_S, ET + 6 * DAY_S), forces, [Impulse(ET + 9 * DAY_S, (1.0, 0, 0))])
+    (arc,) = propagate(
+        start, ET, (ET + 5 * DAY_S, ET + 6 * DAY_S), forces, [Impulse(ET + 9 * DAY_S, (1.0, 0, 0))]
+    )
     assert (arc.start_et, arc.end_et) == (ET + 5 * DAY_S, ET + 6 * DAY_S)
     at = np.array([ET + 5.5 * DAY_S])
     assert np.linalg.norm(arc.states(at)[0, :3] - spiceypy.spkgps(4, at[0], "J2000", 0)[0]) < 1e-3
@@ -146,7 +149,9 @@ def test_only_what_is_asked_for_and_what_the_orbit_knows():
 def test_impact_is_told_with_body_and_distance(direction):
     earth = spiceypy.spkgeo(399, ET, "J2000", 0)[0]
     start = earth + np.array([2e5, 0.0, 0.0, -5.0 * direction, 0.05, 0.0])
-    with pytest.raises(ValueError, match=r"runs into body 399: .* km from its center .* its radius is 6378.14 km"):
+    with pytest.raises(
+        ValueError, match=r"runs into body 399: .* km from its center .* its radius is 6378.14 km"
+    ):
         propagate(start, ET, (ET - 3 * DAY_S, ET + 3 * DAY_S), ForceModel(0))
 
 
@@ -155,7 +160,10 @@ def test_a_graze_is_no_impact():
     start = earth + np.array([2e5, 30000.0, 0.0, -5.0, 0.0, 0.0])
     arcs = propagate(start, ET, (ET, ET + 2 * DAY_S), ForceModel(0))
     et = np.linspace(ET, ET + 2 * DAY_S, 2000)
-    heights = [np.linalg.norm(spiceypy.spkgps(399, t, "J2000", 0)[0] - arcs[0].states(np.array([t]))[0, :3]) for t in et]
+    heights = [
+        np.linalg.norm(spiceypy.spkgps(399, t, "J2000", 0)[0] - arcs[0].states(np.array([t]))[0, :3])
+        for t in et
+    ]
     assert 6378.2 < min(heights) < 30000.0
 
 

@@ -180,3 +180,14 @@ def test_failure_inside_spice_leaves_no_file_and_no_handle(tmp_path, segment, mo
     assert list(tmp_path.iterdir()) == [target]
     assert not [name for name in open_files() if str(tmp_path) in name]
     assert not spiceypy.failed()
+
+
+def test_span_within_the_states(tmp_path, segment):
+    first, last = 30.0 * HOUR_S, 100.0 * HOUR_S
+    part = SpkSegment(TARGET, CENTER, segment.et, segment.states, span_et=(first, last))
+    write_spk(tmp_path / "part.bsp", [part])
+    assert list(spiceypy.spkcov(str(tmp_path / "part.bsp"), TARGET)) == [first, last]
+    truth = orbit(np.array([first]))
+    assert np.abs(read(tmp_path / "part.bsp", np.array([first])) - truth)[0, :3].max() < 1e-3
+    with pytest.raises(KernelError, match="is not within the states"):
+        SpkSegment(TARGET, CENTER, segment.et, segment.states, span_et=(-1.0, last))
