@@ -13,7 +13,7 @@ astrometry_net  index files
 status          what is available here
 """
 
-from opnav_workbench.catalog.indexed import Catalog
+from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.priors import UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.specs import open_catalog

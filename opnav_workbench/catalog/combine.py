@@ -39,6 +39,7 @@ MIN_YEARS = 5.0  # nearer epochs make a poor motion, of which orbits of binaries
 # Left over in motions from two positions by orbits and by the catalogs' local frames, one axis (Tycho-2 to ICRS: 0.6
 # mas in position and 0.25 mas/yr, Hog et al. 2000, A&A 355, L27).
 MOTION_FLOOR_MAS_YR = 0.25
+FIRST, SECOND, BOTH, NOWHERE = 0, 1, 2, -1  # where a motion is from
 
 
 def combine(first: StarTable, second: StarTable) -> StarTable:
@@ -103,14 +104,13 @@ def _alike(first: StarTable, second: StarTable, partner: IntArray) -> BoolArray:
     """Return whether magnitudes allow rows of `first` (n,) and their neighbors (n, k) to be one star."""
     difference = np.abs(first.v_mag[:, None] - second.v_mag[partner])
     sigma = np.hypot(first.v_sigma[:, None], second.v_sigma[partner])
-    return ~(
-        difference > MAG_TOLERANCE + MATCH_SIGMAS * np.nan_to_num(sigma)
-    )  # nan: nothing speaks against it
+    # nan: nothing speaks against it
+    return ~(difference > MAG_TOLERANCE + MATCH_SIGMAS * np.nan_to_num(sigma))
 
 
 def _matched(first: StarTable, second: StarTable) -> StarTable:
     sharper = second.sigma[:, :2].sum(axis=1) < first.sigma[:, :2].sum(axis=1)
-    motion, motion_sigma, known = _motion(first, second, sharper)
+    motion, motion_sigma, source = _motion(first, second, sharper)
     nearer = second.sigma[:, 2] < first.sigma[:, 2]
 
     def pick(name: str, from_second: BoolArray) -> FloatArray:
@@ -132,12 +132,14 @@ def _matched(first: StarTable, second: StarTable) -> StarTable:
         band=first.band,
         epoch_jyear=pick("epoch_jyear", sharper),
         sigma=np.concatenate([position_sigma, parallax_sigma, motion_sigma], axis=1),
-        motion_known=known,
+        motion_known=source != NOWHERE,
         v_mag=pick("v_mag", brighter),
         v_sigma=pick("v_sigma", brighter),
         b_v=pick("b_v", colored),
         b_v_sigma=pick("b_v_sigma", colored),
         flags=_flags(first, second, sharper),
+        hip=np.where(first.hip > 0, first.hip, second.hip),
+        position_motion=_shared_error(first, second, sharper, source, position_sigma),
     )
 
 
@@ -156,8 +158,8 @@ def _flags(first: StarTable, second: StarTable, sharper: BoolArray) -> IntArray:
 
 def _motion(
     first: StarTable, second: StarTable, sharper: BoolArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the best motion (k, 2), its sigma (k, 2) and whether it is more than a mean one (k,)."""
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return the best motion (k, 2), its sigma (k, 2) and where it is from (k,): FIRST, SECOND, BOTH or NOWHERE."""
     two_epoch, two_epoch_sigma, usable = _two_epoch(first, second, sharper)
     sigmas = np.stack(
         [_motion_sigma(first), _motion_sigma(second), np.where(usable[:, None], two_epoch_sigma, np.inf)]
@@ -170,12 +172,27 @@ def _motion(
     sharp_sigma = np.where(sharper[:, None], second.sigma[:, 3:], first.sigma[:, 3:])
     motion = np.where(known[:, None], motions[best, rows], sharp_motion)
     sigma = np.where(known[:, None], sigmas[best, rows], sharp_sigma)
-    against = usable & known & (best != 2)
+    against = usable & known & (best != BOTH)
     expected = np.mean(two_epoch_sigma**2 + sigma**2, axis=1)
     excess = np.where(
         against, np.maximum(np.mean((two_epoch - motion) ** 2, axis=1) - MATCH_SIGMAS * expected, 0.0), 0.0
     )
-    return motion, np.sqrt(sigma**2 + excess[:, None]), known
+    return motion, np.sqrt(sigma**2 + excess[:, None]), np.where(known, best, NOWHERE)
+
+
+def _shared_error(
+    first: StarTable, second: StarTable, sharper: BoolArray, source: IntArray, position_sigma: FloatArray
+) -> FloatArray:
+    """Return the covariance (k, 2) of the position with the motion, rad^2/yr.
+
+    A motion of the position's own row has that row's; one of both positions has the position's variance over the years
+    between them; one of the other row has none.
+    """
+    own = np.where(sharper, SECOND, FIRST) == source
+    of_row = np.where(sharper[:, None], second.position_motion, first.position_motion)
+    years = np.where(sharper, 1.0, -1.0) * (second.epoch_jyear - first.epoch_jyear)
+    of_both = position_sigma**2 / np.where(source == BOTH, years, np.inf)[:, None]
+    return np.asarray(np.where(own[:, None], of_row, of_both))
 
 
 def _own_motion(stars: StarTable) -> FloatArray:

@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from functools import reduce
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from opnav_workbench.catalog.combine import MATCH_LIMIT_MAS, combine
-from opnav_workbench.catalog.indexed import Catalog
+from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.mean_motion import with_mean_motion
 from opnav_workbench.catalog.priors import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.region import Cone, Region, polygon_region
-from opnav_workbench.catalog.selection import NO_FLAGS, select
+from opnav_workbench.catalog.region import Region
+from opnav_workbench.catalog.selection import select
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.geometry import radec_from_unit
 
@@ -37,7 +35,7 @@ def split_specs(spec: str, kinds: Sequence[str]) -> list[str]:
     return re.split(rf"\+(?=(?:{'|'.join(map(re.escape, kinds))})(?::|\+|$))", spec.strip())
 
 
-class CombinedCatalog:
+class CombinedCatalog(Catalog):
     """The union of catalogs by the rule of `catalog.combine`, applied to what lies in the region asked for.
 
     Parameters
@@ -46,37 +44,11 @@ class CombinedCatalog:
         The first gives names, magnitudes and bands.
     """
 
-    __slots__ = ("_parts", "name")
+    __slots__ = ("_parts",)
 
     def __init__(self, parts: Sequence[Catalog]) -> None:
         self._parts = tuple(parts)
         self.name = "+".join(part.name for part in parts)
-
-    def cone(
-        self,
-        ra_rad: float,
-        dec_rad: float,
-        radius_rad: float,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within `radius_rad` of a direction, brightest first; see `StoredCatalog.cone`.
-
-        The magnitude limit is one in the band of each star's row.
-        """
-        # The parts check what is asked for, and say so in the same words.
-        return self._search(Cone.about(ra_rad, dec_rad, radius_rad), mag_limit, et_s, exclude_flags)
-
-    def polygon(
-        self,
-        corners: ArrayLike,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within a convex spherical polygon, brightest first; see `StoredCatalog.polygon`."""
-        return self._search(polygon_region(corners), mag_limit, et_s, exclude_flags)
 
     def describe(self) -> Mapping[str, Any]:
         """Return what the catalog is, and each of its parts."""
@@ -90,9 +62,10 @@ class CombinedCatalog:
             "parts": parts,
         }
 
-    def _search(
+    def search(
         self, region: Region, mag_limit: float, et_s: float | None, exclude_flags: StarQuality
     ) -> StarTable:
+        """Return the stars within a region, brightest first; the magnitude limit is one in the band of each row."""
         ra, dec = (float(angle) for angle in radec_from_unit(region.center))
         reach = min(region.radius_rad + MARGIN_RAD, math.pi)
         found = [part.cone(ra, dec, reach, mag_limit + MAG_MARGIN, et_s) for part in self._parts]

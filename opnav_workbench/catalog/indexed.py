@@ -1,66 +1,27 @@
-"""What every catalog offers, and the one implementation of it: cone and polygon search over any `StarStore`."""
+"""Catalogs over any `StarStore`: the search of a region, at the catalog's epoch or another."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.mean_motion import with_mean_motion
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.region import Cone, Region, polygon_region
-from opnav_workbench.catalog.selection import NO_FLAGS, check_cone, check_limits
+from opnav_workbench.catalog.region import Region
 from opnav_workbench.catalog.store import ArrayStore, StarStore
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.geometry import angle_between, jyear_from_et, unit_from_radec
 
-__all__ = [
-    "NO_FLAGS",
-    "Catalog",
-    "IndexedCatalog",
-    "MotionBound",
-    "StoredCatalog",
-    "check_cone",
-    "check_limits",
-]
+__all__ = ["IndexedCatalog", "MotionBound", "StoredCatalog"]
 
 # Linear space motion speeds up a star that comes nearer: 0.013 % a year for Barnard's star, the fastest
 # known, so that this holds for four centuries about the epoch.
 APPROACH_MARGIN = 1.05
-
-
-class Catalog(Protocol):
-    """A star catalog that can be asked for the stars within a region of the sky."""
-
-    @property
-    def name(self) -> str:
-        """The spec that opens this catalog."""
-
-    def cone(
-        self,
-        ra_rad: float,
-        dec_rad: float,
-        radius_rad: float,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within `radius_rad` of a direction, brightest first."""
-
-    def polygon(
-        self,
-        corners: ArrayLike,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within a convex spherical polygon, brightest first."""
-
-    def describe(self) -> Mapping[str, Any]:
-        """Return what the catalog is: source, number of stars, epochs, bands, limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +39,7 @@ class MotionBound:
         return APPROACH_MARGIN * self.fastest_rad_yr * years
 
 
-class StoredCatalog:
+class StoredCatalog(Catalog):
     """A catalog over a `StarStore`.
 
     Parameters
@@ -93,80 +54,11 @@ class StoredCatalog:
         Bounds the motion of every star, so that a search at another epoch misses none.
     """
 
-    __slots__ = ("_facts", "_motion", "_store", "name")
+    __slots__ = ("_facts", "_motion", "_store")
 
     def __init__(self, name: str, facts: Mapping[str, Any], store: StarStore, motion: MotionBound) -> None:
         self.name = name
         self._facts, self._store, self._motion = dict(facts), store, motion
-
-    def cone(
-        self,
-        ra_rad: float,
-        dec_rad: float,
-        radius_rad: float,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within `radius_rad` of a direction, brightest first.
-
-        Parameters
-        ----------
-        ra_rad, dec_rad : float
-            Center of the cone, J2000; any right ascension, declination within +-pi/2.
-        radius_rad : float
-            0 to pi; a star at exactly this great-circle distance belongs to the cone.
-        mag_limit : float
-            Faintest magnitude, itself included, in the catalog's own band.
-        et_s : float, optional
-            Epoch, TDB seconds past J2000, at which the stars' places, moved to it as seen from the solar
-            system's barycenter, are compared with the cone. None: the catalog positions are. The returned
-            columns are the catalog's at its own epoch in either case. A star's parallax at the observer is
-            not part of this test: leave a margin for it.
-        exclude_flags : StarQuality
-            Leave out stars with any of these flags.
-
-        Returns
-        -------
-        StarTable
-            Stars of equal magnitude in the order of the catalog; where a star's motion is unknown it is the mean
-            one of such stars (see `mean_motion`), with `motion_known` False and the sigma of a single star.
-
-        Raises
-        ------
-        CatalogError
-            A number is not finite or out of range, or a file that the cone needs is missing or damaged.
-        """
-        check_cone(ra_rad, dec_rad, radius_rad)
-        return self._search(Cone.about(ra_rad, dec_rad, radius_rad), mag_limit, et_s, exclude_flags)
-
-    def polygon(
-        self,
-        corners: ArrayLike,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within a convex spherical polygon, its edge included, brightest first.
-
-        Parameters
-        ----------
-        corners : (m, 3) array_like
-            Directions of the corners in order along the edge, either way round, J2000: those of a detector.
-        mag_limit, et_s, exclude_flags
-            As of `cone`.
-
-        Returns
-        -------
-        StarTable
-            As of `cone`.
-
-        Raises
-        ------
-        CatalogError
-            As of `cone`, or the corners are not those of a convex polygon smaller than a hemisphere.
-        """
-        return self._search(polygon_region(corners), mag_limit, et_s, exclude_flags)
 
     def describe(self) -> Mapping[str, Any]:
         """Return what the catalog is: source, number of stars, epochs, bands, limits."""
@@ -178,10 +70,10 @@ class StoredCatalog:
             **self._facts,
         }
 
-    def _search(
+    def search(
         self, region: Region, mag_limit: float, et_s: float | None, exclude_flags: StarQuality
     ) -> StarTable:
-        check_limits(mag_limit, et_s)
+        """Return the stars within a region, brightest first; see `Catalog.search`."""
         reach = region.radius_rad + (0.0 if et_s is None else self._motion.reach_rad(et_s))
         reach = min(reach, math.pi)
         x, y, z = region.center.tolist()

@@ -8,7 +8,7 @@ from opnav_workbench.catalog.bundled import open_bundled
 from opnav_workbench.catalog.cache import Progress
 from opnav_workbench.catalog.combined import CombinedCatalog, split_specs
 from opnav_workbench.catalog.hip2 import open_hip2
-from opnav_workbench.catalog.indexed import Catalog
+from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.npz import open_npz
 from opnav_workbench.catalog.tycho2 import open_tycho2
 from opnav_workbench.catalog.ucac2 import open_ucac2

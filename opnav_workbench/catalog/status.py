@@ -1,10 +1,13 @@
 """Which star catalogs this installation can open, for ``opnav doctor``."""
 
+import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 
 from opnav_workbench.catalog.bundled import bundled_cache_path, bundled_versions
 from opnav_workbench.catalog.specs import READERS
+from opnav_workbench.catalog.vizier import VizierCatalog
+from opnav_workbench.catalog.vizier_tables import TABLES
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["CatalogStatus", "catalog_status"]
@@ -32,7 +35,7 @@ def catalog_status() -> tuple[CatalogStatus, ...]:
     >>> [status.form for status in catalog_status()][:3]
     ['bundled', 'tycho2:DIR', 'ucac2:DIR']
     """
-    special = {"bundled": _bundled, "astrometry-net": _astrometry_net}
+    special = {"bundled": _bundled, "astrometry-net": _astrometry_net, "vizier": _vizier}
     plain = "needs files of yours"
     return tuple(
         special[kind]() if kind in special else CatalogStatus(reader.form, available=True, detail=plain)
@@ -63,3 +66,11 @@ def _astrometry_net() -> CatalogStatus:
         available=True,
         detail=f"{len(files)} index files in {INDEX_FOLDER}; give a GLOB for other folders",
     )
+
+
+def _vizier() -> CatalogStatus:
+    kept = sum(1 for kind in TABLES for _ in VizierCatalog(kind).folder.glob("*.npz"))
+    online = importlib.util.find_spec("astroquery") is not None
+    ask = "" if online else '; to ask the service: pip install "opnav_workbench[online]"'
+    names = ", ".join(TABLES)
+    return CatalogStatus("vizier:NAME", available=True, detail=f"{names}; {kept} cones on disk{ask}")

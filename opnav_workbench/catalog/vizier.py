@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 from astropy.table import Table
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.mean_motion import with_mean_motion
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.region import Cone, Region, polygon_region
-from opnav_workbench.catalog.selection import NO_FLAGS, check_cone, check_limits, select
+from opnav_workbench.catalog.region import Region
+from opnav_workbench.catalog.selection import check_cone, select
 from opnav_workbench.catalog.table import StarTable
 from opnav_workbench.catalog.vizier_tables import TABLES, VizierTable, plain_columns, stars_from_rows
 from opnav_workbench.errors import CatalogError
@@ -99,7 +100,7 @@ def ask_vizier(layout: VizierTable, cone: FetchedCone) -> Table:
     return answer[0] if len(answer) else Table({name: np.empty(0) for name in layout.columns})
 
 
-class VizierCatalog:
+class VizierCatalog(Catalog):
     """One catalog of VizieR with its cones on disk.
 
     Parameters
@@ -110,7 +111,7 @@ class VizierCatalog:
         Asks the service.
     """
 
-    __slots__ = ("_ask", "_kind", "_layout", "name")
+    __slots__ = ("_ask", "_kind", "_layout")
 
     def __init__(self, kind: str, ask: Ask = ask_vizier) -> None:
         self._kind, self._layout, self._ask = kind, TABLES[kind], ask
@@ -120,35 +121,6 @@ class VizierCatalog:
     def folder(self) -> Path:
         """Where the cones are kept."""
         return cache_root() / "vizier" / self._kind
-
-    def cone(
-        self,
-        ra_rad: float,
-        dec_rad: float,
-        radius_rad: float,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within `radius_rad` of a direction, brightest first; see `StoredCatalog.cone`.
-
-        Raises
-        ------
-        CatalogError
-            The cone is not on disk and the service cannot be asked; the message has the command to fetch it.
-        """
-        check_cone(ra_rad, dec_rad, radius_rad)
-        return self._search(Cone.about(ra_rad, dec_rad, radius_rad), mag_limit, et_s, exclude_flags)
-
-    def polygon(
-        self,
-        corners: ArrayLike,
-        mag_limit: float = math.inf,
-        et_s: float | None = None,
-        exclude_flags: StarQuality = NO_FLAGS,
-    ) -> StarTable:
-        """Return the stars within a convex spherical polygon, brightest first; see `StoredCatalog.polygon`."""
-        return self._search(polygon_region(corners), mag_limit, et_s, exclude_flags)
 
     def describe(self) -> Mapping[str, Any]:
         """Return what the catalog is, and the cones on disk."""
@@ -187,10 +159,16 @@ class VizierCatalog:
         _write(self.folder / f"{cone.stem}.npz", cone, rows)
         return len(rows[self._layout.mag])
 
-    def _search(
+    def search(
         self, region: Region, mag_limit: float, et_s: float | None, exclude_flags: StarQuality
     ) -> StarTable:
-        check_limits(mag_limit, et_s)
+        """Return the stars within a region, brightest first.
+
+        Raises
+        ------
+        CatalogError
+            The cone is not on disk and the service cannot be asked; the message has the command to fetch it.
+        """
         years = 0.0 if et_s is None else abs(float(jyear_from_et(et_s)) - self._layout.epoch_jyear)
         reach = min(region.radius_rad + years * FASTEST_RAD_YR, math.pi)
         ra, dec = (math.degrees(float(angle)) for angle in radec_from_unit(region.center))

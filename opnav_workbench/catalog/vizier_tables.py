@@ -52,7 +52,7 @@ class VizierTable:
         VizieR's name.
     position, position_sigma, motion, motion_sigma : (str, str)
         RA and Dec.
-    parallax, parallax_sigma, rv : str or None
+    parallax, parallax_sigma, rv, hip : str or None
     mag, band : str
         Column of the magnitude, and what band it is.
     epoch_jyear : float
@@ -76,12 +76,13 @@ class VizierTable:
     parallax: str | None = None
     parallax_sigma: str | None = None
     rv: str | None = None
+    hip: str | None = None
     flags: Callable[[Columns], NDArray[np.int64]] | None = None
 
     @property
     def columns(self) -> list[str]:
         """Every column to ask for."""
-        optional = [c for c in (self.parallax, self.parallax_sigma, self.rv) if c is not None]
+        optional = [c for c in (self.parallax, self.parallax_sigma, self.rv, self.hip) if c is not None]
         wanted = [*self.position, *self.position_sigma, *self.motion, *self.motion_sigma, self.mag]
         return list(dict.fromkeys([*wanted, *optional, *self.extra]))
 
@@ -143,6 +144,7 @@ TABLES: Mapping[str, VizierTable] = {
         band="VT",
         epoch_jyear=2000.0,
         extra=("TYC1", "TYC2", "TYC3", "BTmag", "e_BTmag", "e_VTmag"),
+        hip="HIP",
         name=_tycho_names,
         johnson=lambda rows: johnson_from_tycho(
             rows["BTmag"], rows["e_BTmag"], rows["VTmag"], rows["e_VTmag"]
@@ -172,7 +174,8 @@ TABLES: Mapping[str, VizierTable] = {
         mag="Hpmag",
         band="Hp",
         epoch_jyear=1991.25,
-        extra=("HIP", "e_Hpmag", "B-V"),
+        hip="HIP",
+        extra=("e_Hpmag", "B-V"),
         name=_numbered("HIP ", "HIP"),
         johnson=lambda rows: johnson_from_hipparcos(
             rows["Hpmag"], rows["e_Hpmag"], rows["B-V"], _unknown(rows["B-V"])
@@ -236,6 +239,7 @@ def stars_from_rows(rows: Columns, layout: VizierTable) -> StarTable:
         epoch_jyear=np.full(mag.shape, layout.epoch_jyear),
         sigma=np.concatenate([position_sigma, parallax_sigma[:, None], motion_sigma], axis=1),
         motion_known=known,
+        hip=np.nan_to_num(kept[layout.hip]).astype(np.int64) if layout.hip else np.zeros(mag.shape, np.int64),
         flags=layout.flags(kept) if layout.flags else np.zeros(mag.shape, np.int64),
         **layout.johnson(kept).columns(),
     )

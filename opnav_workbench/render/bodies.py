@@ -39,8 +39,6 @@ __all__ = ["BodyModel", "RenderedBody", "Rendering", "render_bodies"]
 Regime = Literal["point", "small", "disk"]
 
 SMALL_FROM_PX, DISK_FROM_PX = 1.0, 4.0  # diameters; AAS 13-443, "Simulating Target Bodies in OpNav Images"
-    2  # around the outline that predict_body draws with 180 points: the chords miss 2e-4 of the radius
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

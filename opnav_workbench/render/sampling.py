@@ -2,11 +2,11 @@
 
 Every pixel of the window gets a ray through its center. Pixels that an edge may cross, and those whose brightness bends
 too much between its neighbours, are divided into 4 x 4 cells; cells where the same holds again into 4 x 4, and those into
-2 x 2. For small bodies every pixel near the body is divided: AAS 13-443 asks for 5 x 5 cells there, on which a
-limb is off by up to 1/10 px.
+2 x 2. For small bodies every pixel near the body is divided: AAS 13-443 asks for 5 x 5 cells there, on which a limb is
+off by up to 1/10 px.
 
-The result is a mean brightness and its slopes for every pixel left whole, and mean brightnesses of 16 x 16 cells for every pixel that was
-divided. An edge falls on the wrong side of half a finest cell at most, 1/64 px.
+The result is a mean brightness and its slopes for every pixel left whole, and mean brightnesses of 16 x 16 cells for every
+pixel that was divided. An edge falls on the wrong side of half a finest cell at most, 1/64 px.
 """
 
 from collections.abc import Callable

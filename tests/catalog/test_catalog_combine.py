@@ -79,6 +79,14 @@ def test_motion_from_two_epochs_with_its_sigma(truth):
     np.testing.assert_allclose(both.sigma[:, 3:], 40.0 / 16.0 * RAD_PER_MAS, rtol=0.01)
 
 
+def test_the_sigma_at_the_other_epoch_is_that_of_the_other_position(truth):
+    later, earlier, _ = truth
+    both = combine(later, earlier)
+    et = (EPOCHS[1] - 2000.0) * 365.25 * 86400.0
+    sigma = np.sqrt(both.sky_covariance(et)[:, 0, 0]) / RAD_PER_MAS
+    np.testing.assert_allclose(sigma, 40.0, rtol=0.01)  # 0.25 mas/yr more for what orbits leave
+
+
 def test_a_good_motion_of_its_own_is_kept(truth):
     later, earlier, motion = truth
     known = replace(
