@@ -3,6 +3,7 @@
 from contextlib import ExitStack
 from pathlib import Path
 
+from opnav_workbench.errors import KernelError
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.spice import (
     KernelSet,
@@ -13,6 +14,7 @@ from opnav_workbench.spice import (
 )
 from opnav_workbench.spice.dsk import write_dsk
 from opnav_workbench.spice.shapes import read_shape
+from opnav_workbench.spice.sources import unknown_name
 
 __all__ = ["made_from_scenario", "made_from_shape"]
 
@@ -27,6 +29,8 @@ def made_from_scenario(source: str, out: Path | None, *, actual: bool) -> tuple[
     """
     named = kernels_meta_dir() / f"{source}.yaml"
     scenario = named if source in known_names() and named.is_file() else Path(source)
+    if not scenario.exists() and not scenario.suffix:
+        raise KernelError(unknown_name(source))
     folder = out or Path("kernels") / scenario.stem
     metakernel = make_kernels(scenario, folder, actual=actual)
     metakernels = [metakernel, *([metakernel.with_stem(f"{metakernel.stem}_actual")] if actual else [])]

@@ -31,7 +31,7 @@ def process(
     kernels: Annotated[
         str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
     ] = None,
-    catalog: Annotated[str, typer.Option(help="bundled | npz:FILE | astrometry-net:GLOB")] = "bundled",
+    catalog: Annotated[str, typer.Option(help="Catalog spec; see opnav catalog list.")] = "bundled",
     targets: Annotated[
         str | None,
         typer.Option(

@@ -17,7 +17,7 @@ from opnav_workbench.spice.files import KINDS, KernelFile, kernel_file, looks_li
 from opnav_workbench.spice.guard import Request, spice_call
 from opnav_workbench.spice.manifest import fetched_metakernel
 
-__all__ = ["known_names", "listed_files", "resolve"]
+__all__ = ["known_names", "listed_files", "resolve", "unknown_name"]
 
 LONGEST_PATH_BYTES = 255  # CSPICE: N0067, FURNSH
 NAME_SUFFIXES = (".tm", ".yaml")  # a metakernel wins over a scenario of the same name
@@ -83,7 +83,7 @@ def _entries(source: Source) -> Iterator[KernelFile | _Missing]:
     elif isinstance(source, str) and not path.exists() and not path.suffix:
         fetched = fetched_metakernel(source)
         if fetched is None:
-            raise KernelError(_unknown_name(source))
+            raise KernelError(unknown_name(source))
         yield from _expand(fetched, named=True)
     else:
         yield from _expand(path)
@@ -94,7 +94,8 @@ def _named(name: str) -> Path:
     return metakernel if metakernel.is_file() else scenario_metakernel(name, scenario)
 
 
-def _unknown_name(name: str) -> str:
+def unknown_name(name: str) -> str:
+    """Return the message for what is neither a kernel set's name nor a file: the nearest names, and all."""
     names = known_names()
     close = difflib.get_close_matches(name, names, n=3)
     meant = f"did you mean {' or '.join(close)}? " if close else ""

@@ -268,3 +268,9 @@ def test_fetch_of_bad_input(tmp_path):
     with pytest.raises(KernelError, match="lists no CK"):
         _run("fetch", "generic", "--only", "CK", "--into", tmp_path / "k")
     assert not (tmp_path / "k").exists()
+
+
+def test_make_of_an_unknown_name_lists_the_names(tmp_path):
+    with pytest.raises(KernelError, match="no kernels named 'pluto_opnv'.*new_horizons/pluto_opnav"):
+        _run("make", "pluto_opnv", "--out", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
