@@ -80,7 +80,8 @@ def line_of(path: str | PathLike[str], location: Location) -> int:
     For errors that only show when the content is used; a field that is not in the file has the line of the innermost
     part that is.
     """
-    return _line(yaml.compose(Path(path).read_text(encoding="utf-8"), Loader=yaml.SafeLoader), location)
+    node = yaml.compose(Path(path).read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+    return 1 if node is None else _line(node, location)
 
 
 def _validated(

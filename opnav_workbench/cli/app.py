@@ -13,7 +13,6 @@ from opnav_workbench.cli.doctor import doctor
 from opnav_workbench.cli.kernels import kernels_app
 from opnav_workbench.cli.process import process
 from opnav_workbench.cli.simulate import simulate
-from opnav_workbench.cli.simulate import simulate
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.version import __version__
 
@@ -31,7 +30,6 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(process)
-app.command()(simulate)
 app.command()(simulate)
 app.add_typer(kernels_app)
 app.add_typer(catalog_app)
