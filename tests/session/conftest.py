@@ -11,7 +11,7 @@ from opnav_workbench.spice import KernelSet
 
 @pytest.fixture(scope="session")
 def truth(demo_truths: tuple[Truth, Truth]) -> Truth:
-    """The MVIC demo picture: 16 stars, Pluto and Charon."""
+    """The MVIC demo picture: 15 stars, Pluto and Charon."""
     return demo_truths[1]
 
 
