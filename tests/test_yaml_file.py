@@ -46,8 +46,14 @@ def test_a_good_file_is_read(tmp_path):
             "name: a\nshapes:\n- kind: circle\n  radius: 1\n- kind: box\n  width: 1\n  depth: 1\n  height: 2\n",
             r"line 7: shapes\.1\.depth: unknown field, .*width",
         ),
-        ("name: a\nshapes:\n- kind: circle\n  size: 1\n", r"line 3: shapes\.0\.radius: this field is required"),
-        ("name: a\nshapes:\n- kind: circle\n  zzz: 1\n", r"line 4: shapes\.0\.zzz: .*allowed are kind, radius$"),
+        (
+            "name: a\nshapes:\n- kind: circle\n  size: 1\n",
+            r"line 3: shapes\.0\.radius: this field is required",
+        ),
+        (
+            "name: a\nshapes:\n- kind: circle\n  zzz: 1\n",
+            r"line 4: shapes\.0\.zzz: .*allowed are kind, radius$",
+        ),
         ("name: a\nshapes:\n- kind: star\n", r"line 3: shapes\.0: .*'circle', 'box'"),
         ("name: a\nshapes:\n\n- {kind: circle,\n   radius: big}\n", r"line 5: shapes\.0\.radius: .*number"),
         ("name: a\nboxes:\n  b: {kind: box, width: 1}\n", r"line 3: boxes\.b\.height: this field"),
@@ -67,7 +73,7 @@ def test_errors_name_line_and_field(tmp_path, text, message):
 
 def test_many_errors_are_cut_short():
     with pytest.raises(MissionError, match=r"; and 2 more$"):
-        check_model({k: 1 for k in "abcd"}, Drawing, "drawing", MissionError)
+        check_model(dict.fromkeys("abcd", 1), Drawing, "drawing", MissionError)
 
 
 def test_a_file_that_is_not_there(tmp_path):

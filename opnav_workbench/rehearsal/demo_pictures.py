@@ -29,6 +29,6 @@ DEMO_PICTURES = (
         targets=DEMO_TARGETS,
         sigma_px=0.7,
         sky_dn=1.0,
-        seed=20150410,
+        seed=20150417,
     ),
 )

@@ -39,6 +39,7 @@ __all__ = ["BodyModel", "RenderedBody", "Rendering", "render_bodies"]
 Regime = Literal["point", "small", "disk"]
 
 SMALL_FROM_PX, DISK_FROM_PX = 1.0, 4.0  # diameters; AAS 13-443, "Simulating Target Bodies in OpNav Images"
+OWN_LIGHT_TO_PX = 6.0  # from 4 to 6 px the scaling to the body's light fades out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +151,23 @@ def render_bodies(
     CameraError
         An empty window, or a camera inside a body.
 
+    Examples
+    --------
+    Charon, 40 px wide at half phase, before a pinhole camera.
+
+    >>> from opnav_workbench.psf import GaussianPsf
+    >>> from opnav_workbench.resources import kernels_meta_dir
+    >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
+    >>> charon = TargetState("CHARON", [0, 0, 3.03e6], radii_km=[606.0] * 3, sun_position_km=[4.9e9, 0, 0])
+    >>> rendering = render_bodies(
+    ...     [BodyModel(charon, albedo=0.4)], camera, np.eye(3), np.zeros(3), psf=GaussianPsf(0.8, 0.8), sunlight_e=1e15
+    ... )
+    >>> body = rendering.bodies[0]
+    >>> body.regime, body.center_px.tolist(), body.light_px.round(2).tolist()
+    ('disk', [511.5, 511.5], [523.28, 511.5])
+    >>> round(float(rendering.electrons.sum() / body.flux_e), 4)
+    1.0
+
     Notes
     -----
     Pixels of bodies are exact to 0.1 % of the peak. Radiance is taken at each pixel's geometric direction; the change of
@@ -163,7 +181,9 @@ def render_bodies(
     )
     if min(view.window[2:]) < 1:
         raise CameraError(f"window {view.window} is empty; give first pixel, first line, pixels, lines.")
-    placed = {i: PlacedBody(model) for i, model in enumerate(models) if not model.is_point}
+    placed = {
+        i: PlacedBody(model, camera.pixel_scale_rad) for i, model in enumerate(models) if not model.is_point
+    }
     for body in placed.values():
         body.meet_others(list(placed.values()))
     view = replace(view, placed=tuple(placed.values()))
@@ -206,7 +226,11 @@ def _render_body(
     if regime == "point":
         _add_points(picture, view, psf, *light.four_points(scale), light.center_px)
     elif light.total > 0.0 and view.may_show(body):
-        add_disk(picture, body, view, psf, prediction, light, scale, small=regime == "small")
+        own_light = float(np.clip((OWN_LIGHT_TO_PX - diameter) / (OWN_LIGHT_TO_PX - DISK_FROM_PX), 0.0, 1.0))
+        everywhere = regime == "small" or body.finely_patterned
+        add_disk(
+            picture, body, view, psf, prediction, light, scale, everywhere=everywhere, own_light=own_light
+        )
     return RenderedBody(
         body.model.target.name, prediction.pixel_line, light.center_px, scale * light.seen, diameter,
         light.occulted_fraction, regime,

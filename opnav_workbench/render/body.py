@@ -17,6 +17,8 @@ from opnav_workbench.render.surface import Surface, SurfacePoints, column_dot
 __all__ = ["BodyModel", "PlacedBody"]
 
 SUN_RADIUS_KM = 695_700.0
+PATTERN_PX = 0.25  # map cells are averaged up to this size: the spacing of rays in a divided pixel
+COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +87,7 @@ class PlacedBody:
     Rays are J2000 vectors (3, n) from the camera, of any length; points on the surface are body-fixed, km.
     """
 
-    def __init__(self, model: BodyModel) -> None:
+    def __init__(self, model: BodyModel, pixel_scale_rad: float) -> None:
         target = model.target
         assert target.sun_position_km is not None
         turn = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
@@ -97,6 +99,12 @@ class PlacedBody:
             if model.shape is not None
             else Ellipsoid(np.asarray(target.radii_km), self.camera_km, self.sun_km)
         )
+        self.albedo = model.albedo
+        self._finely_patterned = False
+        if isinstance(self.albedo, AlbedoMap):
+            pixel_rad = pixel_scale_rad * float(np.linalg.norm(self.camera_km)) / self.surface.bounding_km
+            self.albedo = self.albedo.coarsened(PATTERN_PX * pixel_rad)
+            self._finely_patterned = self.albedo.cell_rad < COARSE_PATTERN_PX * pixel_rad
         self._shading_bodies: list[PlacedBody] = []
         self._hiding_bodies: list[PlacedBody] = []
 
@@ -109,6 +117,11 @@ class PlacedBody:
     def hidden_by(self) -> "list[PlacedBody]":
         """Bodies that may stand before this one."""
         return self._hiding_bodies
+
+    @property
+    def finely_patterned(self) -> bool:
+        """Whether its map has cells that one ray a pixel may miss."""
+        return self._finely_patterned
 
     @property
     def angular_radius_rad(self) -> float:
@@ -146,8 +159,7 @@ class PlacedBody:
             np.arccos(np.clip(column_dot(to_camera, to_sun), -1.0, 1.0)) if self.model.law.uses_phase else 0.0
         )
         shine = self.model.law.reflectance(cos_i, column_dot(normal, to_camera), phase)
-        albedo = self.model.albedo
-        shine *= albedo.sample_points(point) if isinstance(albedo, AlbedoMap) else albedo
+        shine *= self.albedo.sample_points(point) if isinstance(self.albedo, AlbedoMap) else self.albedo
         shine *= self.sunlight
         return shine * self._sun_visible(point, to_sun, shine > 0.0)
 
@@ -163,7 +175,7 @@ class PlacedBody:
 
         Light is I/F times sunlight times solid angle, sr; the third array is 0 where another body stands before.
         """
-        nodes = self.surface.nodes()
+        nodes = self.surface.nodes(patterned=isinstance(self.albedo, AlbedoMap))
         rays = self.body_from_j2000.T @ (nodes.point - self.camera_km[:, None])
         light = self.brightness(nodes.point, nodes.normal) * nodes.solid_angle
         seen = np.ones(len(light))

@@ -72,17 +72,22 @@ def _add_whole(picture: FloatArray, first: tuple[int, int], whole: FloatArray, p
 
 def _cell_kernels(psf: Psf, cells: int, width_sign: float) -> FloatArray:
     """Return the shares (s, s, k, k) in whole pixels of the light of each cell of a pixel, which lies in the middle."""
-    fine = psf.kernel(cells)
-    reach = fine.shape[0] // 2 + 1
     # Second differences of a kernel, over 24, are the effect of a cell's own width.
-    fine = np.pad(fine, 1)
+    fine = np.pad(psf.kernel(cells), 1)
     bend = sum(np.roll(fine, k, axis) for k in (1, -1) for axis in (0, 1)) - 4.0 * fine
-    fine = fine + width_sign / 24.0 * bend
-    pixels = -(-reach // cells)  # whole pixels that the kernel reaches to each side of the middle one
-    offset = np.arange(-reach, reach + 1)
-    place = (
-        np.floor_divide(np.arange(cells)[:, None] + offset, cells) + pixels
-    )  # [cell, kernel element] -> pixel
-    sums = (place[:, :, None] == np.arange(2 * pixels + 1)).astype(np.float64)
-    half = np.einsum("akm,kl->aml", sums, fine)
-    return np.ascontiguousarray(np.einsum("aml,bln->abmn", half, sums, optimize=True))
+    lines = _summed_by_pixel(fine + width_sign / 24.0 * bend, cells)  # [cell, pixel, kernel element]
+    both = _summed_by_pixel(np.moveaxis(lines, 2, 0), cells)  # [pixel cell, pixel, line cell, line]
+    return np.ascontiguousarray(both.transpose(2, 0, 3, 1))
+
+
+def _summed_by_pixel(fine: FloatArray, cells: int) -> FloatArray:
+    """Return sums (s, k, ...) over whole pixels of a kernel (n, ...) about each of the s cells of the middle pixel."""
+    n = len(fine)
+    pixels = -(-(n // 2) // cells)  # whole pixels that the kernel reaches to each side
+    out = np.empty((cells, 2 * pixels + 1, *fine.shape[1:]))
+    for cell in range(cells):
+        padded = np.zeros(((2 * pixels + 1) * cells, *fine.shape[1:]))
+        start = pixels * cells + cell - n // 2
+        padded[start : start + n] = fine
+        out[cell] = padded.reshape(2 * pixels + 1, cells, *fine.shape[1:]).sum(axis=1)
+    return out

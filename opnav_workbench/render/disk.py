@@ -80,11 +80,13 @@ def add_disk(
     light: BodyLight,
     scale: float,
     *,
-    small: bool,
+    everywhere: bool,
+    own_light: float,
 ) -> None:
     """Add a resolved body's light to `picture` in place: `scale` electrons per unit of I/F times sunlight times sr.
 
-    A small body's pixels are scaled to its light as a whole.
+    With `everywhere` every pixel of the body is divided. `own_light`, 0..1, is how far the pixels' sum is brought to the
+    body's light as a whole: cells of 1/32 px hold the light of a thin crescent of 4 px to 2 % only.
     """
     here = psf.at(prediction.pixel_line) if np.isfinite(prediction.pixel_line).all() else psf
     window, whole_body = _covered(_outline_px(body, prediction, view), view, int(np.ceil(here.half_size_px)))
@@ -98,14 +100,15 @@ def add_disk(
             near |= other.surface.crossed_by_limb(other.to_body(rays), reach_rad)
         return near
 
-    samples = sample_pixels(grid, body.radiance, near_edge, _fineness(body.model), everywhere=small)
+    samples = sample_pixels(grid, body.radiance, near_edge, _fineness(body.model), everywhere=everywhere)
     per_pixel = scale * grid.solid_angle
     whole = samples.whole * per_pixel
     per_cell = per_pixel.ravel()[samples.divided] / np.prod(samples.cells.shape[1:])
     cells = samples.cells * per_cell[:, None, None]
     found = float(whole[0].sum() + cells.sum())
-    if small and whole_body and found > 0.0:
-        whole, cells = (a * (scale * light.seen / found) for a in (whole, cells))
+    if whole_body and found > 0.0:
+        correction = 1.0 + own_light * (scale * light.seen / found - 1.0)
+        whole, cells = whole * correction, cells * correction
     first = (window[0] - view.window[0], window[1] - view.window[1])
     add_spread_light(picture, first, whole, samples.divided, cells, here)
 

@@ -23,9 +23,8 @@ from opnav_workbench.render.surface import Nodes, SurfacePoints, column_dot
 
 __all__ = ["Ellipsoid"]
 
-NODES = (
-    64  # Gauss-Legendre nodes in latitude and in longitude: smooth laws to 1e-9, a map of 2 deg cells to 1e-4
-)
+# Gauss-Legendre nodes in latitude and in longitude: smooth laws to 1e-9, maps of 1 deg cells to 1e-3.
+NODES, PATTERN_NODES = 64, 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,13 +97,15 @@ class Ellipsoid:
         inside_km = closest_km * (1.0 / np.maximum(miss, 1e-12) - 1.0)
         return np.asarray(np.where(along > 0.0, np.arctan2(inside_km, np.maximum(along, 1e-300)), -np.pi))
 
-    def nodes(self) -> Nodes:
+    def nodes(self, *, patterned: bool) -> Nodes:
         """Return Gauss-Legendre nodes over the lit and visible part of the surface.
 
         On the scaled sphere limb and terminator are circles, so that at a latitude counted from the plane of camera
         and Sun the lit and visible longitudes are one interval with known ends: the integrand is smooth on it.
         """
-        sphere, share = _lune(self._camera, self.sun_km / self.radii_km)
+        sphere, share = _lune(
+            self._camera, self.sun_km / self.radii_km, PATTERN_NODES if patterned else NODES
+        )
         normal = self._normal(sphere)
         point = sphere * self.radii_km[:, None]
         # Area of the ellipsoid per area of the unit sphere.
@@ -127,7 +128,7 @@ class Ellipsoid:
         return normal
 
 
-def _lune(camera: FloatArray, sun: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _lune(camera: FloatArray, sun: FloatArray, n: int) -> tuple[FloatArray, FloatArray]:
     """Return points (3, n) of the unit sphere that both see, and the area (n,) each stands for."""
     middle = unit(camera)
     pole = np.cross(camera, sun)
@@ -136,7 +137,7 @@ def _lune(camera: FloatArray, sun: FloatArray) -> tuple[FloatArray, FloatArray]:
     pole = unit(pole)
     side = np.cross(pole, middle)
     sun_longitude = np.arctan2(sun @ side, sun @ middle)
-    node, weight = np.polynomial.legendre.leggauss(NODES)
+    node, weight = np.polynomial.legendre.leggauss(n)
     # Beyond the latitude where one of the circles ends there is nothing to see or no light.
     highest = np.arccos(1.0 / min(float(np.linalg.norm(camera)), float(np.linalg.norm(sun))))
     latitude, d_latitude = highest * node, highest * weight

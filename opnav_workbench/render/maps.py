@@ -7,7 +7,7 @@ middles of their cells and are interpolated bilinearly, around the date line too
 row itself is used. A pixel's value is the body's normal albedo, see `opnav_workbench.render.scattering`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Self
@@ -117,6 +117,31 @@ class AlbedoMap:
             return cls(values, first_longitude_deg, east_positive, north_first)
         except MissionError as error:
             raise MissionError(f"{path}: {error}") from error
+
+    @property
+    def cell_rad(self) -> float:
+        """Height of a cell, rad."""
+        return float(np.pi / self.values.shape[0])
+
+    def coarsened(self, cell_rad: float) -> "AlbedoMap":
+        """Return the map in the largest cells up to `cell_rad` that means of its own give; itself if they are as large.
+
+        What a picture cannot resolve is averaged beforehand, so that rays do not fall on it by chance.
+
+        Examples
+        --------
+        >>> AlbedoMap(np.arange(72.0).reshape(6, 12)).coarsened(1.1).values
+        array([[ 6.5,  8.5, 10.5, 12.5, 14.5, 16.5],
+               [30.5, 32.5, 34.5, 36.5, 38.5, 40.5],
+               [54.5, 56.5, 58.5, 60.5, 62.5, 64.5]])
+        """
+        rows = self.values.shape[0]
+        wanted = max(1, min(int(cell_rad / self.cell_rad), rows))
+        factor = max(n for n in range(1, wanted + 1) if rows % n == 0)
+        if factor == 1:
+            return self
+        blocks = self.values.reshape(rows // factor, factor, 2 * rows // factor, factor)
+        return replace(self, values=blocks.mean(axis=(1, 3)))
 
     def sample(self, longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> FloatArray:
         """Return albedos (n,) at east longitudes and planetocentric latitudes (n,), rad."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CameraError
-from opnav_workbench.geometry import unit
+from opnav_workbench.geometry import unit as unit_vectors
 from opnav_workbench.render.plates import MIRROR, NO_PLATE, bundle_axes, parallel_view, point_view
 from opnav_workbench.render.surface import Nodes, SurfacePoints, column_dot
 from opnav_workbench.spice.dsk import read_dsk
@@ -65,11 +65,11 @@ class ShapeModel:
         full = np.linalg.norm(area2, axis=1) > 0.0  # plates without area are never met
         object.__setattr__(self, "vertices_km", vertices)
         object.__setattr__(self, "plates", np.ascontiguousarray(index[full]))
-        object.__setattr__(self, "normals", unit(area2[full]))
+        object.__setattr__(self, "normals", unit_vectors(area2[full]))
         freeze_arrays(self)
 
     @classmethod
-    def from_file(cls, path: str | PathLike[str], unit_name: str = "km") -> Self:
+    def from_file(cls, path: str | PathLike[str], unit: str = "km") -> Self:
         """Read an OBJ, cmod or DSK (``.bds``, type 2) file; see `opnav_workbench.spice.shapes.read_shape`.
 
         Raises
@@ -79,7 +79,7 @@ class ShapeModel:
         """
         if str(path).lower().endswith((".bds", ".dsk")):
             return cls(*read_dsk(path))
-        return cls(*read_shape(path, unit_name))
+        return cls(*read_shape(path, unit))
 
     @property
     def radii_km(self) -> FloatArray:
@@ -146,7 +146,7 @@ class PlateSurface:
         local, height = self._toward_sun(points)
         return np.asarray(np.where(height > local[2], np.pi, -np.pi))
 
-    def nodes(self) -> Nodes:
+    def nodes(self, *, patterned: bool) -> Nodes:  # noqa: ARG002 - plates are a pattern anyway
         """Return the surface points that a square grid of rays meets, of which those in the dark are left out."""
         far = float(np.linalg.norm(self._camera))
         reach = np.tan(np.arcsin(self.bounding_km / far))

@@ -60,8 +60,8 @@ class Surface(Protocol):
         """
         ...
 
-    def nodes(self) -> Nodes:
-        """Return points over the lit and visible part of the surface."""
+    def nodes(self, *, patterned: bool) -> Nodes:
+        """Return points over the lit and visible part of the surface: more of them if it bears a pattern."""
         ...
 
 

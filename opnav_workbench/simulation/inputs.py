@@ -47,6 +47,8 @@ class PictureInputs:
     effects : DetectorEffects
     switches : Switches
     level : {"calibrated", "raw"}
+    dark_columns : int
+        Covered columns that a raw picture has at its right end.
     seed : int
         Of this picture.
     header : mapping
@@ -67,6 +69,7 @@ class PictureInputs:
     effects: DetectorEffects = field(default_factory=DetectorEffects)
     switches: Switches = field(default_factory=Switches)
     level: Level = "calibrated"
+    dark_columns: int = 0
     seed: int = 0
     header: Mapping[str, str | int | float] = field(default_factory=lambda: MappingProxyType({}))
 

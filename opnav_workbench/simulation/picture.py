@@ -107,6 +107,7 @@ def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
         exposure_s=inputs.exposure_s,
         seed=inputs.seed,
         level=inputs.level,
+        dark_columns=inputs.dark_columns,
     )
     return SimulatedPicture(
         inputs, exposed, stars, flux, hidden, trails(places, inputs.path.weights), rendering

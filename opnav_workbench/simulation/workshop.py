@@ -7,7 +7,7 @@
 import contextlib
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,7 @@ class Workshop:
     mission: Mission
     catalog: Catalog
     surfaces: Mapping[str, Surface]
+    _cameras: dict[str, Camera] = field(default_factory=dict, repr=False)  # read once, by the cards that tell them
 
     @classmethod
     def open(cls, scenario: PictureScenario) -> "Workshop":
@@ -115,9 +116,11 @@ class Workshop:
     def camera(self, task: Task) -> Camera:
         """Return the camera of a picture, by its name or its header cards."""
         picture, scenario = task.picture, self.scenario
-        field = "header" if picture.camera is None else "camera"
-        with at(scenario, task.place(field)):
-            camera = self.mission.camera_for(self._header(task))
+        place = "header" if picture.camera is None else "camera"
+        with at(scenario, task.place(place)):
+            cards = self._header(task)
+            key = repr(sorted(cards.items()))
+            camera = self._cameras.get(key) or self._cameras.setdefault(key, self.mission.camera_for(cards))
             for name in ("zero_point_mag", "gain_e_per_dn", "read_noise_dn"):
                 camera.require(name)
             detector_values(camera, scenario.detector, picture.exposure_s, picture.level)
@@ -150,6 +153,7 @@ class Workshop:
             effects=scenario.detector,
             switches=scenario.switches,
             level=picture.level,
+            dark_columns=dark_columns(self.mission, camera) if picture.level == "raw" else 0,
             seed=seed,
             header=self._header(task),
         )

@@ -79,7 +79,7 @@ def checked_shape(vertices_km: ArrayLike, plates: ArrayLike, what: str) -> tuple
         Empty, of another shape, not finite, or plates that refer to vertices which are not there.
     """
     try:
-        vertices, index = np.array(vertices_km, dtype=np.float64), np.asarray(plates)
+        vertices, index = np.array(vertices_km, dtype=np.float64, order="C"), np.asarray(plates)
     except (TypeError, ValueError) as error:
         raise KernelError(f"{what}: {error}; give (n, 3) vertices and (m, 3) plates.") from error
     if vertices.size == 0 or index.size == 0:
@@ -100,7 +100,7 @@ def checked_shape(vertices_km: ArrayLike, plates: ArrayLike, what: str) -> tuple
             f"{what}: plate {int(wrong[0])} refers to vertices {index[wrong[0]].tolist()}, but they go from 0 to "
             f"{len(vertices) - 1} ({len(wrong)} such plates); the file is damaged."
         )
-    return vertices, np.array(index, dtype=np.int64)
+    return vertices, np.array(index, dtype=np.int64, order="C")
 
 
 def _parsed(content: bytes, suffix: str) -> tuple[FloatArray, IntArray]:

@@ -60,7 +60,8 @@ def test_light_of_a_sphere_follows_the_closed_phase_integral(stage, law, closed,
     size = (target.radii_km[0] / target.range_km) ** 2
     light = (AU_KM / np.linalg.norm(target.sun_position_km)) ** 2
     expected = 1e12 * geometric * closed(np.radians(phase_deg)) * size * light
-    assert rendering.bodies[0].flux_e == pytest.approx(expected, rel=1e-5)
+    # The closed forms are of a sphere infinitely far away; this one is 1e-4 rad in radius.
+    assert rendering.bodies[0].flux_e == pytest.approx(expected, rel=7e-4)
     # Pixels: finest cells of 1/32 px, and a PSF cut at 5e-8 a side.
     assert rendering.electrons.sum() == pytest.approx(expected, rel=1e-3 if phase_deg < 150.0 else 3e-3)
 

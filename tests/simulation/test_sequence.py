@@ -2,10 +2,13 @@
 
 import errno
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from PIL import Image
 
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.image import KeywordMap, read_image
@@ -89,6 +92,7 @@ def test_the_truth_holds_what_made_the_picture(made):
     assert all(body.snr > 50.0 for body in reports[0].bodies)
 
 
+@pytest.mark.slow
 def test_two_processes_write_the_same_bytes(made, tmp_path):
     out, _, _ = made
     reports = simulate(scenario(), tmp_path, jobs=2)
@@ -117,6 +121,7 @@ def test_only_takes_names_of_pictures_and_series():
         chosen_tasks(scenario(), ["two"])
 
 
+@pytest.mark.slow
 def test_kernels_of_the_caller_serve_a_scenario_without(made, tmp_path):
     alone = scenario(kernels=None)
     with pytest.raises(MissionError, match="kernels: the scenario names no kernels"):
@@ -193,6 +198,56 @@ def test_wrong_scenarios_are_refused_before_anything_is_written(change, message,
         simulate(scenario(**change), tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_camera_without_zero_point_names_the_line_of_the_picture(tmp_path):
+    """The mission's files are copied, and its camera forgets its photometry."""
+    here = load_mission("new_horizons").path.parent
+    shutil.copytree(here / "cameras", tmp_path / "cameras")
+    shutil.copy(here / "mission.yaml", tmp_path)
+    shutil.copy(here / "stars.yaml", tmp_path)
+    camera = yaml.safe_load((tmp_path / "cameras/lorri_4x4.yaml").read_text())
+    (tmp_path / "cameras/lorri_4x4.yaml").write_text(yaml.safe_dump(camera | {"photometry": {}}))
+    content = scenario().model_dump(mode="json", exclude_none=True) | {"mission": "mission.yaml"}
+    file = tmp_path / "scenario.yaml"
+    file.write_text(yaml.safe_dump(content | {"pictures": [LORRI_4X4]}))
+    line = file.read_text().splitlines().index("- camera: lorri_4x4") + 1
+    with pytest.raises(
+        MissionError, match=rf"line {line}: pictures\.0\.camera: .*zero_point_mag.*bandpass"
+    ) as caught:
+        simulate(load_picture_scenario(file), tmp_path / "out")
+    assert "aperture" in str(caught.value)
+
+
+def test_a_map_of_the_wrong_size_names_the_line_of_the_body(tmp_path):
+    Image.fromarray(np.zeros((30, 50), np.uint8)).save(tmp_path / "map.png")
+    file = tmp_path / "scenario.yaml"
+    bodies = "- name: CHARON\n- name: PLUTO\n  albedo:\n    map: file\n    file: map.png\n"
+    pictures = yaml.safe_dump([LORRI_4X4])
+    file.write_text(f"mission: new_horizons\nkernels: {KERNELS}\nbodies:\n{bodies}pictures:\n{pictures}")
+    with pytest.raises(MissionError, match=r"line 6: bodies\.1\.albedo: .*50 x 30.*twice as wide as high"):
+        simulate(load_picture_scenario(file), tmp_path / "out")
+
+
+def test_an_albedo_map_in_a_file_is_drawn(made, tmp_path):
+    """A body that is bright on one half only has its light off its center."""
+    half = np.zeros((64, 128), np.uint8)
+    half[:, :64] = 200
+    Image.fromarray(half).save(tmp_path / "map.png")
+    file = tmp_path / "scenario.yaml"
+    body = "{name: PLUTO, albedo: {map: file, file: map.png}}"
+    pictures = yaml.safe_dump([LORRI_4X4])
+    file.write_text(
+        f"mission: new_horizons\nkernels: {KERNELS}\nseed: 3\nbodies: [{body}]\npictures:\n{pictures}"
+    )
+    simulate(load_picture_scenario(file), tmp_path / "out")
+    mapped, even = (read_truth(folder / "lorri.fit") for folder in (tmp_path / "out", made[0]))
+    assert mapped.bodies["PLUTO"] == pytest.approx(even.bodies["PLUTO"], abs=1e-9)
+    light = [
+        t.objects["mean_pixel", "mean_line"][list(t.objects["id"]).index("PLUTO")] for t in (mapped, even)
+    ]
+    moved = np.hypot(*[float((light[0][c] - light[1][c]).value) for c in ("mean_pixel", "mean_line")])
+    assert 0.02 < moved < 0.6  # px, of a radius of 0.6
 
 
 # -- variations ----------------------------------------------------------------------------------------------------
