@@ -129,9 +129,7 @@ def _plain_table(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Ta
 
 
 def _picture_table(reports: Sequence[PictureReport]) -> Table:
-    table = _plain_table(
-        "Pictures", ("picture", "UTC", "camera"), ("exposure s", "stars", "brightest mag")
-    )
+    table = _plain_table("Pictures", ("picture", "UTC", "camera"), ("exposure s", "stars", "brightest mag"))
     for report in reports:
         table.add_row(
             escape(report.name),

@@ -7,6 +7,8 @@ is written only into pictures whose header (or processing `level`) has those val
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from pydantic import Field
@@ -85,10 +87,16 @@ def _from_template(record: FlightRecord, values: DetectorValues, level: Level) -
     missing = KeywordMap(**record.mission.keywords).missing_values[0]
     told = {"level": level, **record.identity}
     for path in templates:
-        template = read_model(path, _Template, "header template", MissionError)
+        template = _template(path, path.stat().st_mtime_ns)
         for group in template.groups:
             if all(_same(told.get(keyword), value) for keyword, value in group.when.items()):
                 yield from (_card(card, known, missing, path.name) for card in group.cards)
+
+
+@lru_cache(maxsize=16)
+def _template(path: Path, _changed_ns: int) -> _Template:
+    """Read a template once for all pictures, again when the file has changed."""
+    return read_model(path, _Template, "header template", MissionError)
 
 
 def _card(card: tuple[str, Value, str], known: Mapping[str, Any], missing: float, file: str) -> Card:

@@ -23,6 +23,7 @@ from opnav_workbench.render import BodyModel
 from opnav_workbench.scene import Observer
 from opnav_workbench.simulation.attitude_path import AttitudePath, CameraMotion, kernel_path, moving_path
 from opnav_workbench.simulation.detector_values import detector_values
+from opnav_workbench.simulation.flight_fits import dark_columns_of
 from opnav_workbench.simulation.inputs import PictureInputs
 from opnav_workbench.simulation.scenario import PictureScenario
 from opnav_workbench.simulation.scenario_parts import PictureEntry
@@ -68,7 +69,9 @@ class Workshop:
     mission: Mission
     catalog: Catalog
     surfaces: Mapping[str, Surface]
-    _cameras: dict[str, Camera] = field(default_factory=dict, repr=False)  # read once, by the cards that tell them
+    _cameras: dict[str, Camera] = field(
+        default_factory=dict, repr=False
+    )  # read once, by the cards that tell them
 
     @classmethod
     def open(cls, scenario: PictureScenario) -> "Workshop":
@@ -153,7 +156,7 @@ class Workshop:
             effects=scenario.detector,
             switches=scenario.switches,
             level=picture.level,
-            dark_columns=dark_columns(self.mission, camera) if picture.level == "raw" else 0,
+            dark_columns=dark_columns_of(self.mission, camera) if picture.level == "raw" else 0,
             seed=seed,
             header=self._header(task),
         )

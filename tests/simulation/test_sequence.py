@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from astropy.io import fits
 from PIL import Image
 
 from opnav_workbench.errors import MissionError, SessionError
@@ -109,6 +110,21 @@ def test_a_picture_alone_is_the_same_as_among_others(made, tmp_path):
 def test_another_seed_is_another_picture(made, tmp_path):
     simulate(scenario(seed=4), tmp_path, only=["lorri"])
     assert (tmp_path / "lorri.fit").read_bytes() != (made[0] / "lorri.fit").read_bytes()
+
+
+def test_a_raw_picture_has_bias_and_dark_columns_and_is_read_like_one(made, tmp_path):
+    raw = scenario(pictures=[LORRI_4X4 | {"level": "raw"}])
+    (report,) = simulate(raw, tmp_path)
+    with fits.open(report.files[0]) as hdus:
+        assert hdus[0].data.shape == (256, 257)  # one dark column in 4x4
+        assert hdus[0].data.dtype.kind in "ui"
+    mission = load_mission("new_horizons")
+    frame = read_image(report.files[0], KeywordMap(**mission.keywords))
+    assert frame.image_dn.shape == (256, 256)
+    assert np.median(frame.image_dn) == pytest.approx(538.0, abs=2.0)  # the header's bias
+    calibrated = read_image(made[0] / "lorri.fit", KeywordMap(**mission.keywords))
+    difference = frame.image_dn - calibrated.image_dn  # the same noise, less bias and smear
+    assert np.std(difference) < 2.0
 
 
 def test_only_takes_names_of_pictures_and_series():
