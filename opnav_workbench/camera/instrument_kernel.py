@@ -203,7 +203,10 @@ def _check_ifov(pool: Values, focal_mm: float, pitch_mm: float) -> None:
     if "IFOV" not in pool:
         return
     # One value, or one along each axis; microradians as a rule, radians in Dawn's kernels.
-    stated, computed = float(np.array(pool["IFOV"], dtype=np.float64).flat[0]), pitch_mm / focal_mm * PER_MICRO
+    stated, computed = (
+        float(np.array(pool["IFOV"], dtype=np.float64).flat[0]),
+        pitch_mm / focal_mm * PER_MICRO,
+    )
     if all(abs(value - computed) > IFOV_TOLERANCE * computed for value in (stated, stated * PER_MICRO)):
         raise CameraError(
             f"IFOV {stated} microrad in the instrument kernel is not PIXEL_SIZE {pitch_mm / MM_PER_UM} um "
