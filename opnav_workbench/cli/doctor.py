@@ -72,8 +72,8 @@ def _kernels() -> Iterator[Finding]:
     if not names:
         yield Finding("kernels", str(kernels_meta_dir()), "missing", "no kernel sets; reinstall the package")
     for name in names:
-        yield Finding("kernels", name, "ok", "built on first use from tabulated states")
-    yield Finding("kernels", "flight kernels", "note", "give your own with --kernels METAKERNEL or a folder")
+        yield Finding("kernels", name, "ok", "made from its scenario at first use")
+    yield Finding("kernels", "flight kernels", "note", "give your own with --kernels, or: opnav kernels fetch MISSION")
 
 
 def _catalogs() -> Iterator[Finding]:

@@ -1,7 +1,6 @@
 """Bodies as the camera sees them: surfaces, scattering laws, albedo maps, and their light spread over pixels.
 
 scattering, roughness, laws   how bright a surface element is, per unit albedo; laws by name
-disk_functions                closed forms for whole spheres
 maps                          albedo against longitude and latitude
 surface, ellipsoid            what a ray meets: the protocol, and triaxial ellipsoids
 plates, shape                 shape models of triangular plates, with the shadows they cast
@@ -13,7 +12,6 @@ disk, bodies                  a resolved body in the picture; `render_bodies`: a
 
 from opnav_workbench.render.bodies import RenderedBody, Rendering, render_bodies
 from opnav_workbench.render.body import BodyModel
-from opnav_workbench.render.disk_functions import lambert_phase_function, lommel_seeliger_phase_function
 from opnav_workbench.render.laws import law_from_mapping
 from opnav_workbench.render.maps import AlbedoMap
 from opnav_workbench.render.scattering import (
@@ -38,8 +36,6 @@ __all__ = [
     "Rendering",
     "ScatteringLaw",
     "ShapeModel",
-    "lambert_phase_function",
     "law_from_mapping",
-    "lommel_seeliger_phase_function",
     "render_bodies",
 ]
