@@ -29,10 +29,14 @@ def check_cone(ra_rad: float, dec_rad: float, radius_rad: float) -> None:
     """Raise a CatalogError unless the numbers are those of a cone on the sky."""
     if not (math.isfinite(ra_rad) and abs(dec_rad) <= 0.5 * math.pi):
         raise CatalogError(
-            f"cone center RA {ra_rad} rad, dec {dec_rad} rad is no direction; give |dec| <= pi/2."
+            f"cone center RA {math.degrees(ra_rad):.6g} deg, dec {math.degrees(dec_rad):.6g} deg is no direction; "
+            "give a declination of -90 to 90 deg (-pi/2 to pi/2 rad)."
         )
     if not 0.0 <= radius_rad <= math.pi:
-        raise CatalogError(f"cone radius {radius_rad} rad is out of range; give 0 to pi.")
+        raise CatalogError(
+            f"cone radius {radius_rad:.6g} rad is out of range: {math.degrees(radius_rad):.6g} deg; "
+            "give 0 to 180 deg (pi rad)."
+        )
 
 
 def check_limits(mag_limit: float, et_s: float | None) -> None:

@@ -35,6 +35,7 @@ FASTEST_RAD_YR = math.radians(10.4 / 3600.0)  # Barnard's star
 # Added to a cone that is fetched, so that the next pictures of a sequence are served by it too.
 FETCH_MARGIN = 1.1
 TIMEOUT_S = 120.0
+REASON_CHARS = 120  # of what went wrong in the network, in a message
 CONE_MEMBER = "__cone__"
 # What reading a damaged file may raise; it counts as none, and its cone will be fetched again.
 DAMAGED = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError)
@@ -95,9 +96,18 @@ def ask_vizier(layout: VizierTable, cone: FetchedCone) -> Table:
             center, radius=cone.radius_deg * u.deg, catalog=layout.table, cache=False
         )
     except Exception as error:  # every kind of network failure, and what astroquery makes of it
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise CatalogError(f"VizieR did not answer: {reason}") from error
+        raise CatalogError(
+            f"VizieR did not answer ({_reason(error)}); check the network and try again."
+        ) from error
     return answer[0] if len(answer) else Table({name: np.empty(0) for name in layout.columns})
+
+
+def _reason(error: Exception) -> str:
+    """Return the innermost cause in a few words; what wraps it repeats the address and names classes."""
+    while error.__context__ is not None and isinstance(error.__context__, Exception):
+        error = error.__context__
+    words = " ".join(str(error).split()) or type(error).__name__
+    return words if len(words) <= REASON_CHARS else f"{words[:REASON_CHARS]}..."
 
 
 class VizierCatalog(Catalog):

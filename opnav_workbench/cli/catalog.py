@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog, StarQuality, StarTable, catalog_status, open_catalog, open_vizier
 from opnav_workbench.catalog.priors import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.cli.kernels_output import plain_table
@@ -145,6 +146,9 @@ def cone(
         typer.echo(json_text({"catalog": spec, "epoch_jyear": epoch, "stars": list(_rows(stars, et_s))}))
     else:
         _print_stars(stars, et_s, every=every)
+        for path in (plot, out):
+            if path is not None:
+                Console().print(f"Written: {escape(str(path))}", highlight=False, soft_wrap=True)
 
 
 def _opened(spec: str) -> Catalog:
@@ -180,15 +184,23 @@ def _flags(names: str | None) -> StarQuality:
 
 
 def _print_facts(catalog: Catalog) -> None:
-    table = Table(box=None, show_header=False, pad_edge=False)
-    table.add_column(style="bold")
-    table.add_column(overflow="fold")
-    for key, value in catalog.describe().items():
-        table.add_row(key.replace("_", " "), escape(_plain(value)))
-    Console().print(table)
+    console = Console()
+    facts = dict(catalog.describe())
+    parts = facts.pop("parts", ())  # of a merged catalog, each a catalog of its own
+    for number, told in enumerate((facts, *parts)):
+        table = Table(box=None, show_header=False, pad_edge=False)
+        table.add_column(style="bold")
+        table.add_column(overflow="fold")
+        for key, value in told.items():
+            table.add_row(key.replace("_", " "), escape(_plain(value)))
+        if number:
+            console.print()
+        console.print(table)
 
 
 def _plain(value: Any) -> str:
+    if value is None:
+        return "none"
     if isinstance(value, float):
         return "unknown" if math.isnan(value) else f"{value:.2f}".rstrip("0").rstrip(".")
     if isinstance(value, dict):
@@ -205,8 +217,17 @@ def _places_deg(stars: StarTable, et_s: float | None) -> tuple[Any, Any]:
     return np.degrees(ra), np.degrees(dec)
 
 
+def _place_sigmas_rad(stars: StarTable, et_s: float | None) -> FloatArray:
+    """Return the sigmas (n, 2) of the places shown: at another epoch the motion's uncertainty is in them."""
+    if et_s is None or len(stars) == 0:
+        return stars.sigma[:, :2]
+    covariance = stars.sky_covariance(et_s)
+    return np.sqrt(covariance[:, [0, 1], [0, 1]])
+
+
 def _rows(stars: StarTable, et_s: float | None) -> Iterator[dict[str, Any]]:
     ra, dec = _places_deg(stars, et_s)
+    sigma_mas = _place_sigmas_rad(stars, et_s) / RAD_PER_MAS
     for i in range(len(stars)):
         known = bool(stars.motion_known[i])
         yield {
@@ -223,7 +244,7 @@ def _rows(stars: StarTable, et_s: float | None) -> Iterator[dict[str, Any]]:
             "parallax_mas": stars.parallax_rad[i] / RAD_PER_MAS,
             "rv_km_s": stars.rv_km_s[i],
             "epoch_jyear": stars.epoch_jyear[i],
-            "sigma_mas": (stars.sigma[i, :2] / RAD_PER_MAS).tolist(),
+            "sigma_mas": sigma_mas[i].tolist(),
             "flags": _flag_names(int(stars.flags[i])),
         }
 

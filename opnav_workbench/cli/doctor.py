@@ -73,7 +73,9 @@ def _kernels() -> Iterator[Finding]:
         yield Finding("kernels", str(kernels_meta_dir()), "missing", "no kernel sets; reinstall the package")
     for name in names:
         yield Finding("kernels", name, "ok", "made from its scenario at first use")
-    yield Finding("kernels", "flight kernels", "note", "give your own with --kernels, or: opnav kernels fetch MISSION")
+    yield Finding(
+        "kernels", "flight kernels", "note", "give your own with --kernels, or: opnav kernels fetch MISSION"
+    )
 
 
 def _catalogs() -> Iterator[Finding]:

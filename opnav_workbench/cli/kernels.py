@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     DownloadColumn,
@@ -109,6 +110,7 @@ def check(
         print_check(Console(), found)
         if picture is not None:
             write_coverage(found, picture)
+            Console().print(f"Written: {escape(str(picture))}", highlight=False, soft_wrap=True)
     if not found.ok:
         raise typer.Exit(EXIT_GAP)
 

@@ -18,7 +18,7 @@ from opnav_workbench.spice.timeline import covered_share
 __all__ = ["print_check"]
 
 OTHER_COLUMNS = 78  # characters of the coverage table beside its bars
-SHORTEST_BAR, LONGEST_BAR = 8, 60
+SHORTEST_BAR, LONGEST_BAR = 6, 60  # at 80 columns a frame such as NH_SPACECRAFT still fits beside it
 MINUTES = 16  # characters of a time to the minute
 FULL, PART, EMPTY, HERE = "█", "▒", "·", "┃"
 ALL_BUT = 0.999  # a cell covered this far is drawn full: windows end within a second of each other
@@ -71,7 +71,7 @@ def _files(paths: Sequence[Path]) -> str:
 
 def _coverage(check: KernelCheck, axis: tuple[float, float], width: int) -> Table:
     cells = int(np.clip(width - OTHER_COLUMNS, SHORTEST_BAR, LONGEST_BAR))
-    table = plain_table(("kind", "of", "from (UTC)", "to (UTC)", "coverage"))
+    table = plain_table(("kind", "of", "from (UTC)", "to (UTC)", "cover"))
     if check.et is not None:
         table.add_column("then", no_wrap=True)
     last = ""

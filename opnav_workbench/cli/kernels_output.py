@@ -31,7 +31,7 @@ def plain_table(columns: Sequence[str], title: str | None = None) -> Table:
     """Return an empty table in the house style: no lines; words fold, times and numbers do not."""
     table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for name in columns:
-        table.add_column(name, overflow="fold", no_wrap=name.endswith("(UTC)") or name == "coverage")
+        table.add_column(name, overflow="fold", no_wrap=name.endswith("(UTC)") or name == "cover")
     return table
 
 

@@ -1,5 +1,6 @@
 """``opnav simulate``: pictures with known truth, from a scenario file."""
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -98,13 +99,17 @@ def _run(
     )
     with progress:
         task = progress.add_task("opening kernels and catalog", total=count)
-        return simulate_pictures(
-            scenario,
-            out,
-            jobs=processes,
-            only=only,
-            done=lambda report: progress.update(task, advance=1, description=escape(report.name)),
-        )
+        try:
+            return simulate_pictures(
+                scenario,
+                out,
+                jobs=processes,
+                only=only,
+                done=lambda report: progress.update(task, advance=1, description=escape(report.name)),
+            )
+        except KeyboardInterrupt:
+            errors.print(f"stopped; the finished pictures are kept in {escape(str(out))}/", highlight=False)
+            raise
 
 
 def _listing() -> Table:
@@ -152,7 +157,7 @@ def _body_table(reports: Sequence[PictureReport]) -> Table:
                 escape(report.name),
                 escape(body.name),
                 body.regime,
-                *(f"{value:.2f}" for value in body.center_px),
+                *("–" if math.isnan(value) else f"{value:.2f}" for value in body.center_px),
                 f"{body.diameter_px:.2f}",
                 f"{body.snr:.0f}",
                 f"{body.occulted_fraction:.0%}",

@@ -56,7 +56,11 @@ def unit_from_radec(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
     array([1., 0., 0.])
     """
     ra, dec = np.broadcast_arrays(np.asarray(ra_rad, float), np.asarray(dec_rad, float))
-    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+    cos_dec = np.cos(dec)
+    vectors = np.empty((*ra.shape, 3))
+    vectors[..., 0], vectors[..., 1] = cos_dec * np.cos(ra), cos_dec * np.sin(ra)
+    vectors[..., 2] = np.sin(dec)
+    return vectors
 
 
 def radec_from_unit(directions: ArrayLike) -> tuple[FloatArray, FloatArray]:

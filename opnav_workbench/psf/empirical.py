@@ -11,14 +11,13 @@ from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.psf.extraction import cells_from_stars
-from opnav_workbench.psf.protocol import checked_centers
-from opnav_workbench.psf.table import PixelTable
+from opnav_workbench.psf.table import PixelTable, TablePsf
 
 __all__ = ["EmpiricalPsf"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EmpiricalPsf:
+class EmpiricalPsf(TablePsf):
     """A template of the light itself, before integration over pixels; pixel shares are its own cells summed.
 
     Attributes
@@ -112,25 +111,3 @@ class EmpiricalPsf:
         """Write the template as an npz file with the arrays ``samples`` and ``oversampling``."""
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, samples=self.samples, oversampling=self.oversampling)
-
-    @property
-    def half_size_px(self) -> float:
-        """Half the side of the square outside which the template is empty."""
-        return self._table.half_size_px
-
-    @property
-    def sigma_px(self) -> FloatArray:
-        """Root of the second moments along pixel and line (2,), about the center of light."""
-        return readonly(self._table.sigma_px)
-
-    def box(self, center_px: ArrayLike, first: ArrayLike, size: int) -> FloatArray:
-        """Return the shares (n, size, size); see `Psf.box`."""
-        return self._table.box(checked_centers(center_px), np.asarray(first, dtype=np.float64), size)
-
-    def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
-        """Return the shares in cells of 1/subsample px, (k, k); see `Psf.kernel`."""
-        return self._table.kernel(subsample, shift_px)
-
-    def at(self, pixel_line: ArrayLike) -> "EmpiricalPsf":  # noqa: ARG002 - the protocol's signature
-        """Return itself."""
-        return self

@@ -3,12 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray, readonly
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import CameraError
-from opnav_workbench.psf.protocol import checked_centers, require_positive
-from opnav_workbench.psf.table import PixelTable
+from opnav_workbench.psf.protocol import require_positive
+from opnav_workbench.psf.table import PixelTable, TablePsf
 
 __all__ = ["MoffatPsf"]
 
@@ -18,7 +17,7 @@ NODES_PER_CELL = 4  # Gauss-Legendre: exact to 1e-12 for cells of 1/20 of the wi
 
 
 @dataclass(frozen=True, slots=True)
-class MoffatPsf:
+class MoffatPsf(TablePsf):
     """A round Moffat profile, ``(1 + r^2 / a^2)^-beta``; shares are good to 1e-6 of the flux.
 
     Its wings never end. Where less than `cut_share` of the light is left outside, they are cut off (on a square
@@ -60,28 +59,6 @@ class MoffatPsf:
             )
         per_px = max(MIN_OVERSAMPLING, int(np.ceil(CELLS_PER_FWHM / self.fwhm_px)))
         object.__setattr__(self, "_table", PixelTable.from_cells(self._cells(per_px), per_px))
-
-    @property
-    def half_size_px(self) -> float:
-        """Half the side of the square outside which the wings are cut off."""
-        return self._table.half_size_px
-
-    @property
-    def sigma_px(self) -> FloatArray:
-        """Root of the second moments of what is not cut off, along pixel and line (2,)."""
-        return readonly(self._table.sigma_px)
-
-    def box(self, center_px: ArrayLike, first: ArrayLike, size: int) -> FloatArray:
-        """Return the shares (n, size, size); see `Psf.box`."""
-        return self._table.box(checked_centers(center_px), np.asarray(first, dtype=np.float64), size)
-
-    def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
-        """Return the shares in cells of 1/subsample px, (k, k); see `Psf.kernel`."""
-        return self._table.kernel(subsample, shift_px)
-
-    def at(self, pixel_line: ArrayLike) -> "MoffatPsf":  # noqa: ARG002 - the protocol's signature
-        """Return itself."""
-        return self
 
     def _cells(self, per_px: int) -> FloatArray:
         """Shares in cells of 1/per_px px (not normalised), one quadrant computed and mirrored."""

@@ -18,11 +18,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.ndimage import spline_filter
 
-from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly
 from opnav_workbench.errors import CameraError
-from opnav_workbench.psf.protocol import cell_shift
+from opnav_workbench.psf.protocol import cell_shift, checked_centers
 
-__all__ = ["PixelTable", "bspline_weights"]
+__all__ = ["PixelTable", "TablePsf", "bspline_weights"]
 
 PADDING_CELLS = 4  # empty cells around, in which the spline filter rings off (factor 0.27 a cell)
 CHUNK_PIXELS = 150_000  # pixels of boxes worked on at once: their arrays stay in the processor's cache
@@ -135,6 +135,35 @@ class PixelTable:
             known = index >= 0  # below the first cell the cumulated share is 0, above the last it stays
             np.add.at(weights, (row[known], np.minimum(index[known], n_cell - 1)), spline[known, tap])
         return weights
+
+
+class TablePsf:
+    """What every PSF that lies in a table does; see `opnav_workbench.psf.Psf`."""
+
+    __slots__ = ()
+    _table: PixelTable
+
+    @property
+    def half_size_px(self) -> float:
+        """Half the side of the square outside which there is no light."""
+        return self._table.half_size_px
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """Root of the second moments along pixel and line (2,), about the center of light."""
+        return readonly(self._table.sigma_px)
+
+    def box(self, center_px: ArrayLike, first: ArrayLike, size: int) -> FloatArray:
+        """Return the shares (n, size, size); see `Psf.box`."""
+        return self._table.box(checked_centers(center_px), np.asarray(first, dtype=np.float64), size)
+
+    def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
+        """Return the shares in cells of 1/subsample px, (k, k); see `Psf.kernel`."""
+        return self._table.kernel(subsample, shift_px)
+
+    def at(self, pixel_line: ArrayLike) -> Self:  # noqa: ARG002 - the protocol's signature
+        """Return itself."""
+        return self
 
 
 def bspline_weights(fraction: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ where `opnav_workbench.scene.predict_body` puts it. Bodies hide each other and c
 
 regime  diameter   how
 point   < 1 px     four points that have the light, the center of light and the second moments of the disk
-small   1..4 px    every pixel divided (AAS 13-443: 5 x 5; here 16 x 16 and more), scaled to the body's light
+small   1..4 px    every pixel divided: 4 x 4 cells, edges 32 x 32 (AAS 13-443: 5 x 5); light and center are the body's
 disk    > 4 px     pixels divided where limb, terminator, shadow or pattern ask for it
 
 The light itself (flux, center, moments) is integrated over the surface, independent of the pixels, so that it does not
@@ -120,7 +120,7 @@ def render_bodies(
     camera_from_j2000: ArrayLike,
     observer_velocity_km_s: ArrayLike,
     *,
-    psf: Psf,
+    psf: Psf | Sequence[Psf],
     sunlight_e: float,
     window: Window | None = None,
 ) -> Rendering:
@@ -133,7 +133,7 @@ def render_bodies(
     camera_from_j2000 : (3, 3) array_like
     observer_velocity_km_s : (3,) array_like
         With respect to the solar-system barycenter, J2000; zero switches stellar aberration off.
-    psf : Psf
+    psf : Psf, or one for each model
         Taken at each body's center (`Psf.at`).
     sunlight_e : float
         Electrons that the Sun at 1 au would give as a point (``camera.sunlight_e(exposure_s)``). A pixel of solid angle
@@ -181,6 +181,7 @@ def render_bodies(
     )
     if min(view.window[2:]) < 1:
         raise CameraError(f"window {view.window} is empty; give first pixel, first line, pixels, lines.")
+    each_psf = psf if isinstance(psf, Sequence) else [psf] * len(models)
     placed = {
         i: PlacedBody(model, camera.pixel_scale_rad) for i, model in enumerate(models) if not model.is_point
     }
@@ -189,10 +190,10 @@ def render_bodies(
     view = replace(view, placed=tuple(placed.values()))
     picture = np.zeros((view.window[3], view.window[2]))
     bodies = tuple(
-        _render_point(picture, model, view, psf)
+        _render_point(picture, model, view, own_psf)
         if i not in placed
-        else _render_body(picture, placed[i], view, psf, sunlight_e)
-        for i, model in enumerate(models)
+        else _render_body(picture, placed[i], view, own_psf, sunlight_e)
+        for i, (model, own_psf) in enumerate(zip(models, each_psf, strict=True))
     )
     np.maximum(picture, 0.0, out=picture)  # rounding of the FFT
     return Rendering(picture, view.window, bodies, view)

@@ -71,7 +71,8 @@ class BodyModel:
         )
         if self.target.body_from_j2000 is None and not round_and_plain:
             raise MissionError(
-                f"{name}: its orientation is unknown, but its shape or map needs it; give body_from_j2000."
+                f"{name}: its orientation is unknown, but its shape or map needs it; give body_from_j2000 (its pole and "
+                "spin in a PCK), or make it a plain sphere (radius_km)."
             )
 
     @property

@@ -25,6 +25,7 @@ def add_spread_light(
     divided: IntArray,
     cells: FloatArray,
     psf: Psf,
+    shift_px: FloatArray,
 ) -> None:
     """Add the light of a window to `picture` in place; what falls off its edges is lost.
 
@@ -39,12 +40,15 @@ def add_spread_light(
         Flat indices into `whole` of the divided pixels.
     cells : (n, s, s) array
         Their light, [line, pixel].
+    psf : Psf
+    shift_px : (2,) array
+        By which all of it is moved, (pixel, line).
     """
     if whole.any():
-        _add_whole(picture, first, whole, psf)
+        _add_whole(picture, first, whole, psf, shift_px)
     if len(divided) == 0:
         return
-    kernels = _cell_kernels(psf, cells.shape[1], -1.0)
+    kernels = _cell_kernels(psf, shift_px, cells.shape[1], -1.0)
     size = kernels.shape[-1]
     line, pixel = np.divmod(divided, whole.shape[2])
     corner = np.stack([pixel + first[0], line + first[1]], axis=-1) - size // 2
@@ -55,8 +59,10 @@ def add_spread_light(
         add_boxes(picture, boxes.reshape(-1, size, size), corner[part])
 
 
-def _add_whole(picture: FloatArray, first: tuple[int, int], whole: FloatArray, psf: Psf) -> None:
-    cells = _cell_kernels(psf, CELLS_OF_WHOLE, +1.0)
+def _add_whole(
+    picture: FloatArray, first: tuple[int, int], whole: FloatArray, psf: Psf, shift_px: FloatArray
+) -> None:
+    cells = _cell_kernels(psf, shift_px, CELLS_OF_WHOLE, +1.0)
     at = (np.arange(CELLS_OF_WHOLE) + 0.5) / CELLS_OF_WHOLE - 0.5
     kernels = np.stack([cells, cells * at[:, None, None], cells * at[:, None, None, None]]).mean(axis=(1, 2))
     reach = kernels.shape[-1] // 2
@@ -70,10 +76,10 @@ def _add_whole(picture: FloatArray, first: tuple[int, int], whole: FloatArray, p
     into += spread[top : top + into.shape[0], left : left + into.shape[1]]
 
 
-def _cell_kernels(psf: Psf, cells: int, width_sign: float) -> FloatArray:
+def _cell_kernels(psf: Psf, shift_px: FloatArray, cells: int, width_sign: float) -> FloatArray:
     """Return the shares (s, s, k, k) in whole pixels of the light of each cell of a pixel, which lies in the middle."""
     # Second differences of a kernel, over 24, are the effect of a cell's own width.
-    fine = np.pad(psf.kernel(cells), 1)
+    fine = np.pad(psf.kernel(cells, shift_px), 1)
     bend = sum(np.roll(fine, k, axis) for k in (1, -1) for axis in (0, 1)) - 4.0 * fine
     lines = _summed_by_pixel(fine + width_sign / 24.0 * bend, cells)  # [cell, pixel, kernel element]
     both = _summed_by_pixel(np.moveaxis(lines, 2, 0), cells)  # [pixel cell, pixel, line cell, line]

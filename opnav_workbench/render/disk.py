@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import angle_between, apparent_direction
@@ -85,8 +85,9 @@ def add_disk(
 ) -> None:
     """Add a resolved body's light to `picture` in place: `scale` electrons per unit of I/F times sunlight times sr.
 
-    With `everywhere` every pixel of the body is divided. `own_light`, 0..1, is how far the pixels' sum is brought to the
-    body's light as a whole: cells of 1/32 px hold the light of a thin crescent of 4 px to 2 % only.
+    With `everywhere` every pixel of the body is divided. `own_light`, 0..1, is how far the pixels' sum and center are
+    brought to those of the body's light as a whole: cells of 1/32 px hold the light of a thin crescent of 4 px to 2 % and
+    0.02 px only.
     """
     here = psf.at(prediction.pixel_line) if np.isfinite(prediction.pixel_line).all() else psf
     window, whole_body = _covered(_outline_px(body, prediction, view), view, int(np.ceil(here.half_size_px)))
@@ -105,12 +106,27 @@ def add_disk(
     whole = samples.whole * per_pixel
     per_cell = per_pixel.ravel()[samples.divided] / np.prod(samples.cells.shape[1:])
     cells = samples.cells * per_cell[:, None, None]
+    shift = np.zeros(2)
     found = float(whole[0].sum() + cells.sum())
     if whole_body and found > 0.0:
         correction = 1.0 + own_light * (scale * light.seen / found - 1.0)
         whole, cells = whole * correction, cells * correction
+        shift = own_light * (light.center_px - _center_px(window, whole, samples.divided, cells))
     first = (window[0] - view.window[0], window[1] - view.window[1])
-    add_spread_light(picture, first, whole, samples.divided, cells, here)
+    add_spread_light(picture, first, whole, samples.divided, cells, here, shift)
+
+
+def _center_px(window: Window, whole: FloatArray, divided: IntArray, cells: FloatArray) -> FloatArray:
+    """Return the center of light (2,), (pixel, line), of what `add_spread_light` takes."""
+    line, pixel = np.divmod(divided, window[2])
+    at = (np.arange(cells.shape[1]) + 0.5) / cells.shape[1] - 0.5
+    each, total = cells.sum(axis=(1, 2)), whole[0].sum() + cells.sum()
+    # A slope of one over a pixel moves its center by 1/12 px.
+    along = whole[0].sum(axis=0) @ np.arange(window[2]) + whole[1].sum() / 12.0
+    down = whole[0].sum(axis=1) @ np.arange(window[3]) + whole[2].sum() / 12.0
+    along += pixel @ each + cells.sum(axis=(0, 1)) @ at
+    down += line @ each + cells.sum(axis=(0, 2)) @ at
+    return np.asarray(np.array(window[:2]) + np.array([along, down]) / total)
 
 
 def _fineness(model: BodyModel) -> Fineness:

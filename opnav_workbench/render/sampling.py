@@ -2,8 +2,9 @@
 
 Every pixel of the window gets a ray through its center. Pixels that an edge may cross, and those whose brightness bends
 too much between its neighbours, are divided into 4 x 4 cells; cells where the same holds again into 4 x 4, and those into
-2 x 2. For small bodies every pixel near the body is divided: AAS 13-443 asks for 5 x 5 cells there, on which a limb is
-off by up to 1/10 px.
+2 x 2. For small bodies every pixel near the body is divided. AAS 13-443 takes 5 x 5 cells there, on which a limb is off
+by up to 1/10 px. Here it is 4 x 4, and 32 by 32 at edges: finer than the paper's where it matters, and a lattice that the
+32 x 32 rays of a brute-force reference share, so that the two differ by errors of this program alone.
 
 The result is a mean brightness and its slopes for every pixel left whole, and mean brightnesses of 16 x 16 cells for every
 pixel that was divided. An edge falls on the wrong side of half a finest cell at most, 1/64 px.

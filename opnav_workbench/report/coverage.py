@@ -70,6 +70,7 @@ def coverage_figure(check: KernelCheck) -> Figure:
 def _draw_row(axes: Axes, number: int, row: CoverageRow, start: float, stop: float) -> None:
     bottom = (number - BAR_HEIGHT / 2, BAR_HEIGHT)
     axes.broken_barh(_clipped(row.windows_et, start, stop), bottom, color=COLORS[row.kind])
+    axes.broken_barh(_clipped(row.gaps_et, start, stop), bottom, color="white")  # so that a short one is seen
     axes.broken_barh(
         _clipped(row.overlaps_et, start, stop),
         bottom,

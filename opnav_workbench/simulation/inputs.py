@@ -40,9 +40,9 @@ class PictureInputs:
         Catalog stars around the field.
     bodies : tuple of BodyModel
         True states of the bodies, and how they look.
-    body_track_px : (k, 2) array or None
-        How the bodies move on the detector in equal parts of the exposure, from mid-exposure; None:
-        as `path` moves the sky.
+    body_tracks_px : tuple of (k, 2) array or None
+        For each body how it moves on the detector in equal parts of the exposure, from mid-exposure; None: as
+        `path` moves the sky. Empty: that for all.
     psf : Psf
     effects : DetectorEffects
     switches : Switches
@@ -65,7 +65,7 @@ class PictureInputs:
     stars: StarTable
     psf: Psf
     bodies: tuple[BodyModel, ...] = ()
-    body_track_px: FloatArray | None = None
+    body_tracks_px: tuple[FloatArray | None, ...] = ()
     effects: DetectorEffects = field(default_factory=DetectorEffects)
     switches: Switches = field(default_factory=Switches)
     level: Level = "calibrated"

@@ -127,7 +127,11 @@ def truth_of(
         picture.stars.on_detector,
         picture.star_hidden,
     )
-    bodies = [_body_truth(picture, body) for body in picture.rendering.bodies]
+    moved = picture.body_trails
+    bodies = [
+        _body_truth(picture, body, mean, float(length))
+        for body, mean, length in zip(picture.rendering.bodies, moved.mean_px, moved.length_px, strict=True)
+    ]
     return Truth(
         picture=path,
         mission=mission.name,
@@ -146,20 +150,22 @@ def truth_of(
     )
 
 
-def _body_truth(picture: SimulatedPicture, body: RenderedBody) -> BodyTruth:
+def _body_truth(
+    picture: SimulatedPicture, body: RenderedBody, moved_px: FloatArray, smear_px: float
+) -> BodyTruth:
     inputs = picture.inputs
     model = next(m for m in inputs.bodies if m.target.name == body.name)
     magnitude = model.target.magnitude
     return BodyTruth(
         name=body.name,
         center_px=body.center_px,
-        light_px=body.light_px,
+        light_px=body.light_px + moved_px,
         flux_e=body.flux_e,
         mag=float("nan") if magnitude is None else magnitude,
         diameter_px=body.diameter_px,
         on_detector=bool(inputs.camera.on_detector(body.center_px)),
         occulted_fraction=body.occulted_fraction,
-        smear_px=picture.body_smear_px,
+        smear_px=smear_px,
     )
 
 

@@ -12,6 +12,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.distortion import NoDistortion
 from opnav_workbench.catalog import StarTable
+from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import Psf
 from opnav_workbench.psf.trailed import TrailedPsf
 from opnav_workbench.render import Rendering, render_bodies
@@ -71,9 +72,14 @@ class SimulatedPicture:
         return self.inputs.path.middle
 
     @property
-    def body_smear_px(self) -> float:
-        """Length of the bodies' trail, px."""
-        return body_track(self.inputs, _optics(self.inputs.camera, self.inputs.switches))[1]
+    def body_trails(self) -> Trails:
+        """How each body moves, as offsets from its place at mid-exposure."""
+        each = [trails(track[None]) for track in _body_tracks(self.inputs)]
+        return Trails(
+            middle_px=np.zeros((len(each), 2)),
+            mean_px=np.reshape([t.mean_px for t in each], (-1, 2)),
+            length_px=np.ravel([t.length_px for t in each]),
+        )
 
     @property
     def star_drawn(self) -> BoolArray:
@@ -146,18 +152,20 @@ def _bodies(inputs: PictureInputs, optics: Camera, observer: Observer) -> Render
         optics,
         inputs.path.middle,
         observer.velocity_km_s,
-        psf=_body_psf(inputs, optics),
+        psf=[_smeared(inputs.psf, track) for track in _body_tracks(inputs)],
         sunlight_e=inputs.camera.sunlight_e(inputs.exposure_s),
     )
 
 
-def _body_psf(inputs: PictureInputs, optics: Camera) -> Psf:
-    """Return the PSF, drawn out along the way that bodies take during the exposure."""
-    track, _ = body_track(inputs, optics)
-    return inputs.psf if len(track) == 1 else TrailedPsf(inputs.psf, track, np.ones(len(track)))
+def _smeared(psf: Psf, track_px: FloatArray) -> Psf:
+    """Return the PSF, drawn out along the way that a body takes during the exposure."""
+    return psf if len(track_px) == 1 else TrailedPsf(psf, track_px, np.ones(len(track_px)))
 
 
-def body_track(inputs: PictureInputs, optics: Camera) -> tuple[FloatArray, float]:
-    """Return where the bodies are in equal parts of the exposure (k, 2), px from mid-exposure, and how far that is."""
-    track = inputs.path.offsets_px(optics) if inputs.body_track_px is None else inputs.body_track_px
-    return track, float(trails(track[None]).length_px[0])
+def _body_tracks(inputs: PictureInputs) -> list[FloatArray]:
+    """Return where each body is in equal parts of the exposure (k, 2), px from mid-exposure."""
+    given = inputs.body_tracks_px or (None,) * len(inputs.bodies)
+    if len(given) != len(inputs.bodies):
+        raise CameraError(f"{len(given)} tracks for {len(inputs.bodies)} bodies; give one for each, or none.")
+    sky = inputs.path.offsets_px(_optics(inputs.camera, inputs.switches))
+    return [sky if track is None else track for track in given]

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from pydantic import NonNegativeInt, PrivateAttr, field_validator
+from pydantic import NonNegativeInt, PositiveFloat, PrivateAttr, field_validator
 
 from opnav_workbench.errors import MissionError
 from opnav_workbench.resources import kernels_meta_dir
@@ -42,7 +42,7 @@ class PictureScenario(Strict):
     magnitude_limit: float = 30.0  # of catalog stars
     seed: NonNegativeInt = 0
     bodies: tuple[BodyOptions, ...] = ()
-    psf_sigma_px: tuple[float, float] | None = None  # in place of the camera's own PSF
+    psf_sigma_px: tuple[PositiveFloat, PositiveFloat] | None = None  # in place of the camera's own PSF
     detector: DetectorEffects = DetectorEffects()
     attitude: AttitudePlan = AttitudePlan()
     perturbations: Perturbations = Perturbations()

@@ -127,7 +127,7 @@ Albedo = Annotated[
 
 
 class ShapeFile(Strict):
-    """A shape model: an OBJ or cmod file in the body-fixed frame."""
+    """A shape model in the body-fixed frame: an OBJ or cmod file, or a DSK of type 2 (then `unit` is km)."""
 
     file: Path
     unit: Literal["m", "km"] = "km"
@@ -162,3 +162,10 @@ class BodyOptions(Strict):
         None  # None: the mission's, else the albedo
     )
     shape: ShapeFile | None = None  # None: the ellipsoid of the kernels
+    radius_km: PositiveFloat | None = None  # a sphere instead, as for a body whose spin is unknown
+
+    @model_validator(mode="after")
+    def _one_form(self) -> Self:
+        if self.shape is not None and self.radius_km is not None:
+            raise ValueError("give shape or radius_km, not both")
+        return self

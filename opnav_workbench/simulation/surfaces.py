@@ -4,6 +4,8 @@ import importlib.util
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import MissionError, OpNavError
@@ -42,12 +44,15 @@ class Surface:
         None: the mission's photometry where it knows the body, else the albedo.
     shape : ShapeModel or None
         None: the ellipsoid of the kernels.
+    radius_km : float or None
+        Of a sphere in place of that ellipsoid.
     """
 
     law: ScatteringLaw
     albedo: float | AlbedoMap
     brightness: Brightness | None
     shape: ShapeModel | None
+    radius_km: float | None = None
 
     def model(self, target: TargetState, mission: Mission, camera: Camera, exposure_s: float) -> BodyModel:
         """Return the body of one picture; its target then has the V magnitude, where that is known.
@@ -59,6 +64,8 @@ class Surface:
         CameraError
             The camera has no zero point.
         """
+        if self.radius_km is not None:
+            target = replace(target, radii_km=np.full(3, self.radius_km))
         magnitude, b_v = self._magnitude(target, mission)
         if magnitude is None:
             return BodyModel(target, self.law, self.albedo, shape=self.shape)
@@ -99,7 +106,7 @@ def surface_of(options: BodyOptions, scenario: PictureScenario, place: Location)
         law = law_from_mapping(options.law.model_dump())
     except OpNavError as error:
         raise scenario.fault((*place, field), str(error)) from error
-    return Surface(law, albedo, options.brightness, shape)
+    return Surface(law, albedo, options.brightness, shape, options.radius_km)
 
 
 def _albedo(albedo: Albedo, folder: Path) -> float | AlbedoMap:

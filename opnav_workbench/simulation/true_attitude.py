@@ -1,6 +1,7 @@
 """Predicted and true attitude of a picture: what the header says, and how the camera really stood."""
 
 import math
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from opnav_workbench.simulation.scenario_parts import ActualAttitude, PredictedA
 from opnav_workbench.spice import KernelSet, camera_attitude
 from opnav_workbench.spice.aiming import aim
 
-__all__ = ["predicted_attitude", "true_attitude"]
+__all__ = ["flown_kernels", "predicted_attitude", "true_attitude"]
 
 
 def predicted_attitude(plan: PredictedAttitude, camera: Camera, et: float) -> FloatArray:
@@ -63,10 +64,15 @@ def true_attitude(
         return misaligned(predicted, camera, picture_random(seed, "attitude_error"))
     if plan.source == "error":
         return shifted(predicted, camera, plan.shift_px, plan.twist_deg)
-    if plan.kernels is not None:
-        with KernelSet(kernel_source(plan.kernels, folder)):
+    if plan.source == "kernels":
+        with flown_kernels(plan, folder):
             return camera_attitude(camera.frame, et)
     return predicted
+
+
+def flown_kernels(plan: ActualAttitude, folder: Path) -> AbstractContextManager[object]:
+    """Return a context in which the kernels of the attitude as flown are open; nothing where the plan names none."""
+    return nullcontext() if plan.kernels is None else KernelSet(kernel_source(plan.kernels, folder))
 
 
 def kernel_source(named: str, folder: Path) -> str:

@@ -28,9 +28,9 @@ from opnav_workbench.simulation.inputs import PictureInputs
 from opnav_workbench.simulation.scenario import PictureScenario
 from opnav_workbench.simulation.scenario_parts import PictureEntry
 from opnav_workbench.simulation.surfaces import Surface, surface_of
-from opnav_workbench.simulation.true_attitude import predicted_attitude, true_attitude
+from opnav_workbench.simulation.true_attitude import flown_kernels, predicted_attitude, true_attitude
 from opnav_workbench.simulation.true_targets import true_observer, true_target
-from opnav_workbench.spice import body_id, et_from_utc
+from opnav_workbench.spice import body_id, camera_attitude, et_from_utc
 from opnav_workbench.yaml_file import Location
 
 __all__ = ["Task", "Workshop", "at", "picture_seed"]
@@ -114,6 +114,10 @@ class Workshop:
                 et = self._et(task)
                 true_observer(self.mission.spacecraft_id, et, self.scenario.perturbations)
                 predicted_attitude(self.scenario.attitude.predicted, camera, et)
+            plan = self.scenario.attitude.actual
+            if plan.kernels is not None:
+                with at(self.scenario, ("attitude", "actual", "kernels")):
+                    true_attitude(plan, np.eye(3), camera, et, 0, self.scenario.folder)
             self._bodies(task, camera, et)
 
     def camera(self, task: Task) -> Camera:
@@ -151,7 +155,7 @@ class Workshop:
             path=path,
             stars=self._stars(camera, path.middle, et),
             bodies=self._bodies(task, camera, et),
-            body_track_px=self._track(task, camera, path, et),
+            body_tracks_px=tuple(self._track(n, task, camera, path) for n in self.targets(task)),
             psf=self._psf(camera),
             effects=scenario.detector,
             switches=scenario.switches,
@@ -197,13 +201,14 @@ class Workshop:
     def _path(
         self, camera: Camera, predicted: FloatArray, et: float, exposure_s: float, seed: int
     ) -> AttitudePath:
-        plan = self.scenario.attitude
-        true = true_attitude(plan.actual, predicted, camera, et, seed, self.scenario.folder)
+        plan, folder = self.scenario.attitude, self.scenario.folder
+        true = true_attitude(plan.actual, predicted, camera, et, seed, folder)
         moving = CameraMotion(**plan.motion.model_dump(exclude={"from_kernels"}))
-        if plan.motion.from_kernels:
+        if not plan.motion.from_kernels:
+            return moving_path(camera, true, et, exposure_s, motion=moving, seed=seed)
+        with at(self.scenario, ("attitude", "motion", "from_kernels")), flown_kernels(plan.actual, folder):
             path = kernel_path(camera, et, exposure_s, motion=moving, seed=seed)
-            return path.turned(true @ predicted.T)
-        return moving_path(camera, true, et, exposure_s, motion=moving, seed=seed)
+            return path.turned(true @ camera_attitude(camera.frame, et).T)
 
     def _stars(self, camera: Camera, attitude: FloatArray, et: float) -> StarTable:
         ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))
@@ -233,24 +238,21 @@ class Workshop:
                 models.append(surface.model(target, self.mission, camera, task.picture.exposure_s))
         return tuple(models)
 
-    def _track(self, task: Task, camera: Camera, path: AttitudePath, et: float) -> FloatArray | None:
-        """Return how the first body moves on the detector during the exposure; None: as the sky does."""
-        names = self.targets(task)
-        if not names:
-            return None
-        half_s = 0.5 * task.picture.exposure_s
-        start, stop = (self._direction(names[0], et + t) for t in (-half_s, half_s))
-        time = (path.et - et) / (2.0 * half_s) + 0.5
-        directions = start + time[:, None] * (stop - start)
+    def _track(self, name: str, task: Task, camera: Camera, path: AttitudePath) -> FloatArray | None:
+        """Return how a body moves on the detector during the exposure; None: as the sky does, or out of sight."""
+        et, half_s = self._et(task), 0.5 * task.picture.exposure_s
+        start, stop = (self._direction(name, et + t) for t in (-half_s, half_s))
         if np.linalg.norm(stop - start) < STILL_PX * camera.pixel_scale_rad:
             return None
         if path.is_still:
-            moved = camera.project(np.stack([start, stop]) @ path.middle.T)
-            count = 2 * int(np.ceil(np.linalg.norm(moved[1] - moved[0]) / STEP_PX)) + 1
-            share = (np.arange(count) + 0.5) / count - 0.5
-            return np.asarray(share[:, None] * (moved[1] - moved[0]))
-        places = path.places(camera, directions[None])[0]
-        return np.asarray(places - places[len(path) // 2])
+            moved = np.diff(camera.project(np.stack([start, stop]) @ path.middle.T), axis=0)
+            if not np.isfinite(moved).all():
+                return None
+            count = 2 * int(np.ceil(np.linalg.norm(moved) / STEP_PX)) + 1
+            return np.asarray(((np.arange(count) + 0.5) / count - 0.5)[:, None] * moved)
+        time = (path.et - et) / (2.0 * half_s) + 0.5
+        places = path.places(camera, (start + time[:, None] * (stop - start))[None])[0]
+        return np.asarray(places - places[len(path) // 2]) if np.isfinite(places).all() else None
 
     def _direction(self, name: str, et: float) -> FloatArray:
         truth, spacecraft = self.scenario.perturbations, self.mission.spacecraft_id

@@ -146,8 +146,8 @@ def _windows_text(window: Coverage, et: float) -> str:
     distance = np.maximum(spans[:, 0] - et, et - spans[:, 1])
     nearest = np.sort(np.argsort(distance, kind="stable")[:SHOWN_WINDOWS])
     shown = ", ".join(f"{_stamp(start)} to {_stamp(stop)}" for start, stop in spans[nearest])
-    more = f" and {len(spans) - SHOWN_WINDOWS} windows farther away" if len(spans) > SHOWN_WINDOWS else ""
-    return shown + more
+    rest = len(spans) - SHOWN_WINDOWS
+    return shown + (f" and {rest} window{'' if rest == 1 else 's'} farther away" if rest > 0 else "")
 
 
 def _stamp(et: float) -> str:

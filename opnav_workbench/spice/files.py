@@ -127,6 +127,8 @@ def _text_kind(file: Path, text: bytes) -> str:
     if b"\x00" in text or b"\\begindata" not in text:
         shown = text[:SHOWN_BYTES].decode("ascii", "backslashreplace").split("\n")[0]
         reason = "zero bytes within text" if b"\\begindata" in text else f"it starts with {shown!r}"
+        if text.startswith(b"KPL/") and b"\x00" not in text:
+            reason = f"it says {shown!r} but has no \\begindata and so no data"
         raise KernelError(
             f"{file} is not a SPICE kernel: {reason} ({len(text)} bytes); fetch it again or give another."
         )

@@ -126,8 +126,9 @@ class _Builder:
     def _text_kernels(self, stem: str) -> list[str]:
         s = self.scenario
         sources = "\n".join(f"{b.name}: {b.source}" for b in s.bodies)
+        constants = pck_values(s)  # none for bodies without radii, mass and pole: other kernels have them
         return [
-            self._text("PCK", f"{stem}.tpc", pck_values(s), sources),
+            *([self._text("PCK", f"{stem}.tpc", constants, sources)] if constants else []),
             self._text("FK", f"{stem}.tf", frame_values(s)),
             self._text("IK", f"{stem}.ti", instrument_values(s)),
             self._text("SCLK", f"{stem}.tsc", clock_values(s)),

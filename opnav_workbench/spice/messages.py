@@ -37,7 +37,8 @@ _BAD_TIME = Message(
     "write it like 2015-07-14T11:49:57, 2015-195T11:49:57 or 2015 JUL 14 11:49:57",
 )
 _BAD_CLOCK = Message(
-    "the clock reading cannot be used ({detail})", "give a reading within the partitions of the SCLK kernel"
+    "the clock reading cannot be used ({detail})",
+    "give a reading, or a time, within the partitions of the SCLK kernel",
 )
 _BAD_TEXT = Message("the text kernel is malformed ({detail})", "correct that line or fetch the file again")
 _DAMAGED = Message("a kernel file is damaged or cut short ({detail})", "fetch or build that kernel again")

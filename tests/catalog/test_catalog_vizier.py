@@ -132,8 +132,11 @@ def test_the_real_service_out_of_reach_is_one_clear_error(tmp_path, monkeypatch)
 
     monkeypatch.setenv("OPNAV_CACHE", str(tmp_path))
     monkeypatch.setattr(requests.Session, "send", refuse)
-    with pytest.raises(CatalogError, match=r"did not answer.*opnav catalog fetch hip2 --cone"):
+    known = r"did not answer \(Name or service not known\); check the network"
+    with pytest.raises(CatalogError, match=rf"{known}.*opnav catalog fetch hip2 --cone"):
         open_catalog("vizier:hip2").cone(*HERE)
+    with pytest.raises(CatalogError, match=known):
+        open_catalog("vizier:hip2").fetch(10.0, 20.0, 0.1, None)
 
 
 def test_a_damaged_file_is_fetched_again(service, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from astropy.table import QTable
 from typer.testing import CliRunner
 
+from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.vizier import VizierCatalog
 from opnav_workbench.cli.catalog import catalog_app
 from opnav_workbench.errors import CatalogError
@@ -50,6 +51,12 @@ def test_info(three_stars):
     assert " 5" in shown
 
 
+def test_info_of_a_merged_catalog_tells_of_each_part(three_stars):
+    lines = run("info", f"{three_stars}+{three_stars}").splitlines()
+    assert sum(line.split()[:2] == ["n", "stars"] for line in lines) == 3  # the whole and its two parts
+    assert not any("n_stars" in line for line in lines)
+
+
 def test_cone_for_people(three_stars, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     lines = run("cone", three_stars, "10.1", "-20", "0.12").splitlines()
@@ -80,12 +87,23 @@ def test_places_at_an_epoch(three_stars):
     assert one["ra_deg"] == pytest.approx(10.0 + 20 * 0.100 / 3600.0 / np.cos(np.radians(20.0)), abs=1e-8)
 
 
+def test_sigmas_are_those_of_the_places_shown(three_stars, monkeypatch):
+    """Twenty years on the unknown motion of a star tells: 15 mas/yr, beside the 5 mas of its place."""
+    words = ("cone", three_stars, "10.1", "-20", "0.5")
+    then, later = (json.loads(run(*words, *more, "--json"))["stars"][2] for more in ((), ("--epoch", "2020")))
+    assert then["sigma_mas"] == pytest.approx([5.0, 5.0])
+    assert later["sigma_mas"] == pytest.approx([np.hypot(5.0, 20 * UNKNOWN_MOTION_MAS_YR)] * 2, rel=1e-3)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert run(*words, "--epoch", "2020").splitlines()[3].split()[-1] == f"{later['sigma_mas'][0]:.2f}"
+
+
 def test_magnitude_limit_plot_and_table(three_stars, tmp_path):
     chart, table = tmp_path / "chart.png", tmp_path / "stars.ecsv"
     shown = run(
         "cone", three_stars, "10.1", "-20", "0.5", "--mag", "8", "--plot", str(chart), "--out", str(table)
     )
     assert "2 stars" in shown
+    assert all(f"Written: {path}" in shown for path in (chart, table))
     assert chart.read_bytes().startswith(b"\x89PNG")
     assert list(QTable.read(table)["id"]) == ["two", "one"]
 
@@ -106,6 +124,15 @@ def test_empty_cone(three_stars, tmp_path):
 def test_wrong_options_say_so(three_stars, words, message):
     with pytest.raises(CatalogError, match=message):
         run("cone", three_stars, "10", "-20", "1", *words)
+
+
+@pytest.mark.parametrize(
+    ("dec", "radius", "message"),
+    [("-95", "1", r"dec -95 deg .* -90 to 90 deg"), ("20", "200", r"200 deg; give 0 to 180 deg")],
+)
+def test_numbers_off_the_sky_are_told_in_degrees(three_stars, dec, radius, message):
+    with pytest.raises(CatalogError, match=message):
+        run("cone", three_stars, "10", dec, radius)
 
 
 def test_fetch(monkeypatch):

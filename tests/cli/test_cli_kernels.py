@@ -5,16 +5,19 @@ import hashlib
 import http.server
 import re
 import threading
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
 
 from opnav_workbench.cli.kernels import EXIT_GAP, kernels_app
 from opnav_workbench.errors import KernelError, MissionError
+from opnav_workbench.report.coverage import coverage_figure
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.spice import KernelSet, known_names, packaged_leap_seconds
+from opnav_workbench.spice import KernelSet, check_kernels, known_names, packaged_leap_seconds
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 NARROW = WIDE | {"COLUMNS": "80"}
@@ -92,6 +95,7 @@ def test_check_fits_a_narrow_terminal(made):
     table = [line for line in answer.output.splitlines() if line.startswith(("kind", "spacecraft", "target"))]
     assert max(map(len, table)) <= 80
     assert "2015-04-09" in answer.output
+    assert re.search(r"NH_SPACECRAFT\s+2015-", answer.output)  # not folded
 
 
 def test_check_names_overlaps_and_the_winner(made):
@@ -102,12 +106,31 @@ def test_check_names_overlaps_and_the_winner(made):
 def test_check_draws(made, tmp_path):
     png = tmp_path / "coverage.png"
     arguments = ("check", made / "pluto_opnav.tm", "--time", "2015-04-09T12:00:00", "--picture", png)
-    assert _run(*arguments).exit_code == 0
+    answer = _run(*arguments)
+    assert answer.exit_code == 0
+    assert f"Written: {png}" in answer.output
     assert png.read_bytes().startswith(b"\x89PNG")
     assert len(png.read_bytes()) > 10_000
     first = png.read_bytes()
     _run(*arguments)
     assert png.read_bytes() == first
+
+
+def test_a_gap_too_short_for_the_picture_is_drawn_all_the_same(made):
+    found = check_kernels([made / "pluto_opnav.tm"])
+    attitude = next(row for row in found.rows if row.kind == "CK")
+    begin = float(attitude.windows_et[0, 0])
+    gap = np.array([[begin + 3600.0, begin + 3601.0]])  # a second, of a day
+    rows = tuple(replace(row, gaps_et=gap) if row is attitude else row for row in found.rows)
+    with packaged_leap_seconds() as lsk, KernelSet(lsk):
+        (axes,) = coverage_figure(replace(found, rows=rows)).axes
+    white = [
+        c for c in axes.collections if len(c.get_facecolor()) and c.get_facecolor()[0].tolist() == [1.0] * 4
+    ]
+    drawn = [path.get_extents() for collection in white for path in collection.get_paths()]
+    start, stop = found.axis_et()
+    assert [box.x0 for box in drawn] == pytest.approx([begin + 3600.0])
+    assert drawn[0].width >= 0.001 * (stop - start)
 
 
 def test_check_of_bad_input(made, tmp_path):

@@ -29,6 +29,19 @@ def test_light_and_center_follow_the_size(stage, center_of, phase_deg, center_px
     np.testing.assert_allclose(offset, np.tile(np.mean(offset[-30:], axis=0), (len(offset), 1)), atol=0.004)
 
 
+@pytest.mark.parametrize("diameter_px", [1.2, 2.5, 3.9])
+def test_a_small_crescent_has_its_own_center_of_light(stage, center_of, diameter_px):
+    rng = np.random.default_rng(4)
+    for place in rng.uniform([400.0, 600.0], [401.0, 601.0], (6, 2)):
+        model = stage.model(diameter_px, 149.0, LommelSeeliger(), place_px=place)
+        rendering = stage.render(model, window=WINDOW)
+        assert rendering.bodies[0].regime == "small"
+        # 0.02 px when left to cells of 1/32 px
+        np.testing.assert_allclose(
+            center_of(rendering.electrons, WINDOW[:2]), rendering.bodies[0].light_px, atol=2e-4
+        )
+
+
 @pytest.mark.parametrize(
     ("diameter_px", "limits", "phase_deg", "allowed"),
     [

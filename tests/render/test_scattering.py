@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from opnav_workbench.bodies import lambert_phase_function, lommel_seeliger_phase_function
 from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import AU_KM
 from opnav_workbench.render import (
@@ -11,9 +12,7 @@ from opnav_workbench.render import (
     LommelSeeliger,
     LunarLambert,
     Minnaert,
-    lambert_phase_function,
     law_from_mapping,
-    lommel_seeliger_phase_function,
 )
 
 ROUGH = Hapke(w=0.2, b0=1.0, h=0.06, asymmetry=-0.3, second_share=0.1, roughness_deg=25.0)

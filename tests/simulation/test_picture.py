@@ -8,6 +8,7 @@ import pytest
 from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
+from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import AU_KM
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, Lambert
@@ -216,15 +217,34 @@ def test_a_tracked_body_is_sharp_among_trailed_stars(pinhole):
     tracked, carried = (
         expose_picture(
             inputs(
-                pinhole, stars_at(pinhole, PLACES[:1], [9.0]), path=path, bodies=(body,), body_track_px=track
+                pinhole,
+                stars_at(pinhole, PLACES[:1], [9.0]),
+                path=path,
+                bodies=(body,),
+                body_tracks_px=tracks,
             )
         )
-        for track in (still, None)
+        for tracks in ((still,), ())
     )
-    assert tracked.body_smear_px == 0.0
-    assert carried.body_smear_px == pytest.approx(12.0, abs=0.1)
+    assert tracked.body_trails.length_px.tolist() == [0.0]
+    assert carried.body_trails.length_px == pytest.approx([12.0], abs=0.1)
     peak = tracked.noiseless_electrons[590:611, 280:321].max()
     assert carried.noiseless_electrons[590:611, 280:321].max() < 0.3 * peak
+
+
+def test_every_body_has_its_own_trail(pinhole):
+    east, still = np.linspace([-3.0, 0.0], [5.0, 0.0], 33), np.zeros((1, 2))
+    places = [[300.0, 600.0], [700.0, 200.0]]
+    bodies = tuple(BodyModel(ball(pinhole, p, 0.2), Lambert(), 0.5, flux_e=1e6) for p in places)
+    picture = expose_picture(
+        inputs(pinhole, stars_at(pinhole, PLACES[:1], [9.0]), bodies=bodies, body_tracks_px=(east, still))
+    )
+    assert picture.body_trails.length_px == pytest.approx([8.25, 0.0])
+    for place, mean in zip(places, picture.body_trails.mean_px, strict=True):
+        there = np.array(place) + mean
+        assert centroid(picture.noiseless_electrons, there, half=10) == pytest.approx(there, abs=0.01)
+    with pytest.raises(CameraError, match="1 tracks for 2 bodies"):
+        expose_picture(replace(picture.inputs, body_tracks_px=(east,)))
 
 
 # -- noise ---------------------------------------------------------------------------------------------------------

@@ -14,11 +14,14 @@ from PIL import Image
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.mission import load_mission
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.scene import body_target
 from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate, varied
 from opnav_workbench.simulation import output as output_module
 from opnav_workbench.simulation.sequence import chosen_tasks
 from opnav_workbench.simulation.workshop import picture_seed
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.spice import KernelSet, et_from_utc
+from opnav_workbench.spice.make import make_kernels
 
 KERNELS = "new_horizons/pluto_opnav"
 LORRI_4X4 = {"name": "lorri", "utc": "2015-04-09T12:00:00", "camera": "lorri_4x4", "exposure_s": 0.1}
@@ -264,6 +267,52 @@ def test_an_albedo_map_in_a_file_is_drawn(made, tmp_path):
     ]
     moved = np.hypot(*[float((light[0][c] - light[1][c]).value) for c in ("mean_pixel", "mean_line")])
     assert 0.02 < moved < 0.6  # px, of a radius of 0.6
+
+
+# -- motion --------------------------------------------------------------------------------------------------------
+
+
+def test_trails_are_those_of_the_attitude_as_flown(tmp_path):
+    """The header's kernels hold still; those as flown shake by 3 px along the line axis."""
+    content = yaml.safe_load((kernels_meta_dir() / f"{KERNELS}.yaml").read_text())
+    content["pointing"]["actual"] = {
+        "jitter": [{"axis": "line", "frequency_hz": 2.0, "amplitude_px": 3.0}],
+        "jitter_windows": [{"start": "2015-04-09T11:59:55", "end": "2015-04-09T12:00:05"}],
+    }
+    (tmp_path / "flown.yaml").write_text(yaml.safe_dump(content))
+    for table in (kernels_meta_dir() / "new_horizons").glob("*.csv"):
+        shutil.copy(table, tmp_path)
+    make_kernels(tmp_path / "flown.yaml", tmp_path / "kernels", actual=True)
+    actual = next((tmp_path / "kernels").glob("*_actual.tm"))
+    attitude = {"actual": {"source": "kernels", "kernels": str(actual)}, "motion": {"from_kernels": True}}
+    picture = LORRI_4X4 | {"camera": "lorri_1x1", "exposure_s": 1.0}
+    simulate(scenario(attitude=attitude, pictures=[picture]), tmp_path / "out")
+    objects = read_truth(tmp_path / "out" / "lorri.fit").objects
+    # Two whole swings of 12 px each, and a tenth of a pixel of the plan's own motion.
+    assert objects["smear"].value == pytest.approx(np.full(len(objects), 24.0), abs=0.8)
+
+
+def test_a_body_that_the_camera_cannot_see_leaves_the_picture_alone(tmp_path):
+    with KernelSet(
+        KERNELS
+    ):  # beside Pluto, which passes by at 57 px a second, far from where the camera looks
+        pluto_km = body_target("PLUTO", -98, et_from_utc(LORRI_4X4["utc"])).position_km
+    beside = {"spacecraft": {"position_km": (pluto_km + np.array([5e4, 0.0, 0.0])).tolist()}}
+    given = {"bodies": [{"name": "PLUTO"}], "pictures": [LORRI_4X4 | {"exposure_s": 1.0}]}
+    reports = simulate(scenario(perturbations=beside, **given), tmp_path)
+    assert np.isnan(reports[0].bodies[0].center_px).all()
+
+
+def test_a_body_without_spin_is_a_sphere_when_asked(tmp_path):
+    nix = {"name": "NIX", "brightness": "albedo"}
+    later = {
+        "kernels": "new_horizons/pluto_approach",
+        "pictures": [LORRI_4X4 | {"utc": "2015-06-02T12:00:00"}],
+    }
+    with pytest.raises(MissionError, match="radius_km"):
+        simulate(scenario(bodies=[nix], **later), tmp_path)
+    reports = simulate(scenario(bodies=[nix | {"radius_km": 20.0}], **later), tmp_path)
+    assert 0.0 < reports[0].bodies[0].diameter_px < 0.1
 
 
 # -- variations ----------------------------------------------------------------------------------------------------

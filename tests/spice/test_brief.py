@@ -104,6 +104,9 @@ def test_not_a_kernel_and_a_cut_one(toy, tmp_path):
     (tmp_path / "a.bsp").write_text("<html>")
     with pytest.raises(KernelError, match="is not a SPICE kernel"):
         brief(tmp_path / "a.bsp")
+    (tmp_path / "cut.tls").write_text("KPL/LSK\n\nLEAPSECONDS KERNEL FILE\n")
+    with pytest.raises(KernelError, match=r"'KPL/LSK' but has no \\begindata"):
+        brief(tmp_path / "cut.tls")
     (tmp_path / "cut.bc").write_bytes(toy.path(".bc").read_bytes()[:2500])
     with pytest.raises(KernelError, match="not a whole kernel"):
         brief(tmp_path / "cut.bc")

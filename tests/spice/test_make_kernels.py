@@ -473,6 +473,17 @@ def test_scenario_without_bodies_trajectories(tmp_path):
         assert state(-999, et_from_utc("2031-03-01T12:00:00"), 0).position_km[0] == pytest.approx(1e8)
 
 
+def test_bodies_of_which_nothing_is_known_make_no_pck(tmp_path):
+    scenario = copy.deepcopy(MINI)
+    scenario["bodies"] = [{key: body[key] for key in ("name", "id", "source")} for body in MINI["bodies"]]
+    metakernel = make_kernels(scenario, tmp_path)
+    assert not (tmp_path / "orbit.tpc").exists()
+    assert "tpc" not in metakernel.read_text()
+    with KernelSet(metakernel) as kernels:
+        assert "PCK" not in {file.kind for file in kernels.kernels()}
+        assert state("TEST ROCK", et_from_utc("2031-03-01T12:00:00"), "SUN").position_km.shape == (3,)
+
+
 def test_distortion_and_clock_as_the_scenario_says(tmp_path):
     owen = {"model": "owen", "e2_per_mm2": 2.5e-5, "e5_per_mm": -1.9e-5, "e6_per_mm": 3.1e-5}
     scenario = changed("instruments.0.distortion", owen)
