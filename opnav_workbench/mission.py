@@ -152,6 +152,19 @@ class Mission:
             f"mission {self.name} has no camera {name!r}; it has {', '.join(self.camera_names)}."
         )
 
+    def camera_file(self, camera: Camera) -> Path:
+        """Return the file that a camera of this mission was read from.
+
+        Raises
+        ------
+        CameraError
+            The mission has no camera of that name.
+        """
+        for choice in self.cameras:
+            if Camera.from_yaml(choice.file).name == camera.name:
+                return choice.file
+        raise CameraError(f"mission {self.name} has no camera {camera.name!r}.")
+
     def camera_for(self, header: Mapping[str, Any]) -> Camera:
         """Return the camera that took a picture: the first whose keywords fit.
 

@@ -139,6 +139,7 @@ def find_unresolved(
         saturated=saturated,
         noise_model=noise_model,
         psf_error=psf_error,
+        mask_hits=False,  # what is not like a star shall be doubted, not mended
     )
     offset = np.asarray(light_offset_px, dtype=np.float64)
     floor = excess_sigma_px**2 * np.eye(2) + np.asarray(light_offset_covariance_px2)

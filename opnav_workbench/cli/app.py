@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from opnav_workbench.cli.calibrate import calibrate
 from opnav_workbench.cli.catalog import catalog_app
 from opnav_workbench.cli.demo import demo
 from opnav_workbench.cli.doctor import doctor
@@ -33,6 +34,7 @@ app.command()(process)
 app.command()(simulate)
 app.add_typer(kernels_app)
 app.add_typer(catalog_app)
+app.add_typer(calibrate)
 app.command()(doctor)
 
 

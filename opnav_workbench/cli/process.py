@@ -16,6 +16,7 @@ from opnav_workbench.headless import Decisions, Outcome, Policy, load_decisions,
 from opnav_workbench.mission import load_mission
 from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.session import ATTITUDE_SOURCES
+from opnav_workbench.session.steps_stars import FINAL_METHODS
 from opnav_workbench.spice import KernelSet
 
 __all__ = ["EXIT_SOME_FAILED", "process", "run_images"]
@@ -48,6 +49,9 @@ def process(
     attitude: Annotated[
         str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))
     ] = "auto",
+    centers: Annotated[
+        str, typer.Option(help="Star centers: " + " | ".join(FINAL_METHODS))
+    ] = "least_squares",
     model: Annotated[str, typer.Option(help="Pointing model: " + " | ".join(MODELS))] = "euler",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
 ) -> None:
@@ -66,6 +70,7 @@ def process(
         targets=None if targets is None else [t.strip() for t in targets.split(",") if t.strip()],
         target_stars=target_stars,
         attitude=attitude,
+        final=centers,
         model=model,
         decisions=load_decisions(decisions) if decisions else Decisions(),
     )

@@ -21,7 +21,7 @@ from opnav_workbench.report import write_summary
 from opnav_workbench.session import ATTITUDE_SOURCES, RESULT_FILE, ImageSession, Settings
 from opnav_workbench.spice import KernelSet
 
-__all__ = ["Outcome", "Policy", "process_image"]
+__all__ = ["Outcome", "Policy", "open_picture", "process_image", "solve_stars"]
 
 FIGURE_FILE = "summary.png"
 TRACEBACK_FILE = "traceback.txt"
@@ -121,15 +121,7 @@ def process_image(
         return Outcome(path, Path(out), _failed_result(path, policy, str(error)), str(error))
     try:
         say("reading")
-        session = ImageSession.open(
-            path,
-            policy.mission,
-            catalog=policy.catalog,
-            opened_catalog=policy.opened_catalog,
-            target_stars=policy.target_stars,
-            attitude=policy.attitude,
-            settings=policy.settings,
-        )
+        session = open_picture(path, policy)
         _run(session, policy, say)
         say("writing")
         session.save(folder)
@@ -153,11 +145,33 @@ def _folder(out: str | Path, picture: Path) -> Path:
     return folder
 
 
+def open_picture(image: str | Path, policy: Policy) -> ImageSession:
+    """Open a picture as the policy says; raises as `ImageSession.open`."""
+    return ImageSession.open(
+        image,
+        policy.mission,
+        catalog=policy.catalog,
+        opened_catalog=policy.opened_catalog,
+        target_stars=policy.target_stars,
+        attitude=policy.attitude,
+        settings=policy.settings,
+    )
+
+
 def _run(session: ImageSession, policy: Policy, say: Callable[[str], None]) -> None:
     say("predicting")
     session.predict()
     targets = _add_targets(session, policy)
     say("finding stars")
+    solve_stars(session, policy)
+    for name in targets:
+        say(f"finding {name}")
+        session.find_body(name)
+    session.observables()
+
+
+def solve_stars(session: ImageSession, policy: Policy) -> None:
+    """Find the predicted stars and solve the pointing, then once more around the solved pointing."""
     session.find_stars(policy.initial, policy.final)
     policy.decisions.apply(session)
     if session.state.centers is not None:
@@ -165,10 +179,6 @@ def _run(session: ImageSession, policy: Policy, say: Callable[[str], None]) -> N
     if session.state.pointing is not None:
         session.find_stars(policy.initial, policy.final)
         session.repoint(policy.model)
-    for name in targets:
-        say(f"finding {name}")
-        session.find_body(name)
-    session.observables()
 
 
 def _add_targets(session: ImageSession, policy: Policy) -> list[str]:

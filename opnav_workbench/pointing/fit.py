@@ -4,9 +4,7 @@ Flow   observed centers, star directions, an attitude to start from -> here -> a
 Frame  directions J2000; rotation vectors about the camera frame's axes
 Units  px, rad
 
-The rotation about the boresight has an a priori value. It enters as one more measurement where, and only
-where, the stars alone determine that rotation less well: with one star always, with two when they are close
-together.
+What is known of the attitude beforehand enters as further measurements (see `prior`).
 """
 
 from dataclasses import dataclass
@@ -15,8 +13,8 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.pointing.models import StepModel, attitude_jacobian
+from opnav_workbench.pointing.prior import Prior
 
 __all__ = ["Fit", "Linear", "Sightings", "fit_attitude"]
 
@@ -36,18 +34,18 @@ class Sightings:
     directions : (n, 3) array
         Apparent unit vectors, J2000.
     camera : Camera
-    a_priori : (3, 3) array
-        camera_from_j2000.
-    twist_sigma_rad : float
-        Of the a priori rotation about the boresight.
+    prior : Prior
+        The a priori attitude.
+    start : (3, 3) array
+        camera_from_j2000 to start from.
     """
 
     observed_px: FloatArray
     covariance_px2: FloatArray
     directions: FloatArray
     camera: Camera
-    a_priori: FloatArray
-    twist_sigma_rad: float
+    prior: Prior
+    start: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -58,39 +56,35 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linear:
-    """The problem linearized at an attitude: residual = jacobian @ eps + noise, and the a priori twist."""
+    """The problem linearized at an attitude: residual = jacobian @ eps + noise, and what was known beforehand."""
 
     residual_px: FloatArray  # (n, 2)
     jacobian: FloatArray  # (n, 2, 3) px/rad
     covariance_px2: FloatArray  # (n, 2, 2)
-    axis: FloatArray  # (3,) boresight, camera frame
-    twist_residual_rad: float  # a priori minus current rotation about the axis
-    twist_sigma_rad: float  # infinite where the a priori twist does not enter
+    prior_rows: FloatArray  # (k, 3) d/d(eps) in units of their sigmas; k = 0, 1 (twist) or 3 (attitude)
+    prior_residual: FloatArray  # (k,) a priori minus current, in units of their sigmas
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
     @property
-    def prior_used(self) -> bool:
-        """True where the a priori twist enters."""
-        return bool(np.isfinite(self.twist_sigma_rad))
-
-    @property
     def freedom(self) -> int:
         """Degrees of freedom: measurements minus three angles."""
-        return self.residual_px.size + int(self.prior_used) - 3
+        return self.residual_px.size + len(self.prior_rows) - 3
 
-    def rows(self, excess_sigma_px: float, design: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return design (m, 3) and residuals (m,) in units of their sigmas; by default d/d(eps).
+    def rows(
+        self, excess_sigma_px: float, design: FloatArray | None = None, tangent: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return design (m, 3) and residuals (m,) in units of their sigmas.
 
-        `design` is (n + 1, 2, 3) with the a priori twist's row, doubled, at its end.
+        They are d/d(eps), or d/d(parameters) of a `design` (n, 2, 3) whose d(eps)/d(parameters) is `tangent`.
         """
         whiten = _whitening(self.covariance_px2, excess_sigma_px)
-        stars = self.jacobian if design is None else design[:-1]
-        twist = self.axis if design is None else design[-1, 0]
-        matrix = np.vstack([(whiten @ stars).reshape(-1, 3), twist / self.twist_sigma_rad])
+        stars = self.jacobian if design is None else design
+        prior = self.prior_rows if tangent is None else self.prior_rows @ tangent
+        matrix = np.vstack([(whiten @ stars).reshape(-1, 3), prior])
         residual = (whiten @ self.residual_px[..., None]).ravel()
-        return matrix, np.append(residual, self.twist_residual_rad / self.twist_sigma_rad)
+        return matrix, np.append(residual, self.prior_residual)
 
     def chi2(self, excess_sigma_px: float) -> float:
         """Return the smallest weighted sum of squared residuals that any attitude nearby reaches."""
@@ -109,21 +103,26 @@ class Fit:
     attitude : (3, 3) array
     path : tuple of (3, 3) arrays
         From the start to `attitude`.
-    covariance_rad2 : (3, 3) array
+    covariance_rad2, formal_covariance_rad2 : (3, 3) arrays
+        With and without the excess.
     residual_px : (n, 2) array
         Of all stars, used or not.
     jacobian : (n, 2, 3) array
         d(pixel, line) / d(eps) of all stars.
     linear : Linear
         The used stars at `attitude`.
+    twist_solved : bool
+        The stars alone determine the twist better than it was known beforehand.
     """
 
     attitude: FloatArray
     path: tuple[FloatArray, ...]
     covariance_rad2: FloatArray
+    formal_covariance_rad2: FloatArray
     residual_px: FloatArray
     jacobian: FloatArray
     linear: Linear
+    twist_solved: bool
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -140,19 +139,21 @@ def fit_attitude(
     """
     attitude = start
     path = [start]
-    prior_sigma = _twist_prior(stars, start, used, excess_sigma_px)
-    if prior_sigma is None:
+    information = _twist_information(stars, start, used, excess_sigma_px)
+    if information is None:
         return None
+    prior = stars.prior.rows(information)
     for _ in range(MAX_ITERATIONS):
-        linear, design = _linearize(stars, model, attitude, used, prior_sigma)
+        linear, design = _linearize(stars, model, attitude, used, prior)
         if not np.all(np.isfinite(linear.residual_px)):
             return None
-        matrix, residual = linear.rows(excess_sigma_px, design)
+        matrix, residual = linear.rows(excess_sigma_px, design, model.tangent)
         step = _solve(matrix, residual)
         attitude = model.rotation(step) @ attitude
         path.append(attitude)
-        if np.max(np.abs(design[:-1] @ step)) < CONVERGENCE_PX:
-            return _finish(stars, model, path, used, prior_sigma, excess_sigma_px)
+        if np.max(np.abs(design @ step)) < CONVERGENCE_PX:
+            solved = not stars.prior.decides_twist(information)
+            return _finish(stars, model, path, used, prior, excess_sigma_px, solved)
     return None
 
 
@@ -161,43 +162,48 @@ def _finish(
     model: StepModel,
     path: list[FloatArray],
     used: BoolArray,
-    prior_sigma: float,
+    prior: FloatArray,
     excess_sigma_px: float,
+    twist_solved: bool,
 ) -> Fit:
     attitude = path[-1]
-    linear, design = _linearize(stars, model, attitude, used, prior_sigma)
+    linear, design = _linearize(stars, model, attitude, used, prior)
     in_camera = stars.directions @ attitude.T
+    covariance, formal = (
+        _covariance(linear.rows(excess, design, model.tangent)[0], linear.rows(excess)[0])
+        for excess in (excess_sigma_px, 0.0)
+    )
     return Fit(
         attitude=attitude,
         path=tuple(path),
-        covariance_rad2=_covariance(linear.rows(excess_sigma_px, design)[0], linear.rows(excess_sigma_px)[0]),
+        covariance_rad2=covariance,
+        formal_covariance_rad2=formal,
         residual_px=stars.observed_px - stars.camera.project(in_camera),
         jacobian=attitude_jacobian(stars.camera, in_camera),
         linear=linear,
+        twist_solved=twist_solved,
     )
 
 
 def _linearize(
-    stars: Sightings, model: StepModel, attitude: FloatArray, used: BoolArray, prior_sigma: float
+    stars: Sightings, model: StepModel, attitude: FloatArray, used: BoolArray, prior: FloatArray
 ) -> tuple[Linear, FloatArray]:
     in_camera = stars.directions[used] @ attitude.T
     predicted = stars.camera.project(in_camera)
-    axis = stars.camera.boresight
-    turned = float(axis @ vector_from_rotation(attitude @ stars.a_priori.T))
     linear = Linear(
         residual_px=stars.observed_px[used] - predicted,
         jacobian=attitude_jacobian(stars.camera, in_camera),
         covariance_px2=stars.covariance_px2[used],
-        axis=axis,
-        twist_residual_rad=-turned,
-        twist_sigma_rad=prior_sigma,
+        prior_rows=prior,
+        prior_residual=stars.prior.residual(prior, attitude),
     )
-    twist_row = np.broadcast_to(axis @ model.tangent, (1, 2, 3))
-    return linear, np.concatenate([model.design(in_camera, predicted), twist_row])
+    return linear, model.design(in_camera, predicted)
 
 
-def _twist_prior(stars: Sightings, attitude: FloatArray, used: BoolArray, excess: float) -> float | None:
-    """Sigma of the a priori twist where it must enter, infinity where stars do better, None out of sight."""
+def _twist_information(
+    stars: Sightings, attitude: FloatArray, used: BoolArray, excess: float
+) -> float | None:
+    """Inverse variance with which the stars alone determine the twist; None where one is out of sight."""
     in_camera = stars.directions[used] @ attitude.T
     along_axes = attitude_jacobian(stars.camera, in_camera) @ stars.camera.focal_from_camera.T
     if not np.all(np.isfinite(along_axes)):
@@ -206,8 +212,7 @@ def _twist_prior(stars: Sightings, attitude: FloatArray, used: BoolArray, excess
     # What the stars say of the rotation about the boresight beyond what the other two angles absorb.
     absorbed, *_ = np.linalg.lstsq(rows[:, :2], rows[:, 2], rcond=None)
     left = rows[:, 2] - rows[:, :2] @ absorbed
-    information = float(left @ left)
-    return float(np.inf) if information >= stars.twist_sigma_rad**-2 else stars.twist_sigma_rad
+    return float(left @ left)
 
 
 def _whitening(covariance_px2: FloatArray, excess_sigma_px: float) -> FloatArray:

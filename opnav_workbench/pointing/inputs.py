@@ -1,6 +1,7 @@
 """What a caller gives to `solve_pointing`, checked, and sorted into usable stars and reasons why not."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,8 +11,13 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import checked_rotation, matrix_from_quaternion, quaternion_from_matrix
 from opnav_workbench.pointing.fit import Sightings
+from opnav_workbench.pointing.prior import Prior
+from opnav_workbench.pointing.wahba import ClosedForm, wahba
 
-__all__ = ["Given", "check_given"]
+__all__ = ["Given", "Start", "check_given"]
+
+Start = Literal["a_priori"] | ClosedForm
+STARTS = ("a_priori", *get_args(ClosedForm))
 
 MAX_RECIPROCAL_CONDITION = 1e-12  # a covariance flatter than this has lost a direction to rounding
 
@@ -51,14 +57,16 @@ def check_given(
     camera: Camera,
     a_priori: ArrayLike,
     twist_sigma_rad: float | None,
+    a_priori_covariance_rad2: ArrayLike | None,
+    start: Start,
 ) -> Given:
     """Return the checked input.
 
     Raises
     ------
     PointingError
-        An array of the wrong shape, an a priori attitude that is no rotation, or a twist sigma that is not
-        positive.
+        An array of the wrong shape, an a priori attitude that is no rotation, a twist sigma that is not
+        positive, an a priori covariance that is not positive definite, or an unknown start.
     """
     observed = _array("observed_px", observed_px, None, 2)
     n = len(observed)
@@ -71,28 +79,51 @@ def check_given(
     if wanted.shape != (n,):
         raise PointingError(f"usable has shape {wanted.shape}, expected ({n},): one entry per star")
     attitude = _attitude(a_priori)
-    reasons = _reasons(wanted, observed, covariance, camera.project(sky @ attitude.T))
+    if start not in STARTS:
+        raise PointingError(f"unknown start {start!r}; use one of {', '.join(STARTS)}")
+    reasons = _reasons(wanted, observed, covariance, camera.project(sky @ attitude.T), start)
     index = np.array([i for i, reason in enumerate(reasons) if not reason], dtype=np.int64)
-    sightings = Sightings(
-        observed[index],
-        covariance[index],
-        sky[index],
-        camera,
+    prior = Prior(
         attitude,
+        camera.boresight,
         _twist_sigma(twist_sigma_rad, camera),
+        None if a_priori_covariance_rad2 is None else _attitude_covariance(a_priori_covariance_rad2),
     )
+    begin = _start(start, observed[index], covariance[index], sky[index], camera, attitude)
+    sightings = Sightings(observed[index], covariance[index], sky[index], camera, prior, begin)
     return Given(sightings, index, observed, sky, reasons)
 
 
+def _start(
+    start: Start,
+    observed: FloatArray,
+    covariance: FloatArray,
+    sky: FloatArray,
+    camera: Camera,
+    a_priori: FloatArray,
+) -> FloatArray:
+    """Attitude (3, 3) to start from; stars that leave a closed form open take the a priori one."""
+    in_camera = camera.unproject(observed)
+    seen = np.isfinite(in_camera).all(axis=1)
+    if start == "a_priori" or not seen.any():
+        return a_priori
+    weights = 2.0 / np.trace(covariance[seen], axis1=1, axis2=2)
+    try:
+        return wahba(in_camera[seen], sky[seen], weights, start)
+    except PointingError:
+        return a_priori
+
+
 def _reasons(
-    wanted: BoolArray, observed: FloatArray, covariance: FloatArray, predicted: FloatArray
+    wanted: BoolArray, observed: FloatArray, covariance: FloatArray, predicted: FloatArray, start: Start
 ) -> tuple[str, ...]:
     finite: BoolArray = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     eigenvalues = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, np.eye(2)))
     definite = eigenvalues[:, 0] > MAX_RECIPROCAL_CONDITION * np.abs(eigenvalues[:, 1])
     reasons = np.full(len(observed), "", dtype=object)
     # From the least to the most basic reason, which is the one that stays.
-    reasons[~np.isfinite(predicted).all(axis=1)] = "out of sight at the a priori attitude"
+    if start == "a_priori":
+        reasons[~np.isfinite(predicted).all(axis=1)] = "out of sight at the a priori attitude"
     reasons[~(finite & definite)] = "no usable covariance of its center"
     reasons[~np.isfinite(observed).all(axis=1)] = "no center"
     reasons[~wanted] = "not offered"
@@ -125,3 +156,16 @@ def _twist_sigma(twist_sigma_rad: float | None, camera: Camera) -> float:
             f"twist_sigma_rad is {sigma}; give a positive number (1 sigma of the a priori twist)"
         )
     return float(sigma)
+
+
+def _attitude_covariance(covariance_rad2: ArrayLike) -> FloatArray:
+    covariance = np.asarray(covariance_rad2, dtype=np.float64)
+    if covariance.shape != (3, 3):
+        raise PointingError(f"a_priori_covariance_rad2 has shape {covariance.shape}, expected (3, 3)")
+    covariance = symmetric(covariance)
+    if not (np.isfinite(covariance).all() and np.linalg.eigvalsh(covariance)[0] > 0.0):
+        raise PointingError(
+            "a_priori_covariance_rad2 is not positive definite; give the covariance of the rotation vector about "
+            "the camera frame's axes, rad^2"
+        )
+    return covariance

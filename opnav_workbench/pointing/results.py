@@ -36,6 +36,8 @@ class PointingSolution:
     covariance_rad2 : (3, 3) array
         Covariance of the small rotation vector eps about the camera frame's axes that remains:
         ``camera_from_j2000 (true) = rotation_from_vector(eps) @ camera_from_j2000 (solved)``.
+    formal_covariance_rad2 : (3, 3) array
+        The same from the given covariances alone, as if these were sure.
     ra_rad, dec_rad, twist_rad : float
         Boresight and position angle of increasing line, J2000, no aberration removed or added.
     delta_pixel, delta_line, delta_twist_rad : float
@@ -52,8 +54,9 @@ class PointingSolution:
     residual_px : (n, 2) array
         Observed minus predicted with the solved attitude; nan where there is no observation.
     excess_sigma_px : float
-        Centering error (1 sigma, each coordinate) beyond the given covariances; 0 unless these are
-        improbable.
+        Centering error (1 sigma, each coordinate) beyond the given covariances that must be expected after these
+        residuals; with few stars it is never quite 0, because they cannot exclude it. One or two stars: 0 unless
+        the covariances are improbable.
     chi2_reduced : float
         Chi-squared per degree of freedom with the given covariances, excess not included; nan without
         redundancy.
@@ -67,6 +70,7 @@ class PointingSolution:
 
     camera_from_j2000: FloatArray
     covariance_rad2: FloatArray
+    formal_covariance_rad2: FloatArray
     ra_rad: float
     dec_rad: float
     twist_rad: float

@@ -68,16 +68,15 @@ class Selection:
 def select_stars(stars: Sightings, model: StepModel, keep: BoolArray | None = None) -> Selection | None:
     """Return which stars to use, those of `keep` always; None where no attitude fits them."""
     everyone = np.ones(len(stars), dtype=bool)
-    fit = fit_attitude(stars, model, stars.a_priori, everyone)
-    if fit is not None:
-        distance = _distances(stars, fit, everyone, 0.0)
-        if probability(fit.linear) >= IMPROBABLE and np.all(distance <= REJECT_SIGMA):
-            return Selection(everyone, 0.0, fit, distance)
+    fit = fit_attitude(stars, model, stars.start, everyone)
+    agree = fit is not None and probability(fit.linear) >= IMPROBABLE
+    if fit is not None and agree and np.all(_distances(stars, fit, everyone, 0.0) <= REJECT_SIGMA):
+        return _settled(stars, model, stars.start, everyone)
     ambiguous = len(stars) == 3 and _consistent_pairs(stars) != 1
     if len(stars) < 3 or ambiguous:
-        return _settled(stars, model, stars.a_priori, everyone, ambiguous)
+        return _settled(stars, model, stars.start, everyone, ambiguous)
     keep = ~everyone if keep is None else keep
-    start, used = _consensus(stars, model) or (stars.a_priori, everyone)
+    start, used = _consensus(stars, model) or (stars.start, everyone)
     return _settle(stars, model, start, used | keep, keep)
 
 
@@ -197,7 +196,7 @@ def _triads(directions: FloatArray, pairs: IntArray) -> FloatArray:
 
 def _consistent_pairs(stars: Sightings) -> int:
     """Number of pairs whose observed separation agrees with the predicted one."""
-    predicted = stars.camera.project(stars.directions @ stars.a_priori.T)
+    predicted = stars.camera.project(stars.directions @ stars.start.T)
     count = 0
     for i, j in combinations(range(len(stars)), 2):
         expected, observed = predicted[j] - predicted[i], stars.observed_px[j] - stars.observed_px[i]

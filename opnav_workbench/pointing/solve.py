@@ -16,13 +16,16 @@ from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import pointing_angles
 from opnav_workbench.pointing.excess import probability
 from opnav_workbench.pointing.fit import Fit, fit_attitude
-from opnav_workbench.pointing.inputs import Given, check_given
+from opnav_workbench.pointing.inputs import Given, Start, check_given
 from opnav_workbench.pointing.models import MODELS, Model
+from opnav_workbench.pointing.prior import Prior
 from opnav_workbench.pointing.results import PointingSolution
 from opnav_workbench.pointing.robust import Selection, select_stars
 from opnav_workbench.pointing.shift import steps_between
 
 __all__ = ["solve_pointing"]
+
+UNLIKELY = 0.01  # a chi-squared this rare is worth a word to the analyst
 
 
 def solve_pointing(
@@ -37,12 +40,14 @@ def solve_pointing(
     usable: ArrayLike | None = None,
     trusted: ArrayLike | None = None,
     twist_sigma_rad: float | None = None,
+    a_priori_covariance_rad2: ArrayLike | None = None,
+    start: Start = "a_priori",
 ) -> PointingSolution:
     """Solve for the camera attitude that brings predicted stars onto their measured centers.
 
     Stars are weighted by the inverse of their center and catalog covariances. Outliers are rejected (see
-    `PointingSolution.reasons`); if the others scatter more than their covariances allow, one excess centering
-    sigma is estimated and enters weights and covariance.
+    `PointingSolution.reasons`); how much more than their covariances say the others may scatter, as far as their
+    residuals tell, enters weights and covariance as one excess centering sigma.
 
     Parameters
     ----------
@@ -66,6 +71,12 @@ def solve_pointing(
     twist_sigma_rad : float, optional
         1 sigma of the a priori rotation about the boresight, by default the camera's ``attitude_sigma``. It
         counts where the stars alone determine that rotation less well.
+    a_priori_covariance_rad2 : (3, 3) array_like, optional
+        Covariance of the a priori attitude (rotation vector about the camera frame's axes). Given, the a priori
+        attitude enters as a measurement of all three angles, however few or many the stars.
+    start : {"a_priori", "svd", "q_method"}
+        Where the iteration starts: the a priori attitude, or a closed form from the stars themselves (see
+        `opnav_workbench.pointing.wahba`), which is then the first step. One star always starts a priori.
 
     Returns
     -------
@@ -102,6 +113,8 @@ def solve_pointing(
         camera,
         a_priori_camera_from_j2000,
         twist_sigma_rad,
+        a_priori_covariance_rad2,
+        start,
     )
     if len(given.sightings) == 0:
         raise PointingError(
@@ -128,10 +141,10 @@ def _solve(given: Given, model: Model, trusted: BoolArray | None) -> tuple[Selec
     """Choose the stars, then fit them from the a priori attitude on: those steps are reported."""
     stars, steps = given.sightings, MODELS[model](given.sightings.camera)
     selection = select_stars(stars, steps, trusted)
-    if selection is not None and selection.fit.path[0] is stars.a_priori:
+    if selection is not None and selection.fit.path[0] is stars.start:
         return selection, selection.fit
     if selection is not None:
-        fit = fit_attitude(stars, steps, stars.a_priori, selection.used, selection.excess_sigma_px)
+        fit = fit_attitude(stars, steps, stars.start, selection.used, selection.excess_sigma_px)
         if fit is not None:
             return selection, fit
     raise PointingError(
@@ -144,11 +157,12 @@ def _solution(given: Given, selection: Selection, fit: Fit, model: Model) -> Poi
     used = np.zeros(len(given.reasons), dtype=bool)
     used[given.index] = selection.used
     residual = given.observed_px - camera.project(given.directions @ fit.attitude.T)
-    steps = steps_between(camera, fit.path)
+    steps = steps_between(camera, _path(given, fit))
     ra, dec, twist = pointing_angles(fit.attitude, camera.focal_from_camera)
     return PointingSolution(
         camera_from_j2000=fit.attitude,
         covariance_rad2=fit.covariance_rad2,
+        formal_covariance_rad2=fit.formal_covariance_rad2,
         ra_rad=ra,
         dec_rad=dec,
         twist_rad=twist,
@@ -164,9 +178,15 @@ def _solution(given: Given, selection: Selection, fit: Fit, model: Model) -> Poi
         excess_sigma_px=selection.excess_sigma_px,
         chi2_reduced=fit.linear.chi2(0.0) / fit.linear.freedom if fit.linear.freedom > 0 else float("nan"),
         model=model,
-        twist_solved=not fit.linear.prior_used,
-        messages=_messages(selection, fit),
+        twist_solved=fit.twist_solved,
+        messages=_messages(given, selection, fit),
     )
+
+
+def _path(given: Given, fit: Fit) -> tuple[FloatArray, ...]:
+    """Attitudes from the a priori one on; a closed form is the first step from it."""
+    a_priori = given.sightings.prior.attitude
+    return fit.path if np.array_equal(fit.path[0], a_priori) else (a_priori, *fit.path)
 
 
 def _reasons(given: Given, selection: Selection, residual_px: FloatArray) -> tuple[str, ...]:
@@ -179,9 +199,10 @@ def _reasons(given: Given, selection: Selection, residual_px: FloatArray) -> tup
     return tuple(reasons)
 
 
-def _messages(selection: Selection, fit: Fit) -> tuple[str, ...]:
+def _messages(given: Given, selection: Selection, fit: Fit) -> tuple[str, ...]:
     rejected = int(np.sum(~selection.used))
-    messages = [_twist_message(int(np.sum(selection.used)), fit), _excess_message(selection, fit)]
+    prior = _prior_message(given.sightings.prior, int(np.sum(selection.used)), fit)
+    messages = [prior, _excess_message(selection, fit)]
     if rejected:
         messages.append(f"{rejected} of {len(selection.used)} stars rejected as outliers")
     if selection.ambiguous:
@@ -192,20 +213,24 @@ def _messages(selection: Selection, fit: Fit) -> tuple[str, ...]:
     return tuple(message for message in messages if message)
 
 
-def _twist_message(n_used: int, fit: Fit) -> str:
-    if not fit.linear.prior_used:
+def _prior_message(prior: Prior, n_used: int, fit: Fit) -> str:
+    if fit.twist_solved:
         return ""
-    prior = f"its a priori value ({_short(np.degrees(fit.linear.twist_sigma_rad))} deg, 1 sigma)"
+    value = f"its a priori value ({_short(np.degrees(prior.twist_sigma_rad))} deg, 1 sigma)"
+    if prior.covariance_rad2 is not None:
+        sigma = np.degrees(np.sqrt(prior.axis @ prior.covariance_rad2 @ prior.axis))
+        value = f"the a priori attitude ({_short(float(sigma))} deg, 1 sigma)"
     if n_used == 1:
-        return f"one star: the twist (rotation about the boresight) is held at {prior}"
+        return f"one star: the twist (rotation about the boresight) is held at {value}"
     return (
-        f"{n_used} stars determine the twist (rotation about the boresight) less well than {prior}, "
+        f"{n_used} stars determine the twist (rotation about the boresight) less well than {value}, "
         "which therefore enters as a measurement"
     )
 
 
 def _excess_message(selection: Selection, fit: Fit) -> str:
-    if selection.excess_sigma_px == 0.0:
+    """What is worth telling: an excess that chance does not explain, not the little that can never be excluded."""
+    if selection.excess_sigma_px == 0.0 or probability(fit.linear) >= UNLIKELY:
         return ""
     chi2, freedom = _short(fit.linear.chi2(0.0)), fit.linear.freedom
     return (

@@ -21,7 +21,7 @@ from opnav_workbench.psf.integrals import (
     shape_from_ellipse,
 )
 from opnav_workbench.psf.moffat import MoffatPsf
-from opnav_workbench.psf.protocol import Psf, covering_boxes
+from opnav_workbench.psf.protocol import Psf, PsfGradient, covering_boxes
 from opnav_workbench.psf.schema import psf_from_mapping
 from opnav_workbench.psf.sources import add_boxes, add_sources
 from opnav_workbench.psf.trailed import TrailedPsf
@@ -35,6 +35,7 @@ __all__ = [
     "PixelIntegrals",
     "PolynomialShape",
     "Psf",
+    "PsfGradient",
     "TrailedPsf",
     "add_boxes",
     "add_sources",

@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.linalg import solveh_banded
 
-from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CameraError
+from opnav_workbench.psf.protocol import Psf
 from opnav_workbench.psf.table import bspline_weights
 
-__all__ = ["cells_from_stars"]
+__all__ = ["SMOOTHNESS", "cells_from_stars"]
 
 SMOOTHNESS = (
     1e-4  # weight of the cells' second differences against that of the pixels: decides ties, bends nothing
@@ -36,6 +37,9 @@ def cells_from_stars(
     oversampling: int,
     *,
     half_size_px: float = 6.0,
+    base: Psf | None = None,
+    smoothness: float = SMOOTHNESS,
+    weights: ArrayLike | None = None,
 ) -> FloatArray:
     """Return the light (k, k) of a unit star in cells of 1/oversampling px, k odd; its sum is near 1.
 
@@ -53,15 +57,23 @@ def cells_from_stars(
         Cells a pixel.
     half_size_px : float
         Half the side of the square of cells.
+    base : Psf, optional
+        What the PSF nearly is. Smoothness is then demanded of the difference from it, and cells that no pixel tells
+        of take its light.
+    smoothness : float
+        Weight of the cells' second differences against that of the pixels; the default decides ties only, noisy or few
+        stars ask for more.
+    weights : (n,) array_like, optional
+        Of the stars' pixels, by default equal: bright stars then count by their flux, without limit.
 
     Raises
     ------
     CameraError
         Fewer usable pixels than cells, or arrays that do not fit together.
     """
-    pixels, usable, stars, flux = _checked(image, bad, centers, fluxes)
+    pixels, usable, stars, flux, weight = _checked(image, bad, centers, fluxes, weights)
     half = int(np.ceil(half_size_px * oversampling))
-    design, data = _design(pixels, usable, stars, flux, oversampling, half)
+    design, data, known, star = _design(pixels, usable, stars, flux, oversampling, half, base)
     n_cell = 2 * half + 1
     if len(data) < n_cell**2:
         raise CameraError(
@@ -70,17 +82,33 @@ def cells_from_stars(
         )
     keep = np.ones(len(data), dtype=bool)
     for _ in range(PASSES):
-        coefficients = _solve(design[keep], data[keep], n_cell)
-        model = design @ coefficients
+        heavy = weight[star[keep]]
+        rows = sparse.csr_matrix(sparse.diags(heavy) @ design[keep])
+        coefficients = _solve(rows, heavy * (data - known)[keep], n_cell, smoothness)
+        model = known + design @ coefficients
         residual = np.abs(data - model)
         sigma = SIGMA_PER_MAD * float(np.median(residual[keep]))
         keep = residual <= OUTLIER_SIGMAS * np.hypot(sigma, MODEL_ERROR * model)
-    return _smoothed(coefficients.reshape(n_cell, n_cell))
+    cells = _smoothed(coefficients.reshape(n_cell, n_cell))
+    return cells if base is None else cells + _cells_of(base, oversampling, half)
+
+
+def _cells_of(base: Psf, oversampling: int, half: int) -> FloatArray:
+    """The base in the same cells, cut or padded to their square."""
+    kernel = base.kernel(oversampling)
+    middle = len(kernel) // 2
+    kernel = np.pad(kernel, max(half - middle, 0))
+    middle = len(kernel) // 2
+    return np.asarray(kernel[middle - half : middle + half + 1, middle - half : middle + half + 1])
 
 
 def _checked(
-    image: ArrayLike, bad: ArrayLike | None, centers: ArrayLike, fluxes: ArrayLike
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    image: ArrayLike,
+    bad: ArrayLike | None,
+    centers: ArrayLike,
+    fluxes: ArrayLike,
+    weights: ArrayLike | None,
+) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray, FloatArray]:
     pixels = np.asarray(image, dtype=np.float64)
     stars, flux = np.asarray(centers, dtype=np.float64), np.asarray(fluxes, dtype=np.float64)
     masked = np.zeros(pixels.shape, dtype=bool) if bad is None else np.asarray(bad, dtype=bool)
@@ -89,13 +117,20 @@ def _checked(
     if stars.ndim != 2 or stars.shape[1] != 2 or flux.shape != stars.shape[:1]:
         raise CameraError(f"PSF from {stars.shape} centers and {flux.shape} fluxes; give (n, 2) and (n,).")
     good = np.isfinite(stars).all(axis=1) & np.isfinite(flux) & (flux > 0.0)
-    return pixels, np.isfinite(pixels) & ~masked, stars[good], flux[good]
+    weight = np.ones(len(flux)) if weights is None else np.asarray(weights, dtype=np.float64)
+    return pixels, np.isfinite(pixels) & ~masked, stars[good], flux[good], weight[good]
 
 
 def _design(
-    pixels: FloatArray, usable: FloatArray, stars: FloatArray, flux: FloatArray, oversampling: int, half: int
-) -> tuple[sparse.csr_matrix, FloatArray]:
-    """Rows: usable pixels near stars; columns: B-spline coefficients of the cells."""
+    pixels: FloatArray,
+    usable: BoolArray,
+    stars: FloatArray,
+    flux: FloatArray,
+    oversampling: int,
+    half: int,
+    base: Psf | None,
+) -> tuple[sparse.csr_matrix, FloatArray, FloatArray, IntArray]:
+    """Rows: usable pixels near stars; columns: coefficients of the cells; data, the base's light, and whose pixel."""
     reach = int(np.floor(half / oversampling))
     step = np.arange(-reach, reach + 1)
     index = np.rint(stars).astype(np.int64)[:, :, None] + step  # (n, 2, side)
@@ -111,7 +146,10 @@ def _design(
     matrix = sparse.csr_matrix(
         (weight.ravel(), place.ravel(), starts), shape=(len(star), (2 * half + 1) ** 2)
     )
-    return matrix, pixels[line[inside], pixel[inside]]
+    light = np.zeros(len(star))
+    if base is not None and len(stars):
+        light = flux[star] * base.box(stars, index[:, :, 0], len(step))[star, row, column]
+    return matrix, pixels[line[inside], pixel[inside]], light, star
 
 
 def _axis_weights(offset_px: FloatArray, oversampling: int, half: int) -> tuple[IntArray, FloatArray]:
@@ -127,12 +165,12 @@ def _axis_weights(offset_px: FloatArray, oversampling: int, half: int) -> tuple[
     return np.clip(columns, 0, 2 * half), np.where(known, weights, 0.0)
 
 
-def _solve(design: sparse.csr_matrix, data: FloatArray, n_cell: int) -> FloatArray:
+def _solve(design: sparse.csr_matrix, data: FloatArray, n_cell: int, smoothness: float) -> FloatArray:
     """Least squares with a weak demand for smoothness; the normal matrix is banded, as cells see near ones only."""
     normal = (design.T @ design).tocsc()
     difference = sparse.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n_cell, n_cell))
     rough = sparse.kronsum(difference, difference)
-    strength = SMOOTHNESS * float(normal.diagonal().mean())
+    strength = smoothness * float(normal.diagonal().mean())
     lower = sparse.tril(normal + strength * (rough.T @ rough), format="coo")
     band = np.zeros((int((lower.row - lower.col).max()) + 1, n_cell**2))
     band[lower.row - lower.col, lower.col] = lower.data

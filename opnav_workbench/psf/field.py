@@ -13,8 +13,13 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.gaussian import REACH_SIGMAS, GaussianPsf
-from opnav_workbench.psf.integrals import box_values, covariance_from_shape, ellipse_from_shape
-from opnav_workbench.psf.protocol import checked_centers
+from opnav_workbench.psf.integrals import (
+    box_integrals,
+    box_values,
+    covariance_from_shape,
+    ellipse_from_shape,
+)
+from opnav_workbench.psf.protocol import PsfGradient, checked_centers
 
 __all__ = ["FieldPsf", "GridShape", "PolynomialShape", "ShapeField"]
 
@@ -179,6 +184,13 @@ class FieldPsf:
         centers = checked_centers(center_px)
         shapes = self._log(self.field.shape(centers))
         return box_values(centers, shapes, np.asarray(first, dtype=np.float64), size)
+
+    def gradient(self, center_px: ArrayLike, first: ArrayLike, size: int) -> PsfGradient:
+        """Return the shares and their derivatives, the shape of each held; see `Psf.gradient`."""
+        centers = checked_centers(center_px)
+        shapes = self._log(self.field.shape(centers))
+        boxes = box_integrals(centers, shapes, np.asarray(first, dtype=np.float64), size)
+        return PsfGradient(boxes.value, boxes.d_pixel, boxes.d_line)
 
     def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Return the kernel at the middle of the detector; take that of `at` elsewhere. See `Psf.kernel`."""

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.errors import CameraError
-from opnav_workbench.psf.integrals import box_values, covariance_from_shape, shape_from_ellipse
-from opnav_workbench.psf.protocol import cell_shift, checked_centers, require_positive
+from opnav_workbench.psf.integrals import box_integrals, box_values, covariance_from_shape, shape_from_ellipse
+from opnav_workbench.psf.protocol import PsfGradient, cell_shift, checked_centers, require_positive
 
 __all__ = ["REACH_SIGMAS", "GaussianPsf"]
 
@@ -70,6 +70,13 @@ class GaussianPsf:
         centers = checked_centers(center_px)
         shape = np.broadcast_to(self._tidy_shape(), (len(centers), 3))
         return box_values(centers, shape, np.asarray(first, dtype=np.float64), size)
+
+    def gradient(self, center_px: ArrayLike, first: ArrayLike, size: int) -> PsfGradient:
+        """Return the shares and their derivatives; see `Psf.gradient`."""
+        centers = checked_centers(center_px)
+        shape = np.broadcast_to(self._tidy_shape(), (len(centers), 3))
+        boxes = box_integrals(centers, shape, np.asarray(first, dtype=np.float64), size)
+        return PsfGradient(boxes.value, boxes.d_pixel, boxes.d_line)
 
     def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Return the shares in cells of 1/subsample px, (k, k); see `Psf.kernel`."""

@@ -1,14 +1,27 @@
 """What every point spread function can do."""
 
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CameraError
 
-__all__ = ["Psf", "cell_shift", "checked_centers", "covering_boxes", "require_positive"]
+__all__ = ["Psf", "PsfGradient", "cell_shift", "checked_centers", "covering_boxes", "require_positive"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PsfGradient:
+    """Pixel-integrated shares in boxes and how they change with the point's place; all (n, size, size)."""
+
+    value: FloatArray
+    d_pixel: FloatArray  # px^-1, with respect to the point's center
+    d_line: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
 
 @runtime_checkable
@@ -46,6 +59,10 @@ class Psf(Protocol):
         (n, size, size) array
             Indexed [point, line, pixel].
         """
+        ...
+
+    def gradient(self, center_px: ArrayLike, first: ArrayLike, size: int) -> PsfGradient:
+        """Return the shares of `box` and their derivatives with respect to the centers, analytic."""
         ...
 
     def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:

@@ -20,9 +20,9 @@ from scipy.ndimage import spline_filter
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly
 from opnav_workbench.errors import CameraError
-from opnav_workbench.psf.protocol import cell_shift, checked_centers
+from opnav_workbench.psf.protocol import PsfGradient, cell_shift, checked_centers
 
-__all__ = ["PixelTable", "TablePsf", "bspline_weights"]
+__all__ = ["PixelTable", "TablePsf", "bspline_slopes", "bspline_weights"]
 
 PADDING_CELLS = 4  # empty cells around, in which the spline filter rings off (factor 0.27 a cell)
 CHUNK_PIXELS = 150_000  # pixels of boxes worked on at once: their arrays stay in the processor's cache
@@ -83,30 +83,45 @@ class PixelTable:
 
     def box(self, center_px: FloatArray, first: FloatArray, size: int) -> FloatArray:
         """Return pixel shares (n, size, size); see `Psf.box`."""
+        return np.asarray(self._boxes(center_px, first, size, derivatives=False)[0])
+
+    def gradient(self, center_px: FloatArray, first: FloatArray, size: int) -> PsfGradient:
+        """Return pixel shares and their derivatives: those of the interpolating splines; see `Psf.gradient`."""
+        return PsfGradient(*self._boxes(center_px, first, size, derivatives=True))
+
+    def _boxes(self, center_px: FloatArray, first: FloatArray, size: int, *, derivatives: bool) -> FloatArray:
+        """Shares, and with `derivatives` those along pixel and line: (1 or 3, n, size, size)."""
         n_cell = len(self.cell_coefficients)
         origin_px = -(n_cell // 2 + (self.oversampling - 1) / 2.0) / self.oversampling
         at = (np.asarray(first, dtype=np.float64) - center_px - origin_px) * self.oversampling
         base = np.floor(at)
         weights = bspline_weights(at - base)
+        products = weights[:, None, 1, :, None] * weights[:, None, 0, None, :]  # (n, 1, line tap, pixel tap)
+        if derivatives:
+            # The offset of a pixel falls as the center rises.
+            slopes = -self.oversampling * bspline_slopes(at - base)
+            along_pixel = weights[:, 1, :, None] * slopes[:, 0, None, :]
+            along_line = slopes[:, 1, :, None] * weights[:, 0, None, :]
+            products = np.stack([products[:, 0], along_pixel, along_line], axis=1)
         pages = sliding_window_view(
             np.pad(self.pages, ((0, 0), (0, 0), (size, size), (size, size))), (size, size), axis=(2, 3)
         )
-        boxes = np.empty((len(at), size, size))
+        boxes = np.empty((products.shape[1], len(at), size, size))
         step = max(1, CHUNK_PIXELS // size**2)
         for start in range(0, len(at), step):
             part = slice(start, start + step)
-            boxes[part] = self._interpolated(pages, base[part].astype(np.int64), weights[part], size)
+            boxes[:, part] = self._interpolated(pages, base[part].astype(np.int64), products[part], size)
         return boxes
 
-    def _interpolated(self, pages: FloatArray, base: IntArray, weights: FloatArray, size: int) -> FloatArray:
+    def _interpolated(self, pages: FloatArray, base: IntArray, products: FloatArray, size: int) -> FloatArray:
         last = pages.shape[2] - 1
-        total = np.zeros((len(base), size, size))
+        total = np.zeros((products.shape[1], len(base), size, size))
         for line, pixel in product(range(4), range(4)):
             page, phase = np.divmod(base + np.array([pixel - 1, line - 1]), self.oversampling)
             page = np.clip(page + size, 0, last)
             share = pages[phase[:, 1], phase[:, 0], page[:, 1], page[:, 0]]
-            share *= (weights[:, 1, line] * weights[:, 0, pixel])[:, None, None]
-            total += share
+            for column, weight in enumerate(products[:, :, line, pixel].T):
+                total[column] += share * weight[:, None, None]
         return total
 
     def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
@@ -157,6 +172,10 @@ class TablePsf:
         """Return the shares (n, size, size); see `Psf.box`."""
         return self._table.box(checked_centers(center_px), np.asarray(first, dtype=np.float64), size)
 
+    def gradient(self, center_px: ArrayLike, first: ArrayLike, size: int) -> PsfGradient:
+        """Return the shares and their derivatives; see `Psf.gradient`."""
+        return self._table.gradient(checked_centers(center_px), np.asarray(first, dtype=np.float64), size)
+
     def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Return the shares in cells of 1/subsample px, (k, k); see `Psf.kernel`."""
         return self._table.kernel(subsample, shift_px)
@@ -172,6 +191,19 @@ def bspline_weights(fraction: FloatArray) -> FloatArray:
     s = 1.0 - t
     inner, outer = 2.0 / 3.0 - 0.5 * t**2 * (2.0 - t), 2.0 / 3.0 - 0.5 * s**2 * (2.0 - s)
     return np.stack([s**3 / 6.0, inner, outer, t**3 / 6.0], axis=-1)
+
+
+def bspline_slopes(fraction: FloatArray) -> FloatArray:
+    """Return the derivatives (..., 4) of `bspline_weights` with respect to the fraction; they sum to 0.
+
+    Examples
+    --------
+    >>> bspline_slopes(np.array(0.0))
+    array([-0.5,  0. ,  0.5,  0. ])
+    """
+    t = np.asarray(fraction, dtype=np.float64)
+    s = 1.0 - t
+    return np.stack([-0.5 * s**2, 1.5 * t**2 - 2.0 * t, 2.0 * s - 1.5 * s**2, 0.5 * t**2], axis=-1)
 
 
 def _pages(coefficients: FloatArray, oversampling: int) -> FloatArray:

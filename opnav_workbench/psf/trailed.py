@@ -7,9 +7,15 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
 from opnav_workbench.errors import CameraError
-from opnav_workbench.psf.protocol import Psf, cell_shift, checked_centers, covering_boxes
+from opnav_workbench.psf.empirical import EmpiricalPsf
+from opnav_workbench.psf.protocol import Psf, PsfGradient, cell_shift, checked_centers, covering_boxes
 
 __all__ = ["TrailedPsf"]
+
+SIGMA_TO_FWHM = 2.3548
+CELLS_PER_FWHM = 12  # see `EmpiricalPsf`
+MIN_CELLS = 4
+COPIES_PER_SIGMA = 2.0  # copies half a sigma apart make a trail that is smooth to 1e-8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +65,45 @@ class TrailedPsf:
         object.__setattr__(self, "weights", weights / weights.sum())
         freeze_arrays(self)
 
+    @classmethod
+    def straight(cls, psf: Psf, length_px: float, angle_rad: float) -> "TrailedPsf":
+        """Return the trail of a steady motion, the point's nominal place in its middle.
+
+        Parameters
+        ----------
+        psf : Psf
+            Without motion.
+        length_px : float
+            Way of the point during the exposure.
+        angle_rad : float
+            Direction of the motion, from +pixel toward +line.
+
+        Raises
+        ------
+        CameraError
+            A length that is negative, or one of both not finite.
+        """
+        if not 0.0 <= length_px < np.inf or not np.isfinite(angle_rad):
+            raise CameraError(
+                f"trailed PSF: length {length_px} px, angle {angle_rad} rad; give a finite length >= 0."
+            )
+        count = 1 + int(np.ceil(COPIES_PER_SIGMA * length_px / float(psf.sigma_px.min())))
+        # Middles of equal parts of the exposure: the second moment is that of the trail to 1 / count^2.
+        along = length_px * ((np.arange(count) + 0.5) / count - 0.5)
+        direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
+        return cls(psf, along[:, None] * direction, np.ones(count))
+
+    def tabulated(self) -> Psf:
+        """Return the same as a table, good to some 1e-5 of the flux and many times faster in a fit.
+
+        Itself where the PSF without motion is not the same everywhere.
+        """
+        if self.psf.at(np.zeros(2)) is not self.psf:
+            return self
+        fwhm_px = SIGMA_TO_FWHM * float(self.psf.sigma_px.min())
+        cells = max(MIN_CELLS, int(np.ceil(CELLS_PER_FWHM / fwhm_px)))
+        return EmpiricalPsf(self.kernel(cells), cells)
+
     @property
     def half_size_px(self) -> float:
         """Half the side of the square that holds all copies."""
@@ -86,6 +131,16 @@ class TrailedPsf:
             # A place occurs once in each copy, so plain indexed addition loses nothing.
             boxes[place[seen]] += weight * shares[seen]
         return boxes.reshape(n, size, size)
+
+    def gradient(self, center_px: ArrayLike, first: ArrayLike, size: int) -> PsfGradient:
+        """Return the shares and their derivatives; see `Psf.gradient`."""
+        centers = checked_centers(center_px)
+        total = np.zeros((3, len(centers), size, size))
+        for offset, weight in zip(self.offsets_px, self.weights, strict=True):
+            copy = self.psf.gradient(centers + offset, first, size)
+            for column, part in enumerate((copy.value, copy.d_pixel, copy.d_line)):
+                total[column] += weight * part
+        return PsfGradient(*total)
 
     def kernel(self, subsample: int, shift_px: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Return the shares in cells of 1/subsample px, (k, k); see `Psf.kernel`."""

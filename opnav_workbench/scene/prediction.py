@@ -8,7 +8,7 @@ A star's direction carries space motion, parallax at the spacecraft and stellar 
 time (in the state it comes with) and the same stellar aberration, so that both share one convention.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -77,6 +77,11 @@ class StarPrediction:
     def take(self, rows: NDArray[Any]) -> "StarPrediction":
         """Return some of the stars, by index or mask."""
         return StarPrediction(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def predicted_with(self, camera: Camera, camera_from_j2000: FloatArray) -> "StarPrediction":
+        """Return the same stars at the places that another attitude predicts, px (nan out of the camera's sight)."""
+        places = self.places(camera, camera_from_j2000)
+        return replace(self, pixel_line=places, on_detector=camera.on_detector(places))
 
     def places(self, camera: Camera, camera_from_j2000: FloatArray) -> FloatArray:
         """Return where the stars fall (n, 2), px, with another attitude than the one they were predicted with."""

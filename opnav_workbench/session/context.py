@@ -13,7 +13,9 @@ from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.starcenters import NoiseModel, ShapePrior
 
-__all__ = ["Context", "open_context"]
+__all__ = ["DETECTION_SNR", "Context", "faintest_magnitude", "open_context", "zero_point_mag"]
+
+DETECTION_SNR = 5.0  # lower than for blind detection: a false detection matches no pattern
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +62,24 @@ class Context:
         if camera.gain_e_per_dn is None or camera.read_noise_dn is None:
             return None
         return NoiseModel(camera.read_noise_dn, camera.gain_e_per_dn)
+
+
+def zero_point_mag(context: Context) -> float | None:
+    """Magnitude of a star of 1 DN in this exposure; None where the camera file has no zero point."""
+    zero_point = context.camera.zero_point_mag
+    if zero_point is None or not context.frame.exposure_s > 0.0:
+        return None
+    return zero_point + 2.5 * float(np.log10(context.frame.exposure_s))
+
+
+def faintest_magnitude(context: Context) -> float:
+    """Magnitude of the faintest star detected in this exposure; inf where no zero point is known."""
+    zero_point, noise = zero_point_mag(context), context.noise_dn[np.isfinite(context.noise_dn)]
+    if zero_point is None or noise.size == 0:
+        return float("inf")
+    # A PSF of this width spreads its light over as many pixels.
+    pixels = 4.0 * np.pi * (context.camera.psf.sigma_px**2 + 1.0 / 12.0)
+    return zero_point - 2.5 * float(np.log10(DETECTION_SNR * np.median(noise) * np.sqrt(pixels)))
 
 
 def open_context(path: str | Path, mission: Mission, settings: Settings) -> Context:

@@ -18,12 +18,15 @@ from opnav_workbench.scene import (
     observer_from_kernels,
     star_target_at,
 )
-from opnav_workbench.session.context import Context
+from opnav_workbench.session.context import Context, faintest_magnitude
 from opnav_workbench.session.state import Inputs
 from opnav_workbench.spice import KernelSet, camera_attitude, et_from_sclk, et_from_utc
 
-__all__ = ["ATTITUDE_SOURCES", "InputSource", "gather", "gather_target"]
+__all__ = ["ATTITUDE_SOURCES", "InputSource", "gather", "gather_target", "gather_wide"]
 
+WIDE_STARS = 1000  # of a wide search: dozens on the detector of any camera, and a session file of a megabyte
+FAINT_MARGIN_MAG = 1.0  # colors, and the zero point's own error
+MAX_CONE_RAD = np.pi
 ATTITUDE_SOURCES = ("auto", "kernels", "header")
 
 
@@ -54,23 +57,43 @@ class InputSource:
 def gather(context: Context, source: InputSource, catalog: Catalog | None = None) -> Inputs:
     """Collect time, observer, a priori attitude and the catalog stars around the field."""
     et = _et(context)
-    observer = _observer(context, et)
     attitude, origin = _attitude(context, source.attitude, et)
-    return Inputs(
+    inputs = Inputs(
         et=et,
         utc=context.frame.utc or "",
-        observer=observer,
+        observer=_observer(context, et),
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
-        stars=_stars(context, catalog or open_catalog(source.catalog), attitude, et),
+        stars=StarTable.empty(),
         targets=MappingProxyType({}),
     )
+    return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
 
 
 def gather_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> Inputs:
     """Add one target to the inputs: a star of the target list, else a SPICE body."""
     target = _star_target(context, source, inputs, name) or _spice_target(context, inputs, name)
     return replace(inputs, targets=MappingProxyType({**inputs.targets, name: target}))
+
+
+def gather_wide(
+    context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
+) -> Inputs:
+    """Add the brightest stars as far around the a priori field as the widest search of the settings goes."""
+    reach_px = max((shift for shift, _ in context.settings.wide_searches), default=0.0)
+    radius = context.camera.half_diagonal_rad + reach_px * context.camera.pixel_scale_rad
+    limit = min(context.settings.mag_limit, faintest_magnitude(context) + FAINT_MARGIN_MAG)
+    stars = _cone(context, catalog or open_catalog(source.catalog), inputs, radius, limit)
+    brightest = np.sort(np.argsort(stars.mag, kind="stable")[:WIDE_STARS])
+    return replace(inputs, wide_stars=stars.take(brightest))
+
+
+def _cone(
+    context: Context, catalog: Catalog, inputs: Inputs, radius_rad: float, mag_limit: float
+) -> StarTable:
+    direction = inputs.a_priori_camera_from_j2000.T @ context.camera.boresight
+    ra, dec = (float(a) for a in radec_from_unit(direction))
+    return catalog.cone(ra, dec, min(radius_rad, MAX_CONE_RAD), mag_limit=mag_limit, et_s=inputs.et)
 
 
 def _et(context: Context) -> float:
@@ -110,14 +133,12 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str
     return np.asarray(geometry.camera_from_j2000), "header"
 
 
-def _stars(context: Context, catalog: Catalog, attitude: FloatArray, et: float) -> StarTable:
+def _stars(context: Context, catalog: Catalog, inputs: Inputs) -> StarTable:
     """Catalog stars in a cone that holds the detector, the search margin and the twist error's reach."""
     camera, settings = context.camera, context.settings
-    direction = attitude.T @ camera.boresight
-    ra, dec = (float(a) for a in radec_from_unit(direction))
     margin = settings.max_shift_px * camera.pixel_scale_rad
     reach = camera.half_diagonal_rad * (1.0 + np.radians(settings.max_twist_deg)) + margin
-    return catalog.cone(ra, dec, reach, mag_limit=settings.mag_limit, et_s=et)
+    return _cone(context, catalog, inputs, reach, settings.mag_limit)
 
 
 def _star_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> TargetState | None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.session import steps_bodies, steps_stars
+from opnav_workbench.session import marking, steps_bodies, steps_stars
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.journal import JournalEntry, entry
 from opnav_workbench.session.state import Inputs, SessionState
@@ -15,6 +15,7 @@ Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
 
 STEPS: dict[str, Step] = {
     "predict": steps_stars.predict,
+    "two_star_pointing": marking.two_star_pointing,
     "find_stars": steps_stars.find_stars,
     "reject_stars": steps_stars.reject_stars,
     "accept_stars": steps_stars.accept_stars,
@@ -28,6 +29,7 @@ STEPS: dict[str, Step] = {
 # One line of what came out of a step, for the journal.
 OUTCOMES: dict[str, Callable[[SessionState, dict[str, Any]], str]] = {
     "predict": lambda s, _: f"{0 if s.a_priori is None else len(s.a_priori)} stars on or near the detector",
+    "two_star_pointing": lambda s, _: marking.outcome(s),
     "find_stars": lambda s, _: f"{int(s.mask('used').sum())} stars found",
     "reject_stars": lambda _, p: f"{len(p['ids'])} rejected",
     "accept_stars": lambda _, p: f"{len(p['ids'])} accepted",
@@ -65,7 +67,14 @@ class History:
 
     def take(self, inputs: Inputs, step: str, parameters: dict[str, Any], reason: str = "") -> None:
         """Carry out a step; a step that fails leaves neither state nor entry."""
-        state = STEPS[step](self._context, inputs, self.state, parameters)
+        self.record(step, parameters, self.tried(inputs, step, parameters), reason)
+
+    def tried(self, inputs: Inputs, step: str, parameters: dict[str, Any]) -> SessionState:
+        """Return the state that a step would lead to, without taking it."""
+        return STEPS[step](self._context, inputs, self.state, parameters)
+
+    def record(self, step: str, parameters: dict[str, Any], state: SessionState, reason: str = "") -> None:
+        """Take a step whose outcome is known."""
         self._states.append(state)
         self._journal.append(entry(step, parameters, reason, OUTCOMES[step](state, parameters)))
 

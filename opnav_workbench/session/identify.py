@@ -1,7 +1,8 @@
-"""Which detection is which star: the field's shift and twist against the a priori pointing.
+"""Which detection is which star: the field's rotation against the a priori pointing.
 
-Before the pointing is solved, detections are matched with the predicted pattern of stars and small bodies; after it,
-the solved pointing says where each star is.
+Before the pointing is solved, detections are matched with the pattern of catalog stars and small bodies: first within
+the limits of the a priori pointing, then farther and farther around it; after it, the solved pointing says where each
+star is. What two marked stars have said goes before all patterns.
 """
 
 from dataclasses import dataclass
@@ -10,45 +11,49 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
-from opnav_workbench.scene import predict_body
-from opnav_workbench.session.context import Context
-from opnav_workbench.session.state import Inputs, SessionState
-from opnav_workbench.starcenters import Detections, Identification, detect, identify
-from opnav_workbench.starcenters.identification import DETECTED_PART, LIMIT_MARGIN_MAG, SURE, TOLERANCE_PX
-from opnav_workbench.starcenters.voting import move
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.scene import (
+    StarPrediction,
+    apparent_stars,
+    camera_magnitudes,
+    predict_body,
+    predict_stars,
+)
+from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
+from opnav_workbench.session.state import FieldFound, Inputs, SessionState
+from opnav_workbench.starcenters import Detections, Identification, detect, identify_sky
 
-__all__ = ["FieldMatch", "identify_field"]
+__all__ = ["FieldMatch", "brightest", "found_field", "identify_field", "star_detections", "stars_around"]
 
-DETECTION_SNR = 5.0  # lower than for blind detection: a false detection matches no pattern
-# Less sure than this is a guess; a single star found by nearness and brightness reaches 0.3 to 0.6.
-MIN_CONFIDENCE = 0.25
-# So few leave no redundancy; that other stars are missing where they should be then speaks against them.
-FEW_PAIRS = 2
+# A proposal less sure than this is a guess. One star by nearness and brightness reaches 0.9; in fields that have nothing
+# to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
+MIN_CONFIDENCE = 0.8
+MAX_DETECTIONS = 300  # brightest: enough for any pattern
 # A body larger than this is not a point of the pattern, and its limb would add false detections.
 MAX_POINT_DIAMETER_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldMatch:
-    """Where each predicted star is expected on the picture.
+    """Where each star is expected on the picture.
 
     Attributes
     ----------
-    found : bool
+    found : FieldFound or None
+    stars : StarPrediction or None
+        Predicted anew, where the field lies so far off that others are on the detector; else None.
     expected_px : (n, 2) array
     visible : (n,) array of bool
         Expected on the detector.
-    shift_px : (2,) array
-        Observed minus a priori place of the field at the detector's center.
     radius_px : float
         How far from the expected place a star may lie.
     messages : tuple of str
     """
 
-    found: bool
+    found: FieldFound | None
+    stars: StarPrediction | None
     expected_px: FloatArray
     visible: BoolArray
-    shift_px: FloatArray
     radius_px: float
     messages: tuple[str, ...] = ()
 
@@ -57,125 +62,180 @@ class FieldMatch:
 
 
 def identify_field(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
-    """Locate the star field, from the solved pointing if there is one, else from the pattern of detections."""
-    if state.a_priori is None or len(state.a_priori) == 0:
-        return _nothing(state, "no catalog star is predicted near this field")
+    """Locate the star field, from the solved pointing or marked stars if there are, else from the pattern."""
+    if state.a_priori is None:
+        return _nothing(state, "no star is predicted")
     if state.pointing is not None:
-        return _from_pointing(context, state)
+        radius = context.settings.refined_radius_px
+        return _match(context, state.a_priori, state.pointing.camera_from_j2000, state.star_field, radius)
+    if state.star_field is not None and state.star_field.search == "marked":
+        radius = context.settings.search_radius_px
+        return _match(context, state.a_priori, state.star_field.camera_from_j2000, state.star_field, radius)
     return _from_pattern(context, inputs, state)
 
 
-def _from_pointing(context: Context, state: SessionState) -> FieldMatch:
-    assert state.a_priori is not None
-    assert state.pointing is not None
-    pointing = state.pointing
-    expected = state.a_priori.places(context.camera, pointing.camera_from_j2000)
-    return FieldMatch(
-        found=True,
-        expected_px=expected,
-        visible=context.camera.on_detector(expected),
-        shift_px=np.array([pointing.delta_pixel, pointing.delta_line]),
-        radius_px=context.settings.refined_radius_px,
-    )
+def _match(
+    context: Context,
+    stars: StarPrediction,
+    attitude: FloatArray,
+    found: FieldFound | None,
+    radius_px: float,
+    *messages: str,
+    anew: bool = False,
+) -> FieldMatch:
+    expected = stars.places(context.camera, attitude)
+    visible = context.camera.on_detector(expected)
+    return FieldMatch(found, stars if anew else None, expected, visible, radius_px, messages)
 
 
 def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
+    """Search within the a priori limits, then, where that is not sure, as far as there are stars for."""
     assert state.a_priori is not None
-    match, missing = _matched(context, inputs, state)
-    if match.confidence < MIN_CONFIDENCE:
-        return _nothing(state, match.message)
-    if _less(match.confidence, missing) < MIN_CONFIDENCE:
-        return _nothing(
-            state,
-            f"only {len(match.pairs)} could be matched, and {missing} stars bright enough are not where they "
-            "then should be",
-        )
-    camera = context.camera
-    expected = move(state.a_priori.pixel_line, camera.center_pixel_line, match.shift_px, match.twist_rad)
-    return FieldMatch(
-        found=True,
-        expected_px=expected,
-        visible=camera.on_detector(expected),
-        shift_px=match.shift_px,
-        radius_px=context.settings.search_radius_px,
-        messages=(match.message,) if match.confidence < SURE else (),
+    settings, detections = context.settings, star_detections(context)
+    near = _identified(
+        context, inputs, state, detections, state.a_priori, settings.max_shift_px, settings.max_twist_deg
     )
+    if not near.sure and inputs.wide_stars is not None:
+        wide = _wide(context, inputs, state, detections, inputs.wide_stars)
+        if wide is not None:
+            return wide
+    if near.confidence < MIN_CONFIDENCE:
+        return _nothing(state, _why(near), _searched(context, inputs))
+    found = found_field(inputs, near, "a priori")
+    said = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
+    return _match(context, state.a_priori, found.camera_from_j2000, found, settings.search_radius_px, *said)
 
 
-def _matched(context: Context, inputs: Inputs, state: SessionState) -> tuple[Identification, int]:
-    """Match the pattern with the picture's detections; also how many stars speak against a match of few."""
-    camera, settings = context.camera, context.settings
-    detections = detect(
+def _wide(
+    context: Context, inputs: Inputs, state: SessionState, detections: Detections, catalog: StarTable
+) -> FieldMatch | None:
+    """Search farther; only a sure answer counts, for there is room for many coincidences."""
+    around = _all_directions(context, inputs, catalog)
+    for shift_px, twist_deg in context.settings.wide_searches:
+        answer = _identified(context, inputs, state, detections, around, shift_px, twist_deg)
+        if not answer.sure:
+            continue
+        found = found_field(inputs, answer, "wide")
+        stars = stars_around(context, inputs, catalog, found.camera_from_j2000)
+        said = (
+            f"the field lies ({answer.shift_px[0]:.0f}, {answer.shift_px[1]:.0f}) px and "
+            f"{np.degrees(answer.twist_rad):.2f} deg off its a priori place: {answer.message}"
+        )
+        radius = context.settings.search_radius_px
+        return _match(context, stars, found.camera_from_j2000, found, radius, said, anew=True)
+    return None
+
+
+def star_detections(context: Context) -> Detections:
+    """Return the brightest detections of the picture; none where no pixel is usable."""
+    camera, saturated = context.camera, context.frame.saturated
+    if np.all(context.bad | saturated | ~np.isfinite(context.signal_dn)):
+        empty = np.empty(0)
+        return Detections(np.empty((0, 2)), empty, empty, empty, np.empty(0, np.int64))
+    return detect(
         context.signal_dn,
         context.noise_dn,
         context.bad,
         camera.psf.sigma_px,
         DETECTION_SNR,
-        saturated=context.frame.saturated,
+        saturated=saturated,
+        max_detections=MAX_DETECTIONS,
     )
-    points, mags = _pattern(context, inputs, state)
-    match = identify(
-        points,
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Directions:
+    """Stars as directions only, however far off the detector."""
+
+    directions: FloatArray
+    mag: FloatArray
+
+
+def _all_directions(context: Context, inputs: Inputs, catalog: StarTable) -> _Directions:
+    mag, _ = camera_magnitudes(catalog, context.camera)
+    return _Directions(apparent_stars(catalog, inputs.et, inputs.observer), mag)
+
+
+def _identified(
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    detections: Detections,
+    stars: StarPrediction | _Directions,
+    shift_px: float,
+    twist_deg: float,
+) -> Identification:
+    directions, mags = _pattern(context.camera, inputs, state, stars)
+    return identify_sky(
+        directions @ inputs.a_priori_camera_from_j2000.T,
         mags,
         detections,
-        center_px=camera.center_pixel_line,
-        max_shift_px=settings.max_shift_px,
-        max_twist_rad=float(np.radians(settings.max_twist_deg)),
-        zero_point_mag=_zero_point(context),
+        context.camera,
+        max_shift_px=shift_px,
+        max_twist_rad=float(np.radians(twist_deg)),
+        zero_point_mag=zero_point_mag(context),
     )
-    few = 0 < len(match.pairs) <= FEW_PAIRS
-    return match, _missing(camera, points, mags, detections, match) if few else 0
 
 
-def _missing(
-    camera: Camera, points: FloatArray, mags: FloatArray, detections: Detections, match: Identification
-) -> int:
-    """How many stars should be seen beside those that were matched, and are not."""
-    star, detection = match.pairs[np.argmax(detections.snr[match.pairs[:, 1]])]
-    # How much fainter than this one a star may be and still be detected.
-    reach = 2.5 * np.log10(max(float(detections.snr[detection]) / DETECTION_SNR, 1.0)) - LIMIT_MARGIN_MAG
-    places = move(points, camera.center_pixel_line, match.shift_px, match.twist_rad)
-    bright = (mags < mags[star] + reach) & camera.on_detector(places)
-    bright[match.pairs[:, 0]] = False
-    distance = np.hypot(*(places[:, None] - detections.pixel_line[None]).transpose(2, 0, 1)).min(axis=1)
-    return int(np.sum(bright & (distance > TOLERANCE_PX)))
-
-
-def _less(confidence: float, missing: int) -> float:
-    """Confidence after `missing` stars, each of which a right match misses with probability 1 - DETECTED_PART."""
-    odds = confidence / max(1.0 - confidence, np.finfo(float).tiny) * (1.0 - DETECTED_PART) ** missing
-    return odds / (1.0 + odds)
-
-
-def _zero_point(context: Context) -> float | None:
-    """Magnitude of a star of 1 DN in this exposure."""
-    zero_point = context.camera.zero_point_mag
-    return None if zero_point is None else zero_point + 2.5 * float(np.log10(context.frame.exposure_s))
-
-
-def _pattern(context: Context, inputs: Inputs, state: SessionState) -> tuple[FloatArray, FloatArray]:
-    """Predicted places and magnitudes of stars and point-like bodies (magnitude nan where unknown)."""
-    assert state.a_priori is not None
-    points, mags = [state.a_priori.pixel_line], [state.a_priori.mag]
+def _pattern(
+    camera: Camera, inputs: Inputs, state: SessionState, stars: StarPrediction | _Directions
+) -> tuple[FloatArray, FloatArray]:
+    """Directions (J2000) and magnitudes of stars and point-like bodies (magnitude nan where unknown)."""
+    directions, mags = [stars.directions], [stars.mag]
     for target in (inputs.targets[name] for name in state.targets):
-        body = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
+        body = predict_body(target, inputs.observer, camera, inputs.a_priori_camera_from_j2000)
         if body.on_detector and body.diameter_px <= MAX_POINT_DIAMETER_PX:
-            points.append(body.pixel_line[None])
+            directions.append(body.direction[None])
             mags.append(np.array([np.nan if target.magnitude is None else target.magnitude]))
-    return np.concatenate(points), np.concatenate(mags)
+    return np.concatenate(directions), np.concatenate(mags)
 
 
-def _nothing(state: SessionState, why: str) -> FieldMatch:
+def found_field(inputs: Inputs, answer: Identification, search: str) -> FieldFound:
+    """Return an identification as the session keeps it."""
+    assert answer.rotation is not None
+    attitude = answer.rotation @ inputs.a_priori_camera_from_j2000
+    return FieldFound(attitude, answer.shift_px, answer.twist_rad, answer.confidence, search, answer.sure)
+
+
+def stars_around(
+    context: Context, inputs: Inputs, catalog: StarTable, attitude: FloatArray
+) -> StarPrediction:
+    """Predict the stars around the field that `attitude` looks at; their places stay those of the a priori pointing."""
+    settings = context.settings
+    stars = predict_stars(
+        catalog, inputs.et, inputs.observer, context.camera, attitude, settings.max_shift_px
+    )
+    stars = brightest(stars, settings.max_stars)
+    return stars.predicted_with(context.camera, inputs.a_priori_camera_from_j2000)
+
+
+def brightest(stars: StarPrediction, most: int) -> StarPrediction:
+    """Return the brightest stars, at most `most`, in their order."""
+    if len(stars) <= most:
+        return stars
+    keep = np.sort(np.argsort(stars.mag, kind="stable")[:most])
+    return stars.take(keep)
+
+
+def _why(answer: Identification) -> str:
+    if len(answer.pairs) == 0:
+        return answer.message
+    stars = "one star" if len(answer.pairs) == 1 else f"{len(answer.pairs)} stars"
+    return f"the likeliest answer, {stars}, has a confidence of {answer.confidence:.2f} only"
+
+
+def _searched(context: Context, inputs: Inputs) -> str:
+    """How far was searched, in words."""
+    if inputs.wide_stars is None or not context.settings.wide_searches:
+        return ""
+    shift, twist = context.settings.wide_searches[-1]
+    return f"; nor is it within {shift:g} px and {twist:g} deg"
+
+
+def _nothing(state: SessionState, why: str, searched: str = "") -> FieldMatch:
     count = 0 if state.a_priori is None else len(state.a_priori)
     message = (
-        f"the star field is not identified: {why}. The a priori pointing stands; "
-        "take a deeper catalog (--catalog) or widen the search (max_shift_px)."
+        f"the star field is not identified: {why}{searched}. The a priori pointing stands; take a deeper catalog "
+        "(--catalog), widen the search (max_shift_px), or mark two stars (two_star_pointing)."
     )
-    return FieldMatch(
-        found=False,
-        expected_px=np.full((count, 2), np.nan),
-        visible=np.zeros(count, dtype=bool),
-        shift_px=np.full(2, np.nan),
-        radius_px=0.0,
-        messages=(message,),
-    )
+    return FieldMatch(None, None, np.full((count, 2), np.nan), np.zeros(count, dtype=bool), 0.0, (message,))

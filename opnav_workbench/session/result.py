@@ -10,7 +10,7 @@ from opnav_workbench.observables import Observable
 from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.gather import InputSource
-from opnav_workbench.session.state import MEASURED_STATUSES, Inputs, SessionState
+from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, Inputs, SessionState
 from opnav_workbench.session.verdicts import has_center
 from opnav_workbench.spice import KernelSet
 from opnav_workbench.version import __version__
@@ -31,6 +31,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "camera": context.camera.name,
         "status": overall_status(state),
         "messages": list(state.messages),
+        "identification": _identification(state.star_field),
         "pointing": _pointing(state.pointing),
         "stars": _stars(context, state),
         "bodies": [_body(o) for o in state.observables],
@@ -43,8 +44,21 @@ def overall_status(state: SessionState) -> str:
     if state.pointing is None:
         return "failed"
     found = not state.skipped_targets and all(o.status == "ok" for o in state.observables)
-    complete = state.pointing.twist_solved and found
+    sure = state.star_field is None or state.star_field.sure
+    complete = state.pointing.twist_solved and found and sure
     return "ok" if complete else "partial"
+
+
+def _identification(found: FieldFound | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "search": found.search,
+        "confidence": found.confidence,
+        "sure": found.sure,
+        "shift_px": found.shift_px,
+        "twist_deg": np.degrees(found.twist_rad),
+    }
 
 
 def _pointing(p: PointingSolution | None) -> dict[str, Any] | None:

@@ -12,15 +12,17 @@ from astropy.table import QTable
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
+from opnav_workbench.errors import CatalogError, SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import observables_table
 from opnav_workbench.scene import StarPrediction
 from opnav_workbench.session import steps_bodies, storage
 from opnav_workbench.session.context import Context, open_context
-from opnav_workbench.session.gather import InputSource, gather, gather_target
+from opnav_workbench.session.gather import InputSource, gather, gather_target, gather_wide
 from opnav_workbench.session.history import History
 from opnav_workbench.session.journal import JournalEntry
+from opnav_workbench.session.marking import unknown_stars
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import result_dict
 from opnav_workbench.session.settings import Settings
@@ -48,7 +50,10 @@ class ImageSession:
             s.save("run/lor_0299")
     """
 
-    def __init__(self, context: Context, source: InputSource, inputs: Inputs) -> None:
+    def __init__(
+        self, context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
+    ) -> None:
+        self._catalog = catalog
         self._context = context
         self._source = source
         self._inputs = inputs
@@ -92,7 +97,7 @@ class ImageSession:
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
         context = open_context(path, mission, settings or Settings())
         source = InputSource(catalog, None if target_stars is None else Path(target_stars), attitude)
-        return cls(context, source, gather(context, source, opened_catalog))
+        return cls(context, source, gather(context, source, opened_catalog), opened_catalog)
 
     # -- what stands -------------------------------------------------------------------------------------------
 
@@ -158,15 +163,61 @@ class ImageSession:
     ) -> None:
         """Identify the field and fit the star centers; with a solved pointing the search is around it.
 
+        A field that is not identified for sure within the limits of the a priori pointing is searched farther out
+        (see `Settings`), in a cone of the catalog that grows with it.
+
         Parameters
         ----------
         initial : {"matched_filter", "cross_correlation"}
-        final : {"least_squares", "matched_filter", "cross_correlation"}
+        final : {"least_squares", "psf_fit", "matched_filter", "cross_correlation"}
+            ``psf_fit`` takes the camera's own PSF, such as one of ``opnav calibrate psf``.
         search_radius_px : float, optional
             How far from its expected place a star may lie; default from the settings.
         """
         parameters = {"initial": initial, "final": final, "search_radius_px": search_radius_px}
-        self._step("find_stars", parameters)
+        state = self._history.tried(self._inputs, "find_stars", parameters)
+        if (state.star_field is None or not state.star_field.sure) and self._widen():
+            state = self._history.tried(self._inputs, "find_stars", parameters)
+        self._history.record("find_stars", parameters, state)
+
+    def two_star_pointing(
+        self, places: Sequence[Sequence[float]], ids: Sequence[str] | None = None, reason: str = ""
+    ) -> None:
+        """Solve shift and twist of the field from two stars that the analyst marks; go on with `find_stars`.
+
+        Parameters
+        ----------
+        places : two (pixel, line)
+            Marked places; each means the nearest detection, or itself where there is none.
+        ids : two str, optional
+            Catalog ids of the marked stars; without them they are looked for among the stars around the field, any
+            twist.
+        reason : str
+            For the journal.
+
+        Raises
+        ------
+        SessionError, CenterfindingError
+            No stars are predicted yet, an id is unknown, the places do not fit the stars' separation, or stars that
+            are not named cannot be told from others.
+        """
+        marks = [[float(value) for value in place] for place in places]
+        names = None if ids is None else [str(star) for star in ids]
+        if len(marks) != 2 or (names is not None and len(set(names)) != 2):
+            raise SessionError(f"two stars must be marked, got {len(marks)} places and ids {names}.")
+        if names is None or unknown_stars(self._inputs, names):
+            self._widen()
+        self._step("two_star_pointing", {"places": marks, "ids": names}, reason)
+
+    def _widen(self) -> bool:
+        """Fetch the stars that a wide search needs; False where there are none to fetch."""
+        if self._inputs.wide_stars is not None or not self._context.settings.wide_searches:
+            return False
+        try:
+            self._inputs = gather_wide(self._context, self._source, self._inputs, self._catalog)
+        except CatalogError:
+            return False  # the catalog is not on this machine; what is not identified says so
+        return True
 
     def reject_stars(self, ids: Sequence[str], reason: str) -> None:
         """Reject stars by catalog id; the reason stands in the journal and in the result.
@@ -187,14 +238,17 @@ class ImageSession:
         names = [ids] if isinstance(ids, str) else [str(star) for star in ids]
         self._step(step, {"ids": names, "reason": reason}, reason)
 
-    def repoint(self, model: str = "euler") -> None:
+    def repoint(self, model: str = "euler", *, a_priori: bool = False) -> None:
         """Solve the camera attitude from the stars in use.
 
         Parameters
         ----------
         model : {"euler", "image_plane"}
+        a_priori : bool
+            Take the a priori attitude as a measurement too, with the camera's ``attitude_sigma``; where the field was
+            found far from it, it does not count.
         """
-        self._step("repoint", {"model": model})
+        self._step("repoint", {"model": model} | ({"a_priori": True} if a_priori else {}))
 
     def find_body(self, name: str, method: str = "unresolved", search_radius_px: float | None = None) -> None:
         """Find a body's center.

@@ -18,6 +18,10 @@ class Settings:
         How far the a priori pointing may be off; the paper speaks of "more than 40 pixels".
     max_twist_deg : float
         How far the a priori twist may be off; 0.2 deg was measured on LORRI frames.
+    wider_shift_px, wider_twist_deg : float
+        How far a second search goes where the field is not identified for sure within these limits; 0 px: no such search.
+    widest_shift_px, widest_twist_deg : float
+        The same for a last search; 180 deg is any twist.
     search_radius_px : float
         How far from its expected place a star is searched once the field is identified.
     refined_radius_px : float
@@ -29,7 +33,8 @@ class Settings:
         A detection this much (mag) off the frame's own zero point is not the catalog star: colours of late-type stars
         reach 2.5 mag between V and a broad red band.
     blend_radius_px : float
-        Two catalog stars nearer than this are not separate pictures of stars.
+        Two catalog stars nearer than this are not separate pictures of stars where centers are of correlations; least
+        squares fits neighbors together and separates them from 1.5 sigma of the PSF on.
     blend_magnitude : float
         ... unless the fainter is this much (mag) fainter, when it moves the center by less than 3 % of their distance.
     max_stars : int
@@ -40,6 +45,10 @@ class Settings:
 
     max_shift_px: float = 60.0
     max_twist_deg: float = 0.5
+    wider_shift_px: float = 200.0
+    wider_twist_deg: float = 2.0
+    widest_shift_px: float = 1000.0
+    widest_twist_deg: float = 180.0
     search_radius_px: float = 4.0
     refined_radius_px: float = 2.5
     min_snr: float = 5.0
@@ -48,6 +57,12 @@ class Settings:
     blend_magnitude: float = 4.0
     max_stars: int = 300
     mag_limit: float = 30.0
+
+    @property
+    def wide_searches(self) -> tuple[tuple[float, float], ...]:
+        """Limits (px, deg) of the searches beyond the first, nearest first."""
+        both = (self.wider_shift_px, self.wider_twist_deg), (self.widest_shift_px, self.widest_twist_deg)
+        return tuple(limits for limits in both if limits[0] > 0.0)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> "Settings":

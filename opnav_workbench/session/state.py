@@ -15,7 +15,7 @@ from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.scene import Observer, StarPrediction
 from opnav_workbench.starcenters import ShapePrior, StarCenters
 
-__all__ = ["MEASURED_STATUSES", "Inputs", "SessionState", "StarStatus", "skipped_topic"]
+__all__ = ["MEASURED_STATUSES", "FieldFound", "Inputs", "SessionState", "StarStatus", "skipped_topic"]
 
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
@@ -37,6 +37,8 @@ class Inputs:
     stars : StarTable
         Catalog rows around the a priori field.
     targets : mapping of str to TargetState
+    wide_stars : StarTable or None
+        Brightest catalog rows as far around as the widest search goes, once one was needed.
     """
 
     et: float
@@ -46,6 +48,7 @@ class Inputs:
     attitude_source: str
     stars: StarTable
     targets: MappingProxyType[str, TargetState]
+    wide_stars: StarTable | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -62,6 +65,37 @@ class StarStatus:
 
     status: str
     reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldFound:
+    """The star field identified.
+
+    Attributes
+    ----------
+    camera_from_j2000 : (3, 3) array
+        Attitude that brings the stars onto their detections, to a pixel.
+    shift_px : (2,) array
+        Observed minus a priori place of the field's center, without distortion.
+    twist_rad : float
+        Turn of the picture, positive from +pixel toward +line.
+    confidence : float
+        1 - estimated probability that it is another field.
+    search : {"a priori", "wide", "marked"}
+        Found within the limits of the a priori pointing, by a wider search, or from two stars marked by the analyst.
+    sure : bool
+        False for a proposal that the analyst should confirm.
+    """
+
+    camera_from_j2000: FloatArray
+    shift_px: FloatArray
+    twist_rad: float
+    confidence: float
+    search: str
+    sure: bool
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +116,8 @@ class SessionState:
         Names of the targets expected in the picture.
     decisions : mapping of str to (str, str)
         Analyst's verdict ("rejected" or "accepted") and reason by star id; they outrank the automatic ones.
-    field_shift_px : (2,) array or None
-        Shift of the field found by identification.
+    star_field : FieldFound or None
+        The field as identification, or the analyst, found it.
     psf : ShapePrior or None
         The frame's own PSF.
     pointing : PointingSolution or None
@@ -101,7 +135,7 @@ class SessionState:
     status: tuple[StarStatus, ...] = ()
     targets: tuple[str, ...] = ()
     decisions: MappingProxyType[str, tuple[str, str]] = field(default_factory=lambda: MappingProxyType({}))
-    field_shift_px: FloatArray | None = None
+    star_field: FieldFound | None = None
     psf: ShapePrior | None = None
     pointing: PointingSolution | None = None
     bodies: tuple[BodyCenter, ...] = ()

@@ -10,7 +10,7 @@ from opnav_workbench.bodycenters import BodyCenter, find_unresolved
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable, attitude_partials, observe
 from opnav_workbench.pointing import solve_pointing
-from opnav_workbench.pointing.models import MODELS, Model
+from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus, skipped_topic
@@ -40,7 +40,7 @@ def repoint(
     usable = np.array([s.status == "used" for s in candidates], dtype=bool) & has_center(state)
     solved = state.replace(status=candidates)
     if usable.any():
-        solved = _solved(context, inputs, solved, usable, model)
+        solved = _solved(context, inputs, solved, usable, parameters)
     else:
         none = f"no usable star among {len(candidates)} candidates; the a priori pointing stands."
         solved = solved.replace(pointing=None).noting("pointing", none)
@@ -49,7 +49,7 @@ def repoint(
 
 
 def _solved(
-    context: Context, inputs: Inputs, state: SessionState, usable: BoolArray, model: Model
+    context: Context, inputs: Inputs, state: SessionState, usable: BoolArray, parameters: dict[str, Any]
 ) -> SessionState:
     assert state.a_priori is not None
     assert state.centers is not None
@@ -61,10 +61,10 @@ def _solved(
         context.camera,
         inputs.a_priori_camera_from_j2000,
         catalog_covariance_px2=state.a_priori.covariance_px2,
-        model=model,
+        model=parameters["model"],
         usable=usable,
         trusted=[verdict == ACCEPTED for verdict in verdicts],
-        twist_sigma_rad=np.radians(context.camera.attitude_sigma.twist_deg),
+        **_start(context, state, bool(parameters.get("a_priori"))),
     )
     status = tuple(
         StarStatus("rejected", reason) if offered and not used else status
@@ -73,6 +73,14 @@ def _solved(
         )
     )
     return state.replace(pointing=solution, status=status).noting("pointing", *solution.messages)
+
+
+def _start(context: Context, state: SessionState, a_priori: bool) -> dict[str, Any]:
+    """How far the a priori attitude is to be trusted: not at all where the field was found far from it."""
+    if state.star_field is None or state.star_field.search == "a priori":
+        twist = {"twist_sigma_rad": np.radians(context.camera.attitude_sigma.twist_deg)}
+        return twist | ({"a_priori_covariance_rad2": _a_priori_covariance(context)} if a_priori else {})
+    return {"twist_sigma_rad": np.pi, "start": "svd"}
 
 
 def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
@@ -84,8 +92,10 @@ def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
 
 def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
     """Covariance (3, 3) rad^2 that goes with `attitude`; the camera's a priori one before the stars are solved."""
-    if state.pointing is not None:
-        return state.pointing.covariance_rad2
+    return _a_priori_covariance(context) if state.pointing is None else state.pointing.covariance_rad2
+
+
+def _a_priori_covariance(context: Context) -> FloatArray:
     sigma = context.camera.attitude_sigma
     cross = sigma.cross_px * context.camera.pixel_scale_rad
     focal = np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2

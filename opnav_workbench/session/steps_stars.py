@@ -9,9 +9,9 @@ from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.scene import StarPrediction, predict_stars
 from opnav_workbench.session.context import Context
-from opnav_workbench.session.identify import FieldMatch, identify_field
+from opnav_workbench.session.identify import FieldMatch, brightest, identify_field
 from opnav_workbench.session.state import Inputs, SessionState, StarStatus, skipped_topic
-from opnav_workbench.session.verdicts import ACCEPTED, REJECTED, decide, with_verdicts
+from opnav_workbench.session.verdicts import ACCEPTED, REJECTED, decide, unsearched, with_verdicts
 from opnav_workbench.starcenters import (
     ShapePrior,
     StarCenters,
@@ -20,6 +20,7 @@ from opnav_workbench.starcenters import (
     correlate,
     default_box_px,
     extract_template,
+    fit_psf,
     fit_stars,
     gaussian_template,
 )
@@ -28,7 +29,11 @@ __all__ = ["accept_stars", "find_stars", "predict", "reject_stars"]
 
 Initial = Literal["matched_filter", "cross_correlation"]
 INITIAL_METHODS: tuple[Initial, ...] = get_args(Initial)
-FINAL_METHODS = ("least_squares", *INITIAL_METHODS)
+FITTED = ("least_squares", "psf_fit")  # neighbors are fitted together
+FINAL_METHODS = (*FITTED, *INITIAL_METHODS)
+UNSEPARATED_SIGMAS = (
+    1.5  # a joint fit tells stars apart that are farther from each other than this, in sigmas of the PSF
+)
 TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the stars it finds
 MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
 
@@ -41,13 +46,8 @@ def predict(
     stars = predict_stars(
         inputs.stars, inputs.et, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000, margin
     )
-    stars = _brightest(stars, context.settings.max_stars)
-    status = tuple(
-        StarStatus("not_detected", "not searched yet")
-        if on
-        else StarStatus("off_detector", "predicted outside the detector")
-        for on in stars.on_detector
-    )
+    stars = brightest(stars, context.settings.max_stars)
+    status = unsearched(stars.on_detector)
     topics = {skipped_topic(name) for name in state.skipped_targets}
     fresh = SessionState(
         a_priori=stars,
@@ -58,13 +58,6 @@ def predict(
         notes=MappingProxyType({topic: said for topic, said in state.notes.items() if topic in topics}),
     )
     return fresh.replace(status=with_verdicts(fresh, status)).noting("predict", *_empty_field(stars))
-
-
-def _brightest(stars: StarPrediction, most: int) -> StarPrediction:
-    if len(stars) <= most:
-        return stars
-    keep = np.sort(np.argsort(stars.mag, kind="stable")[:most])
-    return stars.take(keep)
 
 
 def _empty_field(stars: StarPrediction) -> list[str]:
@@ -81,7 +74,7 @@ def find_stars(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Find the predicted stars in the picture and fit their centers."""
-    stars = _predicted(state)
+    _predicted(state)
     initial, final = parameters["initial"], parameters["final"]
     if initial not in INITIAL_METHODS or final not in FINAL_METHODS:
         raise SessionError(
@@ -90,12 +83,16 @@ def find_stars(
         )
     match = identify_field(context, inputs, state)
     state = state.noting("stars", *match.messages)
-    if not match.found:
-        return state.replace(centers=None, field_shift_px=None)
+    if match.found is None and state.pointing is None:
+        return state.replace(centers=None, star_field=None)
+    if match.stars is not None:
+        state = state.replace(a_priori=match.stars)
+    stars = _predicted(state)
     radius = parameters["search_radius_px"] or match.radius_px
     centers, psf = _measure(context, state, match, initial, final, radius)
-    found = _judge(context, stars, match, centers, radius)
-    state = state.replace(centers=centers, psf=psf, found_status=found, field_shift_px=match.shift_px)
+    blend_px = UNSEPARATED_SIGMAS * psf.sigma_px if final in FITTED else context.settings.blend_radius_px
+    found = _judge(context, stars, match, centers, radius, blend_px)
+    state = state.replace(centers=centers, psf=psf, found_status=found, star_field=match.found)
     return state.replace(status=with_verdicts(state, found))
 
 
@@ -111,19 +108,32 @@ def _measure(
     """Coarse centers by correlation around the expected places, then least squares for all stars at once."""
     prior = state.psf or context.camera_psf
     saturated = context.frame.saturated
+    method: Initial = final if final in INITIAL_METHODS else initial
     coarse = correlate(
         context.signal_dn,
         context.noise_dn,
         context.bad,
         match.expected_px,
-        _template(context, match, prior, initial),
+        _template(context, match, prior, method),
         search_radius_px=radius_px,
-        method=initial,
+        method=method,
         saturated=saturated,
     )
-    if final != "least_squares":
+    if final not in FITTED:
         return coarse, prior
     start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, match.expected_px)
+    if final == "psf_fit":
+        psf = context.camera.psf_model
+        centers = fit_psf(
+            context.signal_dn,
+            context.noise_dn,
+            context.bad,
+            start,
+            psf,
+            saturated=saturated,
+            noise_model=context.noise_model,
+        )
+        return centers, prior
     return fit_stars(
         context.signal_dn,
         context.noise_dn,
@@ -158,11 +168,16 @@ def _template(context: Context, match: FieldMatch, prior: ShapePrior, method: In
 
 
 def _judge(
-    context: Context, stars: StarPrediction, match: FieldMatch, centers: StarCenters, radius_px: float
+    context: Context,
+    stars: StarPrediction,
+    match: FieldMatch,
+    centers: StarCenters,
+    radius_px: float,
+    blend_px: float,
 ) -> tuple[StarStatus, ...]:
     """Give every star its status, the first that applies."""
     settings = context.settings
-    blended = _blended(match.expected_px, stars.mag, settings.blend_radius_px, settings.blend_magnitude)
+    blended = _blended(match.expected_px, stars.mag, blend_px, settings.blend_magnitude)
     moved = np.hypot(*(centers.pixel_line - match.expected_px).T)
     magnitude_error = _magnitude_error(context, stars.mag, centers, match)
     rows = []
@@ -180,8 +195,10 @@ def _judge(
             )
         elif centers.flags[i] & (StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE):
             rows.append(StarStatus("rejected", "the fit did not converge"))
+        elif centers.flags[i] & StarFlag.COSMIC_RAY:
+            rows.append(StarStatus("rejected", "sharper than a star can be: a cosmic ray"))
         elif blended[i]:
-            rows.append(StarStatus("blended", f"another star within {settings.blend_radius_px:g} px"))
+            rows.append(StarStatus("blended", f"another star within {blend_px:.1f} px"))
         elif abs(magnitude_error[i]) > settings.max_magnitude_error:
             rows.append(StarStatus("rejected", f"{magnitude_error[i]:+.1f} mag off its catalog brightness"))
         else:

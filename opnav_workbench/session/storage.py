@@ -75,6 +75,7 @@ def session_dict(
             "a_priori_camera_from_j2000": inputs.a_priori_camera_from_j2000,
             "attitude_source": inputs.attitude_source,
             "stars": _columns(inputs.stars),
+            "wide_stars": None if inputs.wide_stars is None else _columns(inputs.wide_stars),
             "targets": {name: _columns(target) for name, target in inputs.targets.items()},
         },
         "journal": [item.to_dict() for item in journal],
@@ -149,6 +150,7 @@ def _inputs(data: Mapping[str, Any]) -> Inputs:
         attitude_source=data["attitude_source"],
         stars=_star_table(data["stars"]),
         targets=MappingProxyType({n: _rebuild(TargetState, t) for n, t in data["targets"].items()}),
+        wide_stars=None if data.get("wide_stars") is None else _star_table(data["wide_stars"]),
     )
 
 

@@ -9,10 +9,20 @@ from opnav_workbench.arrays import BoolArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session.state import SessionState, StarStatus
 
-__all__ = ["ACCEPTED", "REJECTED", "decide", "has_center", "with_verdicts"]
+__all__ = ["ACCEPTED", "REJECTED", "decide", "has_center", "unsearched", "with_verdicts"]
 
 ACCEPTED, REJECTED = "accepted", "rejected"
 NAMED = 3  # star ids that an error message gives as examples
+
+
+def unsearched(on_detector: BoolArray) -> tuple[StarStatus, ...]:
+    """Return the statuses of stars that are predicted (n,) on the detector or off it, and not looked for yet."""
+    return tuple(
+        StarStatus("not_detected", "not searched yet")
+        if on
+        else StarStatus("off_detector", "predicted outside the detector")
+        for on in on_detector
+    )
 
 
 def has_center(state: SessionState) -> BoolArray:

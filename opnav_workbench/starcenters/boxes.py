@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
 
-__all__ = ["Boxes", "Pixels", "check_image", "check_points", "cut_boxes"]
+__all__ = ["Boxes", "Pixels", "box_corners", "check_image", "check_points", "cut_at", "cut_boxes"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +23,12 @@ class Pixels:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    def without(self, line: IntArray, pixel: IntArray) -> "Pixels":
+        """Return the same with some pixels taken out of use; they do not count as bad."""
+        noise, image = self.noise_dn.copy(), self.image_dn.copy()
+        noise[line, pixel], image[line, pixel] = np.inf, 0.0
+        return Pixels(image, noise, self.bad, self.saturated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,12 +113,22 @@ def check_points(pixel_line: ArrayLike, name: str = "start_pixel_line") -> Float
     return points
 
 
-def cut_boxes(pixels: Pixels, pixel_line: FloatArray, size: int) -> Boxes:
-    """Cut a box of `size` pixels around each point, centered on the pixel that holds it (odd sizes)."""
+def box_corners(pixels: Pixels, pixel_line: FloatArray, size: int) -> IntArray:
+    """Return the first pixels (n, 2) of boxes of `size` centered on the pixels that hold the points."""
     n_line, n_pixel = pixels.image_dn.shape
     # Far outside all boxes are empty alike: the limit keeps the integers small.
     nearest = np.rint(np.clip(pixel_line, -size, [n_pixel + size, n_line + size])).astype(np.int64)
-    first = nearest - (size - 1) // 2
+    return nearest - (size - 1) // 2
+
+
+def cut_boxes(pixels: Pixels, pixel_line: FloatArray, size: int) -> Boxes:
+    """Cut a box of `size` pixels around each point, centered on the pixel that holds it (odd sizes)."""
+    return cut_at(pixels, box_corners(pixels, pixel_line, size), size)
+
+
+def cut_at(pixels: Pixels, first: IntArray, size: int) -> Boxes:
+    """Cut boxes of `size` pixels whose first pixels (n, 2) are given."""
+    n_line, n_pixel = pixels.image_dn.shape
     steps = np.arange(size)
     column, row = first[:, 0, None] + steps, first[:, 1, None] + steps
     outside = ((row < 0) | (row >= n_line))[:, :, None] | ((column < 0) | (column >= n_pixel))[:, None, :]

@@ -109,13 +109,15 @@ def fit_stars(
     saturated: ArrayLike | None = None,
     noise_model: NoiseModel | None = None,
     search_radius_px: float = SEARCH_RADIUS_PX,
+    joint: bool = True,
+    mask_hits: bool = True,
 ) -> tuple[StarCenters, ShapePrior]:
     """Fit all stars of a frame twice: with `prior`, then with the PSF that its well-exposed stars agree on.
 
     Parameters
     ----------
     image_dn, noise_dn, bad, start_pixel_line, prior, box_px, background, saturated, noise_model,
-    search_radius_px
+    search_radius_px, joint, mask_hits
         As in `fit_gaussian`.
 
     Returns
@@ -135,7 +137,7 @@ def fit_stars(
         return fit_gaussian(
             image_dn, noise_dn, bad, start_pixel_line, shape, box_px=box_px, background=background,
             saturated=saturated, noise_model=noise_model, psf_error=psf_error,
-            search_radius_px=search_radius_px,
+            search_radius_px=search_radius_px, joint=joint, mask_hits=mask_hits,
         )  # fmt: skip
 
     first = fit(prior, 0.0)

@@ -8,6 +8,7 @@ Reference: Jackman & Dumont (2013), AAS 13-443, "The Matched Filter Algorithm", 
 Algorithm".
 """
 
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.starcenters.boxes import Boxes, check_image, check_points, cut_boxes
 from opnav_workbench.starcenters.flags import StarFlag, combine_flags
+from opnav_workbench.starcenters.images import StarImages
 from opnav_workbench.starcenters.peaks import refine_peaks
 from opnav_workbench.starcenters.results import StarCenters
 from opnav_workbench.starcenters.templates import Template
@@ -134,6 +136,14 @@ def correlate(
         degrees_of_freedom=freedom,
         flags=_flags(boxes, center, inside, snr[at], finite),
         method=method,
+        images=StarImages(
+            first=boxes.first,
+            data_dn=np.where(np.isfinite(boxes.variance_dn2), boxes.data_dn, np.nan),
+            model_dn=median[:, None, None]
+            + (snr[at] * sigma[at])[:, None, None] * _placed(template, center - boxes.first, size),
+            sigma_dn=np.where(weight > 0.0, np.sqrt(boxes.variance_dn2), np.inf),
+            surface=np.where(covered, surface, np.nan),
+        ),
     )
 
 
@@ -167,6 +177,22 @@ def _correlate(boxes: FloatArray, kernel: FloatArray, template: Template) -> Flo
     correlation = fft.irfft2(product, (length, length))
     column, row = ((np.arange(s) - middle) % length for middle in _middle(template))
     return np.asarray(correlation[:, row[:, None], column[None, :]])
+
+
+def _placed(template: Template, place: FloatArray, size: int) -> FloatArray:
+    """Draw the template with its center at places (n, 2) of boxes (n, size, size), shared among four pixels."""
+    corner = place - template.center
+    whole = np.floor(corner).astype(np.int64)
+    part = corner - whole
+    padded = np.pad(template.values, 1)  # the rim stands for all that lies outside
+    last = len(padded) - 1
+    drawn = np.zeros((len(place), size, size))
+    for line, pixel in product((0, 1), (0, 1)):
+        step = np.arange(size) - whole[:, :, None] - np.array([pixel, line])[:, None]
+        index = np.where((step >= 0) & (step < template.size), step + 1, last)
+        share = np.prod(np.where([pixel, line], part, 1.0 - part), axis=1)
+        drawn += share[:, None, None] * padded[index[:, 1, :, None], index[:, 0, None, :]]
+    return drawn
 
 
 def _within(shape: tuple[int, ...], origin: FloatArray, start: FloatArray, radius: float) -> BoolArray:

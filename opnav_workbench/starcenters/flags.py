@@ -29,6 +29,7 @@ class StarFlag(IntFlag):
     BLENDED = 64
     COSMIC_RAY = 128
     NOT_FINITE = 256
+    HIT = 512
 
 
 _MEANING = {
@@ -41,6 +42,7 @@ _MEANING = {
     StarFlag.BLENDED: "another star lies within the star's image",
     StarFlag.COSMIC_RAY: "sharper than the point spread function",
     StarFlag.NOT_FINITE: "no center: too few usable pixels",
+    StarFlag.HIT: "pixels with light that is not the star's (a cosmic ray, an unlisted neighbor) were left out",
 }
 
 

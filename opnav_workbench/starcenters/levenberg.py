@@ -23,8 +23,8 @@ START_DAMPING = 1e-2
 DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
 MAX_ITERATIONS = 200  # ten are usual; large residuals (real optics) converge linearly and take some tens
 MAX_DAMPING = 1e10  # a step this short changes nothing that a float64 can hold
-# Expected decrease of the cost at which a fit has converged: steps of 3e-4 sigma.
-CONVERGED_DECREASE = 1e-7
+# Expected decrease of the cost at which a fit has converged: a step of 3e-3 sigma, which is still taken.
+CONVERGED_DECREASE = 1e-5
 # Smallest eigenvalue of the normal matrix, scaled to unit diagonal, that still determines all parameters.
 MIN_EIGENVALUE = 1e-11
 
@@ -49,6 +49,7 @@ class Solution:
     at_bound: BoolArray  # (n, q)
     determined: BoolArray
     iterations: IntArray
+    final: Evaluation  # at the fitted parameters
 
 
 # Evaluates the problems `index` (k,) at parameters (k, q).
@@ -77,13 +78,13 @@ def solve_batched(
     max_iterations : int
         Trial steps per problem.
     """
-    n, q = start.shape
+    n = len(start)
     p = np.clip(start, lower, upper)
     damping = np.full(n, START_DAMPING)
     converged, iterations = np.zeros(n, bool), np.zeros(n, np.int64)
     active = np.arange(n)
     state = model(active, p)
-    final = _Final(np.zeros((n, q, q)), np.zeros(n), prior_information)
+    final = Evaluation(*(np.array(a) for a in (state.residual, state.weight, state.jacobian)))
     for _ in range(max_iterations):
         if active.size == 0:
             break
@@ -110,26 +111,19 @@ def solve_batched(
         iterations[i] += 1
         ended = done | stuck
         if ended.any():
-            final.store(i[ended], _take(state, ended))
+            _store(final, i[ended], _take(state, ended))
             active, state = i[~ended], _take(state, ~ended)
-    final.store(active, state)
-    covariance, determined = _invert(final.normal)
+    _store(final, active, state)
+    covariance, determined = _invert(_information(final) + _diagonal(prior_information))
+    chi2 = np.sum(final.weight * final.residual**2, axis=1)
     at_bound = (p <= lower) | (p >= upper)
-    return Solution(p, covariance, final.chi2, converged, at_bound, determined, iterations)
+    return Solution(p, covariance, chi2, converged, at_bound, determined, iterations, final)
 
 
-@dataclass(slots=True)
-class _Final:
-    """Normal matrix and chi2 at the last parameters of each problem."""
-
-    normal: FloatArray
-    chi2: FloatArray
-    information: FloatArray
-
-    def store(self, index: IntArray, state: Evaluation) -> None:
-        if index.size:
-            self.normal[index] = _information(state) + _diagonal(self.information[index])
-            self.chi2[index] = np.sum(state.weight * state.residual**2, axis=1)
+def _store(final: Evaluation, index: IntArray, state: Evaluation) -> None:
+    final.residual[index], final.weight[index], final.jacobian[index] = (
+        state.residual, state.weight, state.jacobian
+    )  # fmt: skip
 
 
 def _information(state: Evaluation) -> FloatArray:

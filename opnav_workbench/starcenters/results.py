@@ -8,6 +8,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.psf import ellipse_from_shape, shape_from_ellipse
 from opnav_workbench.starcenters.flags import StarFlag
+from opnav_workbench.starcenters.images import StarImages
 
 __all__ = ["UNUSABLE_FLAGS", "NoiseModel", "PsfShape", "ShapePrior", "StarCenters"]
 
@@ -146,6 +147,7 @@ class StarCenters:
     flags: IntArray  # (n,) sum of StarFlag
     method: str
     psf_error: float = 0.0  # relative error of the PSF model that the covariance allows for
+    images: StarImages | None = None  # what a person looks at
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -157,6 +159,11 @@ class StarCenters:
     def sigma_px(self) -> FloatArray:
         """1-sigma of (pixel, line); (n, 2)."""
         return np.sqrt(np.diagonal(self.covariance_px2, axis1=1, axis2=2))
+
+    @property
+    def amplitude_dn(self) -> FloatArray:
+        """Height of the Gaussian before integration over pixels, the paper's amplitude; (n,)."""
+        return self.flux_dn / (2.0 * np.pi * self.shape[:, 0] * self.shape[:, 1])
 
     @property
     def usable(self) -> BoolArray:

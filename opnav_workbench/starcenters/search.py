@@ -1,22 +1,24 @@
-"""First guess of a fit: where in its search area a star of the expected shape is most significant."""
+"""First guess of a fit: where in their search area stars of the expected shape are most significant."""
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.psf import box_integrals
 from opnav_workbench.starcenters.boxes import Pixels, cut_boxes
 from opnav_workbench.starcenters.peaks import refine_peaks
-from opnav_workbench.starcenters.results import ShapePrior
+from opnav_workbench.starcenters.profiles import Profile
+from opnav_workbench.starcenters.star_model import StarModel
 
-__all__ = ["brightest_pixel"]
+__all__ = ["best_shift", "most_significant"]
 
 KERNEL_SIGMAS = 2.0
 MIN_KERNEL_HALF_PX = 1
+HALF_PX = 0.5
+SHIFT_SIGMA_PX = 0.5  # starts of a group are about this good: decides only where the fit cannot
 
 
-def brightest_pixel(
-    pixels: Pixels, start: FloatArray, prior: ShapePrior, search_radius_px: float
+def most_significant(
+    pixels: Pixels, start: FloatArray, profile: Profile, search_radius_px: float
 ) -> FloatArray:
     """Return the most significant point within `search_radius_px` of each start, along each axis; (n, 2).
 
@@ -25,27 +27,55 @@ def brightest_pixel(
     itself is returned.
     """
     reach = int(np.ceil(search_radius_px))
-    half = max(MIN_KERNEL_HALF_PX, int(np.ceil(KERNEL_SIGMAS * prior.sigma_px)))
+    half = max(MIN_KERNEL_HALF_PX, int(np.ceil(KERNEL_SIGMAS * profile.reach_px)))
     if reach == 0 or len(start) == 0:
         return start
     boxes = cut_boxes(pixels, start, 2 * (reach + 1 + half) + 1)
-    kernel = box_integrals(
-        np.zeros((1, 2)), prior.mean[None], np.full((1, 2), -float(half)), 2 * half + 1
-    ).value[0]
+    kernel = profile.value(np.zeros((1, 2)), np.full((1, 2), -half), 2 * half + 1)[0]
     snr = _significance(boxes.data_dn, boxes.weight, kernel)  # (n, 2 reach + 3, 2 reach + 3)
-    origin = boxes.first + half
-    dx, dy = np.arange(snr.shape[-1]) + (origin - start)[:, :, None].transpose(1, 0, 2)
-    allowed = (np.abs(dx) <= search_radius_px)[:, None, :] & (np.abs(dy) <= search_radius_px)[:, :, None]
-    inner = np.zeros_like(allowed)
-    inner[:, 1:-1, 1:-1] = allowed[:, 1:-1, 1:-1]  # a paraboloid needs all neighbors
-    flat = np.where(inner, snr, -np.inf).reshape(len(start), -1)
+    side, origin = snr.shape[-1], boxes.first + half
+    allowed = np.abs(np.arange(side) + (origin - start)[:, :, None]) <= search_radius_px
+    allowed[:, :, [0, -1]] = False  # a paraboloid needs all neighbors
+    flat = np.where(allowed[:, 1, :, None] & allowed[:, 0, None, :], snr, -np.inf).reshape(len(start), -1)
     best = flat.argmax(axis=1)
-    row, column = np.divmod(best, snr.shape[-1])
-    offset, _ = refine_peaks(snr, row, column)
-    found = origin + np.stack([column, row], axis=1) + offset
-    positive = flat[np.arange(len(start)), best] > 0.0
+    row, column = np.divmod(best, side)
+    fraction, _ = refine_peaks(snr, row, column)
+    found = origin + np.stack([column, row], axis=1) + fraction
     found = np.clip(found, start - search_radius_px, start + search_radius_px)
+    positive = flat[np.arange(len(start)), best] > 0.0
     return np.where(positive[:, None], found, start)
+
+
+def best_shift(model: StarModel, start: FloatArray, guess: FloatArray, search_radius_px: float) -> FloatArray:
+    """Return where groups of stars (g, k, 2) fit best, as patterns: all fluxes are solved at each trial shift.
+
+    Tried are no shift, and those that put each star where it is found for itself (`guess`): for all but one of
+    them that is often their brightest neighbor. Of places that fit equally well (one star alone in the picture)
+    the nearest is taken.
+    """
+    k = start.shape[1]
+    shifts = [np.zeros((len(start), 2)), *(guess[:, i] - start[:, i] for i in range(k))]
+    tried = [_refined(model, start, _refined(model, start, shift)) for shift in shifts]
+    cost = np.stack([_cost(model, start, shift, search_radius_px) for shift in tried])
+    best = np.stack(tried)[cost.argmin(axis=0), np.arange(len(start))]
+    return start + np.where(np.isfinite(cost.min(axis=0))[:, None], best, 0.0)[:, None]
+
+
+def _refined(model: StarModel, start: FloatArray, shift: FloatArray) -> FloatArray:
+    """Return the shift (g, 2) at the top of a paraboloid through the fits half a pixel around."""
+    steps = HALF_PX * np.array([-1.0, 0.0, 1.0])
+    around = [[shift + np.array([x, y]) for x in steps] for y in steps]
+    surface = np.stack([[_cost(model, start, trial, np.inf) for trial in row] for row in around])
+    middle = np.ones(len(start), np.int64)
+    offset, _ = refine_peaks(-surface.transpose(2, 0, 1), middle, middle)
+    return shift + HALF_PX * offset
+
+
+def _cost(model: StarModel, start: FloatArray, shift: FloatArray, search_radius_px: float) -> FloatArray:
+    """Chi-square of groups at a shift (g, 2), and what the shift itself costs; (g,)."""
+    state = model(np.arange(len(start)), model.linear_start(start + shift[:, None]))
+    chi2 = np.sum(state.residual**2 / model.variance, axis=1) + np.sum((shift / SHIFT_SIGMA_PX) ** 2, axis=1)
+    return np.where(np.all(np.abs(shift) <= search_radius_px, axis=1), chi2, np.inf)
 
 
 def _significance(data: FloatArray, weight: FloatArray, kernel: FloatArray) -> FloatArray:

@@ -1,180 +1,167 @@
-"""Shift and twist between predicted stars and detections: votes for a first guess, then a rigid fit.
+"""First guesses of the rotation between stars and detections: pairs of equal separation vote for it.
 
-Transformation (pixel, line): observed = center + shift + R(twist) (predicted - center), R = [[cos, -sin],
-[sin, cos]]; a positive twist turns +pixel toward +line.
+A pair of stars and a pair of detections the same angle apart give one rotation each way round. The right rotation
+gets a vote from every pair of identified stars, k (k - 1) / 2 of them for k stars; wrong ones are strewn over all
+shifts and twists. Votes are counted in cells of shift and twist, of which the fullest are looked at closely.
+
+Reference: pairs and their angles as in Kolomenkin et al. (2008), doi:10.1109/TAES.2008.4560202; counting after
+Duda & Hart (1972), doi:10.1145/361237.361242.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.starcenters.sky_scene import Limits, Scene, shift_and_twist
 
-__all__ = ["Hypothesis", "Limits", "Scene", "move", "refine", "vote"]
+__all__ = ["KEPT_HYPOTHESES", "MAGNITUDE_TOLERANCE", "pair_rotations", "vote"]
 
-VOTING_STARS = 40  # brightest predicted stars that vote
-VOTING_DETECTIONS = (
-    120  # brightest detections voted for: stars must be found among more cosmic rays than stars
-)
-KEPT_HYPOTHESES = 60
-RIVAL_PART = 0.5  # hypotheses with a smaller part of the best one's votes are no rivals
-NEIGHBORS = 3  # detections considered for one star
-MAGNITUDE_SIGMA = 0.6  # color of the star, and the filter's flux at unlucky pixel phases
+STARS_ON_DETECTOR = 30  # brightest stars that vote, as many as this on an area as large as the detector's
+VOTING_STARS = 900  # but no more than this in all
+VOTING_DETECTIONS = 90  # brightest detections: stars must be found among more cosmic rays than stars
+PAIR_BUDGET = 1_500_000  # pairs of pairs looked at; fewer detections vote where there would be more
+KEPT_HYPOTHESES = 150
 MAGNITUDE_TOLERANCE = 2.0  # a star may be off by this through color or variability, not more
-MIN_STARS_FOR_ZERO_POINT = 3
-REFINEMENTS = 4
+MIN_SEPARATION_PX = 4.0  # a closer pair says nothing of the twist
+PAIR_TOLERANCE_PX = 1.5  # of a separation; centers of detections are good to some tenths
+CELLS = (
+    2.5  # size of a cell, in tolerances: a pair a quarter of the diagonal apart is off by one at the center
+)
+FAINT_MARGIN_MAG = 1.0  # stars fainter than the faintest detection by more do not vote
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """Predicted stars and detections to be matched; magnitudes of detections are -2.5 log10(flux)."""
-
-    predicted_px: FloatArray  # (n, 2)
-    magnitude: FloatArray  # (n,)
-    detected_px: FloatArray  # (m, 2)
-    detected_mag: FloatArray  # (m,)
-    center_px: FloatArray  # (2,)
-    zero_point_mag: float  # magnitude of 1 DN, nan where unknown
-    tree: cKDTree
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """How far the truth may be from the prediction."""
-
-    max_shift_px: float
-    max_twist_rad: float
-    tolerance_px: float  # between a moved prediction and its detection
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """One shift and twist, and the pairs (star, detection) it makes."""
-
-    shift_px: FloatArray  # (2,)
-    twist_rad: float
-    pairs: IntArray  # (k, 2)
-    distance_px: FloatArray  # (k,)
-    zero_point_mag: float
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-
-def move(
-    predicted_px: FloatArray, center_px: FloatArray, shift_px: FloatArray, twist_rad: float
+def vote(
+    scene: Scene, limits: Limits, detections: IntArray | None = None, kept: int = KEPT_HYPOTHESES
 ) -> FloatArray:
-    """Turn predictions about `center_px` by `twist_rad`, then shift them; (n, 2)."""
-    c, s = np.cos(twist_rad), np.sin(twist_rad)
-    return np.asarray((predicted_px - center_px) @ np.array([[c, s], [-s, c]]) + center_px + shift_px)
+    """Return the rotations (h, 3, 3) with most votes, best first, at most `kept`; given detections alone vote."""
+    stars, brightest = _voters(scene, limits)
+    detections = brightest if detections is None else detections
+    allowed = _allowed(scene, limits, stars, detections)
+    star_pairs, detection_pairs = _pairs_of_pairs(scene, stars, detections, allowed)
+    rotation = pair_rotations(scene, star_pairs, detection_pairs)
+    shift, twist = shift_and_twist(rotation, scene.focal_px)
+    separation = np.linalg.norm(
+        scene.detected_plane[detection_pairs[:, 0]] - scene.detected_plane[detection_pairs[:, 1]], axis=1
+    )
+    slack = limits.tolerance_px / np.maximum(separation, 1.0)
+    reach = limits.max_shift_px + limits.tolerance_px + slack * scene.half_diagonal_px
+    fits = (np.hypot(*shift.T) <= reach) & (np.abs(twist) <= limits.max_twist_rad + slack)
+    chosen = _fullest(scene, limits, shift[fits], twist[fits], separation[fits])[:kept]
+    return np.asarray(rotation[fits][chosen])
 
 
-def twist_steps(scene: Scene, limits: Limits) -> FloatArray:
-    """Return twists dense enough that no star misses its detection by more than half the tolerance."""
-    extent = float(np.max(np.hypot(*(scene.predicted_px - scene.center_px).T), initial=0.0))
-    count = int(np.ceil(limits.max_twist_rad * extent / limits.tolerance_px))
-    return np.linspace(-limits.max_twist_rad, limits.max_twist_rad, 2 * count + 1)
+def _voters(scene: Scene, limits: Limits) -> tuple[IntArray, IntArray]:
+    """Brightest stars that can be on the detector, and brightest detections, those that may be stars first."""
+    reach = scene.half_diagonal_px + limits.max_shift_px
+    plane = scene.plane(scene.stars)
+    near = np.hypot(*plane.T) <= reach
+    if not np.isnan(scene.zero_point_mag):
+        near &= scene.magnitude <= scene.limit_mag + scene.zero_point_mag + FAINT_MARGIN_MAG
+    if limits.max_twist_rad < 0.1:  # what stays off the detector however the field is shifted
+        margin = limits.max_shift_px + limits.max_twist_rad * reach
+        near &= scene.inside(plane - np.clip(plane, -margin, margin))
+    share = max(np.pi * reach**2 / scene.area_px2, 1.0) if limits.max_twist_rad >= 0.1 else (
+        np.prod(scene.size_px + 2.0 * limits.max_shift_px) / scene.area_px2
+    )  # fmt: skip
+    count = min(int(STARS_ON_DETECTOR * share), VOTING_STARS)
+    stars = np.flatnonzero(near)
+    stars = stars[np.argsort(scene.magnitude[stars], kind="stable")[:count]]
+    detections = np.lexsort((scene.detected_mag, scene.suspect))[:VOTING_DETECTIONS]
+    return stars, detections
 
 
-def vote(scene: Scene, limits: Limits) -> list[tuple[FloatArray, float]]:
-    """Return shifts (2,) and twists that bring most of the brightest stars onto detections, best first."""
-    stars = np.argsort(scene.magnitude, kind="stable")[:VOTING_STARS]
-    detections = np.argsort(scene.detected_mag, kind="stable")[:VOTING_DETECTIONS]
-    shifts, twists, votes = [], [], []
-    for twist in twist_steps(scene, limits):
-        turned = move(scene.predicted_px[stars], scene.center_px, np.zeros(2), twist)
-        offset = (scene.detected_px[detections] - turned[:, None, :]).reshape(-1, 2)
-        near = np.hypot(*offset.T) <= limits.max_shift_px + limits.tolerance_px
-        if not np.isnan(scene.zero_point_mag):
-            expected = scene.magnitude[stars] - scene.zero_point_mag
-            difference = np.abs(scene.detected_mag[detections] - expected[:, None]).ravel()
-            near &= difference <= MAGNITUDE_TOLERANCE
-        offset = offset[near]
-        moved = turned + offset[:, None, :]
-        distance, _ = scene.tree.query(moved.reshape(-1, 2), distance_upper_bound=limits.tolerance_px)
-        nearness = np.maximum(1.0 - 0.5 * (distance / limits.tolerance_px) ** 2, 0.0)
-        shifts.append(offset)
-        twists.append(np.full(len(offset), twist))
-        votes.append(nearness.reshape(len(offset), len(stars)).sum(axis=1))
-    return _distinct(np.concatenate(shifts), np.concatenate(twists), np.concatenate(votes), limits)
-
-
-def _distinct(
-    shifts: FloatArray, twists: FloatArray, votes: FloatArray, limits: Limits
-) -> list[tuple[FloatArray, float]]:
-    """Keep the best of hypotheses that are the same within the tolerance."""
-    kept: list[tuple[FloatArray, float]] = []
-    order = np.argsort(-votes, kind="stable")
-    order = order[votes[order] >= RIVAL_PART * np.max(votes, initial=0.0)]
-    shifts, twists = shifts[order], twists[order]
-    while len(shifts) and len(kept) < KEPT_HYPOTHESES:
-        kept.append((shifts[0], float(twists[0])))
-        other = (np.hypot(*(shifts - shifts[0]).T) > limits.tolerance_px) | (twists != twists[0])
-        shifts, twists = shifts[other], twists[other]
-    return kept
-
-
-def refine(scene: Scene, limits: Limits, shift_px: FloatArray, twist_rad: float) -> Hypothesis:
-    """Match one-to-one, fit shift and twist, and again, with a zero point once there are stars for one."""
-    zero_point = scene.zero_point_mag
-    for _ in range(REFINEMENTS):
-        pairs, distance = _match(scene, limits, shift_px, twist_rad, zero_point)
-        if len(pairs) == 0:
-            break
-        shift_px, twist_rad = _rigid_fit(scene, limits, pairs, twist_rad)
-        if len(pairs) >= MIN_STARS_FOR_ZERO_POINT:
-            difference = scene.magnitude[pairs[:, 0]] - scene.detected_mag[pairs[:, 1]]
-            zero_point = float(np.median(difference))
-    pairs, distance = _match(scene, limits, shift_px, twist_rad, zero_point)
-    return Hypothesis(shift_px, twist_rad, pairs, distance, zero_point)
-
-
-def _match(
-    scene: Scene, limits: Limits, shift_px: FloatArray, twist_rad: float, zero_point: float
-) -> tuple[IntArray, FloatArray]:
-    """One-to-one pairs within the tolerances: each star's best detection, each detection's best star."""
-    moved = move(scene.predicted_px, scene.center_px, shift_px, twist_rad)
-    nearest = scene.tree.query(moved, k=NEIGHBORS, distance_upper_bound=limits.tolerance_px)
-    distance, index = np.asarray(nearest[0], float), np.asarray(nearest[1], np.int64)
-    found = np.isfinite(distance)
-    cost = np.where(found, (distance / limits.tolerance_px) ** 2, np.inf)
-    if not np.isnan(zero_point):
-        seen = scene.detected_mag[np.where(found, index, 0)] + zero_point
-        difference = seen - scene.magnitude[:, None]
-        cost = np.where(
-            np.abs(difference) <= MAGNITUDE_TOLERANCE,
-            cost + 0.1 * (difference / MAGNITUDE_SIGMA) ** 2,
-            np.inf,
+def _allowed(scene: Scene, limits: Limits, stars: IntArray, detections: IntArray) -> BoolArray:
+    """Which star may be which detection, by place and brightness; (stars, detections)."""
+    plane, seen = scene.plane(scene.stars[stars]), scene.detected_plane[detections]
+    turn = 2.0 * np.sin(0.5 * min(limits.max_twist_rad, np.pi)) * np.hypot(*plane.T)
+    # Off the boresight the tangent plane stretches shifts by a few per cent in the widest fields.
+    reach = 1.1 * limits.max_shift_px + turn + 2.0 * limits.tolerance_px
+    offset = plane[:, None] - seen
+    allowed = np.asarray(np.hypot(offset[..., 0], offset[..., 1]) <= reach[:, None])
+    if not np.isnan(scene.zero_point_mag):
+        difference = scene.detected_mag[detections] + scene.zero_point_mag - scene.magnitude[stars][:, None]
+        allowed &= (np.abs(difference) <= MAGNITUDE_TOLERANCE) | (
+            scene.censored[detections] & (difference > 0.0)
         )
-    best = cost.argmin(axis=1)
-    rows = np.arange(len(moved))
-    star = rows[np.isfinite(cost[rows, best])]
-    star = star[np.argsort(cost[star, best[star]], kind="stable")]
-    chosen = index[star, best[star]]
-    _, first = np.unique(chosen, return_index=True)  # of stars that want the same detection, the cheapest
-    star, detection = star[first], chosen[first]
-    pairs = np.column_stack([star, detection])
-    order = np.argsort(star)
-    return pairs[order], distance[star, best[star]][order]
+    return allowed
 
 
-def _rigid_fit(scene: Scene, limits: Limits, pairs: IntArray, twist_rad: float) -> tuple[FloatArray, float]:
-    """Least squares of shift and twist; the twist is held to its limit as by a Gaussian of half of it."""
-    lever = scene.predicted_px[pairs[:, 0]] - scene.center_px
-    observed = scene.detected_px[pairs[:, 1]] - scene.center_px
-    prior = (limits.tolerance_px / 4.0) ** 2 / max(0.5 * limits.max_twist_rad, 1e-9) ** 2
-    for _ in range(2):  # the second step takes up the curvature of the first
-        c, s = np.cos(twist_rad), np.sin(twist_rad)
-        turned = lever @ np.array([[c, s], [-s, c]])
-        residual = observed - turned
-        slope = np.column_stack([-turned[:, 1], turned[:, 0]])
-        slope, residual = slope - slope.mean(axis=0), residual - residual.mean(axis=0)
-        step = (np.sum(slope * residual) - prior * twist_rad) / (np.sum(slope**2) + prior)
-        twist_rad = float(np.clip(twist_rad + step, -limits.max_twist_rad, limits.max_twist_rad))
-    moved = move(scene.predicted_px[pairs[:, 0]], scene.center_px, np.zeros(2), twist_rad)
-    shift = (scene.detected_px[pairs[:, 1]] - moved).mean(axis=0)
-    return shift, twist_rad
+def _pairs_of_pairs(
+    scene: Scene, stars: IntArray, detections: IntArray, allowed: BoolArray
+) -> tuple[IntArray, IntArray]:
+    """Pairs of stars and pairs of detections of the same separation and difference in brightness; (h, 2) each."""
+    points = scene.focal_px * scene.stars[stars]
+    seen = scene.focal_px * scene.detected[detections]
+    first, second = np.triu_indices(len(seen), 1)
+    apart = np.linalg.norm(seen[first] - seen[second], axis=1)
+    candidates = cKDTree(points).query_pairs(
+        float(apart.max(initial=0.0)) + PAIR_TOLERANCE_PX, output_type="ndarray"
+    )
+    separation = np.linalg.norm(points[candidates[:, 0]] - points[candidates[:, 1]], axis=1)
+    order = np.argsort(separation)
+    candidates, separation = candidates[order], separation[order]
+    begin = np.searchsorted(separation, apart - PAIR_TOLERANCE_PX)
+    count = np.searchsorted(separation, apart + PAIR_TOLERANCE_PX) - begin
+    count[apart < MIN_SEPARATION_PX] = 0
+    count = _within_budget(first, second, count)
+    row = np.repeat(np.arange(len(count)), count)
+    column = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
+    a, b, i, j = candidates[column, 0], candidates[column, 1], first[row], second[row]
+    a, b, i, j = np.r_[a, b], np.r_[b, a], np.r_[i, i], np.r_[j, j]
+    good = allowed[a, i] & allowed[b, j]
+    a, b, i, j = stars[a[good]], stars[b[good]], detections[i[good]], detections[j[good]]
+    good = _same_contrast(scene, a, b, i, j)
+    return np.column_stack([a, b])[good], np.column_stack([i, j])[good]
+
+
+def _within_budget(first: IntArray, second: IntArray, count: IntArray) -> IntArray:
+    """Leave out the last detections where all of them would make too many pairs."""
+    rank = np.maximum(first, second)
+    total = np.cumsum(np.bincount(rank, weights=count, minlength=1))
+    return np.where(total[rank] <= PAIR_BUDGET, count, 0)
+
+
+def _same_contrast(scene: Scene, a: IntArray, b: IntArray, i: IntArray, j: IntArray) -> BoolArray:
+    stars = scene.magnitude[a] - scene.magnitude[b]
+    seen = scene.detected_mag[i] - scene.detected_mag[j]
+    unknown = scene.censored[i] | scene.censored[j]
+    return np.asarray(unknown | (np.abs(stars - seen) <= MAGNITUDE_TOLERANCE))
+
+
+def pair_rotations(scene: Scene, star_pairs: IntArray, detection_pairs: IntArray) -> FloatArray:
+    """Rotations (h, 3, 3) that turn pairs of stars onto pairs of detections."""
+    stars = _axes(scene.stars[star_pairs[:, 0]], scene.stars[star_pairs[:, 1]])
+    seen = _axes(scene.detected[detection_pairs[:, 0]], scene.detected[detection_pairs[:, 1]])
+    return np.asarray(np.swapaxes(seen, -1, -2) @ stars)
+
+
+def _axes(one: FloatArray, two: FloatArray) -> FloatArray:
+    """Orthonormal axes (h, 3, 3), in rows, along the middle and the difference of two unit vectors."""
+    middle, along = one + two, two - one
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.stack([middle, along, np.cross(middle, along)], axis=1)
+
+
+def _fullest(
+    scene: Scene, limits: Limits, shift: FloatArray, twist: FloatArray, separation: FloatArray
+) -> IntArray:
+    """One vote from each of the fullest cells, that of its widest pair."""
+    size = CELLS * limits.tolerance_px
+    turn = (twist + np.pi) * scene.half_diagonal_px
+    place = np.column_stack([shift, turn]) / size
+    period = max(int(np.ceil(2.0 * np.pi * scene.half_diagonal_px / size)), 1)
+    votes = np.zeros(len(place), np.int64)
+    cell = np.zeros(len(place), np.int64)
+    for grid, start in enumerate((0.0, 0.5)):  # a cluster on the edge of a cell is in the middle of another
+        index = np.floor(place + start).astype(np.int64)
+        index[:, 2] %= period
+        span = 2 * int(np.ceil(np.abs(place).max(initial=0.0))) + 4
+        key = ((index[:, 0] * span + index[:, 1]) * span + index[:, 2]) * 2 + grid
+        _, which, count = np.unique(key, return_inverse=True, return_counts=True)
+        fuller = count[which] > votes
+        votes = np.where(fuller, count[which], votes)
+        cell = np.where(fuller, key, cell)
+    order = np.lexsort((-separation, -votes))
+    _, first = np.unique(cell[order], return_index=True)
+    return np.asarray(order[np.sort(first)])

@@ -174,3 +174,16 @@ def test_direction_of_proxima_against_gaia_and_trajectory(targeted):
     residuals = np.array([targeted[met]["bodies"][0]["residual_arcsec"] for met in PROXIMA])
     assert np.all(np.hypot(*residuals.T) < 0.6)
     assert np.hypot(*residuals.mean(axis=0)) < 0.3
+
+
+@pytest.mark.parametrize("method", ["matched_filter", "cross_correlation", "psf_fit"])
+def test_proxima_frames_solve_with_every_centerfinder(data_dir, catalog, camera, tmp_path, method):
+    results = _run(data_dir, catalog, tmp_path, "--centers", method)
+    for met in PROXIMA:
+        path, result = _path(data_dir, met), results[met]
+        pointing = result["pointing"]
+        assert pointing["n_stars"] >= 7
+        assert pointing["rms_px"] <= 0.2
+        session = ImageSession.resume(tmp_path / path.stem)
+        off = float(angle_between(_direction(result, camera, session), _wcs_direction(path)))
+        assert off / ARCSEC <= 0.8

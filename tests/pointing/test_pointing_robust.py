@@ -99,13 +99,18 @@ def test_two_stars_that_disagree_are_both_kept_and_told(cameras, star_field):
     assert any("excess centering error" in message for message in solution.messages)
 
 
-def test_no_excess_where_the_covariances_suffice(cameras, star_field):
+def test_little_excess_where_the_covariances_suffice(cameras, star_field):
+    """What the scatter of 8 stars cannot exclude costs a few percent of sigma, and nobody is bothered with it."""
     rng = np.random.default_rng(47)
-    excess = []
+    inflation, told = [], 0
     for _ in range(200):
-        field = star_field(cameras["lorri"], rng, 8)
-        excess.append(solve_pointing(*field.arguments).excess_sigma_px)
-    assert np.mean(np.array(excess) > 0.0) <= 0.015  # 0.1 % expected
+        solution = solve_pointing(*star_field(cameras["lorri"], rng, 8).arguments)
+        ratio = np.diag(solution.covariance_rad2) / np.diag(solution.formal_covariance_rad2)
+        inflation.append(np.sqrt(ratio.mean()))
+        told += any("excess" in message for message in solution.messages)
+    assert np.mean(inflation) < 1.08
+    assert np.median(inflation) < 1.02
+    assert told <= 6  # 1 % expected
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from opnav_workbench.geometry import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from opnav_workbench.pointing import attitude_shift, solve_pointing
+from opnav_workbench.pointing import attitude_shift, iteration_table, solve_pointing
 
 MODELS = ("euler", "image_plane")
 CAMERAS = ("lorri", "mapcam", "mvic", "pinhole")
@@ -56,6 +56,33 @@ def test_table_2_of_the_paper(cameras, star_field, name, model):
     # As in the paper nearly everything is done by the first step.
     assert solution.iterations[0].delta_pixel == pytest.approx(4.55, abs=0.05)
     assert abs(solution.iterations[-1].delta_line) < 1e-3
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_residual_scatter_of_table_2(cameras, star_field, model):
+    """Post-fit scatter below half a pixel (Figure 10), with centers of 0.3 px, and the errors recovered within it."""
+    camera = cameras["mvic"]
+    a_priori = camera_from_j2000(4.7, -0.25, 2.0, camera.focal_from_camera)
+    true = attitude_shifted_by(camera, a_priori, 4.5, 12.3, np.radians(-0.011))
+    field = star_field(camera, np.random.default_rng(22), 25, sigma_px=0.3, attitude=true)
+    solution = solve_pointing(*field.arguments[:-1], a_priori, model=model)
+    assert len(solution.iterations) <= 4
+    assert solution.rms_px < 0.5
+    assert solution.delta_pixel == pytest.approx(4.5, abs=0.3)
+    assert solution.delta_line == pytest.approx(12.3, abs=0.3)
+    assert np.degrees(solution.delta_twist_rad) == pytest.approx(-0.011, abs=0.005)
+
+
+def test_iteration_table_is_table_2(cameras, star_field):
+    solution = solve_pointing(*star_field(cameras["lorri"], np.random.default_rng(23), 8).arguments)
+    table = iteration_table(solution)
+    count = len(solution.iterations)
+    assert list(table["iteration"]) == [*map(str, range(1, count + 1)), "Total"]
+    for name in ("delta_pixel", "delta_line", "delta_twist"):
+        assert table[name][:-1].sum().value == pytest.approx(table[name][-1].value, abs=1e-9)
+        assert table[name].info.description
+    assert table["delta_line"].unit == "pix"
+    assert table["delta_twist"][-1].to_value("rad") == pytest.approx(solution.delta_twist_rad, abs=1e-12)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -109,10 +136,15 @@ def test_covariance_matches_the_closed_form(cameras, star_field):
     sigma_rad = 0.1 * camera.pixel_scale_rad
     b = camera.unproject(field.true_px)
     closed = np.linalg.inv(np.sum(np.eye(3) - b[:, :, None] * b[:, None, :], axis=0) / sigma_rad**2)
-    covariance = solve_pointing(*field.arguments).covariance_rad2
+    solution = solve_pointing(*field.arguments)
     # px are not exactly angles: up to 1/cos^2 of the half field, 0.5 % at 0.07 rad.
     half_field = camera.half_diagonal_rad
-    assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(np.diag(closed)), rtol=2 * half_field**2 + 1e-4)
+    tolerance = 2 * half_field**2 + 1e-4
+    formal = solution.formal_covariance_rad2
+    assert_allclose(np.sqrt(np.diag(formal)), np.sqrt(np.diag(closed)), rtol=tolerance)
+    # Without scatter there is no sign of an excess, and the covariance is the formal one.
+    exact = solve_pointing(field.true_px, *field.arguments[1:]).covariance_rad2
+    assert_allclose(np.sqrt(np.diag(exact)), np.sqrt(np.diag(closed)), rtol=tolerance)
 
 
 def test_weights_follow_the_covariances(cameras, star_field):
@@ -241,6 +273,9 @@ def test_no_usable_star_is_an_error(cameras, star_field):
         ({"usable": [True]}, r"usable has shape \(1,\), expected \(3,\)"),
         ({"twist_sigma_rad": 0.0}, "twist_sigma_rad is 0.0"),
         ({"twist_sigma_rad": np.nan}, "twist_sigma_rad is nan"),
+        ({"start": "triad"}, "unknown start 'triad'; use one of a_priori, svd, q_method"),
+        ({"a_priori_covariance_rad2": np.eye(2)}, r"a_priori_covariance_rad2 has shape \(2, 2\)"),
+        ({"a_priori_covariance_rad2": np.diag([1.0, 1.0, 0.0])}, "not positive definite"),
         ({"catalog_covariance_px2": np.zeros((3, 2))}, r"catalog_covariance_px2 has shape \(3, 2\)"),
     ],
 )

@@ -131,3 +131,31 @@ def test_light_has_the_center_and_the_second_moments_of_the_psf_and_a_pixel(psf)
         assert mean == pytest.approx(trail, abs=CENTER_TOLERANCE_PX)
         sigma = np.sqrt(np.mean(np.sum(profile * offset**2, axis=1)) - mean**2 - 1.0 / 12.0)
         assert sigma == pytest.approx(local.sigma_px[axis], abs=SIGMA_TOLERANCE_PX)
+
+
+@every_psf
+@settings(max_examples=15, deadline=None)
+@given(x=st.floats(-0.5, 0.5), y=st.floats(-0.5, 0.5))
+def test_gradient_is_the_change_of_the_box_with_the_center(psf, x, y):
+    # A field's shape is that of the place where the point is, held while it moves by a step.
+    local = psf.at([300.0, 200.0])
+    center, first, size, step = np.array([[300.0 + x, 200.0 + y]]), np.array([[294, 194]]), 13, 1e-4
+    gradient = local.gradient(center, first, size)
+    np.testing.assert_allclose(gradient.value, local.box(center, first, size), atol=1e-9)
+    for derivative, shift in ((gradient.d_pixel, [step, 0.0]), (gradient.d_line, [0.0, step])):
+        ahead, behind = (local.box(center + sign * np.array(shift), first, size) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(derivative, (ahead - behind) / (2.0 * step), atol=2e-6)
+
+
+def test_a_straight_trail_has_the_moments_of_a_boxcar():
+    trail = TrailedPsf.straight(GaussianPsf(0.8, 0.8), 9.0, 0.0)
+    np.testing.assert_allclose(trail.sigma_px, [np.sqrt(0.64 + 81.0 / 12.0), 0.8], rtol=2e-3)
+    round_psf, where = GaussianPsf(0.8, 0.8), ([[5.2, 5.1]], [[0, 0]], 11)
+    still = TrailedPsf.straight(round_psf, 0.0, 1.0)
+    np.testing.assert_allclose(still.box(*where), round_psf.box(*where), atol=1e-12)
+
+
+def test_a_field_shape_enters_the_gradient_at_its_own_place():
+    psf, center, first = PSFS["grid"], np.array([[300.2, 200.4]]), np.array([[294, 194]])
+    here = psf.at(center[0]).gradient(center, first, 13)
+    np.testing.assert_allclose(psf.gradient(center, first, 13).d_pixel, here.d_pixel, atol=1e-12)

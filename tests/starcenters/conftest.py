@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
 NODES = 8  # Gauss-Legendre nodes per pixel and axis: exact to 1e-7 for sigmas from 0.3 px
 HALF = 14  # pixels rendered on each side of a star
@@ -63,3 +64,43 @@ def star_grid() -> Callable:
 @pytest.fixture(scope="session")
 def pixel_flux() -> Callable:
     return brute_force
+
+
+def mosaic(n, spacing, make, rng):
+    """Return an image of n stars, each in its own tile of `spacing` px, and their places at random phase.
+
+    `make(center, pixel, line)` gives the light (k, spacing, spacing) of k stars whose centers (k, 2) and pixel
+    centers (k, spacing) are relative to their tile.
+    """
+    side = int(np.ceil(np.sqrt(n)))
+    tile_line, tile_pixel = np.divmod(np.arange(n), side)
+    corner = np.column_stack([tile_pixel, tile_line]) * spacing
+    center = spacing // 2 + rng.uniform(-0.5, 0.5, (n, 2))
+    at = np.broadcast_to(np.arange(float(spacing)), (n, spacing))
+    tiles = np.zeros((side * side, spacing, spacing))
+    tiles[:n] = make(center, at, at)
+    image = tiles.reshape(side, side, spacing, spacing).transpose(0, 2, 1, 3).reshape(side * spacing, -1)
+    return image, corner + center
+
+
+def round_gaussian(sigma):
+    """Return a `make` for `mosaic`: round unit Gaussians integrated over pixels, exact products of error functions."""
+
+    def part(center, at):
+        upper, lower = ((at + step - center[:, None]) / (np.sqrt(2.0) * sigma) for step in (0.5, -0.5))
+        return 0.5 * (erf(upper) - erf(lower))
+
+    def make(center, pixel, line):
+        return part(center[:, 1], line)[:, :, None] * part(center[:, 0], pixel)[:, None, :]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def star_mosaic() -> Callable:
+    return mosaic
+
+
+@pytest.fixture(scope="session")
+def unit_gaussian() -> Callable:
+    return round_gaussian

@@ -24,8 +24,10 @@ def test_stars_of_snr_15_are_found_and_nothing_else(render_stars, star_grid, sig
     distance, index = cKDTree(found.pixel_line).query(centers)
     assert np.mean(distance < 1.0) > 0.99
     assert len(found) < 1.02 * len(centers)
-    assert np.sqrt(np.mean(distance[distance < 1.0] ** 2)) < 0.35
-    assert 0.65 < np.median(found.flux_dn[index]) / flux < 1.1
+    assert np.sqrt(np.mean(distance[distance < 1.0] ** 2)) < 0.3
+    # Whatever the phase of the pixel; the median that is taken for the level holds some light of wide stars.
+    assert 0.94 < np.median(found.flux_dn[index]) / flux < 1.03
+    assert 0.8 < found.limit_dn / (flux * 6.0 / 15.0) < 1.05
     assert np.all(np.diff(found.flux_dn) <= 0.0)
 
 
@@ -97,3 +99,30 @@ def test_brightest_only(render_stars, star_grid):
 def test_bad_input_is_refused(sigma, threshold):
     with pytest.raises(CenterfindingError, match="must be positive"):
         detect(np.zeros((9, 9)), 1.0, None, sigma, threshold)
+
+
+@pytest.mark.parametrize("sigma", [0.35, 0.5, 0.8])
+def test_flux_and_place_do_not_depend_on_the_phase_of_the_pixel(render_stars, star_grid, sigma):
+    """Without noise: undersampled stars used to lose 15 to 30 % off the center of their pixel."""
+    centers, shape = star_grid(400, 24, np.random.default_rng(7))
+    found = detect(render_stars(shape, centers, 1000.0, sigma), 0.1, None, sigma)
+    distance, index = cKDTree(found.pixel_line).query(centers)
+    assert distance.max() < 0.01
+    np.testing.assert_allclose(found.flux_dn[index], 1000.0, rtol=0.01)
+
+
+def test_a_saturated_core_is_one_detection_at_its_middle(render_stars):
+    image = render_stars((80, 80), [[40.3, 35.8], [60.0, 60.0]], [3e6, 2000.0], 1.5)
+    saturated = image > 3000.0
+    image[saturated] = 3000.0
+    found = detect(
+        image + np.random.default_rng(3).normal(0.0, NOISE_DN, image.shape),
+        NOISE_DN,
+        None,
+        1.5,
+        saturated=saturated,
+    )
+    assert len(found) == 2
+    assert found.flags[0] == StarFlag.SATURATED
+    np.testing.assert_allclose(found.pixel_line[0], [40.3, 35.8], atol=0.4)
+    assert found.flux_dn[0] > found.flux_dn[1]

@@ -24,7 +24,6 @@ from opnav_workbench.starcenters import (
     gaussian_template,
     identify,
 )
-from opnav_workbench.starcenters.voting import move
 
 pytestmark = pytest.mark.realdata
 
@@ -55,6 +54,12 @@ class Frame:
     exposure_s: float
     target: np.ndarray  # (2,)
     target_sigma: np.ndarray  # (2,)
+
+
+def move(points, center, shift, twist):
+    """Turn points about the center by a twist, positive from +pixel toward +line, then shift them."""
+    c, s = np.cos(twist), np.sin(twist)
+    return (points - center) @ np.array([[c, s], [-s, c]]) + center + shift
 
 
 def unit(ra_deg, dec_deg):
@@ -155,7 +160,7 @@ def test_proxima_field_is_identified_blind(frames, met, shift):
 
 
 @pytest.mark.parametrize("met", [met for met in PUBLISHED if met not in PROXIMA])
-def test_the_single_star_of_the_wolf_field_is_found_with_modest_confidence(frames, met):
+def test_the_single_star_of_the_wolf_field_is_found_but_not_for_sure(frames, met):
     frame = frames[met]
     assert len(frame.stars) == 1
     found = detect(frame.image, frame.noise, frame.bad, sigma_px=0.35)
@@ -164,7 +169,7 @@ def test_the_single_star_of_the_wolf_field_is_found_with_modest_confidence(frame
         frame.stars - [8.7, 1.1], frame.magnitude, found, center_px=CENTER, zero_point_mag=zero_point
     )
     assert np.hypot(*(found.pixel_line[result.pairs[0, 1]] - frame.stars[0])) < 1.5
-    assert 0.2 < result.confidence <= 0.6
+    assert 0.8 < result.confidence < 0.999
 
 
 @pytest.mark.parametrize("method", ["matched_filter", "cross_correlation"])

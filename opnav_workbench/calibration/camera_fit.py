@@ -1,0 +1,272 @@
+"""Camera calibration: optics and mounting angles shared by many star frames, each with its own attitude.
+
+Flow   centers of identified stars on many frames -> here -> a camera with other values, and their covariance
+Units  px, mm, rad; see `opnav_workbench.calibration.parameters` for the names
+
+References
+----------
+Owen, "Methods of optical navigation", AAS 11-215 (2011), section on camera calibration; Owen and O'Connell, JPL
+IOM 343L-11-002 (2011): focal length and distortion of LORRI from star fields with every frame's pointing solved.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.calibration.arrow import ArrowSolution, solve_arrow
+from opnav_workbench.calibration.design import linearize, residuals
+from opnav_workbench.calibration.frames import MIN_STARS, StarFrames
+from opnav_workbench.calibration.parameters import CameraParameters
+from opnav_workbench.calibration.results import NAMED_PART, CameraCalibration, open_message
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import CameraError
+from opnav_workbench.geometry import rotation_from_vector
+
+__all__ = ["calibrate_camera"]
+
+CONVERGED_PX = (
+    1e-4  # no star moves more in the last step: a hundredth of what the best mean over a field is worth
+)
+MAX_ITERATIONS = 30
+MAX_HALVINGS = 8  # of a step that would fold the distortion over
+REJECT_SIGMA = 4.0  # of both coordinates together: one good star in 3000 is lost
+MAX_PASSES = 6
+EXCESS_TOLERANCE_PX = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    values: FloatArray  # optical
+    mounting_rad: FloatArray  # (3,) about the focal axes
+    attitudes: FloatArray
+
+
+def calibrate_camera(
+    stars: StarFrames,
+    camera: Camera,
+    names: Sequence[str],
+    *,
+    a_priori_covariance_rad2: ArrayLike | None = None,
+) -> CameraCalibration:
+    """Solve for parameters of a camera that many star frames share.
+
+    Parameters
+    ----------
+    stars : StarFrames
+    camera : Camera
+        The starting values, and everything that is not solved.
+    names : sequence of str
+        Parameters to solve for (see `opnav_workbench.calibration.parameters`); none fits the attitudes only.
+    a_priori_covariance_rad2 : (3, 3) array_like, optional
+        Covariance of each frame's a priori attitude, without what all have in common (rotation vector about the camera
+        frame's axes); by default the camera's ``attitude_sigma``. It counts only with mounting angles.
+
+    Returns
+    -------
+    CameraCalibration
+
+    Raises
+    ------
+    CameraError
+        Unknown parameters, fewer measurements than unknowns, frames of less than two stars, or no convergence.
+    """
+    parameters = CameraParameters(camera, tuple(names))
+    _check_counts(stars, parameters)
+    prior = _prior(camera, a_priori_covariance_rad2)
+    used: BoolArray = np.ones(len(stars), dtype=bool)
+    excess = 0.0
+    state = _State(parameters.values(), np.zeros(3), np.array(stars.attitudes))
+    steps = 0
+    for _ in range(MAX_PASSES):
+        state, _, count = _iterate(stars, parameters, state, excess, prior, used)
+        steps += count
+        residual = residuals(stars, parameters.camera_with(state.values), state.attitudes)
+        excess = _excess(stars, residual, used, parameters)
+        before, used = used, _accepted(stars, residual, excess)
+        _check_counts(stars, parameters, used)
+        if np.array_equal(before, used):
+            break
+    state, last, count = _iterate(stars, parameters, state, excess, prior, used)
+    return _result(stars, parameters, state, last, excess, used, steps + count)
+
+
+def _check_counts(stars: StarFrames, parameters: CameraParameters, used: BoolArray | None = None) -> None:
+    frame = stars.frame if used is None else stars.frame[used]
+    count = np.bincount(frame, minlength=stars.n_frames)
+    poor = [name for name, n in zip(stars.names, count, strict=True) if n < MIN_STARS]
+    if poor or not len(count):
+        raise CameraError(
+            f"{len(poor)} of {len(count)} frames have fewer than {MIN_STARS} usable stars ({', '.join(poor[:3])}); "
+            "leave them out, or search fainter stars."
+        )
+    measured, unknown = 2 * len(frame), 3 * stars.n_frames + len(parameters.optical)
+    if measured <= unknown:
+        raise CameraError(
+            f"{len(frame)} stars give {measured} measurements for {unknown} unknowns; solve for fewer parameters "
+            "or give more frames."
+        )
+
+
+def _prior(camera: Camera, covariance_rad2: ArrayLike | None) -> FloatArray:
+    if covariance_rad2 is None:
+        sigma, axes = camera.attitude_sigma, camera.focal_from_camera
+        cross = sigma.cross_px * camera.pixel_scale_rad
+        return np.asarray(axes.T @ np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2 @ axes)
+    covariance = np.asarray(covariance_rad2, dtype=np.float64)
+    if covariance.shape != (3, 3) or not np.linalg.eigvalsh(covariance)[0] > 0.0:
+        raise CameraError("a_priori_covariance_rad2 must be a positive definite (3, 3) matrix, rad^2.")
+    return covariance
+
+
+def _iterate(
+    stars: StarFrames,
+    parameters: CameraParameters,
+    state: _State,
+    excess: float,
+    prior: FloatArray,
+    used: BoolArray,
+) -> tuple[_State, ArrowSolution, int]:
+    covariance = stars.covariance_px2 + excess**2 * np.eye(2)
+    mounting = prior if parameters.mounting else None
+    for count in range(1, MAX_ITERATIONS + 1):
+        design = linearize(
+            stars,
+            parameters,
+            state.values,
+            state.attitudes,
+            state.mounting_rad,
+            covariance,
+            mounting,
+            used,
+        )
+        if not np.isfinite(design.residual).all():
+            break
+        step = solve_arrow(design)
+        before, state = state, _stepped(stars, parameters, state, step)
+        if _moved(stars, parameters, before, state) < CONVERGED_PX:
+            return state, step, count
+    raise CameraError(
+        f"the calibration of {parameters.camera.name} does not converge in {MAX_ITERATIONS} iterations; "
+        "solve for fewer parameters, or start from a camera nearer the truth."
+    )
+
+
+def _stepped(stars: StarFrames, parameters: CameraParameters, state: _State, step: ArrowSolution) -> _State:
+    """Take the step, or half of it, or a quarter, until it is a camera that sees all stars."""
+    p = len(parameters.optical)
+    turn = np.zeros(3)
+    turn[list(parameters.mounting)] = step.shared[p:]
+    for halving in range(MAX_HALVINGS):
+        part = 0.5**halving
+        values = state.values + part * step.shared[:p]
+        attitudes = rotation_from_vector(part * step.angles) @ state.attitudes
+        try:
+            seen = residuals(stars, parameters.camera_with(values), attitudes)
+        except CameraError:
+            continue
+        if np.isfinite(seen).all():
+            return _State(values, state.mounting_rad + part * turn, attitudes)
+    raise CameraError(
+        f"no step of the calibration of {parameters.camera.name} gives a camera that sees its stars; "
+        "solve for fewer distortion terms."
+    )
+
+
+def _moved(stars: StarFrames, parameters: CameraParameters, before: _State, after: _State) -> float:
+    """Largest motion of a star, and of the mounting, px."""
+    places = [residuals(stars, parameters.camera_with(s.values), s.attitudes) for s in (before, after)]
+    mounting = np.abs(after.mounting_rad - before.mounting_rad).max() / parameters.camera.pixel_scale_rad
+    return float(max(np.abs(places[1] - places[0]).max(), mounting))
+
+
+def _squared(stars: StarFrames, residual: FloatArray, excess: float) -> FloatArray:
+    inverse = np.linalg.inv(stars.covariance_px2 + excess**2 * np.eye(2))
+    return np.asarray(np.einsum("ni,nij,nj->n", residual, inverse, residual))
+
+
+def _freedom(stars: StarFrames, parameters: CameraParameters, used: BoolArray) -> int:
+    return int(2 * used.sum()) - 3 * stars.n_frames - len(parameters.optical)
+
+
+def _excess(stars: StarFrames, residual: FloatArray, used: BoolArray, parameters: CameraParameters) -> float:
+    """Excess sigma that makes chi-squared its expectation; the many stars of a calibration tell it well."""
+    freedom = _freedom(stars, parameters, used)
+
+    def surplus(sigma_px: float) -> float:
+        return float(_squared(stars, residual, sigma_px)[used].sum()) - freedom
+
+    if surplus(0.0) <= 0.0:
+        return 0.0
+    upper = 0.1
+    while surplus(upper) > 0.0:
+        upper *= 2.0
+    return float(brentq(surplus, 0.0, upper, xtol=EXCESS_TOLERANCE_PX))
+
+
+def _accepted(stars: StarFrames, residual: FloatArray, excess: float) -> BoolArray:
+    return np.asarray(_squared(stars, residual, excess) <= REJECT_SIGMA**2)
+
+
+def _result(
+    stars: StarFrames,
+    parameters: CameraParameters,
+    state: _State,
+    last: ArrowSolution,
+    excess: float,
+    used: BoolArray,
+    steps: int,
+) -> CameraCalibration:
+    camera = parameters.camera_with(state.values)
+    after = residuals(stars, camera, state.attitudes)
+    turn = state.mounting_rad[list(parameters.mounting)]
+    open_part = np.abs(last.open_directions).max(axis=0, initial=0.0)
+    free = _freedom(stars, parameters, used)
+    return CameraCalibration(
+        camera=_mounted(camera, state.mounting_rad),
+        names=parameters.ordered,
+        initial=np.append(parameters.values(), np.zeros(len(turn))),
+        values=np.append(state.values, turn),
+        sigmas=np.where(open_part > NAMED_PART, np.inf, np.sqrt(np.diag(last.covariance))),
+        covariance=last.covariance,
+        open_directions=last.open_directions,
+        attitudes=state.attitudes,
+        used=used,
+        residual_before_px=_before(stars, parameters, excess, used),
+        residual_after_px=after,
+        excess_sigma_px=excess,
+        chi2_reduced=float(_squared(stars, after, 0.0)[used].sum()) / free,
+        iterations=steps,
+        messages=_messages(parameters, last, used, excess),
+    )
+
+
+def _mounted(camera: Camera, mounting_rad: FloatArray) -> Camera:
+    """The turn goes into the focal axes: the SPICE frame stays what its kernel says."""
+    axes = camera.focal_from_camera
+    return replace(camera, focal_from_camera=axes @ rotation_from_vector(mounting_rad @ axes))
+
+
+def _before(stars: StarFrames, parameters: CameraParameters, excess: float, used: BoolArray) -> FloatArray:
+    """Residuals with the old camera, every frame's attitude fitted to the same stars."""
+    nothing = CameraParameters(parameters.camera, ())
+    start = _State(np.zeros(0), np.zeros(3), np.array(stars.attitudes))
+    state, *_ = _iterate(stars, nothing, start, excess, np.eye(3), used)
+    return residuals(stars, parameters.camera, state.attitudes)
+
+
+def _messages(
+    parameters: CameraParameters, last: ArrowSolution, used: BoolArray, excess: float
+) -> tuple[str, ...]:
+    messages = [open_message(direction, parameters.ordered) for direction in last.open_directions]
+    rejected = int(np.sum(~used))
+    if rejected:
+        messages.append(f"{rejected} of {len(used)} stars rejected as outliers")
+    if excess > 0.0:
+        messages.append(
+            f"the stars scatter more than their covariances say: a centering error of {excess:.3f} px is added to each"
+        )
+    return tuple(messages)

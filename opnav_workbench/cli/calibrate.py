@@ -1,0 +1,251 @@
+"""``opnav calibrate camera`` and ``opnav calibrate psf``: a camera file from the camera's own star frames."""
+
+import shutil
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+import yaml
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.markup import escape
+
+from opnav_workbench.calibration import (
+    CameraCalibration,
+    Edit,
+    PsfCalibration,
+    StarFrames,
+    calibrate_camera,
+    camera_edits,
+    solvable,
+    stack_psf,
+    with_distortion,
+    write_camera_file,
+)
+from opnav_workbench.camera import BrownDistortion, Camera, OwenDistortion
+from opnav_workbench.cli.calibrate_output import calibration_json, camera_table, progress_of, psf_json
+from opnav_workbench.files import atomic_path, make_folder, write_json
+from opnav_workbench.headless import Decisions, Policy, load_decisions
+from opnav_workbench.headless.star_frames import SolvedFrames, psf_frames, solve_frames, star_frames
+from opnav_workbench.mission import load_mission
+from opnav_workbench.psf import GaussianPsf
+from opnav_workbench.report.calibration_figure import camera_figure, psf_figure
+from opnav_workbench.session import ATTITUDE_SOURCES
+from opnav_workbench.spice import KernelSet
+
+__all__ = ["calibrate"]
+
+calibrate = typer.Typer(
+    name="calibrate",
+    help="Calibrate a camera from its own star frames: optics and mounting, or its PSF.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+)
+
+DPI = 110
+ISOLATION_SIGMAS, ISOLATION_PX = (
+    8.0,
+    5.0,
+)  # a neighbor nearer than this (pixels, and sigmas of the PSF) spoils a star
+DEFAULT_TERMS: dict[type, tuple[str, ...]] = {
+    OwenDistortion: ("e2_per_mm2", "e5_per_mm", "e6_per_mm"),
+    BrownDistortion: ("k1", "k2", "p1", "p2"),
+}
+
+Images = Annotated[list[Path], typer.Argument(help="Pictures of one camera.", show_default=False)]
+MissionOption = Annotated[
+    str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
+]
+Kernels = Annotated[
+    str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
+]
+CatalogOption = Annotated[str, typer.Option(help="bundled | npz:FILE | tycho2:DIR | ucac4:DIR | ...")]
+DecisionsOption = Annotated[
+    Path | None, typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False)
+]
+Attitude = Annotated[str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))]
+Out = Annotated[Path, typer.Option(help="Folder for the new camera file and the report.")]
+
+
+@calibrate.command()
+def camera(
+    images: Images,
+    mission: MissionOption,
+    solve: Annotated[
+        str | None,
+        typer.Option(
+            help="Parameters, comma-separated; default focal length and the usual distortion terms.",
+            show_default=False,
+        ),
+    ] = None,
+    distortion: Annotated[str, typer.Option(help="Distortion model: keep | none | owen | brown")] = "keep",
+    kernels: Kernels = None,
+    catalog: CatalogOption = "bundled",
+    attitude: Attitude = "auto",
+    decisions: DecisionsOption = None,
+    out: Out = Path("calibration"),
+) -> None:
+    """Solve focal length, distortion and mounting angles over many star frames.
+
+    [bold]Example[/]
+
+      opnav calibrate camera lor_*.fit -m new_horizons --solve focal_length_mm,e2_per_mm2 --out calibration
+
+    Every picture keeps its own attitude; the parameters are shared. Writes OUT/<camera>.yaml, a copy of the camera's
+    file with the new values, OUT/<camera>_calibration.json and OUT/<camera>_residuals.png. Mounting angles
+    (mounting_pixel_rad, mounting_line_rad, mounting_boresight_rad) need a priori attitudes that differ alike.
+    """
+    policy = _policy(mission, catalog, attitude, decisions)
+    with ExitStack() as stack:
+        if kernels is not None:
+            stack.enter_context(KernelSet(kernels))
+        solved = _solved(images, policy)
+    start = with_distortion(solved.sessions[0].context.camera, distortion)
+    names = (
+        _default_names(start) if solve is None else tuple(n.strip() for n in solve.split(",") if n.strip())
+    )
+    stars = star_frames(solved.sessions)
+    result = calibrate_camera(stars, start, names)
+    _write_camera(policy, start, solved, stars, result, distortion, out)
+
+
+@calibrate.command()
+def psf(
+    images: Images,
+    mission: MissionOption,
+    kernels: Kernels = None,
+    catalog: CatalogOption = "bundled",
+    attitude: Attitude = "auto",
+    min_snr: Annotated[
+        float, typer.Option(help="Least signal-to-noise ratio of a star in the stack.")
+    ] = 50.0,
+    oversampling: Annotated[
+        int | None, typer.Option(help="Cells a pixel; default four to the PSF's width.", show_default=False)
+    ] = None,
+    out: Out = Path("calibration"),
+) -> None:
+    """Stack bright stars of solved frames to an empirical PSF.
+
+    [bold]Example[/]
+
+      opnav calibrate psf lor_*.fit -m new_horizons --catalog npz:tycho2.npz --out calibration
+
+    Writes OUT/<camera>_psf.npz, OUT/<camera>.yaml, a copy of the camera's file that uses it, and a report as JSON and PNG.
+    Stars need not be in the catalog; pictures whose stars have another shape are left out and named.
+    """
+    policy = _policy(mission, catalog, attitude, None)
+    with ExitStack() as stack:
+        if kernels is not None:
+            stack.enter_context(KernelSet(kernels))
+        solved = _solved(images, policy, least_stars=1)
+    context = solved.sessions[0].context
+    isolation = max(ISOLATION_PX, ISOLATION_SIGMAS * context.camera.psf.sigma_px)
+    frames = psf_frames(solved.sessions, min_snr, isolation)
+    result = stack_psf(frames, context.camera_psf, oversampling=oversampling)
+    _write_psf(policy, context.camera, solved, result, out)
+
+
+def _policy(mission: str, catalog: str, attitude: str, decisions: Path | None) -> Policy:
+    return Policy(
+        mission=load_mission(mission),
+        catalog=catalog,
+        targets=(),
+        attitude=attitude,
+        decisions=load_decisions(decisions) if decisions else Decisions(),
+    )
+
+
+def _solved(images: Sequence[Path], policy: Policy, **options: Any) -> SolvedFrames:
+    console = Console(stderr=True, soft_wrap=True)
+    with progress_of(console, len(images)) as say:
+        solved = solve_frames(images, policy, say, **options)
+    for name, reason in solved.failed:
+        console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}", highlight=False)
+    return solved
+
+
+def _default_names(camera: Camera) -> tuple[str, ...]:
+    known = solvable(camera)
+    return ("focal_length_mm", *(n for n in DEFAULT_TERMS.get(type(camera.distortion), ()) if n in known))
+
+
+def _write_camera(
+    policy: Policy,
+    start: Camera,
+    solved: SolvedFrames,
+    stars: StarFrames,
+    result: CameraCalibration,
+    distortion: str,
+    out: Path,
+) -> None:
+    source = policy.mission.camera_file(start)
+    target = make_folder(out) / source.name
+    heading = (
+        f"Calibrated with {int(result.used.sum())} stars of {stars.n_frames} frames ({stars.names[0]} to "
+        f"{stars.names[-1]}), catalog {policy.catalog}; before: {source.name}"
+    )
+    _copy_psf(source, target)
+    write_camera_file(source, target, camera_edits(result, distortion), heading)
+    report = target.with_name(f"{source.stem}_calibration.json")
+    write_json(report, calibration_json(stars, result, start, solved.failed, policy.catalog))
+    picture = target.with_name(f"{source.stem}_residuals.png")
+    _save(camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"), picture)
+    console = Console()
+    console.print(camera_table(result, start.name))
+    rms = f"residuals {result.rms_before_px:.3f} px rms before, {result.rms_after_px:.3f} px after"
+    _finish(console, rms, result.messages, (target, report, picture))
+
+
+def _write_psf(
+    policy: Policy, start: Camera, solved: SolvedFrames, result: PsfCalibration, out: Path
+) -> None:
+    source = policy.mission.camera_file(start)
+    target = make_folder(out) / source.name
+    template = target.with_name(f"{source.stem}_psf.npz")
+    result.psf.save(template)
+    edit = Edit({"model": "empirical", "file": template.name}, f"{result.n_stars} stars")
+    names = [s.context.frame.path.name for s in solved.sessions]
+    heading = (
+        f"PSF of {result.n_stars} stars of {int(result.used_frames.sum())} frames; before: {source.name}"
+    )
+    write_camera_file(source, target, {("psf", "model"): edit}, heading)
+    report = target.with_name(f"{source.stem}_psf.json")
+    write_json(report, psf_json(result, names, solved.failed))
+    picture = target.with_name(f"{source.stem}_psf.png")
+    sigma = start.psf.sigma_px
+    _save(psf_figure(result, GaussianPsf(sigma, sigma), f"{start.name}: empirical PSF"), picture)
+    median = [float(np.median(chi2)) for chi2 in (result.gaussian_chi2, result.empirical_chi2)]
+    words = (
+        f"{result.n_stars} stars, {result.psf.oversampling} cells a pixel; reduced chi-squared of a star (median) "
+        f"{median[0]:.2f} with one Gaussian, {median[1]:.2f} with the PSF"
+    )
+    _finish(Console(), words, result.messages, (target, template, report, picture))
+
+
+def _copy_psf(source: Path, target: Path) -> None:
+    """A template beside the old file goes beside the new one."""
+    model = (yaml.safe_load(source.read_text(encoding="utf-8")).get("psf") or {}).get("model") or {}
+    if isinstance(model, dict) and model.get("file") and source.parent.resolve() != target.parent.resolve():
+        with atomic_path(target.parent / model["file"]) as temporary:
+            shutil.copyfile(source.parent / model["file"], temporary)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=DPI, format="png")
+
+
+def _finish(console: Console, words: str, messages: Sequence[str], files: Sequence[Path]) -> None:
+    console.print(words, highlight=False, soft_wrap=True)
+    for message in messages:
+        console.print(f"[yellow]note[/] {escape(message)}", highlight=False, soft_wrap=True)
+    names = ", ".join(path.name for path in files)
+    console.print(f"In {escape(str(files[0].parent))}/: {escape(names)}", highlight=False, soft_wrap=True)
+    console.print(
+        "To use the new camera file, name it in a mission file (cameras: file), or put it in the old one's place.",
+        highlight=False,
+        soft_wrap=True,
+    )

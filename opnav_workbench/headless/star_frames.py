@@ -1,0 +1,147 @@
+"""Star frames for a calibration: pictures solved one after the other, then their stars as arrays."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray
+from opnav_workbench.calibration import MIN_STARS, PsfFrame, StarFrames
+from opnav_workbench.errors import CameraError, OpNavError
+from opnav_workbench.headless.policy import Policy, open_picture, solve_stars
+from opnav_workbench.session import ImageSession
+from opnav_workbench.starcenters import Detections, StarFlag, detect
+
+__all__ = ["SolvedFrames", "psf_frames", "solve_frames", "star_frames"]
+
+Say = Callable[[str, str], None]
+
+NEIGHBOR_PART = 0.05  # a neighbor of less light than this does not show in a stack of many stars
+UNFIT = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFlag.BAD_PIXELS
+
+
+@dataclass(frozen=True, slots=True)
+class SolvedFrames:
+    """Pictures of one camera with their pointing solved, and those that failed.
+
+    Attributes
+    ----------
+    sessions : tuple of ImageSession
+    failed : tuple of (str, str)
+        File name and reason.
+    """
+
+    sessions: tuple[ImageSession, ...]
+    failed: tuple[tuple[str, str], ...]
+
+
+def solve_frames(
+    images: Sequence[Path],
+    policy: Policy,
+    say: Say = lambda _name, _words: None,
+    least_stars: int = MIN_STARS,
+) -> SolvedFrames:
+    """Solve the pointing of pictures of one camera.
+
+    Parameters
+    ----------
+    images : sequence of Path
+    policy : Policy
+        Targets are not searched.
+    say : callable
+        Called with a picture's name and a few words.
+    least_stars : int
+        A picture with fewer identified stars counts as failed.
+
+    Raises
+    ------
+    CameraError
+        Pictures of several cameras (or readout modes), or none that could be solved.
+    """
+    sessions: list[ImageSession] = []
+    failed: list[tuple[str, str]] = []
+    for image in images:
+        say(image.name, "finding stars")
+        try:
+            session = open_picture(image, policy)
+            session.predict()
+            solve_stars(session, policy)
+        except OpNavError as error:
+            failed.append((image.name, str(error)))
+            continue
+        used = int(session.state.mask("used").sum())
+        if session.state.pointing is None or used < least_stars:
+            failed.append((image.name, "; ".join(session.state.messages) or f"{used} stars found"))
+        else:
+            sessions.append(session)
+    _check_cameras(sessions, failed)
+    return SolvedFrames(tuple(sessions), tuple(failed))
+
+
+def _check_cameras(sessions: Sequence[ImageSession], failed: Sequence[tuple[str, str]]) -> None:
+    if not sessions:
+        why = "; ".join(f"{name}: {reason}" for name, reason in failed[:2])
+        raise CameraError(f"no picture could be solved ({why}); process them one by one to see why.")
+    cameras = sorted({session.context.camera.name for session in sessions})
+    if len(cameras) > 1:
+        raise CameraError(f"the pictures are of {', '.join(cameras)}; calibrate one camera at a time.")
+
+
+def star_frames(sessions: Sequence[ImageSession]) -> StarFrames:
+    """Return the used stars of solved pictures, with the covariances of center and catalog together."""
+    parts = []
+    for number, session in enumerate(sessions):
+        state = session.state
+        assert state.a_priori is not None
+        assert state.centers is not None
+        used = state.mask("used")
+        covariance = state.centers.covariance_px2[used] + state.a_priori.covariance_px2[used]
+        frame = np.full(int(used.sum()), number)
+        parts.append((frame, state.centers.pixel_line[used], covariance, state.a_priori.directions[used]))
+    frame, observed, covariance, directions = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return StarFrames(
+        names=tuple(session.context.frame.path.name for session in sessions),
+        frame=frame,
+        observed_px=observed,
+        covariance_px2=covariance,
+        directions=directions,
+        attitudes=np.stack([session.camera_from_j2000 for session in sessions]),
+        a_priori=np.stack([session.inputs.a_priori_camera_from_j2000 for session in sessions]),
+    )
+
+
+def psf_frames(sessions: Sequence[ImageSession], min_snr: float, isolation_px: float) -> tuple[PsfFrame, ...]:
+    """Return pictures with their bright stars that have no neighbor within `isolation_px`.
+
+    Stars need not be in the catalog: every detection counts.
+    """
+    frames = []
+    for session in sessions:
+        context = session.context
+        found = detect(
+            context.signal_dn,
+            context.noise_dn,
+            context.bad,
+            context.camera.psf.sigma_px,
+            saturated=context.frame.saturated,
+        )
+        frames.append(
+            PsfFrame(
+                name=context.frame.path.name,
+                signal_dn=context.signal_dn,
+                noise_dn=context.noise_dn,
+                bad=context.bad | context.frame.saturated,
+                pixel_line=found.pixel_line[_bright(found, min_snr, isolation_px)],
+                noise_model=context.noise_model,
+            )
+        )
+    return tuple(frames)
+
+
+def _bright(found: Detections, min_snr: float, isolation_px: float) -> BoolArray:
+    clean = (found.snr >= min_snr) & ((found.flags & int(UNFIT)) == 0)
+    near = np.hypot(*(found.pixel_line[:, None] - found.pixel_line[None]).transpose(2, 0, 1)) < isolation_px
+    np.fill_diagonal(near, val=False)
+    crowded = (near & (found.flux_dn[None] > NEIGHBOR_PART * found.flux_dn[:, None])).any(axis=1)
+    return np.asarray(clean & ~crowded)
