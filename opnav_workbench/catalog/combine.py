@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.catalog.johnson import Johnson
 from opnav_workbench.catalog.priors import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.table import StarTable
@@ -116,8 +117,6 @@ def _matched(first: StarTable, second: StarTable) -> StarTable:
     def pick(name: str, from_second: BoolArray) -> FloatArray:
         return np.asarray(np.where(from_second, getattr(second, name), getattr(first, name)))
 
-    brighter = _smaller(second.v_sigma, first.v_sigma)
-    colored = _smaller(second.b_v_sigma, first.b_v_sigma)
     parallax_sigma = np.minimum(first.sigma[:, 2:3], second.sigma[:, 2:3])
     position_sigma = np.where(sharper[:, None], second.sigma[:, :2], first.sigma[:, :2])
     return StarTable(
@@ -133,18 +132,15 @@ def _matched(first: StarTable, second: StarTable) -> StarTable:
         epoch_jyear=pick("epoch_jyear", sharper),
         sigma=np.concatenate([position_sigma, parallax_sigma, motion_sigma], axis=1),
         motion_known=source != NOWHERE,
-        v_mag=pick("v_mag", brighter),
-        v_sigma=pick("v_sigma", brighter),
-        b_v=pick("b_v", colored),
-        b_v_sigma=pick("b_v_sigma", colored),
         flags=_flags(first, second, sharper),
         hip=np.where(first.hip > 0, first.hip, second.hip),
         position_motion=_shared_error(first, second, sharper, source, position_sigma),
+        **_johnson(first).better_of(_johnson(second)).columns(),
     )
 
 
-def _smaller(sigma: FloatArray, other: FloatArray) -> BoolArray:
-    return np.asarray(np.nan_to_num(sigma, nan=np.inf) < np.nan_to_num(other, nan=np.inf))
+def _johnson(stars: StarTable) -> Johnson:
+    return Johnson(stars.v_mag, stars.v_sigma, stars.b_v, stars.b_v_sigma)
 
 
 def _flags(first: StarTable, second: StarTable, sharper: BoolArray) -> IntArray:

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 import yaml
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.markup import escape
 
@@ -33,6 +32,7 @@ from opnav_workbench.headless.star_frames import SolvedFrames, psf_frames, solve
 from opnav_workbench.mission import load_mission
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.report.calibration_figure import camera_figure, psf_figure
+from opnav_workbench.report.png import write_png
 from opnav_workbench.session import ATTITUDE_SOURCES
 from opnav_workbench.spice import KernelSet
 
@@ -45,7 +45,6 @@ calibrate = typer.Typer(
     rich_markup_mode="rich",
 )
 
-DPI = 110
 ISOLATION_SIGMAS, ISOLATION_PX = (
     8.0,
     5.0,
@@ -192,7 +191,9 @@ def _write_camera(
     report = target.with_name(f"{source.stem}_calibration.json")
     write_json(report, calibration_json(stars, result, start, solved.failed, policy.catalog))
     picture = target.with_name(f"{source.stem}_residuals.png")
-    _save(camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"), picture)
+    write_png(
+        camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"), picture
+    )
     console = Console()
     console.print(camera_table(result, start.name))
     rms = f"residuals {result.rms_before_px:.3f} px rms before, {result.rms_after_px:.3f} px after"
@@ -216,7 +217,7 @@ def _write_psf(
     write_json(report, psf_json(result, names, solved.failed))
     picture = target.with_name(f"{source.stem}_psf.png")
     sigma = start.psf.sigma_px
-    _save(psf_figure(result, GaussianPsf(sigma, sigma), f"{start.name}: empirical PSF"), picture)
+    write_png(psf_figure(result, GaussianPsf(sigma, sigma), f"{start.name}: empirical PSF"), picture)
     median = [float(np.median(chi2)) for chi2 in (result.gaussian_chi2, result.empirical_chi2)]
     words = (
         f"{result.n_stars} stars, {result.psf.oversampling} cells a pixel; reduced chi-squared of a star (median) "
@@ -231,11 +232,6 @@ def _copy_psf(source: Path, target: Path) -> None:
     if isinstance(model, dict) and model.get("file") and source.parent.resolve() != target.parent.resolve():
         with atomic_path(target.parent / model["file"]) as temporary:
             shutil.copyfile(source.parent / model["file"], temporary)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=DPI, format="png")
 
 
 def _finish(console: Console, words: str, messages: Sequence[str], files: Sequence[Path]) -> None:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.files import atomic_path
+from opnav_workbench.report.png import write_png
 from opnav_workbench.spice import CoverageRow, KernelCheck, utc_from_et
 
 __all__ = ["coverage_figure", "write_coverage"]
@@ -20,15 +20,12 @@ NARROWEST = 0.002  # of the axis: a shorter window would not be seen
 ROW_INCH, MARGIN_INCH, WIDTH_INCH = 0.28, 1.3, 10.0
 BAR_HEIGHT = 0.7
 N_TICKS = 5
-DPI = 110
 DAY_S = 86_400.0
 
 
 def write_coverage(check: KernelCheck, path: str | Path) -> None:
     """Write the coverage as PNG, whole or not at all; an LSK must be loaded."""
-    figure = coverage_figure(check)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=DPI, format="png")
+    write_png(coverage_figure(check), path)
 
 
 def coverage_figure(check: KernelCheck) -> Figure:

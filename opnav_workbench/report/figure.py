@@ -4,7 +4,6 @@ Predicted places are yellow circles, observed ones blue crosses, stars not used 
 shape and colour together, from a palette that colour-blind readers can tell apart (Okabe & Ito).
 """
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.files import atomic_path
 from opnav_workbench.report.frame_view import STRIP_ASPECT, Panels, panels_of
+from opnav_workbench.report.png import png_bytes, write_png
 from opnav_workbench.session import MEASURED_STATUSES, ImageSession
 
 __all__ = ["summary_figure", "summary_png", "write_summary"]
 
 PREDICTED, OBSERVED, REJECTED, BODY = "#F0E442", "#56B4E9", "#D55E00", "#CC79A7"
 PIXEL_COLOR, LINE_COLOR = "#0072B2", "#D55E00"
-DPI = 110
 # Residual vectors are drawn so that the longest is this share of the picture's smaller side.
 VECTOR_SHARE = 0.12
 # The stretch begins below the background, so that its noise is seen as dark grain, and ends well inside the stars.
@@ -36,16 +34,12 @@ ASINH_SOFTENING = 0.05
 
 def write_summary(session: ImageSession, path: str | Path) -> None:
     """Write the summary figure as a PNG, whole or not at all."""
-    picture = summary_png(session)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(picture)
+    write_png(summary_figure(session), path)
 
 
 def summary_png(session: ImageSession) -> bytes:
     """Return the summary figure as a PNG, for a notebook: ``display(Image(summary_png(session)))``."""
-    stream = io.BytesIO()
-    summary_figure(session).savefig(stream, dpi=DPI, format="png")
-    return stream.getvalue()
+    return png_bytes(summary_figure(session))
 
 
 def summary_figure(session: ImageSession) -> Figure:

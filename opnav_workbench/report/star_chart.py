@@ -12,13 +12,12 @@ from matplotlib.patches import Circle
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.catalog.two_epoch import sky_offset_rad
-from opnav_workbench.files import atomic_path
 from opnav_workbench.geometry import unit_from_radec
+from opnav_workbench.report.png import write_png
 
 __all__ = ["star_chart", "write_star_chart"]
 
 STAR, NO_MOTION, FLAGGED = "#0072B2", "#E69F00", "#D55E00"
-DPI = 110
 LARGEST_AREA, SMALLEST_AREA = 90.0, 2.0  # of the dots, pt^2
 MAG_STEP = 0.7  # the area of a dot falls by this factor per magnitude
 NAMED = 12  # the brightest stars get their names
@@ -29,9 +28,7 @@ def write_star_chart(
     path: str | Path, stars: StarTable, ra_rad: float, dec_rad: float, radius_rad: float, et_s: float | None
 ) -> None:
     """Write the chart of `star_chart` as a PNG, whole or not at all."""
-    figure = star_chart(stars, ra_rad, dec_rad, radius_rad, et_s)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=DPI, format="png")
+    write_png(star_chart(stars, ra_rad, dec_rad, radius_rad, et_s), path)
 
 
 def star_chart(
