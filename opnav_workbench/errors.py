@@ -9,11 +9,13 @@ __all__ = [
     "CatalogError",
     "CenterfindingError",
     "DownloadError",
+    "EstimationError",
     "ImageError",
     "KernelError",
     "MissionError",
     "OpNavError",
     "PointingError",
+    "SelectionPending",
     "SessionError",
 ]
 
@@ -54,5 +56,13 @@ class PointingError(OpNavError):
     """An attitude that the given stars cannot determine."""
 
 
+class EstimationError(OpNavError):
+    """Observables, parameters or a trajectory that no estimate or B-plane can come from."""
+
+
 class SessionError(OpNavError):
     """A session step taken out of order, or a session that cannot be saved or resumed."""
+
+
+class SelectionPending(SessionError):  # noqa: N818 - not a fault: an analyst's decision is still to come
+    """A decision of the analyst that the next step waits for."""

@@ -14,7 +14,16 @@ import numpy as np
 
 from opnav_workbench.errors import SessionError
 
-__all__ = ["atomic_path", "inside", "json_text", "make_folder", "sha256_of", "write_json", "write_text"]
+__all__ = [
+    "atomic_path",
+    "inside",
+    "json_text",
+    "make_folder",
+    "plain_values",
+    "sha256_of",
+    "write_json",
+    "write_text",
+]
 
 HASH_CHUNK_BYTES = 1 << 20
 
@@ -90,7 +99,7 @@ def json_text(data: Mapping[str, Any]) -> str:
       ]
     }
     """
-    return json.dumps(_plain(data), indent=2, allow_nan=False, ensure_ascii=False)
+    return json.dumps(plain_values(data), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
@@ -98,14 +107,19 @@ def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
     write_text(path, json_text(data) + "\n")
 
 
-def _plain(value: Any) -> Any:
+def plain_values(value: Any) -> Any:
+    """Return data as JSON can hold it: arrays become lists, every non-finite number None."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain_values(v) for k, v in value.items()}
     if isinstance(value, np.ndarray | list | tuple | set | frozenset):
         items = value.tolist() if isinstance(value, np.ndarray) else value
-        return [_plain(v) for v in items] if not isinstance(items, float | int | str) else _plain(items)
+        return (
+            [plain_values(v) for v in items]
+            if not isinstance(items, float | int | str)
+            else plain_values(items)
+        )
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain_values(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Path):

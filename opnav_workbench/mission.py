@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
@@ -22,7 +22,7 @@ from opnav_workbench.image.keywords import KeywordMap
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.yaml_file import read_model
 
-__all__ = ["CameraChoice", "Mission", "Photometry", "load_mission", "mission_names"]
+__all__ = ["CameraChoice", "Mission", "Photometry", "Surface", "load_mission", "mission_names"]
 
 FILE_NAME = "mission.yaml"
 
@@ -45,6 +45,36 @@ class _CameraEntry(_Strict):
     match: dict[Keyword, Value | tuple[Value, ...]] = {}
 
 
+class AlbedoMapFile(_Strict):
+    """A map of a target's albedo; the fields are those of `opnav_workbench.render.AlbedoMap.from_file`."""
+
+    file: Path
+    darkest: Annotated[float, Field(ge=0.0)] = 0.0
+    brightest: Annotated[float, Field(gt=0.0)] = 1.0
+    first_longitude_deg: float = 0.0
+    east_positive: bool = True
+    north_first: bool = True
+
+
+class Surface(_Strict):
+    """How a target's surface looks, where a mission knows more than its brightness.
+
+    Attributes
+    ----------
+    law : mapping or None
+        Scattering law by name, with its parameters: ``{law: lunar_lambert, lunar_weight: 0.5}``.
+    albedo_map : AlbedoMapFile or None
+    shape : Path or None
+        Shape model (OBJ, cmod or DSK); one of the loaded kernels comes first.
+    shape_unit : {"km", "m"}
+    """
+
+    law: dict[str, Any] | None = None
+    albedo_map: AlbedoMapFile | None = None
+    shape: Path | None = None
+    shape_unit: Literal["km", "m"] = "km"
+
+
 def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:
     """Let `KeywordMap` itself judge its fields."""
     unknown = sorted(set(keywords) - KEYWORD_FIELDS)
@@ -65,6 +95,7 @@ class _MissionFile(_Strict):
     reference_body: str
     default_targets: tuple[str, ...] = ()
     target_photometry: dict[str, Photometry] = {}
+    target_surfaces: dict[str, Surface] = {}
     target_stars: str | None = None
     cameras: Annotated[tuple[_CameraEntry, ...], Field(min_length=1)]
     keywords: Annotated[dict[str, Any], AfterValidator(_checked_keywords)]
@@ -105,6 +136,8 @@ class Mission:
     default_targets : tuple of str
     target_photometry : mapping of str to Photometry
         Brightness of targets by name.
+    target_surfaces : mapping of str to Surface
+        How they scatter light, by name, and their albedo map and shape.
     target_stars : Path or None
         List of stars that can be targets.
     cameras : tuple of CameraChoice
@@ -121,6 +154,7 @@ class Mission:
     reference_body: str
     default_targets: tuple[str, ...]
     target_photometry: Mapping[str, Photometry]
+    target_surfaces: Mapping[str, Surface]
     target_stars: Path | None
     cameras: tuple[CameraChoice, ...]
     keywords: Mapping[str, Any]
@@ -204,7 +238,7 @@ def mission_names() -> tuple[str, ...]:
     Examples
     --------
     >>> mission_names()
-    ('generic', 'new_horizons', 'osiris_rex')
+    ('cassini', 'generic', 'hayabusa2', 'near', 'new_horizons', 'osiris_rex')
     """
     return tuple(sorted(path.parent.name for path in kernels_meta_dir().glob(f"*/{FILE_NAME}")))
 
@@ -254,10 +288,23 @@ def _mission(file: _MissionFile, path: Path) -> Mission:
         reference_body=file.reference_body,
         default_targets=file.default_targets,
         target_photometry=MappingProxyType(file.target_photometry),
+        target_surfaces=MappingProxyType({n: _beside(s, folder) for n, s in file.target_surfaces.items()}),
         target_stars=None if file.target_stars is None else folder / file.target_stars,
         cameras=tuple(CameraChoice(folder / c.file, MappingProxyType(c.match)) for c in file.cameras),
         keywords=MappingProxyType(file.keywords),
     )
+
+
+def _beside(surface: Surface, folder: Path) -> Surface:
+    """Return a surface whose files are relative to the mission file."""
+    changes: dict[str, Any] = {}
+    if surface.shape is not None:
+        changes["shape"] = folder / surface.shape
+    if surface.albedo_map is not None:
+        changes["albedo_map"] = surface.albedo_map.model_copy(
+            update={"file": folder / surface.albedo_map.file}
+        )
+    return surface.model_copy(update=changes)
 
 
 def _fits(header: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import platformdirs
 
-__all__ = ["CACHE_VARIABLE", "cache_root", "kernels_meta_dir"]
+__all__ = ["CACHE_VARIABLE", "cache_root", "kernels_meta_dir", "notebooks_dir"]
 
 CACHE_VARIABLE = "OPNAV_CACHE"
 
@@ -24,6 +24,21 @@ def kernels_meta_dir() -> Path:
     >>> kernels_meta_dir().name
     'kernels_meta'
     """
+    return _installed_or_checked_out("kernels_meta")
+
+
+def notebooks_dir() -> Path:
+    """Return the folder of the notebooks that come along.
+
+    Examples
+    --------
+    >>> (notebooks_dir() / "process_image.ipynb").is_file()
+    True
+    """
+    return _installed_or_checked_out("notebooks")
+
+
+def _installed_or_checked_out(name: str) -> Path:
     package = Path(__file__).resolve().parent
-    installed = package / "kernels_meta"
-    return installed if installed.is_dir() else package.parent / "kernels_meta"
+    installed = package / name
+    return installed if installed.is_dir() else package.parent / name

@@ -1,7 +1,7 @@
 """A target as the spacecraft sees it, with everything that predicting and measuring its picture needs.
 
 Frame  J2000; the body-fixed frame enters through ``body_from_j2000`` only
-Units  km, km^2, rad, mag
+Units  km, km/s, km^2, rad, mag
 """
 
 from dataclasses import dataclass
@@ -43,6 +43,9 @@ class TargetState:
         Expected V magnitude.
     is_star : bool
         True for a star used as a target.
+    velocity_km_s : (3,) array or None
+        With respect to the solar-system barycenter when the light left, J2000; what partials with solved light time
+        need.
 
     Raises
     ------
@@ -64,6 +67,7 @@ class TargetState:
     covariance_km2: FloatArray | None = None
     magnitude: float | None = None
     is_star: bool = False
+    velocity_km_s: FloatArray | None = None
 
     def __post_init__(self) -> None:
         shapes = {
@@ -72,6 +76,7 @@ class TargetState:
             "body_from_j2000": (3, 3),
             "sun_position_km": (3,),
             "covariance_km2": (3, 3),
+            "velocity_km_s": (3,),
         }
         for field, shape in shapes.items():
             value = getattr(self, field)

@@ -11,7 +11,9 @@ from opnav_workbench.cli.calibrate import calibrate
 from opnav_workbench.cli.catalog import catalog_app
 from opnav_workbench.cli.demo import demo
 from opnav_workbench.cli.doctor import doctor
+from opnav_workbench.cli.export import export
 from opnav_workbench.cli.kernels import kernels_app
+from opnav_workbench.cli.nightly import nightly
 from opnav_workbench.cli.process import process
 from opnav_workbench.cli.simulate import simulate
 from opnav_workbench.errors import OpNavError
@@ -31,6 +33,8 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(process)
+app.command()(nightly)
+app.command()(export)
 app.command()(simulate)
 app.add_typer(kernels_app)
 app.add_typer(catalog_app)

@@ -15,11 +15,11 @@ from opnav_workbench.files import make_folder
 from opnav_workbench.headless import Decisions, Outcome, Policy, load_decisions, process_image
 from opnav_workbench.mission import load_mission
 from opnav_workbench.pointing.models import MODELS
-from opnav_workbench.session import ATTITUDE_SOURCES
+from opnav_workbench.session import ATTITUDE_SOURCES, BODY_METHODS
 from opnav_workbench.session.steps_stars import FINAL_METHODS
 from opnav_workbench.spice import KernelSet
 
-__all__ = ["EXIT_SOME_FAILED", "process", "run_images"]
+__all__ = ["EXIT_SOME_FAILED", "named_targets", "process", "run_images"]
 
 EXIT_SOME_FAILED = 3
 
@@ -36,15 +36,18 @@ def process(
     targets: Annotated[
         str | None,
         typer.Option(
-            help="Targets, comma-separated; default the mission's, with kernels.", show_default=False
+            help="Targets, comma-separated, each with its method if wanted (PLUTO:limb_scan,CHARON); default the "
+            "mission's, with kernels.",
+            show_default=False,
         ),
     ] = None,
+    method: Annotated[str, typer.Option(help="Body centers: " + " | ".join(BODY_METHODS))] = "auto",
     target_stars: Annotated[
         Path | None, typer.Option(help="YAML star list for stars that are targets.", show_default=False)
     ] = None,
     decisions: Annotated[
         Path | None,
-        typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False),
+        typer.Option(help="YAML of an analyst's decisions on stars, bodies and scans.", show_default=False),
     ] = None,
     attitude: Annotated[
         str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))
@@ -64,10 +67,13 @@ def process(
     Writes OUT/<picture>/ with result.json, observables.ecsv, session.json and summary.png.
     Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
     """
+    named = None if targets is None else named_targets(targets)
     policy = Policy(
         mission=load_mission(mission),
         catalog=catalog,
-        targets=None if targets is None else [t.strip() for t in targets.split(",") if t.strip()],
+        targets=None if named is None else list(named),
+        method=method,
+        methods={name: how for name, how in (named or {}).items() if how},
         target_stars=target_stars,
         attitude=attitude,
         final=centers,
@@ -80,6 +86,28 @@ def process(
         outcomes = run_images(images, policy, out)
     if any(outcome.failed for outcome in outcomes):
         raise typer.Exit(EXIT_SOME_FAILED)
+
+
+def named_targets(text: str) -> dict[str, str]:
+    """Return targets with their methods (empty: as for all), from a list such as ``PLUTO:limb_scan,CHARON``.
+
+    Raises
+    ------
+    SessionError
+        A method is unknown.
+
+    Examples
+    --------
+    >>> named_targets("PLUTO:limb_scan, CHARON")
+    {'PLUTO': 'limb_scan', 'CHARON': ''}
+    """
+    pairs = [part.strip().partition(":") for part in text.split(",") if part.strip()]
+    for name, colon, how in pairs:
+        if colon and how.strip() not in BODY_METHODS:
+            raise SessionError(
+                f"target {name.strip()}: unknown method {how.strip()!r}; choose one of {', '.join(BODY_METHODS)}."
+            )
+    return {name.strip(): how.strip() for name, _, how in pairs}
 
 
 def run_images(images: Sequence[Path], policy: Policy, out: Path) -> list[Outcome]:

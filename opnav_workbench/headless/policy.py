@@ -1,27 +1,34 @@
 """The automatic policy for one picture: the same `ImageSession` methods that an analyst's clicks call.
 
 predict - find stars - decisions - repoint, then once more around the solved pointing (which finds the faint stars that
-the first, wider search missed), then every target and the observables.  What is done is always saved.
+the first, wider search missed), then every target, the largest first, and the observables.  A session that an analyst has
+recorded is taken again as it was instead.  What is done is always saved.
 """
 
 import contextlib
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from opnav_workbench.bodycenters.subarray import search_radius
 from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.files import inside, write_json, write_text
+from opnav_workbench.files import inside, sha256_of, write_json, write_text
 from opnav_workbench.headless.decisions import Decisions
 from opnav_workbench.mission import Mission
 from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.report import write_summary
-from opnav_workbench.session import ATTITUDE_SOURCES, RESULT_FILE, ImageSession, Settings
+from opnav_workbench.scene import BodyPrediction
+from opnav_workbench.session import ATTITUDE_SOURCES, BODY_METHODS, RESULT_FILE, ImageSession, Settings
 from opnav_workbench.spice import KernelSet
 
-__all__ = ["Outcome", "Policy", "open_picture", "process_image", "solve_stars"]
+__all__ = ["Outcome", "Policy", "open_picture", "process_image", "run_policy", "solve_stars"]
+
+Say = Callable[[str], None]
 
 FIGURE_FILE = "summary.png"
 TRACEBACK_FILE = "traceback.txt"
@@ -37,6 +44,10 @@ class Policy:
     catalog : str
     targets : sequence of str or None
         None takes the mission's default targets where kernels are loaded, and none without.
+    method : str
+        How bodies are found; ``auto`` takes what suits each.
+    methods : mapping of str to str
+        The same for single bodies, by name.
     target_stars : Path or None
     attitude : {"auto", "kernels", "header"}
     model : {"euler", "image_plane"}
@@ -49,6 +60,8 @@ class Policy:
     mission: Mission
     catalog: str = "bundled"
     targets: Sequence[str] | None = None
+    method: str = "auto"
+    methods: Mapping[str, str] = field(default_factory=dict)
     target_stars: Path | None = None
     attitude: str = "auto"
     model: str = "euler"
@@ -65,6 +78,11 @@ class Policy:
         if self.attitude not in ATTITUDE_SOURCES:
             raise SessionError(
                 f"unknown attitude source {self.attitude!r}; choose one of {', '.join(ATTITUDE_SOURCES)}."
+            )
+        unknown = sorted({self.method, *self.methods.values()} - set(BODY_METHODS))
+        if unknown:
+            raise SessionError(
+                f"unknown body method {', '.join(unknown)}; choose one of {', '.join(BODY_METHODS)}."
             )
         object.__setattr__(self, "opened_catalog", open_catalog(self.catalog))
 
@@ -95,9 +113,11 @@ class Outcome:
         return bool(self.result["status"] == "failed")
 
 
-def process_image(
-    image: str | Path, policy: Policy, out: str | Path, say: Callable[[str], None] = lambda _: None
-) -> Outcome:
+def _quiet(_words: str) -> None:
+    """Say nothing."""
+
+
+def process_image(image: str | Path, policy: Policy, out: str | Path, say: Say = _quiet) -> Outcome:
     """Process one picture and write its folder ``OUT/<stem>``.
 
     Parameters
@@ -122,7 +142,7 @@ def process_image(
     try:
         say("reading")
         session = open_picture(path, policy)
-        _run(session, policy, say)
+        run_policy(session, policy, say)
         say("writing")
         session.save(folder)
         write_summary(session, folder / FIGURE_FILE)
@@ -146,7 +166,18 @@ def _folder(out: str | Path, picture: Path) -> Path:
 
 
 def open_picture(image: str | Path, policy: Policy) -> ImageSession:
-    """Open a picture as the policy says; raises as `ImageSession.open`."""
+    """Open a picture as the policy says, with the settings of its recorded decisions where there are any.
+
+    Raises
+    ------
+    OpNavError
+        As `ImageSession.open`.
+    """
+    settings = policy.settings
+    if policy.decisions.images and Path(image).is_file():
+        recorded = policy.decisions.recorded(sha256_of(image))
+        if recorded is not None:
+            settings = Settings.from_dict(Settings().to_dict() | recorded.settings)
     return ImageSession.open(
         image,
         policy.mission,
@@ -154,26 +185,70 @@ def open_picture(image: str | Path, policy: Policy) -> ImageSession:
         opened_catalog=policy.opened_catalog,
         target_stars=policy.target_stars,
         attitude=policy.attitude,
-        settings=policy.settings,
+        settings=settings,
     )
 
 
-def _run(session: ImageSession, policy: Policy, say: Callable[[str], None]) -> None:
-    say("predicting")
-    session.predict()
+def run_policy(
+    session: ImageSession, policy: Policy, say: Say = _quiet, cancelled: Callable[[], bool] = lambda: False
+) -> bool:
+    """Carry out the policy on an open session, as a night's run does; what the analyst decided in it stays decided.
+
+    Parameters
+    ----------
+    session : ImageSession
+    policy : Policy
+    say : callable
+        Called with a few words before each step, for progress.
+    cancelled : callable
+        Asked between steps; once it says True, what is done stands and the rest is left.
+
+    Returns
+    -------
+    bool
+        Whether all of it was done.
+
+    Raises
+    ------
+    OpNavError
+        A step cannot be carried out.
+    """
+    if not session.standing and policy.decisions.recorded(session.context.frame.sha256) is not None:
+        say("repeating the analyst's session")
+        policy.decisions.apply(session)
+        return True
+    for words, step in _steps(session, policy):
+        if cancelled():
+            return False
+        say(words)
+        step()
+    return True
+
+
+def _steps(session: ImageSession, policy: Policy) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Yield the policy's steps with their words; later ones depend on what earlier ones found."""
+    yield "predicting", session.predict
     targets = _add_targets(session, policy)
-    say("finding stars")
-    solve_stars(session, policy)
-    for name in targets:
-        say(f"finding {name}")
-        session.find_body(name)
-    session.observables()
+    yield "finding stars", lambda: _identify(session, policy)
+    yield "solving the pointing", lambda: _repoint_twice(session, policy)
+    for name in _in_order(session, policy, targets):
+        yield f"finding {name}", lambda name=name: _find(session, policy, name)  # type: ignore[misc]
+    yield "computing observables", session.observables
 
 
 def solve_stars(session: ImageSession, policy: Policy) -> None:
     """Find the predicted stars and solve the pointing, then once more around the solved pointing."""
+    _identify(session, policy)
+    _repoint_twice(session, policy)
+
+
+def _identify(session: ImageSession, policy: Policy) -> None:
+    policy.decisions.apply_field(session)
     session.find_stars(policy.initial, policy.final)
     policy.decisions.apply(session)
+
+
+def _repoint_twice(session: ImageSession, policy: Policy) -> None:
     if session.state.centers is not None:
         session.repoint(policy.model)
     if session.state.pointing is not None:
@@ -184,7 +259,7 @@ def solve_stars(session: ImageSession, policy: Policy) -> None:
 def _add_targets(session: ImageSession, policy: Policy) -> list[str]:
     """Take the targets into the scene; one that nothing is known of costs the picture neither stars nor pointing."""
     known = []
-    for name in _targets(policy):
+    for name in dict.fromkeys((*_targets(policy), *policy.decisions.bodies_of(session))):
         try:
             session.add_target(name)
             known.append(name)
@@ -199,8 +274,37 @@ def _targets(policy: Policy) -> list[str]:
     return list(policy.mission.default_targets) if KernelSet.active() is not None else []
 
 
+def _in_order(session: ImageSession, policy: Policy, targets: Sequence[str]) -> list[str]:
+    """Return the targets to look for, the largest first: what it is off by is expected of the others.
+
+    A target that nobody asked for by name is not looked for where it cannot be seen.
+    """
+    wanted = dict.fromkeys(targets) if policy.targets is not None else {}
+    wanted |= dict.fromkeys(policy.decisions.bodies_of(session))
+    predicted = {name: session.predict_body(name) for name in targets}
+    seen = [name for name in targets if name in wanted or _in_sight(session, predicted[name])]
+    return sorted(seen, key=lambda name: -np.nan_to_num(predicted[name].diameter_px))
+
+
+def _in_sight(session: ImageSession, body: BodyPrediction) -> bool:
+    """Whether some of a body may be on the detector; before the pointing is solved, that is not known."""
+    if session.state.pointing is None:
+        return True
+    radius = float(np.nan_to_num(0.5 * body.diameter_px))
+    return bool(session.context.camera.on_detector(body.pixel_line, radius + search_radius(radius, None)))
+
+
+def _find(session: ImageSession, policy: Policy, name: str) -> None:
+    decided = policy.decisions.methods_of(session, name)
+    for options in decided or ({"method": policy.methods.get(name, policy.method)},):
+        session.find_body(name, **options)
+
+
 def _failed_result(path: Path, policy: Policy, reason: str) -> dict[str, Any]:
-    return {"image": path.name, "mission": policy.mission.name, "status": "failed", "messages": [reason]}
+    result = {"image": path.name, "mission": policy.mission.name, "status": "failed", "messages": [reason]}
+    with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
+        result["sha256"] = sha256_of(path)
+    return result
 
 
 def _failure(path: Path, folder: Path, policy: Policy, reason: str) -> Outcome:

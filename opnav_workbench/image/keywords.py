@@ -47,6 +47,10 @@ class KeywordMap:
         FITS extensions by name or index; the image is the first two-dimensional one unless named.
     quality_table : str
         Name of a table in `opnav_workbench.image.masks.QUALITY_TABLES`.
+    expansion_keyword : str
+        Says how values were squeezed on board; `expansion` has the table of what it may say.
+    expansion : mapping of str to sequence of float
+        DN by stored value.
     dark_columns : mapping of int to int
         Width of a raw frame to the number of dark columns at its right end, which are cut off.
     housekeeping_pixels : int
@@ -85,6 +89,8 @@ class KeywordMap:
     error_extension: str | int | None = None
     quality_extension: str | int | None = None
     quality_table: str = "any_nonzero"
+    expansion_keyword: str | None = None
+    expansion: Mapping[str, Sequence[float]] = field(default_factory=dict)
     dark_columns: Mapping[int, int] = field(default_factory=dict)
     housekeeping_pixels: int = 0
     required: Mapping[str, Any] = field(default_factory=dict)

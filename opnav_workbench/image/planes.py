@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.image.expansion import expanded
 from opnav_workbench.image.frame import Header
 from opnav_workbench.image.keywords import KeywordMap, number
 from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
@@ -41,10 +42,10 @@ def make_planes(
     ImageError
         No picture, a cube, planes of different sizes, or no usable pixel.
     """
-    image = _single_plane(name, source.image)
+    image, remarks = expanded(name, _single_plane(name, source.image), header, keywords)
     error = _fitting_plane(name, source.error, "error", image.shape)
     quality = _fitting_plane(name, source.quality, "quality", image.shape)
-    messages = list(source.messages)
+    messages = [*source.messages, *remarks]
     dark = keywords.dark_columns.get(image.shape[1], 0)
     if 0 < dark < image.shape[1]:
         image = image[:, :-dark]

@@ -39,8 +39,8 @@ def et_from_text(utc: str) -> float:
     return float(((time.jd1 - J2000_JD) + time.jd2) * DAY_S)
 
 
-def text_from_et(et: float) -> str:
-    """Return the UTC of TDB seconds past J2000, ISO calendar to a millisecond.
+def text_from_et(et: float, decimals: int = 3) -> str:
+    """Return the UTC of TDB seconds past J2000, ISO calendar with so many decimals of the second.
 
     Raises
     ------
@@ -54,4 +54,6 @@ def text_from_et(et: float) -> str:
     """
     whole_days = np.floor(et / DAY_S)
     time = Time(J2000_JD + whole_days, (et - whole_days * DAY_S) / DAY_S, format="jd", scale="tdb")
-    return str(time.utc.isot)
+    utc = time.utc
+    utc.precision = decimals
+    return str(utc.isot)

@@ -1,24 +1,20 @@
 """One body's observable: where it was seen, where it was predicted, how well, and what moves it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
-from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import (
-    apparent_direction,
-    geometric_direction,
-    radec_from_unit,
-    tangent_basis,
-)
-from opnav_workbench.observables.partials import attitude_partials, numerical_position_partials
+from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
 
-__all__ = ["Observable", "observe"]
+__all__ = ["LIGHT_TIMES", "Observable"]
 
-ARCSEC_PER_RAD = 206264.80624709636
+LIGHT_TIMES = ("fixed", "solved")
+
+
+def _nothing() -> Mapping[str, FloatArray]:
+    return MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +44,9 @@ class Observable:
     measured_diameter_px : float
         As the centerfinder measured it; nan where it does not.
     partials_px_per_km : (2, 3) array or None
-        d(pixel, line) / d(spacecraft position relative to the reference body, J2000).
+        d(pixel, line) / d(spacecraft position relative to the reference body, J2000). The bodies are held fixed among
+        each other, so for another body than the reference (Charon relative to Pluto) these are the partials of its
+        own place.
     partials_px_per_rad : (2, 3) array or None
         d(pixel, line) / d(rotation of the attitude about the camera frame's axes).
     apparent_ra_deg, apparent_dec_deg : float
@@ -59,6 +57,33 @@ class Observable:
         Observed minus predicted direction: (RA cos dec, Dec), aberration removed from both.
     snr : float
     messages : tuple of str
+    observer : str
+        Spacecraft.
+    light_time : {"fixed", "solved"}
+        Whether the partials hold the light time fixed (as the paper) or solve it anew, see `partials`.
+    position_km : (3,) array or None
+        Predicted, spacecraft to body, J2000: light time removed, stellar aberration not applied.
+    observer_velocity_km_s, target_velocity_km_s : (3,) array or None
+        With respect to the solar-system barycenter, J2000, at mid-exposure and when the light left.
+    target_partials_px_per_km, target_partials_px_per_km_s : (2, 3) array or None
+        d(pixel, line) / d(position, velocity of the body at mid-exposure, J2000), spacecraft held fixed.
+    attitude_covariance_rad2 : (3, 3) array or None
+        Of the solved attitude, which all bodies of a picture share.
+    sky_partials_px_per_rad : (2, 2) array or None
+        d(pixel, line) / d(RA cos dec, Dec) at the observed place (predicted where none), aberration removed.
+    residual_covariance_arcsec2 : (2, 2) array or None
+        Of `residual_arcsec`, pointing included.
+    diameter_sigma_px : float
+        Of the measured diameter.
+    diameter_partials_px_per_km : (3,) array or None
+        d(diameter) / d(spacecraft position), for a sphere.
+    range_km, measured_range_km, range_sigma_km : float
+        Predicted; and from the body's size, where the method solved it (the body's radius taken as known); else nan.
+    range_partials : (3,) array or None
+        d(range) / d(spacecraft position), km/km.
+    center_cross_px2 : mapping of str to (2, 2) array
+        Covariance of this center (rows) with those of other bodies (columns) that were found jointly with it; pointing
+        not included.
     """
 
     image: str
@@ -85,103 +110,25 @@ class Observable:
     residual_arcsec: FloatArray | None
     snr: float
     messages: tuple[str, ...]
+    observer: str = ""
+    light_time: str = "fixed"
+    position_km: FloatArray | None = None
+    observer_velocity_km_s: FloatArray | None = None
+    target_velocity_km_s: FloatArray | None = None
+    target_partials_px_per_km: FloatArray | None = None
+    target_partials_px_per_km_s: FloatArray | None = None
+    attitude_covariance_rad2: FloatArray | None = None
+    sky_partials_px_per_rad: FloatArray | None = None
+    residual_covariance_arcsec2: FloatArray | None = None
+    diameter_sigma_px: float = np.nan
+    diameter_partials_px_per_km: FloatArray | None = None
+    range_km: float = np.nan
+    measured_range_km: float = np.nan
+    range_sigma_km: float = np.nan
+    range_partials: FloatArray | None = None
+    center_cross_px2: Mapping[str, FloatArray] = field(default_factory=_nothing)
 
     def __post_init__(self) -> None:
+        cross = {name: readonly(value, (2, 2), name) for name, value in self.center_cross_px2.items()}
+        object.__setattr__(self, "center_cross_px2", MappingProxyType(cross))
         freeze_arrays(self)
-
-
-def observe(
-    target: TargetState,
-    center: BodyCenter,
-    camera: Camera,
-    camera_from_j2000: FloatArray,
-    attitude_covariance_rad2: FloatArray,
-    *,
-    observer_velocity_km_s: FloatArray,
-    a_priori_px: FloatArray,
-    diameter_px: float,
-    image: str,
-    et: float,
-    utc: str,
-    reference_body: str,
-) -> Observable:
-    """Turn a measured center into an observable.
-
-    Parameters
-    ----------
-    target : TargetState
-        The body as the spacecraft sees it, from ephemeris.
-    center : BodyCenter
-        Where it was measured.
-    camera : Camera
-    camera_from_j2000 : (3, 3) array
-        Solved attitude.
-    attitude_covariance_rad2 : (3, 3) array
-        As in `PointingSolution`.
-    observer_velocity_km_s : (3,) array
-        With respect to the solar-system barycenter.
-    a_priori_px : (2,) array
-        Place predicted with the a priori attitude.
-    diameter_px, image, et, utc, reference_body
-        Copied into the result.
-    """
-    apparent = apparent_direction(target.direction, observer_velocity_km_s)
-    predicted = camera.project((camera_from_j2000 @ apparent)[None])[0]
-    seen = bool(np.isfinite(predicted).all())
-    by_attitude = attitude_partials(apparent, camera, camera_from_j2000) if seen else None
-    by_position = (
-        numerical_position_partials(target.position_km, observer_velocity_km_s, camera, camera_from_j2000)
-        if seen
-        else None
-    )
-    total = center.covariance_px2
-    if by_attitude is not None:
-        total = symmetric(total + by_attitude @ attitude_covariance_rad2 @ by_attitude.T)
-    directions = _directions(center, target, camera, camera_from_j2000, observer_velocity_km_s)
-    return Observable(
-        image=image,
-        utc=utc,
-        et=et,
-        name=center.name,
-        method=center.method,
-        status=center.status,
-        reference_body=reference_body,
-        a_priori_px=a_priori_px,
-        predicted_px=predicted,
-        observed_px=center.pixel_line,
-        residual_px=None if center.pixel_line is None else center.pixel_line - predicted,
-        covariance_px2=center.covariance_px2,
-        total_covariance_px2=total,
-        diameter_px=diameter_px,
-        measured_diameter_px=center.diameter_px,
-        partials_px_per_km=by_position,
-        partials_px_per_rad=by_attitude,
-        apparent_ra_deg=directions[0],
-        apparent_dec_deg=directions[1],
-        ra_deg=directions[2],
-        dec_deg=directions[3],
-        residual_arcsec=directions[4],
-        snr=center.snr,
-        messages=center.messages,
-    )
-
-
-def _directions(
-    center: BodyCenter,
-    target: TargetState,
-    camera: Camera,
-    camera_from_j2000: FloatArray,
-    velocity_km_s: FloatArray,
-) -> tuple[float, float, float, float, FloatArray | None]:
-    """Apparent RA and Dec, the same without aberration (deg), and O-C on the sky (arcsec)."""
-    if center.pixel_line is None:
-        return np.nan, np.nan, np.nan, np.nan, None
-    apparent = camera.unproject(center.pixel_line[None])[0] @ camera_from_j2000
-    geometric = geometric_direction(apparent, velocity_km_s)
-    computed = target.direction
-    tangent = np.stack(tangent_basis(*radec_from_unit(computed)))
-    # Gnomonic about the computed direction: exact to the third order of an offset that is arcseconds small.
-    residual = tangent @ geometric / float(computed @ geometric) * ARCSEC_PER_RAD
-    apparent_ra, apparent_dec = (float(np.degrees(a)) for a in radec_from_unit(apparent))
-    ra, dec = (float(np.degrees(a)) for a in radec_from_unit(geometric))
-    return apparent_ra, apparent_dec, ra, dec, residual

@@ -1,9 +1,25 @@
-"""Partial derivatives of a body's (pixel, line) with respect to spacecraft position and camera attitude.
+"""Partial derivatives of a body's (pixel, line) with respect to spacecraft position, target state and camera attitude.
 
-The paper (AAS 13-443, "Output Observables") perturbs the spacecraft's state one component at a time; so does
-`numerical_position_partials`, through the whole model: direction, stellar aberration, attitude, distortion. The analytic
-route is a check on it, and faster. Light time and the spacecraft's velocity are held fixed in both: they change the
-partials by the ratio of the body's speed to that of light, 1e-4 at most.
+The paper (AAS 13-443, "Output Observables") perturbs the spacecraft's state one component at a time; so do the
+numerical functions here, through the whole model: light time, direction, stellar aberration, attitude, distortion. The
+analytic ones are a check on them, and faster.
+
+What is held fixed
+    spacecraft position  every body of the scene, the spacecraft's velocity (aberration), the attitude, the time
+    target state         the spacecraft's state, the attitude, the time; of position and velocity the other one; the
+                         acceleration of the target during the light time counts as zero
+    attitude             positions, velocities and time
+
+Which body the spacecraft's position refers to does not matter for its partials: with the bodies held fixed among each
+other, moving the spacecraft by d relative to Pluto moves it by d relative to Charon. The partials of Charon "relative to
+Pluto" are therefore those of Charon's own place. The target state is the target's own, too; a correction of a whole
+system's barycenter moves each of its bodies alike.
+
+Light time
+    ``target_velocity_km_s=None``  held fixed: the body stays where it was when the light left
+    given                          solved anew: light of a body farther away left earlier, when the body was elsewhere:
+                                   d(rho) = (I - v u' / (c + u.v)) d(r), u the direction and v the target's velocity
+                                   with respect to the solar-system barycenter. Both differ by v/c, 1e-4 at most.
 """
 
 import numpy as np
@@ -13,24 +29,36 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, apparent_direction
+from opnav_workbench.observables.differences import STEP_COUNT, STEP_RATIO, limit_of_slopes
 
-__all__ = ["analytic_position_partials", "attitude_partials", "numerical_position_partials"]
+__all__ = [
+    "aberration_jacobian",
+    "analytic_position_partials",
+    "analytic_target_partials",
+    "attitude_partials",
+    "light_time_jacobian",
+    "numerical_position_partials",
+    "numerical_target_partials",
+]
 
-# The largest step moves the body by this angle; the others are each a fourth of the one before. The smallest still
-# keeps rounding (1e-16 of a direction, 1e-12 mm of a distortion found by iteration) below 1e-8 of the partials.
+# The largest step moves the body by this angle. The smallest (1/64 of it) still keeps rounding (1e-16 of a direction,
+# 1e-12 mm of a distortion found by iteration) below 1e-8 of the partials.
 STEP_RAD = 1e-5
-STEP_RATIO = 4.0
-STEP_COUNT = 4
+LIGHT_TIME_PASSES = 8  # each is better by v/c; 1e-3 for a fast comet near the Sun
 
 
 def numerical_position_partials(
-    position_km: ArrayLike, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    camera: Camera,
+    camera_from_j2000: ArrayLike,
+    *,
+    target_velocity_km_s: ArrayLike | None = None,
 ) -> FloatArray:
     """Central differences of (pixel, line) over the spacecraft's position, one component at a time.
 
-    The step is chosen by the differences themselves: extrapolations over a series of steps are compared, and the
-    one that agrees best with its neighbors stands. A fixed step fails where distortion bends strongly or its
-    calibration ends (MVIC). Light time and velocity are held fixed.
+    The step is chosen by the differences themselves (`jacobian_by_differences`): a fixed step fails where distortion
+    bends strongly or its calibration ends (MVIC).
 
     Parameters
     ----------
@@ -40,48 +68,102 @@ def numerical_position_partials(
         Spacecraft with respect to the solar-system barycenter.
     camera : Camera
     camera_from_j2000 : (3, 3) array_like
+    target_velocity_km_s : (3,) array_like, optional
+        Of the body with respect to the solar-system barycenter; with it the light time is solved anew, else held fixed.
 
     Returns
     -------
     (2, 3) array
-        d(pixel, line) / d(spacecraft position relative to the body, J2000), px/km.
+        d(pixel, line) / d(spacecraft position relative to the reference body, J2000), px/km.
 
     Raises
     ------
     PointingError
         The body is not in front of the camera.
-
-    References
-    ----------
-    Ridders (1982), Advances in Engineering Software 4, 75, doi:10.1016/S0141-1195(82)80057-0.
     """
-    position, rotation = np.asarray(position_km, float), np.asarray(camera_from_j2000, float)
-    steps_km = STEP_RAD * float(np.linalg.norm(position)) * STEP_RATIO ** -np.arange(STEP_COUNT)
+    position = np.asarray(position_km, float)
+    steps_km = _steps(float(np.linalg.norm(position)))
     # Moving the spacecraft by +d moves the body, as seen from it, by -d.
     moves = steps_km[:, None, None, None] * np.stack([-np.eye(3), np.eye(3)])
-    directions = apparent_direction(_unit(position + moves), velocity_km_s)
-    places = camera.project(directions @ rotation.T)  # (steps, 2 signs, 3 components, 2)
-    _require_seen(places)
-    slopes = (places[:, 0] - places[:, 1]) / (2.0 * steps_km[:, None, None])
-    return _extrapolated(np.swapaxes(slopes, 1, 2))
+    seen = _seen_from(position + moves, position, target_velocity_km_s)
+    return _slopes(_places(seen, velocity_km_s, camera, camera_from_j2000), steps_km)
 
 
 def analytic_position_partials(
-    position_km: ArrayLike, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    camera: Camera,
+    camera_from_j2000: ArrayLike,
+    *,
+    target_velocity_km_s: ArrayLike | None = None,
 ) -> FloatArray:
-    """Return the same partials (2, 3), px/km, by the chain rule.
+    """Return the same partials (2, 3), px/km, by the chain rule; parameters and errors as there."""
+    of_seen = _of_seen_position(position_km, velocity_km_s, camera, camera_from_j2000)
+    return np.asarray(-of_seen @ light_time_jacobian(position_km, target_velocity_km_s))
 
-    Parameters, units and errors as in `numerical_position_partials`; light time and velocity are held fixed.
+
+def numerical_target_partials(
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    camera: Camera,
+    camera_from_j2000: ArrayLike,
+    *,
+    target_velocity_km_s: ArrayLike | None = None,
+) -> FloatArray:
+    """Central differences of (pixel, line) over the target's state at mid-exposure, one component at a time.
+
+    The body is seen where it was a light time earlier, so its velocity counts: ``-light time`` times the position's
+    partials.
+
+    Parameters
+    ----------
+    position_km, velocity_km_s, camera, camera_from_j2000, target_velocity_km_s
+        As in `numerical_position_partials`.
+
+    Returns
+    -------
+    (2, 6) array
+        d(pixel, line) / d(target position, px/km; target velocity, px/(km/s)), J2000, target state at the time when the
+        light arrives.
+
+    Raises
+    ------
+    PointingError
+        The body is not in front of the camera.
     """
-    position, rotation = np.asarray(position_km, float), np.asarray(camera_from_j2000, float)
+    position = np.asarray(position_km, float)
     range_km = float(np.linalg.norm(position))
-    unit = position / range_km
-    of_unit = (np.eye(3) - np.outer(unit, unit)) / range_km
-    apparent = apparent_direction(unit, velocity_km_s)
-    of_apparent = _aberration_jacobian(unit, np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S)
-    of_pixel = camera.project_jacobian((rotation @ apparent)[None])[0] @ rotation
-    _require_seen(of_pixel)
-    return np.asarray(-of_pixel @ of_apparent @ of_unit)
+    steps_km = _steps(range_km)
+    moves = steps_km[:, None, None, None] * np.stack([np.eye(3), -np.eye(3)])
+    by_position = _seen_from(position + moves, position, target_velocity_km_s)
+    # A velocity step moves the body as it was seen, one light time before, by -step * light time.
+    light_time_s = range_km / SPEED_OF_LIGHT_KM_S
+    by_velocity = _seen_moving(position, target_velocity_km_s, moves / light_time_s)
+    slopes = [
+        _slopes(_places(seen, velocity_km_s, camera, camera_from_j2000), step)
+        for seen, step in ((by_position, steps_km), (by_velocity, steps_km / light_time_s))
+    ]
+    return np.concatenate(slopes, axis=1)
+
+
+def analytic_target_partials(
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    camera: Camera,
+    camera_from_j2000: ArrayLike,
+    *,
+    target_velocity_km_s: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the same partials (2, 6), px/km and px/(km/s), by the chain rule; parameters and errors as there."""
+    by_spacecraft = analytic_position_partials(
+        position_km,
+        velocity_km_s,
+        camera,
+        camera_from_j2000,
+        target_velocity_km_s=target_velocity_km_s,
+    )
+    light_time_s = np.linalg.norm(np.asarray(position_km, float)) / SPEED_OF_LIGHT_KM_S
+    return np.concatenate([-by_spacecraft, by_spacecraft * light_time_s], axis=1)
 
 
 def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike) -> FloatArray:
@@ -96,36 +178,91 @@ def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: A
     return np.asarray(camera.project_jacobian(in_camera[None])[0] @ turned)
 
 
-def _extrapolated(slopes: FloatArray) -> FloatArray:
-    """Limit (2, 3) of central differences (steps, 2, 3) for a vanishing step, by Ridders' table."""
-    best, error, row = slopes[-1], np.inf, [slopes[0]]
-    for slope in slopes[1:]:
-        refined = [slope]
-        for order, coarser in enumerate(row, start=1):
-            factor = STEP_RATIO ** (2 * order)  # central differences err by even powers of the step
-            candidate = (factor * refined[-1] - coarser) / (factor - 1.0)
-            estimate = max(np.abs(candidate - refined[-1]).max(), np.abs(candidate - coarser).max())
-            if estimate < error:
-                best, error = candidate, estimate
-            refined.append(candidate)
-        row = refined
-    return np.asarray(best)
+def light_time_jacobian(position_km: ArrayLike, target_velocity_km_s: ArrayLike | None) -> FloatArray:
+    """Return d(place where the light left)/d(place of the target), (3, 3), both relative to the spacecraft.
+
+    The identity where the light time is held fixed (`target_velocity_km_s` None).
+    """
+    if target_velocity_km_s is None:
+        return np.eye(3)
+    unit, velocity = _unit(np.asarray(position_km, float)), np.asarray(target_velocity_km_s, float)
+    return np.asarray(np.eye(3) - np.outer(velocity, unit) / (SPEED_OF_LIGHT_KM_S + unit @ velocity))
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
-def _aberration_jacobian(unit: FloatArray, beta: FloatArray) -> FloatArray:
+def aberration_jacobian(direction: ArrayLike, velocity_km_s: ArrayLike) -> FloatArray:
     """Derivative of the apparent direction with respect to the geometric one (SPICE's convention), (3, 3).
 
     The apparent direction n' satisfies n = unit(n' - beta): n' = beta + k n with k from |n'| = 1.
     """
+    unit, beta = np.asarray(direction, float), np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S
     along = float(beta @ unit)
     root = np.sqrt(along**2 + 1.0 - beta @ beta)
     k = -along + root
     gradient = beta * (along / root - 1.0)
     return np.asarray(k * np.eye(3) + np.outer(unit, gradient))
+
+
+def _of_seen_position(
+    position_km: ArrayLike, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
+) -> FloatArray:
+    """d(pixel, line)/d(place where the light left, relative to the spacecraft), (2, 3) px/km."""
+    position, rotation = np.asarray(position_km, float), np.asarray(camera_from_j2000, float)
+    unit = _unit(position)
+    of_unit = (np.eye(3) - np.outer(unit, unit)) / float(np.linalg.norm(position))
+    apparent = apparent_direction(unit, velocity_km_s)
+    of_pixel = camera.project_jacobian((rotation @ apparent)[None])[0] @ rotation
+    _require_seen(of_pixel)
+    return np.asarray(of_pixel @ aberration_jacobian(unit, velocity_km_s) @ of_unit)
+
+
+def _steps(range_km: float) -> FloatArray:
+    return np.asarray(STEP_RAD * range_km * STEP_RATIO ** -np.arange(STEP_COUNT))
+
+
+def _seen_from(moved_km: FloatArray, position_km: FloatArray, velocity_km_s: ArrayLike | None) -> FloatArray:
+    """Places (..., 3) where the light left of bodies moved to (..., 3), relative to the spacecraft."""
+    if velocity_km_s is None:
+        return moved_km
+    velocity, range_km = np.asarray(velocity_km_s, float), np.linalg.norm(position_km)
+    seen = moved_km
+    for _ in range(LIGHT_TIME_PASSES):
+        later_s = (np.linalg.norm(seen, axis=-1, keepdims=True) - range_km) / SPEED_OF_LIGHT_KM_S
+        seen = moved_km - later_s * velocity
+    return np.asarray(seen)
+
+
+def _seen_moving(
+    position_km: FloatArray, velocity_km_s: ArrayLike | None, moves_km_s: FloatArray
+) -> FloatArray:
+    """Places (..., 3) where the light left of a body whose velocity differs by (..., 3)."""
+    light_time_s = np.linalg.norm(position_km) / SPEED_OF_LIGHT_KM_S
+    if velocity_km_s is None:
+        return np.asarray(position_km - light_time_s * moves_km_s)
+    velocity = np.asarray(velocity_km_s, float)
+    now, seen = position_km + light_time_s * velocity, position_km - light_time_s * moves_km_s
+    for _ in range(LIGHT_TIME_PASSES):
+        delay_s = np.linalg.norm(seen, axis=-1, keepdims=True) / SPEED_OF_LIGHT_KM_S
+        seen = now - delay_s * (velocity + moves_km_s)
+    return np.asarray(seen)
+
+
+def _places(
+    seen_km: FloatArray, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
+) -> FloatArray:
+    """(pixel, line) of bodies at (steps, 2 signs, 3 components, 3)."""
+    directions = apparent_direction(_unit(seen_km), velocity_km_s)
+    places = camera.project(directions @ np.asarray(camera_from_j2000, float).T)
+    _require_seen(places)
+    return places
+
+
+def _slopes(places: FloatArray, steps: FloatArray) -> FloatArray:
+    slopes = (places[:, 0] - places[:, 1]) / (2.0 * steps[:, None, None])
+    return limit_of_slopes(np.swapaxes(slopes, 1, 2))
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _require_seen(values: FloatArray) -> None:

@@ -7,10 +7,10 @@ plates, shape                 shape models of triangular plates, with the shadow
 body, light                   one body before the camera; its flux, center and spread
 grid, sampling                directions of pixels; pixels divided where edges pass
 convolution                   the PSF
-disk, bodies                  a resolved body in the picture; `render_bodies`: all of it
+disk, drawing, bodies         a resolved body in the picture; any body; `render_bodies`: all of it
 """
 
-from opnav_workbench.render.bodies import RenderedBody, Rendering, render_bodies
+from opnav_workbench.render.bodies import MovingBody, RenderedBody, Rendering, render_bodies, render_moving
 from opnav_workbench.render.body import BodyModel
 from opnav_workbench.render.laws import law_from_mapping
 from opnav_workbench.render.maps import AlbedoMap
@@ -32,10 +32,12 @@ __all__ = [
     "LommelSeeliger",
     "LunarLambert",
     "Minnaert",
+    "MovingBody",
     "RenderedBody",
     "Rendering",
     "ScatteringLaw",
     "ShapeModel",
     "law_from_mapping",
     "render_bodies",
+    "render_moving",
 ]

@@ -72,7 +72,7 @@ class View:
 
 
 def add_disk(
-    picture: FloatArray,
+    pictures: FloatArray,
     body: PlacedBody,
     view: View,
     psf: Psf,
@@ -83,8 +83,9 @@ def add_disk(
     everywhere: bool,
     own_light: float,
 ) -> None:
-    """Add a resolved body's light to `picture` in place: `scale` electrons per unit of I/F times sunlight times sr.
+    """Add a resolved body's light to `pictures` in place: `scale` electrons per unit of I/F times sunlight times sr.
 
+    `pictures` (1 or 3, n_line, n_pixel) are those of `opnav_workbench.render.convolution.add_spread_light`.
     With `everywhere` every pixel of the body is divided. `own_light`, 0..1, is how far the pixels' sum and center are
     brought to those of the body's light as a whole: cells of 1/32 px hold the light of a thin crescent of 4 px to 2 % and
     0.02 px only.
@@ -113,7 +114,7 @@ def add_disk(
         whole, cells = whole * correction, cells * correction
         shift = own_light * (light.center_px - _center_px(window, whole, samples.divided, cells))
     first = (window[0] - view.window[0], window[1] - view.window[1])
-    add_spread_light(picture, first, whole, samples.divided, cells, here, shift)
+    add_spread_light(pictures, first, whole, samples.divided, cells, here, shift)
 
 
 def _center_px(window: Window, whole: FloatArray, divided: IntArray, cells: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from matplotlib.patheffects import withStroke
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.report.frame_view import STRIP_ASPECT, Panels, panels_of
 from opnav_workbench.report.png import png_bytes, write_png
+from opnav_workbench.report.scales import round_scale
 from opnav_workbench.session import MEASURED_STATUSES, ImageSession
 
 __all__ = ["summary_figure", "summary_png", "write_summary"]
@@ -197,7 +198,7 @@ def _draw_vectors(axes: Axes, session: ImageSession) -> None:
     used = pointing.used
     places, residual = _star_places(session)[used], pointing.residual_px[used]
     longest = max(float(np.hypot(*residual.T).max()), 1e-6)
-    scale = _round_scale(VECTOR_SHARE * max(min(n_line, n_pixel), 0.05 * n_pixel) / longest)
+    scale = round_scale(VECTOR_SHARE * max(min(n_line, n_pixel), 0.05 * n_pixel) / longest)
     axes.quiver(
         *places.T,
         *(residual * scale).T,
@@ -209,12 +210,6 @@ def _draw_vectors(axes: Axes, session: ImageSession) -> None:
     )
     axes.plot(*places.T, "o", color=PREDICTED, markeredgecolor="k", markersize=4)
     axes.set_title(f"residuals, observed − predicted, × {scale:g}", fontsize=9)
-
-
-def _round_scale(scale: float) -> float:
-    """Largest of 1, 2, 5 x 10^k that is not above `scale`."""
-    power = 10.0 ** np.floor(np.log10(scale))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= scale * (1.0 + 1e-9)))
 
 
 def _draw_residuals(before: Axes, after: Axes, session: ImageSession) -> None:

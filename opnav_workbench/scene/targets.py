@@ -14,6 +14,7 @@ from opnav_workbench.spice import body_attitude, body_radii_km, state
 __all__ = ["body_target", "star_target_at"]
 
 SUN = 10
+SOLAR_SYSTEM_BARYCENTER = 0
 
 
 def body_target(name: str, spacecraft: int, et: float) -> TargetState:
@@ -34,6 +35,7 @@ def body_target(name: str, spacecraft: int, et: float) -> TargetState:
         radii_km=_if_known(lambda: body_radii_km(name)),
         body_from_j2000=_if_known(lambda: body_attitude(name, emitted)),
         sun_position_km=_sun_km(name, emitted),
+        velocity_km_s=_if_known(lambda: state(name, emitted, SOLAR_SYSTEM_BARYCENTER).velocity_km_s),
     )
 
 

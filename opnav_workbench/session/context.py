@@ -8,7 +8,14 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import ImageError
-from opnav_workbench.image import Background, Frame, KeywordMap, estimate_background, pixel_noise, read_image
+from opnav_workbench.image import (
+    Background,
+    Frame,
+    KeywordMap,
+    pixel_noise,
+    read_image,
+    sky_and_bodies,
+)
 from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.starcenters import NoiseModel, ShapePrior
@@ -16,6 +23,11 @@ from opnav_workbench.starcenters import NoiseModel, ShapePrior
 __all__ = ["DETECTION_SNR", "Context", "faintest_magnitude", "open_context", "zero_point_mag"]
 
 DETECTION_SNR = 5.0  # lower than for blind detection: a false detection matches no pattern
+
+
+# An area of light this wide is no star: 6 sigmas of the PSF hold all but the wings of the brightest, and saturated
+# columns are narrower.
+MIN_BODY_RADIUS_PX, BODY_PSF_SIGMAS = 6.0, 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +46,8 @@ class Context:
         One-sigma noise of the background in each pixel; the stars' own shot noise is added by the fit.
     bad : (n_line, n_pixel) array of bool
         Pixels that no measurement may use.
+    extended : (n_line, n_pixel) array of bool
+        Pixels that the light of resolved bodies covers, where no star can be measured.
     settings : Settings
     """
 
@@ -44,10 +58,16 @@ class Context:
     signal_dn: FloatArray
     noise_dn: FloatArray
     bad: BoolArray
+    extended: BoolArray
     settings: Settings
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    @property
+    def not_stars(self) -> BoolArray:
+        """Pixels that no measurement of a star may use: bad ones, and those that show a body."""
+        return self.bad | self.extended
 
     @property
     def camera_psf(self) -> ShapePrior:
@@ -97,10 +117,17 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     if camera.saturation_dn is not None:
         saturated = saturated | (frame.image_dn >= camera.saturation_dn)
         frame = frame.with_saturated(saturated)
-    background = estimate_background(frame.image_dn, frame.bad | saturated)
+    sigma = camera.psf.sigma_px
+    background, extended = sky_and_bodies(
+        frame.image_dn,
+        frame.bad,
+        saturated,
+        radius_px=max(MIN_BODY_RADIUS_PX, BODY_PSF_SIGMAS * sigma),
+        psf_sigma_px=sigma,
+    )
     noise = pixel_noise(background, camera.read_noise_dn, camera.gain_e_per_dn)
     signal = np.where(frame.bad, 0.0, frame.image_dn - background.level_dn)
-    return Context(frame, camera, mission, background, signal, noise, frame.bad, settings)
+    return Context(frame, camera, mission, background, signal, noise, frame.bad, extended, settings)
 
 
 def _check_size(frame: Frame, camera: Camera) -> None:

@@ -21,6 +21,7 @@ from opnav_workbench.scene import (
 from opnav_workbench.session.context import Context, faintest_magnitude
 from opnav_workbench.session.state import Inputs
 from opnav_workbench.spice import KernelSet, camera_attitude, et_from_sclk, et_from_utc
+from opnav_workbench.spice.dsk import shape_file_of
 
 __all__ = ["ATTITUDE_SOURCES", "InputSource", "gather", "gather_target", "gather_wide"]
 
@@ -72,8 +73,15 @@ def gather(context: Context, source: InputSource, catalog: Catalog | None = None
 
 def gather_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> Inputs:
     """Add one target to the inputs: a star of the target list, else a SPICE body."""
-    target = _star_target(context, source, inputs, name) or _spice_target(context, inputs, name)
-    return replace(inputs, targets=MappingProxyType({**inputs.targets, name: target}))
+    target = _star_target(context, source, inputs, name)
+    shape = None
+    if target is None:
+        target, shape = _spice_target(context, inputs, name), shape_file_of(name)
+    return replace(
+        inputs,
+        targets=MappingProxyType({**inputs.targets, name: target}),
+        shapes=inputs.shapes if shape is None else MappingProxyType({**inputs.shapes, name: shape}),
+    )
 
 
 def gather_wide(

@@ -1,44 +1,31 @@
-"""The history of a session: its states, its journal, and how steps are taken, taken back and replayed."""
+"""The history of a session: its states, its journal, and how steps are taken, taken back, repeated and replayed.
 
-from collections.abc import Callable, Iterable
+A state follows from the steps before it, so that only the journal has to be kept: states of a session read from a file,
+and old ones that were dropped to save memory, are made again when they are asked for.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.session import marking, steps_bodies, steps_stars
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.journal import JournalEntry, entry
+from opnav_workbench.session.snapshot import KeptState
 from opnav_workbench.session.state import Inputs, SessionState
+from opnav_workbench.session.steps import STEPS, outcome_of
 
-__all__ = ["STEPS", "History"]
+__all__ = ["History"]
 
-Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
+KEPT_STATES = 60  # each holds the pictures of its bodies: up to 10 MB for a body of 600 px
 
-STEPS: dict[str, Step] = {
-    "predict": steps_stars.predict,
-    "two_star_pointing": marking.two_star_pointing,
-    "find_stars": steps_stars.find_stars,
-    "reject_stars": steps_stars.reject_stars,
-    "accept_stars": steps_stars.accept_stars,
-    "repoint": steps_bodies.repoint,
-    "add_target": steps_bodies.add_target,
-    "find_body": steps_bodies.find_body,
-    "skip_target": steps_bodies.skip_target,
-    "observables": steps_bodies.observables,
-}
 
-# One line of what came out of a step, for the journal.
-OUTCOMES: dict[str, Callable[[SessionState, dict[str, Any]], str]] = {
-    "predict": lambda s, _: f"{0 if s.a_priori is None else len(s.a_priori)} stars on or near the detector",
-    "two_star_pointing": lambda s, _: marking.outcome(s),
-    "find_stars": lambda s, _: f"{int(s.mask('used').sum())} stars found",
-    "reject_stars": lambda _, p: f"{len(p['ids'])} rejected",
-    "accept_stars": lambda _, p: f"{len(p['ids'])} accepted",
-    "repoint": lambda s, _: _pointing_line(s),
-    "add_target": lambda _, p: f"{p['name']} expected",
-    "find_body": lambda s, p: f"{p['name']}: {s.bodies[-1].status}",
-    "skip_target": lambda _, p: f"{p['name']} left out",
-    "observables": lambda s, _: f"{len(s.observables)} observables",
-}
+@dataclass(slots=True)
+class _Taken:
+    """A step that was taken, and the state after it; None: not made yet."""
+
+    entry: JournalEntry
+    state: SessionState | None
 
 
 class History:
@@ -48,35 +35,50 @@ class History:
     ----------
     context : Context
         The picture that the steps work on.
+    inputs : Inputs
+        What kernels, header and catalog gave; replaced when a step needs more of them.
     """
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, inputs: Inputs) -> None:
+        self.inputs = inputs
         self._context = context
-        self._states: list[SessionState] = [SessionState()]
+        self._first = SessionState()
+        self._standing: list[_Taken] = []
+        self._undone: list[_Taken] = []  # the next to be repeated is the last
         self._journal: list[JournalEntry] = []
 
     @property
     def state(self) -> SessionState:
         """The present, immutable state."""
-        return self._states[-1]
+        return self._state_after(len(self._standing))
 
     @property
     def journal(self) -> tuple[JournalEntry, ...]:
         """All entries in order, undone ones and the undoing included."""
         return tuple(self._journal)
 
-    def take(self, inputs: Inputs, step: str, parameters: dict[str, Any], reason: str = "") -> None:
-        """Carry out a step; a step that fails leaves neither state nor entry."""
-        self.record(step, parameters, self.tried(inputs, step, parameters), reason)
+    @property
+    def standing(self) -> tuple[JournalEntry, ...]:
+        """Entries whose effect stands."""
+        return tuple(taken.entry for taken in self._standing)
 
-    def tried(self, inputs: Inputs, step: str, parameters: dict[str, Any]) -> SessionState:
+    @property
+    def undone(self) -> tuple[JournalEntry, ...]:
+        """Entries that `redo` would repeat, the next one first."""
+        return tuple(taken.entry for taken in reversed(self._undone))
+
+    def tried(self, step: str, parameters: dict[str, Any]) -> SessionState:
         """Return the state that a step would lead to, without taking it."""
-        return STEPS[step](self._context, inputs, self.state, parameters)
+        return STEPS[step](self._context, self.inputs, self.state, parameters)
 
     def record(self, step: str, parameters: dict[str, Any], state: SessionState, reason: str = "") -> None:
-        """Take a step whose outcome is known."""
-        self._states.append(state)
-        self._journal.append(entry(step, parameters, reason, OUTCOMES[step](state, parameters)))
+        """Take a step whose outcome is known; what was undone cannot be repeated after it."""
+        made = entry(step, parameters, reason, outcome_of(step, state, parameters))
+        self._standing.append(_Taken(made, state))
+        self._undone.clear()
+        self._journal.append(made)
+        if len(self._standing) > KEPT_STATES:
+            self._standing[-KEPT_STATES - 1].state = None
 
     def undo(self) -> JournalEntry:
         """Take back the last step and return its entry; the journal keeps both.
@@ -86,61 +88,99 @@ class History:
         SessionError
             Nothing is left to undo.
         """
-        undone = self._standing()
-        if not undone:
+        if not self._standing:
             raise SessionError("nothing to undo: no step has been taken yet.")
-        self._states.pop()
-        self._journal.append(entry("undo", {"step": undone[-1].step}, "", f"{undone[-1].step} undone"))
-        return undone[-1]
+        self._state_after(len(self._standing) - 1)  # before anything changes: it may have to be made again
+        return self._moved("undo")
 
-    def _standing(self) -> list[JournalEntry]:
-        """Journal entries whose effect still stands."""
-        standing: list[JournalEntry] = []
-        for item in self._journal:
-            if item.step == "undo":
-                standing.pop()
-            else:
-                standing.append(item)
-        return standing
-
-    def replay(self, inputs: Inputs, journal: Iterable[JournalEntry], source: str) -> None:
-        """Take all steps of a stored journal again, undone ones too.
+    def redo(self) -> JournalEntry:
+        """Take the last undone step again and return its entry.
 
         Raises
         ------
         SessionError
-            The journal, read from `source`, names an unknown step or cannot be carried out.
+            Nothing was undone since the last step.
+        """
+        if not self._undone:
+            raise SessionError("nothing to redo: no step has been undone since the last one was taken.")
+        taken = self._undone[-1]
+        if taken.state is None:
+            taken.state = self._made(self.state, taken.entry)
+        return self._moved("redo")
+
+    def _moved(self, how: str) -> JournalEntry:
+        """Move one step from those that stand to those that are undone, or back."""
+        came, went = (self._standing, self._undone) if how == "undo" else (self._undone, self._standing)
+        taken = came.pop()
+        went.append(taken)
+        step = taken.entry.step
+        self._journal.append(
+            entry(how, {"step": step}, "", f"{step} {'undone' if how == 'undo' else 'redone'}")
+        )
+        return taken.entry
+
+    # -- from a file -------------------------------------------------------------------------------------------
+
+    def load(
+        self,
+        journal: Sequence[JournalEntry],
+        source: str,
+        kept: Callable[[Sequence[JournalEntry]], KeptState | None] = lambda _: None,
+    ) -> None:
+        """Take the steps of a stored journal; those that stand are carried out, the undone ones only when redone.
+
+        Parameters
+        ----------
+        journal : sequence of JournalEntry
+        source : str
+            What it was read from.
+        kept : callable
+            Gives a state that was kept after the first of the standing steps, if there is one.
+
+        Raises
+        ------
+        SessionError
+            The journal names an unknown step, or cannot be carried out.
         """
         for item in journal:
-            if item.step != "undo" and item.step not in STEPS:
+            self._take_stored(item, source)
+        self._journal = list(journal)
+        known = kept(self.standing)
+        if known is not None:
+            self._standing[known.count - 1].state = known.state
+        try:
+            self._state_after(len(self._standing))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise SessionError(f"{source} is damaged ({error!r}); process the picture again.") from error
+
+    def _take_stored(self, item: JournalEntry, source: str) -> None:
+        if item.step in ("undo", "redo"):
+            came, went = (
+                (self._standing, self._undone) if item.step == "undo" else (self._undone, self._standing)
+            )
+            if not came:
                 raise SessionError(
-                    f"{source} names an unknown step {item.step!r}; it was written by a newer version."
+                    f"{source} is damaged: it {item.step}es more than was done; process the picture again."
                 )
-            if item.step == "undo" and len(self._states) == 1:
-                raise SessionError(
-                    f"{source} is damaged: it undoes more than was done; process the picture again."
-                )
-            self._repeat(inputs, item, source)
+            went.append(came.pop())
+            return
+        if item.step not in STEPS:
+            raise SessionError(
+                f"{source} names an unknown step {item.step!r}; it was written by a newer version."
+            )
+        self._standing.append(_Taken(item, None))
+        self._undone.clear()
 
-    def _repeat(self, inputs: Inputs, item: JournalEntry, source: str) -> None:
-        if item.step == "undo":
-            self._states.pop()
-        else:
-            try:
-                state = STEPS[item.step](self._context, inputs, self.state, dict(item.parameters))
-            except (KeyError, TypeError, ValueError) as error:
-                raise SessionError(
-                    f"{source} is damaged (step {item.step}: {error!r}); process the picture again."
-                ) from error
-            self._states.append(state)
-        self._journal.append(item)
+    def _state_after(self, count: int) -> SessionState:
+        """Return the state after the first `count` steps that stand, making those that are not kept."""
+        known = count
+        while known > 0 and self._standing[known - 1].state is None:
+            known -= 1
+        state = self._standing[known - 1].state if known else self._first
+        assert state is not None
+        for taken in self._standing[known:count]:
+            state = taken.state = self._made(state, taken.entry)
+        return state
 
-
-def _pointing_line(state: SessionState) -> str:
-    pointing = state.pointing
-    if pointing is None:
-        return "pointing not determined"
-    return (
-        f"pointing moved by {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines; "
-        f"rms {pointing.rms_px:.3f} px with {pointing.n_stars} stars"
-    )
+    def _made(self, state: SessionState, item: JournalEntry) -> SessionState:
+        return STEPS[item.step](self._context, self.inputs, state, dict(item.parameters))

@@ -23,12 +23,25 @@ from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_m
 from opnav_workbench.session.state import FieldFound, Inputs, SessionState
 from opnav_workbench.starcenters import Detections, Identification, detect, identify_sky
 
-__all__ = ["FieldMatch", "brightest", "found_field", "identify_field", "star_detections", "stars_around"]
+__all__ = [
+    "BY_HAND",
+    "FieldMatch",
+    "brightest",
+    "field_at",
+    "found_field",
+    "identify_field",
+    "star_detections",
+    "stars_around",
+]
+
+BY_HAND = "by hand"  # the search of a field that the analyst moved
 
 # A proposal less sure than this is a guess. One star by nearness and brightness reaches 0.9; in fields that have nothing
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
+# An analyst brings the field nearer than this to its stars; the pattern then says how near.
+HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
 # A body larger than this is not a point of the pattern, and its limb would add false detections.
 MAX_POINT_DIAMETER_PX = 3.0
 
@@ -71,6 +84,8 @@ def identify_field(context: Context, inputs: Inputs, state: SessionState) -> Fie
     if state.star_field is not None and state.star_field.search == "marked":
         radius = context.settings.search_radius_px
         return _match(context, state.a_priori, state.star_field.camera_from_j2000, state.star_field, radius)
+    if state.star_field is not None and state.star_field.search == BY_HAND:
+        return _around_hand(context, inputs, state, state.star_field)
     return _from_pattern(context, inputs, state)
 
 
@@ -106,6 +121,22 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     return _match(context, state.a_priori, found.camera_from_j2000, found, settings.search_radius_px, *said)
 
 
+def _around_hand(context: Context, inputs: Inputs, state: SessionState, placed: FieldFound) -> FieldMatch:
+    """Take the field where the analyst moved it, more exactly where the pattern agrees."""
+    assert state.a_priori is not None
+    radius = context.settings.search_radius_px
+    answer = _identified(
+        context, inputs, state, star_detections(context), state.a_priori, HAND_SHIFT_PX, HAND_TWIST_DEG,
+        placed.camera_from_j2000,
+    )  # fmt: skip
+    if answer.sure and answer.rotation is not None:
+        attitude = answer.rotation @ placed.camera_from_j2000
+        found = field_at(context, inputs, attitude, BY_HAND, answer.confidence, sure=True)
+        return _match(context, state.a_priori, attitude, found, radius)
+    said = f"the field rests on the analyst's hand: {answer.message}"
+    return _match(context, state.a_priori, placed.camera_from_j2000, placed, radius, said)
+
+
 def _wide(
     context: Context, inputs: Inputs, state: SessionState, detections: Detections, catalog: StarTable
 ) -> FieldMatch | None:
@@ -129,13 +160,13 @@ def _wide(
 def star_detections(context: Context) -> Detections:
     """Return the brightest detections of the picture; none where no pixel is usable."""
     camera, saturated = context.camera, context.frame.saturated
-    if np.all(context.bad | saturated | ~np.isfinite(context.signal_dn)):
+    if np.all(context.not_stars | saturated | ~np.isfinite(context.signal_dn)):
         empty = np.empty(0)
         return Detections(np.empty((0, 2)), empty, empty, empty, np.empty(0, np.int64))
     return detect(
         context.signal_dn,
         context.noise_dn,
-        context.bad,
+        context.not_stars,
         camera.psf.sigma_px,
         DETECTION_SNR,
         saturated=saturated,
@@ -164,10 +195,13 @@ def _identified(
     stars: StarPrediction | _Directions,
     shift_px: float,
     twist_deg: float,
+    attitude: FloatArray | None = None,
 ) -> Identification:
+    """Match the pattern around `attitude`, by default the a priori one."""
     directions, mags = _pattern(context.camera, inputs, state, stars)
+    around = inputs.a_priori_camera_from_j2000 if attitude is None else attitude
     return identify_sky(
-        directions @ inputs.a_priori_camera_from_j2000.T,
+        directions @ around.T,
         mags,
         detections,
         context.camera,
@@ -195,6 +229,19 @@ def found_field(inputs: Inputs, answer: Identification, search: str) -> FieldFou
     assert answer.rotation is not None
     attitude = answer.rotation @ inputs.a_priori_camera_from_j2000
     return FieldFound(attitude, answer.shift_px, answer.twist_rad, answer.confidence, search, answer.sure)
+
+
+def field_at(
+    context: Context, inputs: Inputs, attitude: FloatArray, search: str, confidence: float, *, sure: bool
+) -> FieldFound:
+    """Return the field that an attitude looks at, against the a priori one."""
+    camera = context.camera
+    focal = camera.focal_from_camera
+    between = focal @ attitude @ inputs.a_priori_camera_from_j2000.T @ focal.T  # pixel, line, boresight
+    boresight = between[:, 2]
+    shift = camera.pixel_from_mm @ (camera.focal_length_mm * boresight[:2] / boresight[2])
+    twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    return FieldFound(attitude, shift, twist, confidence, search, sure)
 
 
 def stars_around(

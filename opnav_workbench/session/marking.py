@@ -14,7 +14,7 @@ from opnav_workbench.session.state import Inputs, SessionState
 from opnav_workbench.session.verdicts import unsearched, with_verdicts
 from opnav_workbench.starcenters import Identification, identify_marked
 
-__all__ = ["outcome", "two_star_pointing", "unknown_stars"]
+__all__ = ["all_stars", "outcome", "two_star_pointing", "unknown_stars"]
 
 
 def two_star_pointing(
@@ -23,7 +23,7 @@ def two_star_pointing(
     """Solve shift and twist of the field from two marked stars; `find_stars` then goes on from there."""
     if state.a_priori is None:
         raise SessionError("no stars are predicted yet: call predict() first.")
-    catalog = StarTable.concatenate([inputs.stars, _further(inputs)])
+    catalog = all_stars(inputs)
     answer = _answer(context, inputs, catalog, parameters)
     if parameters["ids"] is None and answer.confidence < MIN_CONFIDENCE:
         raise SessionError(
@@ -71,6 +71,11 @@ def _answer(
         ),
         zero_point_mag=zero_point_mag(context),
     )
+
+
+def all_stars(inputs: Inputs) -> StarTable:
+    """Return every catalog row at hand, those near the a priori field first."""
+    return StarTable.concatenate([inputs.stars, _further(inputs)])
 
 
 def _further(inputs: Inputs) -> StarTable:

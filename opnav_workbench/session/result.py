@@ -6,8 +6,8 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.geometry import quaternion_from_matrix
-from opnav_workbench.observables import Observable
 from opnav_workbench.pointing import PointingSolution
+from opnav_workbench.session.body_results import bodies_of
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.gather import InputSource
 from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, Inputs, SessionState
@@ -34,7 +34,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "identification": _identification(state.star_field),
         "pointing": _pointing(state.pointing),
         "stars": _stars(context, state),
-        "bodies": [_body(o) for o in state.observables],
+        "bodies": bodies_of(state),
         "provenance": _provenance(context, source, inputs, state),
     }
 
@@ -43,10 +43,17 @@ def overall_status(state: SessionState) -> str:
     """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing."""
     if state.pointing is None:
         return "failed"
-    found = not state.skipped_targets and all(o.status == "ok" for o in state.observables)
+    found = not state.skipped_targets and all(
+        _found(state, name) for name in {o.name for o in state.observables}
+    )
     sure = state.star_field is None or state.star_field.sure
     complete = state.pointing.twist_solved and found and sure
     return "ok" if complete else "partial"
+
+
+def _found(state: SessionState, name: str) -> bool:
+    """Whether at least one method is sure of a body."""
+    return any(o.status == "ok" for o in state.observables if o.name == name)
 
 
 def _identification(found: FieldFound | None) -> dict[str, Any] | None:
@@ -113,7 +120,9 @@ def _stars(context: Context, state: SessionState) -> list[dict[str, Any]]:
                 "snr": None if centers is None else centers.snr[i],
                 "status": state.status[i].status,
                 "reason": state.status[i].reason,
-                "method": None if centers is None else centers.method,
+                "method": None
+                if centers is None
+                else state.star_methods.get(str(stars.id[i]), centers.method),
             }
         )
     return rows
@@ -121,30 +130,6 @@ def _stars(context: Context, state: SessionState) -> list[dict[str, Any]]:
 
 def _sigmas(covariance: FloatArray) -> FloatArray:
     return np.sqrt(np.diag(covariance))
-
-
-def _body(o: Observable) -> dict[str, Any]:
-    return {
-        "name": o.name,
-        "method": o.method,
-        "a_priori": o.a_priori_px,
-        "predicted": o.predicted_px,
-        "observed": o.observed_px,
-        "residual_px": o.residual_px,
-        "covariance_px2": o.covariance_px2,
-        "covariance_with_pointing_px2": o.total_covariance_px2,
-        "diameter_px": o.diameter_px,
-        "measured_diameter_px": o.measured_diameter_px,
-        "partials_px_per_km": o.partials_px_per_km,
-        "ra_deg": o.ra_deg,
-        "dec_deg": o.dec_deg,
-        "apparent_ra_deg": o.apparent_ra_deg,
-        "apparent_dec_deg": o.apparent_dec_deg,
-        "residual_arcsec": o.residual_arcsec,
-        "snr": o.snr,
-        "status": o.status,
-        "messages": o.messages,
-    }
 
 
 def _provenance(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
@@ -163,4 +148,14 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
             {"star": star, "verdict": verdict, "reason": reason}
             for star, (verdict, reason) in state.decisions.items()
         ],
+        "placed_stars": [{"star": star, "observed": place} for star, place in state.placed.items()],
+        "circles": [
+            {"body": name, "center_px": circle.center_px, "radius_px": circle.radius_px}
+            for name, circle in state.circles.items()
+        ],
+        "limb_scans": [
+            {"body": name, "numbers": choice.numbers, "reason": choice.reason}
+            for name, choice in state.scan_choices.items()
+        ],
+        "notes": list(state.user_notes),
     }

@@ -1,6 +1,7 @@
 """The one place where a session's state lives: a frozen value that every step replaces."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -8,14 +9,24 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodycenters import BodyCenter, Circle
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.observables import Observable
 from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.scene import Observer, StarPrediction
 from opnav_workbench.starcenters import ShapePrior, StarCenters
 
-__all__ = ["MEASURED_STATUSES", "FieldFound", "Inputs", "SessionState", "StarStatus", "skipped_topic"]
+__all__ = [
+    "MEASURED_STATUSES",
+    "BodyRequest",
+    "FieldFound",
+    "Inputs",
+    "JointFound",
+    "ScanChoice",
+    "SessionState",
+    "StarStatus",
+    "skipped_topic",
+]
 
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
@@ -39,6 +50,8 @@ class Inputs:
     targets : mapping of str to TargetState
     wide_stars : StarTable or None
         Brightest catalog rows as far around as the widest search goes, once one was needed.
+    shapes : mapping of str to Path
+        Shape models of targets, where the kernels hold one.
     """
 
     et: float
@@ -49,6 +62,7 @@ class Inputs:
     stars: StarTable
     targets: MappingProxyType[str, TargetState]
     wide_stars: StarTable | None = None
+    shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -81,8 +95,9 @@ class FieldFound:
         Turn of the picture, positive from +pixel toward +line.
     confidence : float
         1 - estimated probability that it is another field.
-    search : {"a priori", "wide", "marked"}
-        Found within the limits of the a priori pointing, by a wider search, or from two stars marked by the analyst.
+    search : {"a priori", "wide", "marked", "by hand"}
+        Found within the limits of the a priori pointing, by a wider search, from two stars marked by the analyst, or where
+        the analyst moved it.
     sure : bool
         False for a proposal that the analyst should confirm.
     """
@@ -93,6 +108,69 @@ class FieldFound:
     confidence: float
     search: str
     sure: bool
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanChoice:
+    """Limb scans that the analyst chose.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+    reason : str
+    """
+
+    numbers: tuple[int, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BodyRequest:
+    """What was asked for when a body's center was found, so that it can be found again.
+
+    Attributes
+    ----------
+    name, method : str
+        The method as asked for, such as ``auto``.
+    search_radius_px : float or None
+    circle : (float, float, float) or None
+        Pixel, line and radius of a circle given for this search alone.
+    scans : tuple of int or None
+    solve_range : bool
+    together : tuple of str
+        Bodies that were found jointly with it, itself included; empty for a body alone.
+    scene : tuple of str
+        Bodies in the picture that nobody asked for, but whose light, shadow or disk may matter.
+    """
+
+    name: str
+    method: str
+    search_radius_px: float | None = None
+    circle: tuple[float, float, float] | None = None
+    scans: tuple[int, ...] | None = None
+    solve_range: bool = False
+    together: tuple[str, ...] = ()
+    scene: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointFound:
+    """Bodies whose centers were found together.
+
+    Attributes
+    ----------
+    names : tuple of str
+    method : str
+    covariance_px2 : (2 n, 2 n) array
+        Pixel and line of the first, of the second, ...; nan for a body without a center.
+    """
+
+    names: tuple[str, ...]
+    method: str
+    covariance_px2: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -116,12 +194,25 @@ class SessionState:
         Names of the targets expected in the picture.
     decisions : mapping of str to (str, str)
         Analyst's verdict ("rejected" or "accepted") and reason by star id; they outrank the automatic ones.
+    placed : mapping of str to (float, float)
+        Where the analyst saw a star (pixel, line), by star id; it is looked for there.
+    star_methods : mapping of str to str
+        Centerfinder of stars that were fitted again with another one than the rest, by star id.
+    circles : mapping of str to Circle
+        Where the analyst saw a body, by name.
+    scan_choices : mapping of str to ScanChoice
+        Limb scans that the analyst chose, by body.
+    user_notes : tuple of str
+        The analyst's remarks.
     star_field : FieldFound or None
         The field as identification, or the analyst, found it.
     psf : ShapePrior or None
         The frame's own PSF.
     pointing : PointingSolution or None
     bodies : tuple of BodyCenter
+    requests : tuple of BodyRequest
+        One per body of `bodies`.
+    joint : tuple of JointFound
     observables : tuple of Observable
     skipped_targets : tuple of str
         Targets asked for that neither kernels nor star list know.
@@ -135,10 +226,17 @@ class SessionState:
     status: tuple[StarStatus, ...] = ()
     targets: tuple[str, ...] = ()
     decisions: MappingProxyType[str, tuple[str, str]] = field(default_factory=lambda: MappingProxyType({}))
+    placed: MappingProxyType[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    star_methods: MappingProxyType[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    circles: MappingProxyType[str, Circle] = field(default_factory=lambda: MappingProxyType({}))
+    scan_choices: MappingProxyType[str, ScanChoice] = field(default_factory=lambda: MappingProxyType({}))
+    user_notes: tuple[str, ...] = ()
     star_field: FieldFound | None = None
     psf: ShapePrior | None = None
     pointing: PointingSolution | None = None
     bodies: tuple[BodyCenter, ...] = ()
+    requests: tuple[BodyRequest, ...] = ()
+    joint: tuple[JointFound, ...] = ()
     observables: tuple[Observable, ...] = ()
     skipped_targets: tuple[str, ...] = ()
     notes: MappingProxyType[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))

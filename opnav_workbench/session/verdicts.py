@@ -7,9 +7,10 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray
 from opnav_workbench.errors import SessionError
+from opnav_workbench.scene import StarPrediction
 from opnav_workbench.session.state import SessionState, StarStatus
 
-__all__ = ["ACCEPTED", "REJECTED", "decide", "has_center", "unsearched", "with_verdicts"]
+__all__ = ["ACCEPTED", "REJECTED", "check_known", "decide", "has_center", "unsearched", "with_verdicts"]
 
 ACCEPTED, REJECTED = "accepted", "rejected"
 NAMED = 3  # star ids that an error message gives as examples
@@ -50,6 +51,23 @@ def _decided(decision: tuple[str, str], status: StarStatus, measured: bool) -> S
     return status
 
 
+def check_known(stars: StarPrediction, ids: Sequence[str]) -> None:
+    """Refuse ids that none of the predicted stars has.
+
+    Raises
+    ------
+    SessionError
+        They are named, and some that there are.
+    """
+    known = stars.id.tolist()
+    unknown = sorted(set(ids) - set(known))
+    if unknown:
+        raise SessionError(
+            f"no star {', '.join(unknown)} in this field; stars are named as in result.json, "
+            f"such as {', '.join(sorted(known)[:NAMED])}."
+        )
+
+
 def decide(state: SessionState, ids: Sequence[str], verdict: str, reason: str) -> SessionState:
     """Return the state with a decision on some stars, effective at once.
 
@@ -61,12 +79,7 @@ def decide(state: SessionState, ids: Sequence[str], verdict: str, reason: str) -
     if state.a_priori is None:
         raise SessionError("no stars are predicted yet: call predict() first.")
     known = state.a_priori.id.tolist()
-    unknown = sorted(set(ids) - set(known))
-    if unknown:
-        raise SessionError(
-            f"no star {', '.join(unknown)} in this field; stars are named as in result.json, "
-            f"such as {', '.join(sorted(known)[:NAMED])}."
-        )
+    check_known(state.a_priori, ids)
     decisions = dict(state.decisions) | dict.fromkeys(ids, (verdict, reason))
     rows = zip(known, state.found_status, state.status, strict=True)
     statuses = [found if star in ids else status for star, found, status in rows]

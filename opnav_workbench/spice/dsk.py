@@ -16,9 +16,11 @@ from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import KernelError
 from opnav_workbench.spice.guard import spice_call
 from opnav_workbench.spice.newfile import new_das, require_frame
+from opnav_workbench.spice.pool import loaded_files
 from opnav_workbench.spice.shapes import checked_shape
+from opnav_workbench.spice.states import body_id
 
-__all__ = ["read_dsk", "write_dsk"]
+__all__ = ["read_dsk", "shape_file_of", "write_dsk"]
 
 LATITUDINAL = 1  # coordinate system of the coverage
 GENERAL_SURFACE = 2  # data class: not known to be single-valued in longitude and latitude
@@ -116,6 +118,20 @@ def read_dsk(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     if not vertices:
         raise KernelError(f"shape {path} holds no segment; give a DSK file of type 2.")
     return np.concatenate(vertices), np.concatenate(plates)
+
+
+def shape_file_of(body: str | int) -> Path | None:
+    """Return the DSK among the loaded kernels that holds a body's shape, the last loaded; None without one.
+
+    Raises
+    ------
+    KernelError
+        Nobody knows the body, or a DSK cannot be read.
+    """
+    number = body_id(body)
+    with spice_call("reading shapes of bodies"):
+        shapes = [file.path for file in loaded_files() if file.kind == "DSK"]
+        return next((p for p in reversed(shapes) if number in set(spiceypy.dskobj(str(p)))), None)
 
 
 def _segments(handle: int) -> Iterator[Any]:

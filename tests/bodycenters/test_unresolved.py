@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from opnav_workbench.bodycenters import BodyCenter, find_unresolved
-from opnav_workbench.bodycenters.unresolved import FALSE_ALARM, detection_snr
+from opnav_workbench.bodycenters.detection import FALSE_ALARM, detection_snr
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.starcenters import NoiseModel, ShapePrior
 

@@ -38,14 +38,15 @@ def test_a_picture_gets_its_folder_with_all_files(demo_truths, tmp_path):
         written = json.loads((outcome.folder / "result.json").read_text())
         assert written["status"] == outcome.result["status"] == "ok"
     assert _names(tmp_path) == ["lorri_4x4", "mvic_framing"]
-    assert words == ["reading", "predicting", "finding stars", "writing"] * 2
+    steps = ["predicting", "finding stars", "solving the pointing", "computing observables"]
+    assert words == ["reading", *steps, "writing"] * 2
 
 
 def test_targets_of_the_mission_are_taken_with_kernels(picture, tmp_path):
     words = []
     with KernelSet(DEMO_KERNELS):
         outcome = process_image(picture, replace(POLICY, targets=None), tmp_path, words.append)
-    assert [f"finding {body['name']}" for body in outcome.result["bodies"]] == words[3:-1]
+    assert [f"finding {body['name']}" for body in outcome.result["bodies"]] == words[4:-2]
     assert {body["name"] for body in outcome.result["bodies"]} >= set(DEMO_TARGETS)
     without = process_image(picture, replace(POLICY, targets=None), tmp_path)
     assert without.result["bodies"] == []

@@ -11,7 +11,18 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import camera_from_j2000
 from opnav_workbench.observables import observables_table, observe, write_ecsv
 
-TEXT = {"image", "utc", "body", "method", "status", "reference_body", "messages"}
+TEXT = {
+    "image",
+    "utc",
+    "body",
+    "method",
+    "status",
+    "observer",
+    "reference_body",
+    "light_time",
+    "center_cross_px2",
+    "messages",
+}
 
 
 @pytest.fixture(scope="module")

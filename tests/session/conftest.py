@@ -4,8 +4,17 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_TARGETS, Truth
 from opnav_workbench.session import ImageSession
+from opnav_workbench.simulation import (
+    PictureScenario,
+    Task,
+    Workshop,
+    expose_picture,
+    truth_of,
+    write_picture,
+)
 from opnav_workbench.spice import KernelSet
 
 
@@ -47,3 +56,65 @@ def finished(truth: Truth, go: Callable[[ImageSession], ImageSession]) -> ImageS
     """A finished session that tests only read."""
     with KernelSet(DEMO_KERNELS):
         return go(ImageSession.open(truth.picture, "new_horizons"))
+
+
+APPROACH = "new_horizons/pluto_approach"
+LAW = {"law": "lunar_lambert", "lunar_weight": 0.5}
+
+
+@pytest.fixture
+def approach() -> Iterator[None]:
+    """Kernels of the last days before the encounter."""
+    with KernelSet(APPROACH):
+        yield
+
+
+@pytest.fixture(scope="session")
+def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Truth]:
+    """Two LORRI 4x4 pictures: Pluto 47 px wide and alone; Pluto 19 and Charon 10 px wide, 157 px apart."""
+    pictures = [
+        {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": 0.02}
+        for name, utc in (("near", "2015-07-12T08:46:57"), ("pair", "2015-07-09T04:29:00"))
+    ]
+    scenario = PictureScenario.model_validate(
+        {
+            "mission": "new_horizons",
+            "catalog": "bundled",
+            "magnitude_limit": 13.0,
+            "seed": 5,
+            "bodies": [{"name": "PLUTO", "law": LAW}, {"name": "CHARON", "law": LAW}],
+            "attitude": {"actual": {"source": "error", "shift_px": [7.6, -3.1], "twist_deg": 0.1}},
+            "pictures": pictures,
+        }
+    )
+    mission, folder = load_mission("new_horizons"), tmp_path_factory.mktemp("resolved")
+    truths = []
+    with KernelSet(APPROACH):
+        workshop = Workshop.open(scenario)
+        for index, picture in enumerate(scenario.pictures):
+            task = Task(index, picture)
+            shown = expose_picture(workshop.inputs(task))
+            report = write_picture(shown, mission, folder, (), workshop.settings(task))
+            truths.append(truth_of(shown, mission, report.files[0]))
+    near, pair = truths
+    return near, pair
+
+
+@pytest.fixture
+def near(resolved_truths: tuple[Truth, Truth], approach: None) -> ImageSession:
+    """A session of the picture with one large disk, its pointing solved."""
+    return solved(resolved_truths[0])
+
+
+@pytest.fixture
+def pair(resolved_truths: tuple[Truth, Truth], approach: None) -> ImageSession:
+    """A session of the picture with two bodies, its pointing solved."""
+    return solved(resolved_truths[1])
+
+
+def solved(truth: Truth) -> ImageSession:
+    session = ImageSession.open(truth.picture, "new_horizons")
+    session.predict()
+    session.find_stars()
+    session.repoint()
+    return session

@@ -1,0 +1,142 @@
+"""What the residuals say of a center beyond the noise: the effect of a pattern that the model lacks.
+
+Albedo features leave residuals that many neighbouring pixels share. Scaling a covariance by reduced chi-squared counts
+each of those pixels as a witness of its own, and makes sigma too small by about the square root of the pixels in a
+feature. Here the data are the model's light times (1 + a): a is a random field with a Gaussian correlation of the
+variance and the length that the residuals show. The fit is linear in it, so that its error has the covariance
+
+    cov = s^2 G R G^T,    G = (J^T W J)^-1 J^T W m,    R_ij = exp(-|x_i - x_j|^2 / (2 l^2))
+
+with the products by R done with the FFT. The fit absorbs part of the pattern (a dark half looks like a shift); that part
+is missing in the residuals, and s^2 is raised by what such a field is expected to lose. What this cannot see: features as
+large as the body itself, which a shift imitates altogether. Real patterns have several lengths; over random maps sigma is
+right to a factor of about 1.5.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
+
+__all__ = ["Pattern", "find_pattern"]
+
+LIT_SHARE = 0.1  # of the peak: pixels that show a surface, not its blurred edge
+MIN_PIXELS = 12
+SIGNIFICANT = 4.0  # sigmas of chi-squared
+SHORTEST_PX = 0.5  # of what differs from pixel to pixel
+HALF = float(np.sqrt(2.0 * np.log(2.0)))  # lengths at which a Gaussian correlation has fallen to one half
+REACH = 4.0  # lengths: correlation 3e-4
+MOST_ABSORBED = 0.8  # share of a pattern that a fit may absorb before its residuals say nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """A pattern on a body that its model lacks, and what it does to a fit.
+
+    Attributes
+    ----------
+    relative_sigma : float
+        Contrast over the model's light; 0 where the residuals are those of the noise.
+    length_px : float
+        Correlation length (sigma of the Gaussian).
+    covariance : (q, q) array
+        Of the q quantities that the gain is of.
+    chi2_reduced : float
+        Over the pixels that show the body's surface.
+    """
+
+    relative_sigma: float
+    length_px: float
+    covariance: FloatArray
+    chi2_reduced: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def find_pattern(
+    residual_dn: FloatArray,
+    weight: FloatArray,
+    light_dn: FloatArray,
+    columns: FloatArray,
+    gain: FloatArray,
+) -> Pattern:
+    """Find the pattern on a body from the residuals of a fit, and its effect.
+
+    Parameters
+    ----------
+    residual_dn, weight : (n_line, n_pixel) arrays
+        Data minus model; 1 / variance, 0 for pixels that are not used.
+    light_dn : (n_line, n_pixel) array
+        The body's light at the solution.
+    columns : (p, n_line, n_pixel) array
+        Derivatives with respect to what was fitted.
+    gain : (q, n_line, n_pixel) array
+        Change of each quantity of interest per DN in each pixel.
+    """
+    lit = (light_dn > LIT_SHARE * light_dn.max(initial=0.0)) & (weight > 0.0)
+    count, q = int(lit.sum()), len(gain)
+    chi2 = float(np.sum((weight * residual_dn**2)[lit]))
+    reduced = chi2 / count if count else np.nan
+    excess = chi2 - count
+    if count < MIN_PIXELS or excess < SIGNIFICANT * np.sqrt(2.0 * count):
+        return Pattern(0.0, 0.0, np.zeros((q, q)), reduced)
+    part = _bounds(light_dn > 0.0)
+    shown, inside = (light_dn * lit)[part], weight[part]
+    power = float(np.sum(inside * shown**2))
+    length = _correlation_length(residual_dn[part], inside, shown, excess / power)
+    normal = symmetric(np.einsum("plm,lm,qlm->pq", columns, weight, columns, optimize=True))
+    shares = _joined(columns[(slice(None), *part)] * (inside * shown), length)
+    absorbed = float(np.trace(np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ shares))
+    variance = excess / max(power - absorbed, (1.0 - MOST_ABSORBED) * power)
+    effect = _joined(gain[(slice(None), *part)] * light_dn[part], length)
+    return Pattern(float(np.sqrt(variance)), length, variance * effect, reduced)
+
+
+def _bounds(mask: BoolArray) -> tuple[slice, slice]:
+    lines, pixels = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return slice(lines[0], lines[-1] + 1), slice(pixels[0], pixels[-1] + 1)
+
+
+def _correlation_length(
+    residual: FloatArray, weight: FloatArray, light: FloatArray, variance: float
+) -> float:
+    """Return the length at which the autocovariance of residual over light falls to half its variance, as a sigma."""
+    good = [fft.next_fast_len(2 * n, real=True) for n in light.shape]
+
+    def autocorrelation(plane: FloatArray) -> FloatArray:
+        spectrum = fft.rfft2(plane, good)
+        return np.asarray(fft.irfft2(np.abs(spectrum) ** 2, good))
+
+    field, pairs = autocorrelation(weight * light * residual), autocorrelation(weight * light**2)
+    distance = np.hypot(*np.meshgrid(*(fft.fftfreq(n, 1.0 / n) for n in good), indexing="ij"))
+    farthest = max(light.shape)
+    near = (distance < farthest) & (pairs > 1e-6 * pairs.max())
+    ring = np.rint(distance[near]).astype(np.int64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.bincount(ring, field[near]) / np.bincount(ring, pairs[near])
+    mean[0] = variance  # without the noise of the pixels
+    below = np.flatnonzero(np.nan_to_num(mean) < 0.5 * variance)
+    if not len(below):
+        return float(farthest / HALF)
+    end = int(below[0])
+    over, under = float(mean[end - 1]), float(np.nan_to_num(mean[end]))
+    half = end - 1 + (over - 0.5 * variance) / max(over - under, 1e-300)
+    return float(max(half / HALF, SHORTEST_PX))
+
+
+def _joined(images: FloatArray, length: float) -> FloatArray:
+    """Return products (q, q) of images with each other through the Gaussian correlation."""
+    pad = int(np.ceil(REACH * length))
+    good = [fft.next_fast_len(n + pad, real=True) for n in images.shape[1:]]
+    spectra = fft.rfft2(images, good)
+    one, two = (np.exp(-0.5 * (np.minimum(np.arange(n), n - np.arange(n)) / length) ** 2) for n in good)
+    kernel = fft.rfft2(np.outer(one, two)).real
+    double = np.full(spectra.shape[-1], 2.0)  # the half of the spectrum that rfft2 leaves out
+    double[0] = 1.0
+    if good[1] % 2 == 0:
+        double[-1] = 1.0
+    weighted = spectra * np.maximum(kernel, 0.0) * double
+    return symmetric(np.einsum("plm,qlm->pq", np.conj(spectra), weighted, optimize=True).real / np.prod(good))

@@ -1,0 +1,218 @@
+"""From the offsets of scans to the center of the body: weighted least squares, outliers rejected, honest covariance.
+
+An offset along a scan is ``motion @ step``: the projection of the center's step on the limb's normal, over the cosine
+between normal and scan. Noise is traced back to the pixels, which neighbouring scans share; errors from the albedo are
+shared by scans that cross the same region.
+
+Reference: Jackman & Dumont (2013), AAS 13-443, "Limb-Scanning Algorithm for Target Centerfinding".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
+from opnav_workbench.bodycenters.scan_matching import ScanMatch
+from opnav_workbench.bodycenters.scan_profiles import CORRELATION_RAD
+from opnav_workbench.bodycenters.scan_sampling import ScanSampler
+
+__all__ = ["CenterStep", "OffsetErrors", "offset_errors", "solve_center"]
+
+OUTLIER_SIGMAS = 4.0
+ROUNDS = 10
+MAD_SIGMA = 1.4826
+FEWEST = 3
+MAX_REJECTED = 0.4  # of the scans: more outliers than that are the rule
+# A common distance of all offsets from zero, beyond this many sigmas, is not noise: the body has another size, and a limb
+# seen from one side would turn that into a shift. It is then solved for, fully where it is much larger than that.
+SIZE_SIGMAS = 4.0
+EXCESS = 1.3  # reduced chi-squared that the residuals of right sigmas stay below
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OffsetErrors:
+    """Uncertainty of n offsets.
+
+    Attributes
+    ----------
+    noise2 : (n,) array
+        Variance from noise, px^2.
+    albedo2 : (n,) array
+        Variance from an uneven albedo.
+    """
+
+    noise2: FloatArray
+    albedo2: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def sigma_px(self) -> FloatArray:
+        """Both (n,)."""
+        return np.sqrt(self.noise2 + self.albedo2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CenterStep:
+    """What the offsets say of the center.
+
+    Attributes
+    ----------
+    step_px : (2,) array
+        From the model's center.
+    covariance_px2, noise_covariance_px2 : (2, 2) arrays
+    used : (n,) array of bool
+    residual_px : (n,) array
+    chi2_reduced : float
+    size, size_sigma : float
+        Logarithm of the size over the predicted one, solved together with the center.
+    size_trust : float
+        How far the center follows that solution, 0..1: 0 unless the size is significantly different.
+    """
+
+    step_px: FloatArray
+    covariance_px2: FloatArray
+    noise_covariance_px2: FloatArray
+    used: BoolArray
+    residual_px: FloatArray
+    chi2_reduced: float
+    size: float
+    size_sigma: float
+    size_trust: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def offset_errors(
+    match: ScanMatch, sampler: ScanSampler, variance_dn2: FloatArray, roughness: FloatArray | float
+) -> OffsetErrors:
+    """Return the uncertainty of offsets from the noise of pixels (n_line, n_pixel) and an albedo's roughness."""
+    weights = sampler.pixel_weights(match.gain)
+    noise2 = weights.multiply(weights) @ variance_dn2.ravel()
+    albedo2 = np.square(roughness) * np.sum(match.albedo**2, axis=1)
+    return OffsetErrors(np.asarray(noise2), albedo2)
+
+
+def solve_center(
+    match: ScanMatch,
+    weight_sigma_px: FloatArray,
+    chosen: BoolArray,
+    limb_px: FloatArray,
+    sampler: ScanSampler,
+    variance_dn2: FloatArray,
+    roughness: float,
+    angle_rad: FloatArray,
+    common_covariance: FloatArray,
+    size_in_model: float,
+    *,
+    solve_size: bool,
+) -> CenterStep:
+    """Solve for the center with the chosen scans.
+
+    Parameters
+    ----------
+    match : ScanMatch
+    weight_sigma_px : (n,) array
+        Sigma that a scan is weighted and judged with.
+    chosen : (n,) array of bool
+    limb_px : (n,) array
+        Distance of the limb: the change of an offset with the logarithm of the body's size.
+    sampler : ScanSampler
+    variance_dn2 : (n_line, n_pixel) array
+        Of the noise of pixels.
+    roughness : float
+        Relative scatter of the albedo.
+    angle_rad : (n,) array
+        Of the scans.
+    common_covariance : (g, g) array
+        Of what was taken out of all scans (`opnav_workbench.bodycenters.scan_common`).
+    size_in_model : float
+        Logarithm of the size that the model has over the predicted one.
+    solve_size : bool
+        Follow the measured size, whether significant or not.
+    """
+    used = _without_outliers(match, weight_sigma_px, chosen)
+    weight = np.where(used, 1.0 / weight_sigma_px**2, 0.0)
+    plain = _estimator(match.motion, weight)
+    sizing = _estimator(np.concatenate([match.motion, limb_px[:, None]], axis=1), weight)[2:]
+    albedo = np.square(roughness) * _shared(match.albedo, angle_rad)
+    albedo += match.common @ common_covariance @ match.common.T
+
+    def errors(estimator: FloatArray) -> tuple[FloatArray, FloatArray]:
+        noise = _noise_covariance(estimator, match, sampler, variance_dn2)
+        return noise, noise + estimator @ albedo @ estimator.T
+
+    size, size_variance = size_in_model + float(sizing[0] @ match.offset_px), float(errors(sizing)[1][0, 0])
+    trust = 1.0 if solve_size else _trust(size, size_variance)
+    offset = match.offset_px - (trust * size - size_in_model) * limb_px
+    step = plain @ offset
+    residual = offset - match.motion @ step
+    own = offset_errors(match, sampler, variance_dn2, roughness)
+    chi2 = float(np.sum((residual[used] / own.sigma_px[used]) ** 2)) / max(int(used.sum()) - 2, 1)
+    excess = max(1.0, chi2 / EXCESS)
+    noise, total = errors(plain - trust * (plain @ limb_px)[:, None] * sizing)
+    return CenterStep(
+        step_px=step,
+        covariance_px2=symmetric(excess * total),
+        noise_covariance_px2=symmetric(noise),
+        used=used,
+        residual_px=residual,
+        chi2_reduced=chi2,
+        size=size,
+        size_sigma=float(np.sqrt(excess * size_variance)),
+        size_trust=trust,
+    )
+
+
+def _trust(size: float, variance: float) -> float:
+    """Return how far a measured size is followed: not at all within `SIZE_SIGMAS`, nearly fully far beyond."""
+    return max(0.0, 1.0 - SIZE_SIGMAS**2 * variance / max(size**2, np.finfo(float).tiny))
+
+
+def _without_outliers(match: ScanMatch, sigma: FloatArray, chosen: BoolArray) -> BoolArray:
+    """Return the scans (n,) that agree with each other, starting from the median of their residuals."""
+    used = chosen.copy()
+    limit = int(np.ceil(MAX_REJECTED * chosen.sum()))
+    for turn in range(ROUNDS):
+        weight = np.where(used, 1.0 / sigma**2, 0.0)
+        residual = (
+            np.abs(match.offset_px - match.motion @ (_estimator(match.motion, weight) @ match.offset_px))
+            / sigma
+        )
+        spread = max(MAD_SIGMA * float(np.median(residual[used])), 1.0)
+        near = chosen & (residual < OUTLIER_SIGMAS * spread)
+        if near.sum() < max(FEWEST, int(chosen.sum()) - limit):
+            return used
+        if turn and np.array_equal(near, used):
+            break
+        used = near
+    return used
+
+
+def _estimator(columns: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the matrix (p, n) of weighted least squares; of the shortest solution where the columns do not tell all."""
+    weighted = columns * weight[:, None]
+    scale = np.sqrt(np.maximum(np.einsum("np,np->p", weighted, columns), np.finfo(float).tiny))
+    normal = (columns.T @ weighted) / np.outer(scale, scale)
+    return np.asarray(
+        np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (weighted / scale).T / scale[:, None]
+    )
+
+
+def _shared(albedo: FloatArray, angle_rad: FloatArray) -> FloatArray:
+    """Return the covariance (n, n) of offsets from an albedo of scatter 1, which scans nearby share."""
+    apart = np.abs(angle_rad[:, None] - angle_rad)
+    apart = np.minimum(apart, 2.0 * np.pi - apart)
+    return np.asarray((albedo @ albedo.T) * np.exp(-0.5 * (apart / CORRELATION_RAD) ** 2))
+
+
+def _noise_covariance(
+    estimator: FloatArray, match: ScanMatch, sampler: ScanSampler, variance_dn2: FloatArray
+) -> FloatArray:
+    rows = [
+        np.asarray(sampler.pixel_weights(row[:, None] * match.gain).sum(axis=0)).ravel() for row in estimator
+    ]
+    weights = np.stack(rows)
+    return np.asarray((weights * variance_dn2.ravel()) @ weights.T)

@@ -1,0 +1,273 @@
+"""The result of a limb scan: center, flags and status, pictures, and what every scan showed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodycenters.cutout import Cutout
+from opnav_workbench.bodycenters.expectation import Found
+from opnav_workbench.bodycenters.flags import BodyFlag, describe_body_flags
+from opnav_workbench.bodycenters.judging import CIRCLE_TOLERANCE, DOUBTFUL, SIZE_TOLERANCE
+from opnav_workbench.bodycenters.limb_scan_results import REJECTED, LimbScans
+from opnav_workbench.bodycenters.picture import BodyPicture
+from opnav_workbench.bodycenters.results import BodyCenter, BodyPictures
+from opnav_workbench.bodycenters.scan_capture import Capture
+from opnav_workbench.bodycenters.scan_center import CenterStep, OffsetErrors
+from opnav_workbench.bodycenters.scan_choice import Choice
+from opnav_workbench.bodycenters.scan_common import Common
+from opnav_workbench.bodycenters.scan_correlation import correlate_scans
+from opnav_workbench.bodycenters.scan_fan import STEP_PX, ScanFan
+from opnav_workbench.bodycenters.scan_matching import ScanMatch, ScanSystem
+from opnav_workbench.bodycenters.scan_sampling import ScanSampler
+from opnav_workbench.bodycenters.scan_view import BodyLight, ScanView
+
+__all__ = ["ScanRun", "report"]
+
+FWHM = 2.355  # of a Gaussian, in sigmas
+
+LAG_PX = 5.0  # to each side: what an analyst looks at
+POOR_CHI2 = 4.0
+POOR_SHARE = 0.35  # of the scans rejected: more, and they do not see one body
+WEAK_SIGMA_PX = 0.3
+WEAK_RATIO = 10.0  # of the axes of the error ellipse, if the larger one matters
+WEAK_MATTERS_PX = 0.05
+LIMIT_PX = 1.0
+FWHM = (
+    2.3548  # of a Gaussian, in sigmas: a crescent nowhere wider shows no limb and no terminator, but a thread
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanRun:
+    """A limb scan that has come to its end.
+
+    Attributes
+    ----------
+    center_px : (2,) array
+        Of the last model; the last step leads on from there.
+    uneven : (n,) array
+    roughness : float
+    errors : OffsetErrors
+        Of the offsets, for the albedo's roughness.
+    steps : tuple of (float, float)
+    converged, by_hand : bool
+    """
+
+    picture: BodyPicture
+    found: Found
+    captured: Capture
+    center_px: FloatArray
+    cutout: Cutout
+    body: BodyLight
+    view: ScanView
+    system: ScanSystem
+    match: ScanMatch
+    errors: OffsetErrors
+    solved: CenterStep
+    common: Common
+    choice: Choice
+    uneven: FloatArray
+    roughness: float
+    steps: tuple[tuple[float, float], ...]
+    converged: bool
+    by_hand: bool
+
+    @property
+    def name(self) -> str:
+        """Of the body."""
+        return self.found.expectation.name
+
+    @property
+    def fan(self) -> ScanFan:
+        """The scans."""
+        return self.captured.fan
+
+    @property
+    def size_ratio(self) -> float:
+        """Size of the body's image over that of the a priori model."""
+        return (1.0 + self.solved.size) / self.captured.range_scale
+
+
+def report(run: ScanRun, method: str) -> BodyCenter:
+    """Return the body's center with everything that is known of it."""
+    flags = _flags(run)
+    status = "uncertain" if flags & DOUBTFUL or _too_uncertain(run) else "ok"
+    model = _final_model(run)
+    use = run.cutout.use
+    under = float(np.sum(model[use] ** 2))
+    scale = float(np.sum(run.cutout.data_dn[use] * model[use])) / under if under > 0.0 else np.nan
+    scatter = run.match.brightness[run.solved.used]
+    detail = _detail(run, float(np.mean(scatter)), model)
+    excess = run.picture.excess_sigma_px**2 * np.eye(2)
+    diameter = run.body.diameter_px
+    return BodyCenter(
+        name=run.name,
+        method=method,
+        status=status,
+        pixel_line=run.center_px + run.solved.step_px,
+        covariance_px2=run.solved.covariance_px2 + excess,
+        flux_dn=scale * run.body.flux_dn,
+        snr=run.found.place.snr,
+        diameter_px=diameter * (1.0 + run.solved.size),
+        diameter_sigma_px=diameter * run.solved.size_sigma,
+        messages=_messages(run, flags),
+        flags=int(flags),
+        noise_covariance_px2=run.solved.noise_covariance_px2,
+        chi2_reduced=run.solved.chi2_reduced,
+        brightness_scale=scale,
+        brightness_scale_sigma=float(np.std(scatter) / np.sqrt(len(scatter))),
+        background_dn=float(np.median(run.match.background_dn[run.solved.used])),
+        background_sigma_dn=float(np.std(run.match.background_dn[run.solved.used]) / np.sqrt(len(scatter))),
+        pictures=_pictures(run, scale * model),
+        detail=detail,
+    )
+
+
+def _final_model(run: ScanRun) -> FloatArray:
+    """Return the body's light at the solution: the last picture, moved by the last step."""
+    moved = run.body.light_dn + np.tensordot(run.solved.step_px, run.body.slope_dn, axes=1)
+    return np.asarray(np.maximum(moved, 0.0))
+
+
+def _pictures(run: ScanRun, model_dn: FloatArray) -> BodyPictures:
+    pixel, line, n_pixel, n_line = run.body.window
+    data = run.picture.signal_dn[line : line + n_line, pixel : pixel + n_pixel]
+    return BodyPictures(run.body.window, data, model_dn, data - model_dn, run.cutout.use)
+
+
+def _flags(run: ScanRun) -> BodyFlag:
+    bright = run.body.light_dn > 0.1 * run.body.light_dn.max(initial=0.0)
+    chosen, used = int(run.choice.chosen.sum()), int(run.solved.used.sum())
+    minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(run.solved.covariance_px2), 0.0))
+    expected = run.found.expectation
+    final = run.center_px + run.solved.step_px
+    conditions = {
+        BodyFlag.CUT_BY_EDGE: _cut(run, final),
+        BodyFlag.OVEREXPOSED: bool(np.any(bright & run.cutout.saturated)),
+        BodyFlag.OCCULTED: bool(run.fan.covered.any()),
+        BodyFlag.THIN_CRESCENT: _thin(run),
+        BodyFlag.CIRCLE_MISFIT: bool(_misfit_words(run)),
+        BodyFlag.POOR_FIT: run.solved.chi2_reduced > POOR_CHI2 or used < (1.0 - POOR_SHARE) * chosen,
+        BodyFlag.AT_LIMIT: float(np.hypot(*(final - expected.center_px))) > expected.search_px + LIMIT_PX,
+        BodyFlag.WEAK_GEOMETRY: major > WEAK_SIGMA_PX
+        or (major > WEAK_MATTERS_PX and major > WEAK_RATIO * minor),
+        BodyFlag.BAD_PIXELS: bool(np.any(bright & ~run.cutout.use & ~run.cutout.saturated)),
+        BodyFlag.NOT_CONVERGED: not run.converged,
+    }
+    flags = BodyFlag.OK
+    for flag, condition in conditions.items():
+        flags |= flag if condition else BodyFlag.OK
+    return flags
+
+
+def _cut(run: ScanRun, center: FloatArray) -> bool:
+    limb = center + run.fan.direction * run.fan.limb_px[:, None]
+    size = np.array([run.picture.camera.n_pixel, run.picture.camera.n_line])
+    return bool(np.any(limb < -0.5) or np.any(limb > size - 0.5))
+
+
+def _thin(run: ScanRun) -> bool:
+    """Tell whether the lit part is nowhere wider than the camera resolves."""
+    width = float(np.median(run.fan.limb_px)) * (1.0 + np.cos(run.picture.phase_rad(run.name)))
+    return bool(width < max(FWHM * float(np.min(run.picture.psf.sigma_px)), 1.0))
+
+
+def _misfit_words(run: ScanRun) -> str:
+    ratio, circle = run.size_ratio, run.found.expectation.circle_ratio
+    predicted = run.picture.diameter_px(run.name)
+    words = []
+    significant = abs(ratio - 1.0) > 3.0 * run.solved.size_sigma
+    if significant and abs(ratio - 1.0) > SIZE_TOLERANCE:
+        words.append(
+            f"its limb is {100 * abs(ratio - 1.0):.0f} % {'larger' if ratio > 1.0 else 'smaller'} than the predicted "
+            f"{predicted:.1f} px: check its range and radii"
+        )
+    if np.isfinite(circle) and abs(np.log(circle)) > CIRCLE_TOLERANCE:
+        words.append(f"the circle is {circle * predicted:.1f} px wide, the prediction {predicted:.1f} px")
+    return "; ".join(words)
+
+
+def _too_uncertain(run: ScanRun) -> bool:
+    """Tell whether too little of the body is left: half of the scans across the lit limb lost to edges and pixels."""
+    limb = run.fan.crosses_limb
+    share = float(run.choice.chosen[limb].mean()) if limb.any() else 0.0
+    return bool(not run.by_hand and share < 0.3)
+
+
+def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
+    said = []
+    size = run.picture.camera
+    notes = {
+        BodyFlag.CUT_BY_EDGE: f"the detector has {size.n_pixel} x {size.n_line} px",
+        BodyFlag.OCCULTED: f"{int(run.fan.covered.sum())} scans left out",
+        BodyFlag.CIRCLE_MISFIT: _misfit_words(run),
+        BodyFlag.POOR_FIT: f"scatter of the scans {run.solved.chi2_reduced**0.5:.1f} times their sigmas, "
+        f"{int((run.choice.chosen & ~run.solved.used).sum())} of {int(run.choice.chosen.sum())} rejected",
+        BodyFlag.WEAK_GEOMETRY: f"to {np.sqrt(np.linalg.eigvalsh(run.solved.covariance_px2)[1]):.2f} px",
+    }
+    for flag in BodyFlag:
+        if flags & flag:
+            note = notes.get(flag, "")
+            said.append(describe_body_flags(flag) + (f" ({note})" if note else ""))
+    if _too_uncertain(run):
+        said.append("few scans of its lit limb could be used")
+    return (*said, *run.choice.summary)
+
+
+def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
+    fan, solved = run.fan, run.solved
+    center = run.center_px + solved.step_px
+    last = int((fan.first + fan.n_samples).max())
+    distance: FloatArray = STEP_PX * np.arange(last + 1.0)
+    places = fan.places(center, distance)
+    sampler = ScanSampler(places, run.body.window)
+    data = np.where(sampler.blocked(run.cutout.use), np.nan, sampler.sample(run.cutout.data_dn))
+    lag: FloatArray = np.arange(-LAG_PX, LAG_PX + 0.5 * STEP_PX, STEP_PX)
+    reach = round(LAG_PX / STEP_PX)
+    wide = ScanSampler(fan.places(run.center_px, fan.distances(reach, reach)), run.body.window)
+    correlation = correlate_scans(
+        run.system,
+        run.view.model,
+        wide.sample(run.cutout.data_dn),
+        wide.blocked(run.cutout.use),
+        run.roughness,
+    )
+    status, reason = _verdicts(run)
+    known = np.isfinite(fan.edge_px)
+    return LimbScans(
+        start_px=center,
+        angle_rad=fan.angle_rad,
+        distance_px=distance,
+        places_px=places,
+        data_dn=data,
+        model_dn=brightness * sampler.sample(model_dn),
+        limb_px=fan.limb_px,
+        edge_px=fan.edge_px,
+        correlation=correlation,
+        lag_px=lag,
+        offset_px=np.where(known, run.match.offset_px, np.nan),
+        sigma_px=np.where(known, run.errors.sigma_px, np.nan),
+        motion=run.match.motion,
+        brightness=run.match.brightness,
+        unevenness=run.uneven,
+        residual_px=np.where(known, solved.residual_px, np.nan),
+        status=status,
+        reason=reason,
+        roughness=run.roughness,
+        iterations=run.steps,
+        summary=run.choice.summary,
+    )
+
+
+def _verdicts(run: ScanRun) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+    """Return status and reason of every scan, with those of rejected outliers."""
+    status, reason = run.choice.status.astype("<U12"), run.choice.reason.astype("<U160")
+    for row in np.flatnonzero(run.choice.chosen & ~run.solved.used):
+        residual, sigma = run.solved.residual_px[row], run.errors.sigma_px[row]
+        status[row] = REJECTED
+        reason[row] = (
+            f"off by {residual:+.3f} px from the other scans, {abs(residual) / sigma:.1f} of its sigma"
+        )
+    return status, reason

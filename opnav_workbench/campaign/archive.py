@@ -1,0 +1,234 @@
+"""The campaign archive as users hold it: open, ingest runs, ask."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import sqlalchemy as sa
+from astropy.table import QTable, Table
+
+from opnav_workbench.campaign.database import Database
+from opnav_workbench.campaign.dump import content_digest, content_of
+from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
+from opnav_workbench.campaign.queries import ask, ask_observables, ask_plain
+from opnav_workbench.campaign.run_folder import find_runs, read_run
+from opnav_workbench.campaign.schema import tables
+from opnav_workbench.errors import SessionError
+from opnav_workbench.session.storage import SESSION_FILE
+
+__all__ = ["ARCHIVE_FILE", "Campaign", "ImageEntry"]
+
+ARCHIVE_FILE = "campaign.sqlite"
+
+
+@dataclass(frozen=True, slots=True)
+class ImageEntry:
+    """A picture of the campaign, as a list of pictures shows it.
+
+    Attributes
+    ----------
+    image, utc : str
+    et : float or None
+        TDB seconds past J2000; None for a picture that could not be read.
+    status : {"ok", "partial", "failed"}
+    folder : Path
+        Its run; `ImageSession.resume` opens it where `resumable`.
+    path : Path or None
+        The picture file, as the run knew it.
+    mission : str
+    attention : tuple of str
+        Why an analyst should look; empty: need not.
+    """
+
+    image: str
+    utc: str
+    et: float | None
+    status: str
+    folder: Path
+    path: Path | None
+    mission: str
+    attention: tuple[str, ...]
+
+    @property
+    def needs_analyst(self) -> bool:
+        """Whether there is a reason to look."""
+        return bool(self.attention)
+
+    @property
+    def resumable(self) -> bool:
+        """Whether the run holds a session to go on with."""
+        return (self.folder / SESSION_FILE).is_file()
+
+
+class Campaign:
+    """An archive of many pictures' runs: one SQLite file that many processes may use at once.
+
+    Parameters
+    ----------
+    path : path
+        The file; a folder means ``campaign.sqlite`` in it.
+    create : bool
+        Make a new archive where there is none.
+
+    Raises
+    ------
+    SessionError
+        There is no archive (and none is to be made), or it is another program's, damaged or of a newer version.
+
+    Examples
+    --------
+    ::
+
+        with Campaign("night/campaign.sqlite") as campaign:
+            campaign.ingest("night")
+            print(campaign.bodies(body="PLUTO", status="ok"))
+    """
+
+    def __init__(self, path: str | Path, *, create: bool = True) -> None:
+        file = Path(path)
+        self._database = Database(file / ARCHIVE_FILE if file.is_dir() else file, create=create)
+
+    def __enter__(self) -> "Campaign":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    @property
+    def path(self) -> Path:
+        """The archive's file."""
+        return self._database.path
+
+    # -- in ----------------------------------------------------------------------------------------------------
+
+    def ingest(
+        self,
+        runs: str | Path | Iterable[str | Path],
+        say: Callable[[Ingested], None] = lambda _: None,
+    ) -> IngestReport:
+        """Take in run folders, or all below the given folders; the same content twice changes nothing.
+
+        Each run is one transaction: stopped anywhere, the archive holds the runs before whole, and this one not at all.
+
+        Parameters
+        ----------
+        runs : path, or many
+        say : callable
+            Called with what became of each folder.
+
+        Raises
+        ------
+        SessionError
+            A folder does not exist or holds no run at all, or the archive cannot be written. Damaged runs are no
+            error: they are skipped, and named in the report.
+        """
+        tops = [runs] if isinstance(runs, str | Path) else list(runs)
+        folders = dict.fromkeys(folder for top in tops for folder in find_runs(top))
+        items = []
+        for folder in folders:
+            items.append(self.ingest_run(folder))
+            say(items[-1])
+        return IngestReport(tuple(items))
+
+    def ingest_run(self, folder: str | Path) -> Ingested:
+        """Take in one run folder; never raises for what is wrong with it."""
+        place = Path(folder)
+        try:
+            run = read_run(place)
+        except SessionError as error:
+            return Ingested(place, "", "skipped", str(error))
+        with self._database.read() as connection:
+            if changes_nothing(connection, run):
+                return Ingested(place, run.image["image"], "unchanged")
+        what = self._database.write(lambda connection: put_run(connection, run))
+        return Ingested(place, run.image["image"], what)
+
+    # -- out ---------------------------------------------------------------------------------------------------
+
+    def query(self, what: str, **filters: str | None) -> Table:
+        """Return ``images``, ``pointings``, ``stars`` or ``bodies``; see `opnav_workbench.campaign.queries.ask`."""
+        with self._database.read() as connection:
+            return ask(connection, what, filters)
+
+    def images(self, **filters: str | None) -> Table:
+        """Return one row a picture; filters ``status, since, until, image, mission, camera``."""
+        return self.query("images", **filters)
+
+    def pointings(self, **filters: str | None) -> Table:
+        """Return one row a solved pointing."""
+        return self.query("pointings", **filters)
+
+    def stars(self, **filters: str | None) -> Table:
+        """Return one row a star and picture."""
+        return self.query("stars", **filters)
+
+    def bodies(self, **filters: str | None) -> Table:
+        """Return one row a body, method and picture; filters also ``body, method``."""
+        return self.query("bodies", **filters)
+
+    def observables(self, **filters: str | None) -> QTable:
+        """Return all observables, with the units and descriptions of their files."""
+        with self._database.read() as connection:
+            return ask_observables(connection, filters)
+
+    def decisions(self) -> list[dict[str, Any]]:
+        """Return what analysts decided: picture, subject, verdict, reason."""
+        return self._plain("decisions")
+
+    def journal(self) -> list[dict[str, Any]]:
+        """Return every step of every session."""
+        return self._plain("journal")
+
+    def provenance(self) -> list[dict[str, Any]]:
+        """Return version, kernels, catalog and settings of every picture."""
+        return self._plain("provenance")
+
+    def history(self) -> list[dict[str, Any]]:
+        """Return what stood before and was replaced, oldest first."""
+        return self._plain("history")
+
+    def _plain(self, what: str) -> list[dict[str, Any]]:
+        with self._database.read() as connection:
+            return ask_plain(connection, what)
+
+    def entries(self) -> tuple[ImageEntry, ...]:
+        """Return the pictures in the order of time, for a list to choose from."""
+        images = tables["images"]
+        query = sa.select(images).order_by(images.c.et, images.c.image, images.c.key)
+        with self._database.read() as connection:
+            rows = connection.execute(query).mappings().all()
+        return tuple(
+            ImageEntry(
+                image=row["image"],
+                utc=row["utc"] or "",
+                et=row["et"],
+                status=row["status"],
+                folder=Path(row["folder"]),
+                path=None if row["path"] is None else Path(row["path"]),
+                mission=row["mission"] or "",
+                attention=tuple(row["attention"]),
+            )
+            for row in rows
+        )
+
+    def attention(self) -> tuple[ImageEntry, ...]:
+        """Return the pictures that need an analyst."""
+        return tuple(entry for entry in self.entries() if entry.needs_analyst)
+
+    def dump(self) -> dict[str, list[dict[str, Any]]]:
+        """Return the whole content, free of paths, times of processing and order of ingest."""
+        with self._database.read() as connection:
+            return content_of(connection)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of `dump`: equal for archives that hold the same."""
+        with self._database.read() as connection:
+            return content_digest(connection)

@@ -1,0 +1,148 @@
+"""The archive's file: opened by many processes at once, brought to the present schema, never half-written.
+
+Write-ahead logging lets readers read while one process writes; a writer takes the lock before it reads what it will
+change (``BEGIN IMMEDIATE``), waits its turn, and tries again where SQLite will not wait. A process that dies leaves the
+last complete transaction.
+
+Reference: https://sqlite.org/wal.html, https://sqlite.org/lang_transaction.html
+"""
+
+import contextlib
+import random
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeAlias, TypeVar
+
+import sqlalchemy as sa
+
+from opnav_workbench.campaign.migrations import migrate
+from opnav_workbench.errors import SessionError
+
+__all__ = ["Database"]
+
+BUSY_TIMEOUT_S = 60.0  # a picture is ingested in milliseconds: a minute is a queue of thousands
+ATTEMPTS = 20  # of a transaction that SQLite refuses at once (lock of a recovery, change of journal mode)
+PAUSE_S = 0.05
+SQLITE_MAGIC = b"SQLite format 3\x00"
+WRITE = {"opnav_write": True}
+
+T = TypeVar("T")
+DatabaseError: TypeAlias = sa.exc.DBAPIError | sqlite3.Error
+
+
+class Database:
+    """An SQLite file with the archive's schema.
+
+    Parameters
+    ----------
+    path : Path
+    create : bool
+        Make the file where there is none.
+
+    Raises
+    ------
+    SessionError
+        It is missing and not to be made, is no archive, is of a newer version, or cannot be read or written.
+    """
+
+    def __init__(self, path: Path, *, create: bool) -> None:
+        self.path = path
+        _check_file(path, create)
+        url = sa.URL.create("sqlite", database=str(path))
+        self._engine = sa.create_engine(url, connect_args={"timeout": BUSY_TIMEOUT_S})
+        sa.event.listen(self._engine, "connect", _on_connect)
+        sa.event.listen(self._engine, "begin", _on_begin)
+        try:
+            self._retried(self._prepare)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file; the last process to do so folds the write-ahead log into it."""
+        self._engine.dispose()
+
+    def write(self, work: Callable[[sa.Connection], T]) -> T:
+        """Return what `work` returns, all that it writes committed together, or nothing of it.
+
+        Raises
+        ------
+        SessionError
+            The archive cannot be written.
+        """
+        return self._retried(lambda: self._written(work))
+
+    def _written(self, work: Callable[[sa.Connection], T]) -> T:
+        with self._engine.connect().execution_options(**WRITE) as connection, connection.begin():
+            return work(connection)
+
+    @contextlib.contextmanager
+    def read(self) -> Iterator[sa.Connection]:
+        """Yield a connection that sees one state of the archive, whatever others write meanwhile."""
+        try:
+            with self._engine.connect() as connection, connection.begin():
+                yield connection
+        except sa.exc.DBAPIError as error:
+            raise self._named(error) from error
+
+    def _retried(self, work: Callable[[], T]) -> T:
+        for attempt in range(ATTEMPTS):
+            try:
+                return work()
+            except (sa.exc.DBAPIError, sqlite3.Error) as error:
+                if not _busy(error) or attempt == ATTEMPTS - 1:
+                    raise self._named(error) from error
+                # Two that were refused together shall not come back together.
+                time.sleep(PAUSE_S * (1.0 + attempt) * random.uniform(0.5, 1.5))  # noqa: S311
+        raise AssertionError("unreachable")
+
+    def _prepare(self) -> None:
+        self._written(lambda connection: migrate(connection, self.path))
+        with contextlib.closing(self._engine.raw_connection()) as connection:
+            connection.cursor().execute("PRAGMA journal_mode=WAL")  # outside any transaction
+
+    def _named(self, error: DatabaseError) -> SessionError:
+        return SessionError(
+            f"campaign archive {self.path}: {getattr(error, 'orig', error)}. Check the file, its folder's permissions "
+            "and free space; `opnav campaign ingest` makes a new one from the run folders."
+        )
+
+
+def _check_file(path: Path, create: bool) -> None:
+    """Refuse early what SQLite would answer with riddles."""
+    if not path.exists():
+        if not create:
+            raise SessionError(f"there is no campaign archive {path}; make one: opnav campaign ingest RUN.")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SessionError(f"cannot make the folder of {path}: {error.strerror or error}.") from error
+        return
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(len(SQLITE_MAGIC))
+    except OSError as error:
+        raise SessionError(f"cannot read {path}: {error.strerror or error}.") from error
+    if head and head != SQLITE_MAGIC:
+        raise SessionError(f"{path} is not a campaign archive (no SQLite file); give another name.")
+
+
+def _busy(error: DatabaseError) -> bool:
+    code = getattr(getattr(error, "orig", error), "sqlite_errorcode", 0) & 0xFF
+    return code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+
+
+def _on_connect(connection: Any, _record: Any) -> None:
+    connection.isolation_level = None  # transactions are begun below, not where sqlite3 guesses
+    connection.execute("PRAGMA foreign_keys=ON")
+    connection.execute(f"PRAGMA busy_timeout={int(1000 * BUSY_TIMEOUT_S)}")
+
+
+def _on_begin(connection: sa.Connection) -> None:
+    options = connection.get_execution_options()
+    if "opnav_write" in options:
+        connection.exec_driver_sql("BEGIN IMMEDIATE")
+    else:
+        connection.exec_driver_sql("BEGIN")

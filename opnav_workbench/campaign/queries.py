@@ -1,0 +1,149 @@
+"""Questions to the archive, answered as astropy tables with units and descriptions."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sqlalchemy as sa
+from astropy import units as u
+from astropy.table import Column as AstropyColumn
+from astropy.table import MaskedColumn, QTable, Table
+
+from opnav_workbench.campaign.columns import BODIES, IMAGES, POINTINGS, STARS, Column
+from opnav_workbench.campaign.observable_rows import ObservableColumn, observables_of
+from opnav_workbench.campaign.schema import tables
+from opnav_workbench.errors import SessionError
+
+__all__ = ["QUESTIONS", "ask", "ask_observables", "ask_plain"]
+
+QUESTIONS = ("images", "pointings", "stars", "bodies")
+PARTS: dict[str, tuple[Column, ...]] = {"pointings": POINTINGS, "stars": STARS, "bodies": BODIES}
+# Of the picture, beside the rows of its parts.
+OF_IMAGE = ("image", "utc", "et")
+AFTER_IMAGE = (
+    Column("attention", "json", "", "why an analyst should look; empty: need not"),
+    Column("folder", "text", "", "where the run is"),
+)
+EMPTY: dict[str, Any] = {"number": np.nan, "whole": 0, "flag": False, "text": "", "json": ""}
+LAST = "\uffff"  # after every text that begins alike: 2015-04-09 as an end holds the whole day
+
+
+def ask(connection: sa.Connection, what: str, filters: Mapping[str, str | None]) -> Table:
+    """Return the rows of a part of the archive.
+
+    Parameters
+    ----------
+    connection : Connection
+    what : {"images", "pointings", "stars", "bodies"}
+    filters : mapping
+        ``status, body, method, image, star, mission, camera``: equal to that, in any case; several with commas.
+        ``since, until``: UTC, ISO, as exact as need be.
+
+    Raises
+    ------
+    SessionError
+        An unknown question, or a filter that it does not have.
+    """
+    if what not in QUESTIONS:
+        raise SessionError(f"unknown table {what!r}; choose one of {', '.join(QUESTIONS)}.")
+    images = tables["images"]
+    if what == "images":
+        columns: tuple[Column, ...] = (*IMAGES, *AFTER_IMAGE)
+        chosen = sa.select(*[images.c[c.name] for c in columns], images.c.extra)
+    else:
+        table = tables[what]
+        columns = (*[c for c in IMAGES if c.name in OF_IMAGE], *PARTS[what])
+        own = [table.c[c.name] for c in PARTS[what]]
+        chosen = sa.select(*[images.c[n] for n in OF_IMAGE], *own, table.c.extra).join_from(images, table)
+    rows = connection.execute(_filtered(chosen, what, filters)).mappings().all()
+    return _table(rows, columns)
+
+
+def ask_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:
+    """Return all rows of ``decisions, journal, provenance`` (each with its picture) or ``history`` as plain values."""
+    images, table = tables["images"], tables[what]
+    if what == "history":
+        query = sa.select(table).order_by(table.c.processed_utc, table.c.key)
+        return [dict(row) for row in connection.execute(query).mappings()]
+    own = [column for column in table.c if column.name != "image_id"]
+    query = sa.select(images.c.image, *own).join_from(images, table)
+    return [dict(row) for row in connection.execute(_ordered(query, table)).mappings()]
+
+
+def ask_observables(connection: sa.Connection, filters: Mapping[str, str | None]) -> QTable:
+    """Return the observables with the units and descriptions of their files; filters as in `ask`."""
+    images, table, columns = tables["images"], tables["observables"], tables["observable_columns"]
+    known = connection.execute(sa.select(columns).order_by(columns.c.position, columns.c.name)).all()
+    chosen = sa.select(table.c.cells).join_from(images, table)
+    rows = connection.execute(_filtered(chosen, "observables", filters)).scalars().all()
+    status = filters.get("status")
+    if status:
+        wanted = {s.strip().casefold() for s in status.split(",")}
+        rows = [cells for cells in rows if str(cells.get("status", "")).casefold() in wanted]
+    return observables_of([ObservableColumn(c.name, c.unit, c.description) for c in known], rows)
+
+
+def _ordered(query: "sa.Select[Any]", table: sa.Table) -> "sa.Select[Any]":
+    images = tables["images"]
+    order = [images.c.et, images.c.image, images.c.key]
+    return query.order_by(*order, *([table.c.position] if "position" in table.c else []))
+
+
+def _filtered(query: "sa.Select[Any]", what: str, filters: Mapping[str, str | None]) -> "sa.Select[Any]":
+    images, table = tables["images"], tables[what]
+    for name, value in filters.items():
+        if value is None or (what == "observables" and name == "status"):
+            continue
+        if name in ("since", "until"):
+            begins = value.strip().replace(" ", "T").removesuffix("Z")
+            limit = images.c.utc >= begins if name == "since" else images.c.utc <= begins + LAST
+            query = query.where(limit)
+            continue
+        owner = table if name in table.c else images
+        if name not in owner.c:
+            raise SessionError(f"{what} have no {name}; leave that filter out.")
+        options = [option.strip().casefold() for option in value.split(",") if option.strip()]
+        query = query.where(sa.func.lower(owner.c[name]).in_(options))
+    return _ordered(query, table)
+
+
+def _table(rows: Sequence[Mapping[Any, Any]], columns: Sequence[Column]) -> Table:
+    """A table of rows; unknown numbers are nan, unknown flags and counts masked, and lists one text."""
+    table = Table()
+    for column in columns:
+        if column.kind == "json" and column.name not in ("messages", "attention"):
+            continue
+        table[column.name] = _cells([row[column.name] for row in rows], column)
+    for name in _more(rows, set(table.colnames)):
+        values = [(row["extra"] or {}).get(name) for row in rows]
+        table[name] = _cells(values, _guessed(name, values))
+    return table
+
+
+def _cells(values: Sequence[Any], column: Column) -> Any:
+    if column.kind == "json":
+        values = ["; ".join(map(str, value)) if isinstance(value, list) else value for value in values]
+    filled = [EMPTY[column.kind] if value is None else value for value in values]
+    dtype = {"number": float, "whole": int, "flag": bool}.get(column.kind, str)
+    common = {"description": column.description, "dtype": dtype}
+    if column.kind in ("whole", "flag"):
+        return MaskedColumn(filled, mask=[value is None for value in values], **common)
+    unit = u.Unit(column.unit) if column.unit else None
+    return AstropyColumn(filled, unit=unit, **common)
+
+
+def _more(rows: Iterable[Mapping[Any, Any]], taken: set[str]) -> list[str]:
+    """Names of plain values that no column stands for: a newer version's results are not hidden."""
+    names: dict[str, None] = {}
+    for row in rows:
+        for name, value in (row["extra"] or {}).items():
+            if isinstance(value, str | int | float) and name not in taken:
+                names.setdefault(name)
+    return list(names)
+
+
+def _guessed(name: str, values: Sequence[Any]) -> Column:
+    known = [value for value in values if value is not None]
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
+        return Column(name, "number")
+    return Column(name, "flag" if all(isinstance(value, bool) for value in known) else "json")

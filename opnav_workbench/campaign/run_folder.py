@@ -1,0 +1,239 @@
+"""A run folder read: ``result.json``, ``observables.ecsv`` and ``session.json`` of one picture, checked, as rows.
+
+A folder that holds less, or files that do not belong together (a program killed between two of them), is damaged: it is
+named and skipped, never half taken.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from opnav_workbench.campaign.attention import attention_of
+from opnav_workbench.campaign.columns import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
+from opnav_workbench.campaign.observable_rows import ObservableColumn, read_observables
+from opnav_workbench.errors import SessionError
+from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
+
+__all__ = ["Run", "find_runs", "read_run", "without_times"]
+
+IMAGE_STATUSES = ("ok", "partial", "failed")
+# Keys whose values tell when something was done, not what came out: two runs that differ in them alone are one.
+TIMES = frozenset(
+    {"time_utc", "when_utc", "when", "time", "processed_utc", "started_utc", "finished_utc", "duration_s", "elapsed_s"}
+)  # fmt: skip
+# Lists of decisions in a result's provenance, and what each of them says.
+DECISIONS = {
+    "decisions": None,
+    "placed_stars": "placed",
+    "circles": "circle",
+    "limb_scans": "scans chosen",
+    "notes": "note",
+}
+PARTS_OF_RESULT = ("pointing", "stars", "bodies", "provenance", "attention")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One picture's run as rows of the archive.
+
+    Attributes
+    ----------
+    folder : Path
+        Absolute.
+    key : str
+        The picture's own, wherever it was processed: the SHA-256 of its file, else `name_key`.
+    name_key : str
+        Mission and name of the picture.
+    content_sha256 : str
+        Of all that came out, times left out.
+    processed_utc : str
+    image : mapping
+        Row of ``images``.
+    parts : mapping of str to sequence of mapping
+        Rows of the other tables, in order.
+    observable_columns : sequence of ObservableColumn
+    """
+
+    folder: Path
+    key: str
+    name_key: str
+    content_sha256: str
+    processed_utc: str
+    image: Mapping[str, Any]
+    parts: Mapping[str, Sequence[Mapping[str, Any]]]
+    observable_columns: Sequence[ObservableColumn]
+
+
+def find_runs(path: str | Path) -> Iterator[Path]:
+    """Yield the run folders at or below `path`, in the order of their names.
+
+    Raises
+    ------
+    SessionError
+        There is no such folder, or no run in it.
+    """
+    top = Path(path)
+    if not top.is_dir():
+        raise SessionError(
+            f"there is no folder {top}; give run folders (with {RESULT_FILE}) or folders of them."
+        )
+    found = sorted({file.parent for name in (RESULT_FILE, SESSION_FILE) for file in top.rglob(name)})
+    if not found:
+        raise SessionError(f"{top} holds no run: no {RESULT_FILE} in it or below; process pictures first.")
+    yield from found
+
+
+def read_run(folder: str | Path) -> Run:
+    """Read a run folder.
+
+    Raises
+    ------
+    SessionError
+        A file is missing or damaged, or they do not belong together.
+    """
+    place = Path(folder).resolve()
+    result = _json(place / RESULT_FILE)
+    # A picture that failed early has a result only; a session beside it is that of an earlier run.
+    with_session = "provenance" in result and (place / SESSION_FILE).is_file()
+    session = _json(place / SESSION_FILE) if with_session else None
+    try:
+        return _run(place, result, session)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise SessionError(f"{RESULT_FILE} is damaged ({error}); process the picture again") from error
+
+
+def _run(place: Path, result: Mapping[str, Any], session: Mapping[str, Any] | None) -> Run:
+    if result.get("status") not in IMAGE_STATUSES:
+        raise ValueError(f"status {result.get('status')!r} is none of {', '.join(IMAGE_STATUSES)}")
+    if session is not None and result.get("sha256", session["sha256"]) != session["sha256"]:
+        raise SessionError(f"{RESULT_FILE} and {SESSION_FILE} are of different pictures; process it again")
+    name_key = f"name:{result.get('mission')}/{result['image']}"
+    columns, cells = _observables(place, result)
+    parts = _parts(result, session, cells)
+    content = {
+        "result": without_times(result),
+        "observables": cells,
+        "journal": without_times(parts["journal"]),
+    }
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    image = row_of(result, IMAGES, PARTS_OF_RESULT)
+    return Run(
+        folder=place,
+        key=result.get("sha256") or name_key,
+        name_key=name_key,
+        content_sha256=digest,
+        processed_utc=_processed(place, parts["journal"]),
+        image=image
+        | {"attention": list(_attention(result)), "path": None if session is None else session["image"]},
+        parts=parts,
+        observable_columns=columns,
+    )
+
+
+def _parts(
+    result: Mapping[str, Any], session: Mapping[str, Any] | None, cells: Sequence[Mapping[str, Any]]
+) -> dict[str, list[dict[str, Any]]]:
+    pointing, origin = result.get("pointing"), result.get("provenance") or {}
+    return {
+        "pointings": [] if pointing is None else [row_of(pointing, POINTINGS)],
+        "provenance": [row_of(origin, PROVENANCE, tuple(DECISIONS))] if origin else [],
+        "stars": [row_of(star, STARS) for star in result.get("stars") or ()],
+        "bodies": [row_of(body, BODIES) for body in result.get("bodies") or ()],
+        "observables": [{"body": c["body"], "method": c["method"], "cells": c} for c in cells],
+        "decisions": [
+            _decision(item, said) for kind, said in DECISIONS.items() for item in origin.get(kind) or ()
+        ],
+        "journal": [_entry(item) for item in (session or {}).get("journal") or ()],
+    }
+
+
+def _decision(item: Any, said: str | None) -> dict[str, Any]:
+    """A verdict on a star, or another decision: its subject, what was decided, why, and the rest as it stands."""
+    if not isinstance(item, Mapping):
+        return {"subject": None, "verdict": said, "reason": str(item), "extra": {}}
+    named = next((key for key in ("star", "body", "name") if key in item), None)
+    known = {named, "verdict", "reason"}
+    return {
+        "subject": None if named is None else str(item[named]),
+        "verdict": item.get("verdict", said),
+        "reason": item.get("reason"),
+        "extra": {key: value for key, value in item.items() if key not in known},
+    }
+
+
+def _entry(item: Mapping[str, Any]) -> dict[str, Any]:
+    known = ("step", "parameters", "reason", "outcome", "time_utc")
+    row = {key: item.get(key) for key in known}
+    return row | {"extra": {key: value for key, value in item.items() if key not in known}}
+
+
+def _attention(result: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the run itself says an analyst should look at, else what its statuses say."""
+    if "attention" in result:
+        said = result["attention"] or ()
+        return (said,) if isinstance(said, str) else tuple(str(reason) for reason in said)
+    bodies = [(body.get("name"), body.get("status")) for body in result.get("bodies") or ()]
+    return attention_of(result["status"], result.get("messages") or (), bodies)
+
+
+def _observables(
+    place: Path, result: Mapping[str, Any]
+) -> tuple[tuple[ObservableColumn, ...], list[dict[str, Any]]]:
+    """The observables' file, which must be there and agree with the result, except for a picture that failed early."""
+    wanted = [(body["name"], body["method"]) for body in result.get("bodies") or ()]
+    path = place / TABLE_FILE
+    if not path.is_file():
+        if wanted:
+            raise SessionError(f"{TABLE_FILE} is missing; process the picture again")
+        return (), []
+    columns, cells = read_observables(path)
+    if sorted((c["body"], c["method"]) for c in cells) != sorted(wanted):
+        if result["status"] == "failed" and not wanted:  # a failure beside the files of an earlier success
+            return (), []
+        raise SessionError(
+            f"{TABLE_FILE} and {RESULT_FILE} tell of different bodies; process the picture again"
+        )
+    return columns, cells
+
+
+def _processed(place: Path, journal: Sequence[Mapping[str, Any]]) -> str:
+    """When the run was made: its last step, else when its result was written."""
+    last = journal[-1].get("time_utc") if journal else None
+    if isinstance(last, str) and re.match(r"\d{4}-\d\d-\d\dT", last):
+        return last
+    written = datetime.fromtimestamp((place / RESULT_FILE).stat().st_mtime, UTC)
+    return written.isoformat(timespec="milliseconds")
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=lambda _: None)
+    except FileNotFoundError as error:
+        raise SessionError(
+            f"{path.name} is missing; the run was not finished, process the picture again"
+        ) from error
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise SessionError(f"{path.name} cannot be read ({error}); process the picture again") from error
+    if not isinstance(data, dict):
+        raise SessionError(f"{path.name} is damaged (no mapping); process the picture again")
+    return data
+
+
+def without_times(value: Any) -> Any:
+    """Return plain values without the keys that tell when something was done.
+
+    Examples
+    --------
+    >>> without_times([{"step": "predict", "time_utc": "2026-01-01T00:00:00"}])
+    [{'step': 'predict'}]
+    """
+    if isinstance(value, Mapping):
+        return {key: without_times(item) for key, item in value.items() if key not in TIMES}
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return [without_times(item) for item in value]
+    return value

@@ -1,0 +1,242 @@
+"""The stack: repointed pictures brought onto one grid, hits masked, and averaged with their best weights.
+
+Every stacked pixel is a linear combination of the pictures' pixels, and `Stacked.operators` says which: a model of the
+target goes the same way, and so does the noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.campaign.stacking.epoch import mean_state
+from opnav_workbench.campaign.stacking.frames import StackFrame, check_frames, weights_of
+from opnav_workbench.campaign.stacking.grid import Follow, Grid
+from opnav_workbench.campaign.stacking.hits import MIN_FRAMES, mask_hits
+from opnav_workbench.campaign.stacking.resampling import resample, resampling
+from opnav_workbench.campaign.stacking.subtraction import Subtraction, subtract_stars
+from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.geometry import apparent_direction
+
+__all__ = ["Stacked", "average", "stack_frames"]
+
+DEFAULT_WINDOW_PX = 64  # about the target: room for its search and for the stars that are to be matched
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stacked:
+    """Many pictures as one; arrays are read-only and indexed [line, pixel] of the grid.
+
+    Attributes
+    ----------
+    image_dn, noise_dn : array
+        DN of the longest exposure, and 1 sigma of each pixel by itself; nan where no picture has a usable pixel.
+        Neighbouring pixels are correlated, see `covariance_dn2`.
+    count : array of int
+        Pictures in each pixel.
+    grid : Grid
+    frames : tuple of StackFrame
+        With hits masked and, in a subtracted stack, the star field taken away.
+    raw : tuple of StackFrame
+        The same before subtraction.
+    weights, response : (n,) array
+        Of the pictures: weights sum to 1; light against the longest exposure's.
+    et : float
+        Weighted mean epoch, TDB seconds past J2000.
+    target : TargetState or None
+        The target at that epoch, interpolated between the pictures.
+    subtractions : tuple of Subtraction or None
+    hits : tuple of int
+        Pixels masked in each picture.
+    messages : tuple of str
+    """
+
+    image_dn: FloatArray
+    noise_dn: FloatArray
+    count: IntArray
+    grid: Grid
+    frames: tuple[StackFrame, ...]
+    raw: tuple[StackFrame, ...]
+    weights: FloatArray
+    response: FloatArray
+    et: float
+    target: TargetState | None
+    subtractions: tuple[Subtraction, ...] | None
+    hits: tuple[int, ...]
+    messages: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def predicted_px(self) -> FloatArray:
+        """Where the target is expected, (pixel, line) of the reference camera; nan without a target."""
+        if self.target is None:
+            return np.full(2, np.nan)
+        apparent = apparent_direction(self.target.direction, self.grid.observer_velocity_km_s)
+        return np.asarray(self.grid.camera.project((self.grid.camera_from_j2000 @ apparent)[None])[0])
+
+    def neighbours_px(self) -> FloatArray:
+        """Return where other bodies lie in the grid's reference camera (k, 2), each in every picture."""
+        places = [
+            self.grid.from_frame(frame.camera.project(frame.neighbours @ frame.camera_from_j2000.T), frame)
+            for frame in self.frames
+        ]
+        return np.concatenate(places)
+
+    def operators(self, pixel_line: FloatArray) -> list[sparse.csr_array]:
+        """Return for each picture the matrix (m, n_line * n_pixel) that makes of it its part of grid pixels (m, 2).
+
+        The stack at these pixels is the sum of all products with the pictures' signals.
+        """
+        rows = [resampling(self.grid, pixel_line, frame) for frame in self.frames]
+        share = self.weights[:, None] * np.array([row.usable for row in rows])
+        total = share.sum(axis=0)
+        share = share / np.where(total > 0.0, total, 1.0)
+        direct = [
+            sparse.csr_array(sparse.diags_array(part / gain) @ row.matrix)
+            for part, gain, row in zip(share, self.response, rows, strict=True)
+        ]
+        if self.subtractions is None:
+            return direct
+        return self._with_templates(direct)
+
+    def _with_templates(self, direct: list[sparse.csr_array]) -> list[sparse.csr_array]:
+        """What a picture gives by way of the others' star-field templates goes off."""
+        assert self.subtractions is not None
+        total = list(direct)
+        for rows, subtraction in zip(direct, self.subtractions, strict=True):
+            for j, part in subtraction.parts(rows, self.raw):
+                total[j] = sparse.csr_array(total[j] - part)
+        return total
+
+    def covariance_dn2(self, pixel_line: FloatArray) -> FloatArray:
+        """Return the covariance (m, m) of grid pixels (m, 2): exact, for pictures whose own pixels are independent."""
+        covariance = np.zeros((len(pixel_line),) * 2)
+        for operator, frame in zip(self.operators(pixel_line), self.raw, strict=True):
+            weighted = operator @ sparse.diags_array(frame.variance_dn2.ravel())
+            covariance += (weighted @ operator.T).toarray()
+        return covariance
+
+    def noise_correlation(self) -> float:
+        """Return the mean correlation of neighbouring pixels in the middle of the grid, along pixel and along line."""
+        n_line, n_pixel = self.grid.shape
+        middle = np.array([n_pixel // 2, n_line // 2]) + self.grid.first
+        points = middle + np.array([[0, 0], [1, 0], [0, 1]])
+        covariance = self.covariance_dn2(points)
+        sigma = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+        return float(np.mean((covariance / np.outer(sigma, sigma))[0, 1:]))
+
+
+def stack_frames(
+    frames: Sequence[StackFrame],
+    follow: Follow = "target",
+    *,
+    window_px: int | None = None,
+    reject_hits: bool = True,
+    subtract: bool = False,
+) -> Stacked:
+    """Stack solved pictures on the stars, or on the target's motion.
+
+    Parameters
+    ----------
+    frames : sequence of StackFrame
+        Of one camera, two at least; three for hits to be found.
+    follow : {"stars", "target"}
+    window_px : int, optional
+        Side of the part about the target that is stacked; default 64 for a target, the whole field for stars.
+    reject_hits : bool
+        Mask what is in one picture only.
+    subtract : bool
+        Take the star field away before, as the other pictures show it where the target has moved on.
+
+    Raises
+    ------
+    CenterfindingError
+        Pictures that no stack can be made of, or a target that has not moved enough for the stars to be told from it.
+    """
+    check_frames(frames, follow=follow)
+    if subtract and follow != "target":
+        raise CenterfindingError("only a stack that follows the target can have its star field subtracted.")
+    response, weights = weights_of(frames)
+    et = float(weights @ [frame.et for frame in frames])
+    state = mean_state(frames, et) if all(frame.target is not None for frame in frames) else None
+    grid = _grid(frames, follow, state, et, window_px)
+    raw, chosen, subtractions, messages = list(frames), list(frames), None, []
+    if subtract:
+        raw, chosen, subtractions = subtract_stars(frames, grid, weights, response)
+    hits = [int((a.bad & ~b.bad).sum()) for a, b in zip(chosen, frames, strict=True)]
+    if reject_hits and len(frames) >= MIN_FRAMES:
+        cube = np.stack([resample(grid, f, float(g))[0] for f, g in zip(chosen, response, strict=True)])
+        chosen, more = mask_hits(chosen, grid, cube, response)
+        hits = [a + b for a, b in zip(hits, more, strict=True)]
+    elif reject_hits:
+        messages.append(f"{len(frames)} pictures: hits cannot be told from stars, none is masked")
+    image, noise, count = average(chosen, grid, weights, response)
+    return Stacked(
+        image_dn=image,
+        noise_dn=noise,
+        count=count,
+        grid=grid,
+        frames=tuple(chosen),
+        raw=tuple(raw),
+        weights=weights,
+        response=response,
+        et=et,
+        target=state,
+        subtractions=None if subtractions is None else tuple(subtractions),
+        hits=tuple(hits),
+        messages=tuple(messages),
+    )
+
+
+def _grid(
+    frames: Sequence[StackFrame], follow: Follow, state: TargetState | None, et: float, window_px: int | None
+) -> Grid:
+    """Pixels of the picture nearest to the mean epoch, all of them or those about the target."""
+    middle = min(frames, key=lambda frame: (abs(frame.et - et), frame.name))
+    times = np.array([frame.et for frame in frames])
+    velocity = np.array([frame.observer_velocity_km_s for frame in frames])
+    spread = float(np.ptp(times))
+    # Between the pictures the velocity changes evenly, by far less than matters.
+    mean = (
+        velocity[0]
+        if spread == 0.0
+        else np.array([np.interp(et, np.sort(times), v[np.argsort(times)]) for v in velocity.T])
+    )
+    camera = middle.camera
+    first, shape = np.zeros(2), (camera.n_line, camera.n_pixel)
+    apparent = None if state is None else apparent_direction(state.direction, mean)
+    side = window_px or (DEFAULT_WINDOW_PX if follow == "target" else 0)
+    if side:
+        if apparent is None:
+            raise CenterfindingError(
+                "a window needs a target to lie about; name one, or stack the whole field."
+            )
+        place = camera.project((middle.camera_from_j2000 @ apparent)[None])[0]
+        if not camera.on_detector(place):
+            raise CenterfindingError(
+                f"{middle.name}: the target is not on its detector; leave that picture out."
+            )
+        first, shape = np.round(place) - side // 2, (side, side)
+    return Grid(camera, middle.camera_from_j2000, mean, follow, apparent, first, shape)
+
+
+def average(
+    frames: Sequence[StackFrame], grid: Grid, weights: FloatArray, response: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return weighted mean, its 1-sigma noise, and the number of pictures in each pixel of the grid."""
+    total, light, noise = (np.zeros(grid.shape) for _ in range(3))
+    count = np.zeros(grid.shape, dtype=np.int64)
+    for frame, weight, gain in zip(frames, weights, response, strict=True):
+        image, variance = resample(grid, frame, float(gain))
+        usable = np.isfinite(image)
+        total += np.where(usable, weight, 0.0)
+        light += np.where(usable, weight * image, 0.0)
+        noise += np.where(usable, weight**2 * variance, 0.0)
+        count += usable
+    safe = np.where(count > 0, total, np.nan)
+    return light / safe, np.sqrt(noise) / safe, count

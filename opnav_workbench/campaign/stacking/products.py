@@ -1,0 +1,168 @@
+"""A stack on disk: FITS, and ``result.json`` with ``observables.ecsv`` as of any picture, ready for archive and export."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+
+from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.campaign.stacking.combining import Stacked
+from opnav_workbench.campaign.stacking.observables import stack_observable
+from opnav_workbench.files import atomic_path, make_folder, sha256_of
+from opnav_workbench.image.times import text_from_et
+from opnav_workbench.observables import Observable
+from opnav_workbench.session.body_results import bodies_of
+from opnav_workbench.session.state import SessionState
+from opnav_workbench.session.storage import RESULT_FILE, TABLE_FILE, write_data, write_table, write_together
+from opnav_workbench.spice import KernelSet
+from opnav_workbench.version import __version__
+
+__all__ = ["StackProducts", "write_stack"]
+
+UTC_DECIMALS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class StackProducts:
+    """What was written.
+
+    Attributes
+    ----------
+    folder, picture : Path
+        The picture is a FITS file: stack, noise, and pictures in each pixel.
+    result : mapping
+        Content of ``result.json``.
+    observable : Observable or None
+        None for a stack that follows the stars.
+    """
+
+    folder: Path
+    picture: Path
+    result: Mapping[str, Any]
+    observable: Observable | None
+
+
+def write_stack(
+    stacked: Stacked,
+    center: BodyCenter | None,
+    out: str | Path,
+    *,
+    mission: str,
+    reference_body: str,
+    left_out: Sequence[tuple[str, str]] = (),
+) -> StackProducts:
+    """Write a stack into a folder of its own in `out`.
+
+    Parameters
+    ----------
+    stacked : Stacked
+    center : BodyCenter or None
+        Of the target, as `find_in_stack` gives it.
+    out : path
+    mission, reference_body : str
+    left_out : sequence of (str, str)
+        Runs that could not be stacked, and why.
+
+    Raises
+    ------
+    SessionError
+        A file cannot be written.
+    """
+    name = _name(stacked, center)
+    folder = make_folder(Path(out) / name)
+    picture = folder / f"{name}.fits"
+    _write_fits(stacked, picture)
+    utc = text_from_et(stacked.et, UTC_DECIMALS)
+    observable = None
+    if center is not None and stacked.target is not None:
+        observable = stack_observable(
+            stacked, center, image=picture.name, utc=utc, reference_body=reference_body
+        )
+    observables = () if observable is None else (observable,)
+    bodies = (
+        bodies_of(SessionState(bodies=(center,), observables=observables)) if center and observables else []
+    )
+    result = _result(stacked, center, picture, utc, mission, left_out) | {"bodies": bodies}
+    write_together(
+        {
+            folder / RESULT_FILE: partial(write_data, result),
+            folder / TABLE_FILE: partial(write_table, observables),
+        }
+    )
+    return StackProducts(folder, picture, result, observable)
+
+
+def _name(stacked: Stacked, center: BodyCenter | None) -> str:
+    what = "stars" if center is None else "".join(c if c.isalnum() else "_" for c in center.name).lower()
+    return f"stack_{what}_{Path(stacked.frames[0].name).stem}_{len(stacked.frames)}"
+
+
+def _result(
+    stacked: Stacked,
+    center: BodyCenter | None,
+    picture: Path,
+    utc: str,
+    mission: str,
+    left_out: Sequence[tuple[str, str]],
+) -> dict[str, Any]:
+    messages = [*stacked.messages, *(f"{Path(run).name} left out: {reason}" for run, reason in left_out)]
+    if center is not None and center.status != "ok":
+        messages += [f"{center.name}: {message}" for message in center.messages]
+    active = KernelSet.active()
+    return {
+        "image": picture.name,
+        "sha256": sha256_of(picture),
+        "utc": utc,
+        "et": stacked.et,
+        "exposure_s": float(sum(frame.exposure_s for frame in stacked.frames)),
+        "mission": mission,
+        "camera": stacked.grid.camera.name,
+        "status": "ok" if center is None or center.status == "ok" else "partial",
+        "messages": messages,
+        "pointing": None,
+        "stars": [],
+        "stack": _facts(stacked),
+        "provenance": {
+            "version": __version__,
+            "kernels": []
+            if active is None
+            else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()],
+        },
+    }
+
+
+def _facts(stacked: Stacked) -> dict[str, Any]:
+    values = zip(stacked.frames, stacked.weights, stacked.response, stacked.hits, strict=True)
+    return {
+        "follow": stacked.grid.follow,
+        "star_field_subtracted": stacked.subtractions is not None,
+        "frames": [
+            {"image": f.name, "et": f.et, "weight": w, "response": r, "pixels_masked": h}
+            for f, w, r, h in values
+        ],
+        "noise_correlation": stacked.noise_correlation(),
+    }
+
+
+def _write_fits(stacked: Stacked, path: Path) -> None:
+    head = fits.Header()
+    head["STACKN"] = (len(stacked.frames), "pictures")
+    head["FOLLOW"] = (stacked.grid.follow, "co-registered on")
+    head["ET"] = (stacked.et, "weighted mean epoch, TDB s past J2000")
+    head["CAMERA"] = stacked.grid.camera.name
+    head["FIRSTPIX"] = (int(stacked.grid.first[0]), "of the grid in the reference camera, 0-based")
+    head["FIRSTLIN"] = (int(stacked.grid.first[1]), "of the grid in the reference camera, 0-based")
+    head["BUNIT"] = ("DN", "of the longest exposure")
+    for frame in stacked.frames:
+        head.add_history(frame.name)
+    parts = [
+        fits.PrimaryHDU(stacked.image_dn, head),
+        fits.ImageHDU(stacked.noise_dn, name="NOISE"),
+        fits.ImageHDU(stacked.count.astype(np.int16), name="COUNT"),
+    ]
+    with atomic_path(path) as temporary:
+        fits.HDUList(parts).writeto(temporary, overwrite=True)

@@ -1,0 +1,165 @@
+"""``opnav export``: observables of processed pictures as one file for orbit determination."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from opnav_workbench.errors import MissionError, SessionError
+from opnav_workbench.mission import load_mission
+from opnav_workbench.observables import (
+    Observable,
+    TdmOptions,
+    read_csv,
+    read_ecsv,
+    read_json,
+    write_csv,
+    write_ecsv,
+    write_observables_json,
+    write_tdm,
+)
+from opnav_workbench.observables.result_file import observables_of_result, read_result
+
+__all__ = ["FORMATS", "export"]
+
+FORMATS = ("tdm", "csv", "json", "ecsv")
+TABLE, RESULT = "observables.ecsv", "result.json"
+READERS: dict[str, Callable[[Path], tuple[Observable, ...]]] = {
+    ".ecsv": read_ecsv,
+    ".csv": read_csv,
+    ".json": read_json,
+}
+
+Sources = Annotated[
+    list[Path],
+    typer.Argument(help="Folders that opnav process wrote, or their result.json files.", show_default=False),
+]
+Format = Annotated[
+    str | None,
+    typer.Option("--format", "-f", help=" | ".join(FORMATS) + "; default from --out.", show_default=False),
+]
+Out = Annotated[
+    Path | None, typer.Option("--out", "-o", help="File; default observables.FORMAT.", show_default=False)
+]
+Targets = Annotated[str | None, typer.Option(help="Only these targets, comma-separated.", show_default=False)]
+Methods = Annotated[
+    str | None, typer.Option(help="Only these center methods, comma-separated.", show_default=False)
+]
+Aberration = Annotated[str, typer.Option(help="TDM: stellar aberration of the angles, removed | kept.")]
+Frame = Annotated[str, typer.Option(help="TDM: name of the reference frame, ICRF | EME2000.")]
+Originator = Annotated[str, typer.Option(help="TDM: agency, as registered with SANA.")]
+Spacecraft = Annotated[
+    str | None, typer.Option(help="Its name, where the results do not tell it.", show_default=False)
+]
+
+
+def export(
+    sources: Sources,
+    format_: Format = None,
+    out: Out = None,
+    targets: Targets = None,
+    methods: Methods = None,
+    aberration: Aberration = "removed",
+    frame: Frame = "ICRF",
+    originator: Originator = "OPNAV_WORKBENCH",
+    spacecraft: Spacecraft = None,
+) -> None:
+    """Export observables of many pictures to one file.
+
+    [bold]Examples[/]
+
+      opnav export run --format tdm --out approach.tdm
+
+      opnav export run/*/result.json --targets PLUTO --methods limb_scan --out pluto.csv
+
+    tdm: CCSDS Tracking Data Message (503.0-B-2), right ascension, declination and range of every center found.
+
+    csv, ecsv, json: everything, with partials and covariances; their headers say what each value is.
+    """
+    format_ = _format(format_, out)
+    path = out or Path(f"observables.{format_}")
+    found = [o for source in sources for o in _observables(source)]
+    chosen = sorted(_chosen(found, targets, methods), key=lambda o: (o.et, o.image))
+    if spacecraft is not None:
+        chosen = [replace(o, observer=spacecraft) for o in chosen]
+    options = TdmOptions(aberration=aberration, frame=frame, originator=originator)
+    writers: dict[str, Callable[[Sequence[Observable], Path], None]] = {
+        "tdm": partial(write_tdm, options=options),
+        "csv": write_csv,
+        "json": write_observables_json,
+        "ecsv": write_ecsv,
+    }
+    writers[format_](chosen, path)
+    Console(soft_wrap=True).print(_summary(chosen, path), highlight=False)
+
+
+def _format(wanted: str | None, out: Path | None) -> str:
+    name = wanted or (out.suffix.removeprefix(".") if out else "")
+    if name not in FORMATS:
+        what = f"unknown format {name!r}" if name else "no format given"
+        raise SessionError(f"{what}; choose --format {' | '.join(FORMATS)}, or a file name that ends so.")
+    return name
+
+
+def _observables(source: Path) -> tuple[Observable, ...]:
+    """Observables of a folder of results (or folders of folders), or of one file."""
+    if source.is_dir():
+        tables = sorted(source.rglob(TABLE))
+        if not tables:
+            raise SessionError(
+                f"{source} holds no {TABLE}; give a folder that opnav process wrote (--out there)."
+            )
+        return tuple(o for table in tables for o in _with_spacecraft(read_ecsv(table), table.parent))
+    if source.name == RESULT:
+        table = source.parent / TABLE
+        result = read_result(source)
+        read = read_ecsv(table) if table.is_file() else observables_of_result(result, str(source))
+        return _with_spacecraft(read, source.parent)
+    if source.suffix not in READERS:
+        raise SessionError(f"{source} is no folder and no {', '.join(READERS)} file; nothing to export.")
+    return READERS[source.suffix](source)
+
+
+def _with_spacecraft(observables: tuple[Observable, ...], folder: Path) -> tuple[Observable, ...]:
+    """Take the spacecraft from the result's mission where an older table does not name it."""
+    result = folder / RESULT
+    if all(o.observer for o in observables) or not result.is_file():
+        return observables
+    try:
+        name = load_mission(str(read_result(result).get("mission", ""))).spacecraft_name
+    except MissionError:  # a mission file of the user's, elsewhere; --spacecraft says it
+        return observables
+    return tuple(o if o.observer else replace(o, observer=name) for o in observables)
+
+
+def _chosen(observables: Sequence[Observable], targets: str | None, methods: str | None) -> list[Observable]:
+    names, ways = (_list(words) for words in (targets, methods))
+    chosen = [
+        o
+        for o in observables
+        if (names is None or o.name.casefold() in names) and (ways is None or o.method.casefold() in ways)
+    ]
+    if not chosen:
+        there = ", ".join(sorted({f"{o.name} ({o.method})" for o in observables})) or "none"
+        raise SessionError(f"no observable to export; there are: {there}.")
+    return chosen
+
+
+def _list(words: str | None) -> set[str] | None:
+    return None if words is None else {word.strip().casefold() for word in words.split(",") if word.strip()}
+
+
+def _summary(observables: Sequence[Observable], path: Path) -> str:
+    pictures = len({o.image for o in observables})
+    centers = sum(o.observed_px is not None for o in observables)
+    bodies = ", ".join(f"{name} {n}" for name, n in sorted(Counter(o.name for o in observables).items()))
+    return (
+        f"{escape(str(path))}: {len(observables)} observables of {pictures} pictures ({escape(bodies)}), "
+        f"{centers} with a center"
+    )

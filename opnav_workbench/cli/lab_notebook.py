@@ -1,0 +1,81 @@
+"""The workbench's notebook in the analyst's folder, with its parameters set."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import make_folder, write_text
+from opnav_workbench.resources import notebooks_dir
+
+__all__ = ["NOTEBOOK", "LabParameters", "put_notebook"]
+
+NOTEBOOK = "workbench.ipynb"
+PARAMETERS_TAG = "parameters"
+
+
+@dataclass(frozen=True, slots=True)
+class LabParameters:
+    """What the notebook opens.
+
+    Attributes
+    ----------
+    images : tuple of str
+        Picture files or folders, in full.
+    mission : str
+    kernels : str
+        Empty: none.
+    catalog : str
+    """
+
+    images: tuple[str, ...]
+    mission: str
+    kernels: str
+    catalog: str
+
+    def source(self) -> str:
+        """Return the source of the parameters cell.
+
+        Examples
+        --------
+        >>> print(LabParameters(("/data/a.fit",), "new_horizons", "", "bundled").source())
+        # Set by opnav lab
+        images = [
+            "/data/a.fit",
+        ]
+        mission = "new_horizons"
+        kernels = None
+        catalog = "bundled"
+        out = "."
+        """
+        listed = "".join(f"    {json.dumps(image)},\n" for image in self.images)
+        kernels = json.dumps(self.kernels) if self.kernels else "None"
+        return (
+            f"# Set by opnav lab\nimages = [\n{listed}]\nmission = {json.dumps(self.mission)}\n"
+            f"kernels = {kernels}\ncatalog = {json.dumps(self.catalog)}\n"
+            'out = "."'
+        )
+
+
+def put_notebook(folder: Path, parameters: LabParameters) -> Path:
+    """Write the workbench's notebook into `folder`; cells that the analyst added to an older one are kept.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written, or the notebook in it has lost its parameters cell.
+    """
+    make_folder(folder)
+    path = folder / NOTEBOOK
+    source = path if path.is_file() else notebooks_dir() / NOTEBOOK
+    try:
+        notebook: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
+        cell = next(c for c in notebook["cells"] if PARAMETERS_TAG in c["metadata"].get("tags", ()))
+    except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
+        raise SessionError(
+            f"{source} cannot be read, or has no cell tagged {PARAMETERS_TAG!r}; move it away, and it is made anew."
+        ) from error
+    cell["source"] = parameters.source().splitlines(keepends=True)
+    write_text(path, json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
+    return path.resolve()

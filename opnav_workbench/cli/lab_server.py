@@ -1,0 +1,179 @@
+"""A JupyterLab of its own for one notebook: started, watched, and stopped cleanly."""
+
+import json
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Self
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import make_folder
+
+__all__ = ["LabServer"]
+
+STARTS_IN_S = 60.0
+STOPS_IN_S = 10.0
+PRIVATE = ".opnav_lab"  # beside the notebook: settings, layout and log of this JupyterLab
+WORKSPACE = "workbench"
+OVERRIDES = {
+    # Callbacks of the view then never run beside a cell's code: SPICE serves one thread only.
+    "@jupyterlab/apputils-extension:kernels-settings": {"commsOverSubshells": "disabled"},
+    "@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": False},
+}
+
+
+class LabServer:
+    """A running JupyterLab, as a context manager.
+
+    Parameters
+    ----------
+    notebook : Path
+        What it opens; its folder is all that the server shows.
+    port : int
+        0 takes a free one.
+    options : sequence of str
+        More options of JupyterLab.
+    environment : mapping of str to str
+        More environment variables.
+
+    Raises
+    ------
+    SessionError
+        JupyterLab is not installed, does not start, or the port is taken.
+    """
+
+    def __init__(
+        self,
+        notebook: Path,
+        port: int = 0,
+        *,
+        options: Sequence[str] = (),
+        environment: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        self.folder = notebook.parent
+        self.token = secrets.token_urlsafe(16)
+        self._port = _free_port(port)
+        self.address = f"http://127.0.0.1:{self._port}"
+        self.url = f"{self.address}/lab/workspaces/{WORKSPACE}/tree/{notebook.name}?token={self.token}"
+        self._private = self.folder / PRIVATE
+        self.log_path = self._private / "jupyterlab.log"
+        self._more_options, self._more_environment = tuple(options), dict(environment)
+
+    def __enter__(self) -> Self:
+        self._write_settings()
+        with self.log_path.open("w", encoding="utf-8") as log:
+            # A session of its own: Ctrl-C reaches us alone, and we stop the server without its question.
+            self._process = subprocess.Popen(  # noqa: S603  our own interpreter and options
+                [sys.executable, "-m", "jupyterlab", *self._options()],
+                cwd=self.folder,
+                env=self._environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+        try:
+            self._wait_for_start()
+        except BaseException:
+            self._stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    def wait(self) -> None:
+        """Return when the server has ended, by itself or because of Ctrl-C or SIGTERM."""
+        previous = signal.signal(signal.SIGTERM, _interrupt)
+        try:
+            self._process.wait()
+        except KeyboardInterrupt:
+            return
+        finally:
+            signal.signal(signal.SIGTERM, previous)
+
+    def _options(self) -> list[str]:
+        options = [
+            "--no-browser",
+            "--ServerApp.ip=127.0.0.1",
+            f"--ServerApp.port={self._port}",
+            "--ServerApp.port_retries=0",
+            f"--ServerApp.root_dir={self.folder}",
+            "--LabApp.extension_manager=readonly",
+        ]
+        is_root = hasattr(os, "geteuid") and os.geteuid() == 0  # a container; Jupyter refuses unless told
+        return [*options, *(["--allow-root"] if is_root else []), *self._more_options]
+
+    def _environment(self) -> dict[str, str]:
+        own = os.environ.get("JUPYTER_CONFIG_PATH", "")
+        return (
+            os.environ
+            | {
+                "JUPYTER_TOKEN": self.token,  # not among the options, which every user of the machine can list
+                "JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, [str(self._private), own])),
+                "JUPYTERLAB_WORKSPACES_DIR": str(self._private / "workspaces"),
+            }
+            | self._more_environment
+        )
+
+    def _write_settings(self) -> None:
+        make_folder(self._private / "labconfig")
+        path = self._private / "labconfig" / "default_setting_overrides.json"
+        path.write_text(json.dumps(OVERRIDES, indent=1), encoding="utf-8")
+
+    def _wait_for_start(self) -> None:
+        end = time.monotonic() + STARTS_IN_S
+        while time.monotonic() < end:
+            if self._process.poll() is not None:
+                raise SessionError(
+                    f"JupyterLab did not start: {self._last_words()} (all of it: {self.log_path})"
+                )
+            if self._answers():
+                return
+            time.sleep(0.1)
+        raise SessionError(f"JupyterLab did not answer within {STARTS_IN_S:g} s; see {self.log_path}.")
+
+    def _answers(self) -> bool:
+        try:
+            with urllib.request.urlopen(f"{self.address}/api", timeout=1.0):  # noqa: S310  our own server
+                return True
+        except OSError:
+            return False
+
+    def _last_words(self) -> str:
+        lines = self.log_path.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1].strip() if lines else "it said nothing"
+
+    def _stop(self) -> None:
+        if self._process.poll() is None:
+            self._process.terminate()  # the server ends its kernels itself
+        try:
+            self._process.wait(STOPS_IN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _free_port(wanted: int) -> int:
+    with socket.socket() as probe:
+        try:
+            probe.bind(("127.0.0.1", wanted))
+        except OSError as error:
+            raise SessionError(
+                f"port {wanted} is taken; choose another with --port, or leave it out."
+            ) from error
+        return int(probe.getsockname()[1])
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

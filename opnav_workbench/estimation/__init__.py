@@ -1,0 +1,41 @@
+"""Estimation over many observables: what the pictures say of target and spacecraft, and where the flyby goes.
+
+Its purpose is to close rehearsals and to show what pictures determine, not to replace an orbit determination program.
+
+parameters     what is solved for, and what is known of it before
+transition     how a correction at one epoch becomes one at another (two_body: unperturbed orbits)
+measurements   residuals, Jacobian and covariance of many observables for any correction
+batch          batch least squares with a priori knowledge; editing finds outliers
+observability  what the pictures determine, in plain words
+results        the estimate
+bplane         B.T, B.R and time of flight; targeting maps an estimate there
+"""
+
+from opnav_workbench.estimation.batch import estimate, observability
+from opnav_workbench.estimation.bplane import BPlane, b_plane, b_plane_partials
+from opnav_workbench.estimation.observability import Direction
+from opnav_workbench.estimation.parameters import Group
+from opnav_workbench.estimation.results import Estimate, Residual
+from opnav_workbench.estimation.targeting import BPlaneSolution, ErrorEllipse, error_ellipse, map_to_b_plane
+from opnav_workbench.estimation.transition import Transition, kepler, straight_line
+from opnav_workbench.estimation.two_body import propagate_two_body
+
+__all__ = [
+    "BPlane",
+    "BPlaneSolution",
+    "Direction",
+    "ErrorEllipse",
+    "Estimate",
+    "Group",
+    "Residual",
+    "Transition",
+    "b_plane",
+    "b_plane_partials",
+    "error_ellipse",
+    "estimate",
+    "kepler",
+    "map_to_b_plane",
+    "observability",
+    "propagate_two_body",
+    "straight_line",
+]

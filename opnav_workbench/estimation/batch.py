@@ -1,0 +1,293 @@
+"""Batch least squares over many observables: corrections of target and spacecraft states.
+
+Gauss-Newton on whitened residuals with a priori knowledge as further rows:
+
+    minimise |L^-1 r(x)|^2 + |L0^-1 x|^2,   R = L L' (bodies of a picture share its pointing error),  P0 = L0 L0'
+
+It closes rehearsals and shows what pictures determine. It is no orbit determination program: no dynamics but the state
+transition that is given, no stochastic accelerations, no radio data.
+
+Reference: Tapley, Schutz & Born (2004), Statistical Orbit Determination, section 4.3.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2
+
+from opnav_workbench.arrays import BoolArray, FloatArray, symmetric
+from opnav_workbench.errors import EstimationError
+from opnav_workbench.estimation.editing import Scatter, scatter_of, worst
+from opnav_workbench.estimation.measurements import Dynamics, Measurements, measurements_of
+from opnav_workbench.estimation.observability import Direction, directions_of, is_determined, scales_of
+from opnav_workbench.estimation.parameters import APriori, Group, parse_groups, prior_rows
+from opnav_workbench.estimation.results import Estimate, Residual
+from opnav_workbench.estimation.transition import Transition, straight_line
+from opnav_workbench.observables import Observable
+
+__all__ = ["REJECT_SIGMAS", "estimate", "observability"]
+
+REJECT_SIGMAS = 4.5  # one good center in 150 000 is lost
+MAX_ITERATIONS = 20
+CONVERGED_SIGMAS = 1e-6  # of the last step; quadratic convergence leaves 1e-12
+MOST_REJECTED = (
+    1.0 / 3.0
+)  # share of the measurements; with more the sigmas or the model are wrong, not the outliers
+
+
+@dataclass(slots=True)
+class _Problem:
+    """The whole batch: measurements, what is known before, and which measurements are in use."""
+
+    observables: Sequence[Observable]
+    groups: tuple[Group, ...]
+    dynamics: Dynamics
+    measured: Measurements
+    prior: FloatArray  # (k, n) whitened
+    centers: BoolArray
+    ranges: BoolArray
+    reasons: dict[tuple[str, int], str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    correction: FloatArray
+    covariance: FloatArray
+    iterations: tuple[FloatArray, ...]
+    converged: bool
+
+
+def estimate(
+    observables: Sequence[Observable],
+    parameters: Sequence[str] = ("target_position",),
+    *,
+    epoch_et: float | None = None,
+    a_priori: APriori | None = None,
+    target_transition: Transition = straight_line,
+    spacecraft_transition: Transition = straight_line,
+    statuses: Sequence[str] = ("ok",),
+    reject_sigmas: float = REJECT_SIGMAS,
+) -> Estimate:
+    """Estimate corrections of states from observables.
+
+    Parameters
+    ----------
+    observables : sequence of Observable
+        Of any bodies and pictures; one method a body and picture.
+    parameters : sequence of str
+        Of ``target_position, target_velocity, spacecraft_position, spacecraft_velocity, range_scale``; with
+        ``:BODY`` (``target_position:CHARON``) of one body only, else of all observed bodies together, as a barycenter
+        moves them. Pictures see the spacecraft relative to the target: positions of both need a priori sigmas.
+    epoch_et : float, optional
+        Of the corrected states; default the last observable.
+    a_priori : mapping or (n, n) array, optional
+        By parameter name a sigma (km, km/s, share), three sigmas, or a (3, 3) covariance; or the covariance of all. The a
+        priori correction is zero.
+    target_transition, spacecraft_transition : callable
+        ``(epoch_et, et) -> (6, 6)``: `straight_line`, `kepler`, or your own program's.
+    statuses : sequence of str
+        Observables of other statuses are left out.
+    reject_sigmas : float
+        A center or range that remains farther off than this is an outlier; inf for none.
+
+    Raises
+    ------
+    EstimationError
+        No usable observable, an unknown parameter, parameters that nothing determines, or too many outliers.
+
+    Examples
+    --------
+    ``result = estimate(observables, ["target_position"], a_priori={"target_position": 10000.0})``, then
+    ``result.group("target_position")`` and ``[d.words for d in result.directions]``.
+
+    >>> estimate([])
+    Traceback (most recent call last):
+    ...
+    opnav_workbench.errors.EstimationError: none of 0 observables has a center with status ok; nothing to estimate from.
+    """
+    transitions = target_transition, spacecraft_transition
+    problem, left_out = _problem(observables, parameters, epoch_et, a_priori, transitions, statuses)
+    solution = _solve(problem)
+    while (outlier := worst(_scatter(problem, solution), reject_sigmas)) is not None:
+        _reject(problem, outlier, reject_sigmas)
+        solution = _solve(problem)
+    return _estimate(problem, solution, left_out)
+
+
+def observability(
+    observables: Sequence[Observable],
+    parameters: Sequence[str] = ("target_position",),
+    *,
+    epoch_et: float | None = None,
+    a_priori: APriori | None = None,
+    target_transition: Transition = straight_line,
+    spacecraft_transition: Transition = straight_line,
+    statuses: Sequence[str] = ("ok",),
+) -> tuple[Direction, ...]:
+    """Return what the pictures alone determine of the parameters, best first; arguments as `estimate`.
+
+    The a priori sigmas serve as units only. Directions that nothing determines are no error here.
+
+    Raises
+    ------
+    EstimationError
+        No usable observable, or an unknown parameter.
+    """
+    transitions = target_transition, spacecraft_transition
+    problem, _ = _problem(observables, parameters, epoch_et, a_priori, transitions, statuses)
+    return _directions(problem, np.zeros(problem.prior.shape[1]))
+
+
+def _problem(
+    observables: Sequence[Observable],
+    parameters: Sequence[str],
+    epoch_et: float | None,
+    a_priori: APriori | None,
+    transitions: tuple[Transition, Transition],
+    statuses: Sequence[str],
+) -> tuple[_Problem, tuple[str, ...]]:
+    groups = parse_groups(parameters)
+    usable = [o for o in observables if o.observed_px is not None and o.status in statuses]
+    if not usable:
+        raise EstimationError(
+            f"none of {len(observables)} observables has a center with status {' or '.join(statuses)}; nothing to "
+            "estimate from."
+        )
+    names = {o.name.casefold() for o in usable}
+    absent = [g.name for g in groups if g.body and g.body.casefold() not in names]
+    if absent:
+        raise EstimationError(f"{', '.join(absent)}: no observable of that body.")
+    dynamics = Dynamics(max(o.et for o in usable) if epoch_et is None else epoch_et, *transitions)
+    measured = measurements_of(usable, groups, dynamics)
+    left_out = tuple(f"{o.name} in {o.image}: {o.status}" for o in observables if o not in usable)
+    everything = np.ones(len(usable), bool), np.ones(len(measured.range_of), bool)
+    return _Problem(usable, groups, dynamics, measured, prior_rows(groups, a_priori), *everything), left_out
+
+
+def _whitened(problem: _Problem, correction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Whitened residuals and Jacobian of the measurements in use."""
+    residual, jacobian = problem.measured.evaluate(correction)
+    rows = problem.measured.rows_of(problem.centers, problem.ranges)
+    factor = np.linalg.cholesky(problem.measured.covariance[np.ix_(rows, rows)])
+    both = np.linalg.solve(factor, np.column_stack([residual[rows], jacobian[rows]]))
+    return both[:, 0], both[:, 1:]
+
+
+def _solve(problem: _Problem) -> _Solution:
+    n = problem.prior.shape[1]
+    correction = np.zeros(n)
+    iterations: list[FloatArray] = []
+    covariance, converged = np.full((n, n), np.nan), False
+    while not converged and len(iterations) < MAX_ITERATIONS:
+        residual, jacobian = _whitened(problem, correction)
+        rows = np.concatenate([jacobian, problem.prior])
+        right = np.concatenate([residual, -problem.prior @ correction])
+        scale = np.linalg.norm(rows, axis=0)
+        _require_determined(problem, rows, correction)
+        step, *_ = np.linalg.lstsq(rows / scale, right, rcond=None)
+        step = step / scale
+        correction = correction + step
+        iterations.append(correction)
+        converged = float(np.linalg.norm(rows @ step)) < CONVERGED_SIGMAS
+        inverse = np.linalg.inv(np.linalg.qr(rows / scale, mode="r")) / scale[:, None]
+        covariance = symmetric(inverse @ inverse.T)
+    return _Solution(correction, covariance, tuple(iterations), converged)
+
+
+def _require_determined(problem: _Problem, rows: FloatArray, correction: FloatArray) -> None:
+    """Refuse parameters that neither measurements nor a priori sigmas determine."""
+    if is_determined(rows * _scales(problem)):
+        return
+    loose = [d for d in _directions(problem, correction, rows) if not d.determined]
+    raise EstimationError(
+        f"the pictures do not determine {len(loose)} of {rows.shape[1]} parameters: "
+        f"{loose[0].words.split(':')[0]}; give a priori sigmas or estimate less."
+    )
+
+
+def _scales(problem: _Problem) -> FloatArray:
+    times = [o.et for o in problem.observables] + [problem.dynamics.epoch_et]
+    return scales_of(problem.groups, max(times) - min(times), problem.prior)
+
+
+def _directions(
+    problem: _Problem, correction: FloatArray, rows: FloatArray | None = None
+) -> tuple[Direction, ...]:
+    sight = problem.measured.observed.mean(axis=0)
+    whitened = _whitened(problem, correction)[1] if rows is None else rows
+    return directions_of(whitened, problem.groups, _scales(problem), sight / np.linalg.norm(sight))
+
+
+def _scatter(problem: _Problem, solution: _Solution) -> tuple[Scatter, ...]:
+    residual, jacobian = problem.measured.evaluate(solution.correction)
+    mapped = jacobian @ solution.covariance @ jacobian.T
+    units = [("center", i, np.array([2 * i, 2 * i + 1]), bool(u)) for i, u in enumerate(problem.centers)]
+    first = 2 * len(problem.centers)
+    units += [("range", j, np.array([first + j]), bool(u)) for j, u in enumerate(problem.ranges)]
+    return tuple(
+        scatter_of(kind, number, rows, used, residual, problem.measured.covariance, mapped)
+        for kind, number, rows, used in units
+    )
+
+
+def _reject(problem: _Problem, outlier: Scatter, reject_sigmas: float) -> None:
+    mask = problem.centers if outlier.kind == "center" else problem.ranges
+    mask[outlier.number] = False
+    rejected = int((~problem.centers).sum() + (~problem.ranges).sum())
+    total = len(problem.centers) + len(problem.ranges)
+    if rejected > MOST_REJECTED * total:
+        raise EstimationError(
+            f"{rejected} of {total} measurements are more than {reject_sigmas:g} sigma off: the sigmas or the "
+            "parameters do not fit the pictures; estimate more, or look at the centers."
+        )
+    problem.reasons[outlier.kind, outlier.number] = outlier.reason
+
+
+def _estimate(problem: _Problem, solution: _Solution, left_out: tuple[str, ...]) -> Estimate:
+    before = _whitened(problem, np.zeros_like(solution.correction))[0]
+    after, jacobian = _whitened(problem, solution.correction)
+    known = problem.prior @ solution.correction
+    total = float(after @ after + known @ known)
+    freedom = len(after) + len(problem.prior) - len(solution.correction)
+    messages = () if solution.converged else (f"not converged after {MAX_ITERATIONS} iterations",)
+    return Estimate(
+        groups=problem.groups,
+        epoch_et=problem.dynamics.epoch_et,
+        correction=solution.correction,
+        covariance=solution.covariance,
+        a_priori_rows=problem.prior,
+        residuals=_residuals(problem, solution),
+        left_out=left_out,
+        chi2_before=float(before @ before),
+        chi2_after=total,
+        degrees_of_freedom=freedom,
+        probability=float(chi2.sf(total, freedom)) if freedom > 0 else float("nan"),
+        iterations=solution.iterations,
+        converged=solution.converged,
+        directions=_directions(problem, solution.correction, jacobian),
+        messages=messages,
+    )
+
+
+def _residuals(problem: _Problem, solution: _Solution) -> tuple[Residual, ...]:
+    before = problem.measured.residuals(np.zeros_like(solution.correction))
+    made = []
+    for scatter in _scatter(problem, solution):
+        of = scatter.number if scatter.kind == "center" else int(problem.measured.range_of[scatter.number])
+        o, rows = problem.observables[of], scatter.rows
+        made.append(
+            Residual(
+                image=o.image,
+                body=o.name,
+                kind=scatter.kind,
+                et=o.et,
+                before=before[rows],
+                after=scatter.residual,
+                covariance=problem.measured.covariance[np.ix_(rows, rows)],
+                sigmas=scatter.sigmas,
+                used=scatter.used,
+                reason=problem.reasons.get((scatter.kind, scatter.number), ""),
+            )
+        )
+    return tuple(made)

@@ -1,0 +1,215 @@
+"""The B-plane of a flyby: where the incoming asymptote would pierce the plane through the body across it.
+
+S  unit vector along the incoming asymptote
+T  S x pole / |S x pole|, in the B-plane and in the plane that the pole stands on
+R  S x T, completes S, T, R
+B  from the body to where the asymptote pierces the plane; B.T and B.R are what a target point is given in
+
+Times of arrival, after the state's epoch: of closest approach; and linearised (LTOF), when the spacecraft would cross the
+B-plane had it moved on along the asymptote. On a hyperbola a = GM / v_inf^2, e = sqrt(1 + (B/a)^2) and
+
+    linearised = periapsis - (GM / v_inf^3) ln e,
+
+so that, unlike the time of periapsis, it does not depend on the miss distance. Without gravity (GM = 0) the flyby is a
+straight line, and both times are -(r.S) / v.
+
+Reference: Kizner (1961), Planetary and Space Science 7, 125, doi:10.1016/0032-0633(61)90293-8.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.errors import EstimationError
+from opnav_workbench.observables.differences import jacobian_by_differences
+
+__all__ = ["POLES", "BPlane", "b_plane", "b_plane_partials"]
+
+OBLIQUITY_RAD = np.radians(84381.448 / 3600.0)  # IAU 1976, as SPICE's ECLIPJ2000
+POLES = {
+    "ecliptic": (0.0, -np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)),
+    "j2000": (0.0, 0.0, 1.0),
+}
+PARALLEL = 1e-8  # sine of the angle between asymptote and pole below which T has no direction
+STEP_SHARE = 1e-4  # longest step of the differences, as a share of distance and speed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BPlane:
+    """A flyby in its B-plane; arrays are read-only.
+
+    Attributes
+    ----------
+    s, t, r : (3,) arrays
+        Axes, J2000.
+    b_km : (3,) array
+        Body to asymptote, J2000.
+    v_infinity_km_s : float
+    closest_km : float
+        Distance of closest approach (periapsis).
+    closest_s, linearized_s : float
+        Times of closest approach and of crossing the B-plane along the asymptote, after the state's epoch.
+    eccentricity : float
+        inf for a straight line.
+    """
+
+    s: FloatArray
+    t: FloatArray
+    r: FloatArray
+    b_km: FloatArray
+    v_infinity_km_s: float
+    closest_km: float
+    closest_s: float
+    linearized_s: float
+    eccentricity: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def b_dot_t_km(self) -> float:
+        """Return B.T."""
+        return float(self.b_km @ self.t)
+
+    @property
+    def b_dot_r_km(self) -> float:
+        """Return B.R."""
+        return float(self.b_km @ self.r)
+
+    @property
+    def miss_km(self) -> float:
+        """Return the length of B."""
+        return float(np.linalg.norm(self.b_km))
+
+    def in_axes_of(self, other: "BPlane") -> FloatArray:
+        """Return (B.T, B.R, linearised time), km and s, with the axes of another flyby."""
+        return np.array([self.b_km @ other.t, self.b_km @ other.r, self.linearized_s])
+
+
+def b_plane(
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    gm_km3_s2: float = 0.0,
+    pole: str | ArrayLike = "ecliptic",
+) -> BPlane:
+    """Return the B-plane of a flyby.
+
+    Parameters
+    ----------
+    position_km, velocity_km_s : (3,) array_like
+        Spacecraft relative to the body, J2000, geometric, at one epoch.
+    gm_km3_s2 : float
+        Of the body; zero for a straight line.
+    pole : {"ecliptic", "j2000"} or (3,) array_like
+        Reference pole, J2000.
+
+    Raises
+    ------
+    EstimationError
+        A bound or radial orbit, an asymptote along the pole, or values that are not finite.
+
+    Examples
+    --------
+    >>> flyby = b_plane([-1e6, 0.0, 5000.0], [10.0, 0.0, 0.0], pole="j2000")
+    >>> round(flyby.b_dot_t_km), round(flyby.b_dot_r_km), flyby.linearized_s
+    (0, -5000, 100000.0)
+    """
+    position, velocity = np.asarray(position_km, float), np.asarray(velocity_km_s, float)
+    _check(position, velocity, gm_km3_s2)
+    found = _line(position, velocity) if gm_km3_s2 == 0.0 else _hyperbola(position, velocity, gm_km3_s2)
+    t, r = _axes(found["s"], pole)
+    return BPlane(t=t, r=r, **found)
+
+
+def b_plane_partials(
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    gm_km3_s2: float = 0.0,
+    pole: str | ArrayLike = "ecliptic",
+) -> FloatArray:
+    """Return d(B.T, B.R, linearised time)/d(position, velocity), (3, 6), with the axes held fixed; arguments as `b_plane`.
+
+    Examples
+    --------
+    >>> partials = b_plane_partials([-1e6, 0.0, 5000.0], [10.0, 0.0, 0.0], pole="j2000")
+    >>> print(partials[2].round(6) + 0.0)  # a kilometer ahead is a tenth of a second earlier
+    [-1.e-01  0.e+00  0.e+00 -1.e+04  0.e+00 -5.e+01]
+    """
+    state = np.concatenate([np.asarray(position_km, float), np.asarray(velocity_km_s, float)])
+    nominal = b_plane(state[:3], state[3:], gm_km3_s2, pole)
+    steps = STEP_SHARE * np.repeat([np.linalg.norm(state[:3]), np.linalg.norm(state[3:])], 3)
+    return jacobian_by_differences(
+        lambda x: b_plane(x[:3], x[3:], gm_km3_s2, pole).in_axes_of(nominal), state, steps
+    )
+
+
+def _check(position: FloatArray, velocity: FloatArray, gm_km3_s2: float) -> None:
+    values = np.concatenate([position, velocity])
+    if values.shape != (6,) or not np.isfinite(values).all() or not velocity.any() or not gm_km3_s2 >= 0.0:
+        raise EstimationError(
+            f"no flyby with position {position.tolist()} km, velocity {velocity.tolist()} km/s and "
+            f"GM {gm_km3_s2:g} km^3/s^2."
+        )
+
+
+def _line(position: FloatArray, velocity: FloatArray) -> dict[str, Any]:
+    speed = float(np.linalg.norm(velocity))
+    s = velocity / speed
+    along = float(position @ s)
+    b = position - along * s
+    return {
+        "s": s,
+        "b_km": b,
+        "v_infinity_km_s": speed,
+        "closest_km": float(np.linalg.norm(b)),
+        "closest_s": -along / speed,
+        "linearized_s": -along / speed,
+        "eccentricity": np.inf,
+    }
+
+
+def _hyperbola(position: FloatArray, velocity: FloatArray, gm: float) -> dict[str, Any]:
+    distance, momentum = float(np.linalg.norm(position)), np.cross(position, velocity)
+    energy = float(velocity @ velocity) - 2.0 * gm / distance  # v_inf^2
+    h = float(np.linalg.norm(momentum))
+    if not energy > 0.0 or h == 0.0:
+        raise EstimationError(
+            f"no flyby: v_inf^2 is {energy:.6g} km^2/s^2 and the angular momentum {h:.6g} km^2/s; a B-plane needs an "
+            "open orbit that misses the center."
+        )
+    speed = float(np.sqrt(energy))
+    a = gm / energy
+    toward = np.cross(velocity, momentum) / gm - position / distance
+    e = float(np.linalg.norm(toward))
+    p = toward / e
+    q = np.cross(momentum / h, p)
+    s = p / e + np.sqrt(e * e - 1.0) / e * q
+    rate = speed / a  # mean motion
+    e_sinh = float(position @ velocity) / np.sqrt(gm * a)
+    closest = -(e_sinh - float(np.arcsinh(e_sinh / e))) / rate
+    return {
+        "s": s,
+        "b_km": h / speed * np.cross(s, momentum / h),
+        "v_infinity_km_s": speed,
+        "closest_km": a * (e - 1.0),
+        "closest_s": closest,
+        "linearized_s": closest - float(np.log(e)) / rate,
+        "eccentricity": e,
+    }
+
+
+def _axes(s: FloatArray, pole: str | ArrayLike) -> tuple[FloatArray, FloatArray]:
+    if isinstance(pole, str) and pole not in POLES:
+        raise EstimationError(f"unknown pole {pole!r}; choose one of {', '.join(POLES)}, or give a vector.")
+    vector = np.asarray(POLES[pole] if isinstance(pole, str) else pole, float)
+    t = np.cross(s, vector)
+    length = float(np.linalg.norm(t))
+    if vector.shape != (3,) or not length > PARALLEL * float(np.linalg.norm(vector)):
+        raise EstimationError(
+            f"the asymptote {s.round(6).tolist()} lies along the pole {vector.tolist()}; choose another pole."
+        )
+    t = t / length
+    return t, np.cross(s, t)

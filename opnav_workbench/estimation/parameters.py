@@ -1,0 +1,154 @@
+"""What a batch estimate solves for, and what is known of it before."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.errors import EstimationError
+
+__all__ = ["KINDS", "APriori", "Group", "parse_groups", "prior_rows", "size_of"]
+
+UNITS = {
+    "target_position": "km",
+    "target_velocity": "km/s",
+    "spacecraft_position": "km",
+    "spacecraft_velocity": "km/s",
+    "range_scale": "",
+}
+KINDS = tuple(UNITS)
+OF_A_BODY = ("target_position", "target_velocity", "range_scale")
+SINGLE = "range_scale"
+
+APriori = Mapping[str, ArrayLike] | FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Parameters that belong together.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    body : str
+        The one body that it moves; empty for all (a barycenter with everything about it).
+    start, size : int
+        Its place among the parameters.
+    """
+
+    kind: str
+    body: str
+    start: int
+    size: int
+
+    @property
+    def name(self) -> str:
+        """Return its name as the user wrote it."""
+        return f"{self.kind}:{self.body}" if self.body else self.kind
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of its parameters."""
+        return UNITS[self.kind]
+
+    @property
+    def columns(self) -> slice:
+        """Return its columns among all parameters."""
+        return slice(self.start, self.start + self.size)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the names of its parameters."""
+        return (self.name,) if self.size == 1 else tuple(f"{self.name} {axis}" for axis in "xyz")
+
+    def moves(self, body: str) -> bool:
+        """Return whether it applies to an observed body."""
+        return not self.body or self.body.casefold() == body.casefold()
+
+
+def parse_groups(names: Sequence[str]) -> tuple[Group, ...]:
+    """Return the groups of names such as ``target_position`` or ``target_position:CHARON``.
+
+    Raises
+    ------
+    EstimationError
+        None, an unknown one, or one twice.
+
+    Examples
+    --------
+    >>> [group.columns for group in parse_groups(["target_position", "range_scale:PLUTO"])]
+    [slice(0, 3, None), slice(3, 4, None)]
+    """
+    if isinstance(names, str):
+        names = (names,)
+    if not names:
+        raise EstimationError(f"no parameters to estimate; choose among {', '.join(KINDS)}.")
+    if len(set(names)) < len(names):
+        raise EstimationError(f"parameters {', '.join(names)}: one is given twice.")
+    groups, start = [], 0
+    for name in names:
+        kind, _, body = name.partition(":")
+        if kind not in KINDS or (body and kind not in OF_A_BODY):
+            raise EstimationError(
+                f"unknown parameter {name!r}; choose among {', '.join(KINDS)}; "
+                f"{', '.join(OF_A_BODY)} also of one body, as target_position:CHARON."
+            )
+        groups.append(Group(kind, body, start, 1 if kind == SINGLE else 3))
+        start += groups[-1].size
+    return tuple(groups)
+
+
+def size_of(groups: Sequence[Group]) -> int:
+    """Return the number of parameters."""
+    return sum(group.size for group in groups)
+
+
+def prior_rows(groups: Sequence[Group], a_priori: APriori | None) -> FloatArray:
+    """Return the a priori knowledge as whitened rows (k, n): ``rows @ correction`` are k numbers of sigma 1.
+
+    Parameters
+    ----------
+    groups : sequence of Group
+    a_priori : mapping or (n, n) array, optional
+        By group a sigma, three sigmas or a (3, 3) covariance; or the covariance of all parameters. What is not given is
+        not known at all.
+
+    Raises
+    ------
+    EstimationError
+        A group that is not estimated, a value of the wrong shape, or a matrix that is no covariance.
+    """
+    n = size_of(groups)
+    if a_priori is None:
+        return np.empty((0, n))
+    if not isinstance(a_priori, Mapping):
+        return _whitened(np.asarray(a_priori, float), np.arange(n), n, "a priori covariance")
+    unknown = [name for name in a_priori if name not in {group.name for group in groups}]
+    if unknown:
+        raise EstimationError(
+            f"a priori sigma of {', '.join(unknown)}, which is not estimated; estimated are "
+            f"{', '.join(group.name for group in groups)}."
+        )
+    rows = [_group_rows(group, a_priori[group.name], n) for group in groups if group.name in a_priori]
+    return np.concatenate([np.empty((0, n)), *rows])
+
+
+def _group_rows(group: Group, value: ArrayLike, n: int) -> FloatArray:
+    given = np.asarray(value, float)
+    covariance = given if given.ndim == 2 else np.diag(np.broadcast_to(given, group.size).astype(float) ** 2)
+    return _whitened(covariance, np.arange(n)[group.columns], n, f"a priori covariance of {group.name}")
+
+
+def _whitened(covariance: FloatArray, columns: IntArray, n: int, what: str) -> FloatArray:
+    size = len(columns)
+    rows = np.zeros((size, n))
+    if covariance.shape != (size, size):
+        raise EstimationError(f"{what} has shape {covariance.shape}; expected ({size}, {size}).")
+    try:
+        rows[:, columns] = np.linalg.inv(np.linalg.cholesky(covariance))
+    except np.linalg.LinAlgError as error:
+        raise EstimationError(f"{what} is not positive definite; give sigmas greater than zero.") from error
+    return rows

@@ -1,0 +1,124 @@
+"""The morning after: what came out of every picture, as plain values (``summary.json``), for a page, and for the queue."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from opnav_workbench.campaign.attention import attention_of
+from opnav_workbench.campaign.queue_file import Queue, QueuedImage, write_queue
+from opnav_workbench.files import inside, write_json, write_text
+from opnav_workbench.headless.night import Night, Picture
+from opnav_workbench.headless.night_record import read_record
+from opnav_workbench.headless.night_worker import EXECUTED_FILE, HTML_FILE
+from opnav_workbench.report import night_page
+from opnav_workbench.session import RESULT_FILE
+from opnav_workbench.version import __version__
+
+__all__ = ["SUMMARY_FILE", "SUMMARY_PAGE", "summary_of", "write_night"]
+
+SUMMARY_FILE, SUMMARY_PAGE = "summary.json", "summary.html"
+FIGURE_FILE = "summary.png"
+OF_POINTING = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
+OF_BODY = (
+    "name",
+    "method",
+    "status",
+    "residual_px",
+    "residual_arcsec",
+    "diameter_px",
+    "measured_diameter_px",
+)
+NOT_PROCESSED = "not processed yet; run the same command again"
+
+
+def write_night(night: Night) -> dict[str, Any]:
+    """Write ``summary.json``, ``summary.html`` and ``queue.json`` of a night's folder, and return the summary.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written.
+    """
+    summary, out, spec = summary_of(night), night.plan.out, night.plan.spec
+    write_json(out / SUMMARY_FILE, summary)
+    write_text(out / SUMMARY_PAGE, night_page(summary, out))
+    waiting = tuple(
+        QueuedImage(row["path"], row["name"], row["status"], tuple(row["attention"]))
+        for row in summary["images"]
+        if row["attention"] and row["state"] != "waiting"
+    )
+    write_queue(out, Queue(waiting, spec.mission, spec.kernels or "", spec.catalog))
+    return summary
+
+
+def summary_of(night: Night) -> dict[str, Any]:
+    """Return what came out of a night, read from its folders.
+
+    Returns
+    -------
+    dict
+        ``version, written_utc, mission, kernels, catalog, targets, counts, images``; an image has ``name, path, state,
+        status, utc, messages, attention, pointing, bodies, seconds, peak_mb, tries`` and the names of its files.
+    """
+    spec = night.plan.spec
+    now = {verdict.name for verdict in night.verdicts}
+    images = [_row(night.plan.out, picture, picture.name in now) for picture in night.plan.pictures]
+    images.sort(key=lambda row: (row["utc"] is None, row["utc"] or "", row["name"]))
+    return {
+        "version": __version__,
+        "written_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "mission": spec.mission,
+        "kernels": spec.kernels,
+        "catalog": spec.catalog,
+        "targets": spec.targets,
+        "counts": dict(Counter(row["status"] for row in images)),
+        "processed_now": len(now),
+        "not_archived": list(night.unarchived),
+        "images": images,
+    }
+
+
+def _row(out: Path, picture: Picture, processed_now: bool) -> dict[str, Any]:
+    folder = inside(out, picture.name)
+    result, record = _result(folder), read_record(folder)
+    if not processed_now and picture.state == "new":
+        result = {"status": "waiting", "messages": [NOT_PROCESSED]}
+    bodies = result.get("bodies") or []
+    pointing = result.get("pointing")
+    attention = attention_of(result["status"], result["messages"], [(b["name"], b["status"]) for b in bodies])
+    return {
+        "name": picture.name,
+        "path": str(picture.image),
+        "state": "waiting" if result["status"] == "waiting" else "now" if processed_now else picture.state,
+        "status": result["status"],
+        "utc": result.get("utc"),
+        "messages": result["messages"],
+        "attention": list(attention),
+        "pointing": None if pointing is None else {key: pointing[key] for key in OF_POINTING},
+        "bodies": [_body(body) for body in bodies],
+        "seconds": None if record is None else record.seconds,
+        "peak_mb": None if record is None else record.peak_mb,
+        "tries": None if record is None else record.tries,
+        "files": [n for n in (RESULT_FILE, FIGURE_FILE, HTML_FILE, EXECUTED_FILE) if (folder / n).is_file()],
+    }
+
+
+def _body(body: Mapping[str, Any]) -> dict[str, Any]:
+    covariance = body.get("covariance_with_pointing_px2")
+    known = covariance is not None and None not in (covariance[0][0], covariance[1][1])
+    sigma = [covariance[0][0] ** 0.5, covariance[1][1] ** 0.5] if known else None  # type: ignore[index]
+    return {key: body.get(key) for key in OF_BODY} | {"sigma_px": sigma, "observed": body.get("observed")}
+
+
+def _result(folder: Path) -> dict[str, Any]:
+    try:
+        result: dict[str, Any] = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+        return {"status": result["status"], "messages": list(result["messages"])} | result
+    except (OSError, ValueError, KeyError, TypeError):
+        return {
+            "status": "failed",
+            "messages": [f"its {RESULT_FILE} is missing or damaged; process it again"],
+        }

@@ -1,0 +1,87 @@
+"""One notebook executed in a process of its own: ``python notebook_run.py job.json``.
+
+`opnav_workbench.headless.night_worker` starts it by its path, so that it loads papermill and nothing else of this package;
+what happened stands in the job's ``report`` file. It ends with its starter, and takes its kernel along.
+"""
+
+import json
+import os
+import re
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+STARTER_CHECK_S = 1.0
+KERNEL_START_S = 120  # a loaded machine with many workers starts kernels slowly
+# A report in a browser must not ask the network for anything.
+WITHOUT_NETWORK = dict.fromkeys(("jquery_url", "mathjax_url", "mermaid_js_url", "require_js_url"), "")
+EMPTY_SCRIPT = re.compile(r'<script src="">\s*</script>')
+
+
+def main(path: str) -> None:
+    """Carry out the job in a file."""
+    job: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
+    threading.Thread(target=_end_with, args=(job["starter"],), daemon=True).start()
+    report = _executed(job)
+    if job.get("html") and Path(job["executed"]).is_file():
+        try:
+            _write_html(Path(job["executed"]), Path(job["html"]))
+        except Exception as error:
+            report["html_error"] = f"{type(error).__name__}: {error}"
+    temporary = Path(job["report"] + ".part")
+    temporary.write_text(json.dumps(report), encoding="utf-8")
+    temporary.replace(job["report"])
+
+
+def _end_with(starter: int) -> None:
+    """End this process and its kernel when the one that started it is gone."""
+    while os.getppid() == starter:
+        time.sleep(STARTER_CHECK_S)
+    os._exit(1)  # the kernel watches us in the same way
+
+
+def _executed(job: dict[str, Any]) -> dict[str, Any]:
+    import papermill  # noqa: PLC0415  after the watch has begun: it takes a second
+
+    try:
+        papermill.execute_notebook(
+            job["notebook"],
+            job["executed"],
+            parameters=job["parameters"],
+            kernel_name="python3",
+            progress_bar=False,
+            log_output=False,
+            start_timeout=KERNEL_START_S,
+            cwd=job["cwd"],
+        )
+    except papermill.exceptions.PapermillExecutionError as error:
+        return {
+            "ok": False,
+            "kind": "cell",
+            "ename": error.ename,
+            "evalue": error.evalue,
+            "traceback": error.traceback,
+        }
+    except Exception as error:
+        return {
+            "ok": False,
+            "kind": "machine",
+            "ename": type(error).__name__,
+            "evalue": str(error),
+            "traceback": [],
+        }
+    return {"ok": True}
+
+
+def _write_html(notebook: Path, html: Path) -> None:
+    from nbconvert import HTMLExporter  # noqa: PLC0415
+
+    exporter: Any = HTMLExporter(template_name="classic", embed_images=True, **WITHOUT_NETWORK)  # type: ignore[no-untyped-call]
+    body, _ = exporter.from_filename(str(notebook))
+    html.write_text(EMPTY_SCRIPT.sub("", body), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,231 @@
+"""From a measured center to an observable: residuals, covariances and partials."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.camera import Camera
+from opnav_workbench.errors import PointingError
+from opnav_workbench.geometry import (
+    apparent_direction,
+    geometric_direction,
+    radec_from_unit,
+    tangent_basis,
+)
+from opnav_workbench.observables.observable import LIGHT_TIMES, Observable
+from opnav_workbench.observables.partials import (
+    aberration_jacobian,
+    attitude_partials,
+    light_time_jacobian,
+    numerical_position_partials,
+    numerical_target_partials,
+)
+
+__all__ = ["observe", "size_partials"]
+
+ARCSEC_PER_RAD = 206264.80624709636
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A body seen through a camera: what every part of an observable is computed from."""
+
+    target: TargetState
+    camera: Camera
+    camera_from_j2000: FloatArray
+    velocity_km_s: FloatArray
+    target_velocity_km_s: FloatArray | None  # where the light time is to be solved
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def apparent(self) -> FloatArray:
+        return apparent_direction(self.target.direction, self.velocity_km_s)
+
+    def partials(self, function: Any) -> FloatArray:
+        """Call one of the functions of `partials`."""
+        return np.asarray(
+            function(
+                self.target.position_km,
+                self.velocity_km_s,
+                self.camera,
+                self.camera_from_j2000,
+                target_velocity_km_s=self.target_velocity_km_s,
+            )
+        )
+
+
+def observe(
+    target: TargetState,
+    center: BodyCenter,
+    camera: Camera,
+    camera_from_j2000: FloatArray,
+    attitude_covariance_rad2: FloatArray,
+    *,
+    observer_velocity_km_s: FloatArray,
+    a_priori_px: FloatArray,
+    diameter_px: float,
+    image: str,
+    et: float,
+    utc: str,
+    reference_body: str,
+    observer: str = "",
+    light_time: str = "fixed",
+    center_cross_px2: Mapping[str, FloatArray] | None = None,
+) -> Observable:
+    """Turn a measured center into an observable.
+
+    Parameters
+    ----------
+    target : TargetState
+        The body as the spacecraft sees it, from ephemeris.
+    center : BodyCenter
+        Where it was measured.
+    camera : Camera
+    camera_from_j2000 : (3, 3) array
+        Solved attitude.
+    attitude_covariance_rad2 : (3, 3) array
+        As in `PointingSolution`.
+    observer_velocity_km_s : (3,) array
+        With respect to the solar-system barycenter.
+    a_priori_px : (2,) array
+        Place predicted with the a priori attitude.
+    diameter_px, image, et, utc, reference_body, observer
+        Copied into the result.
+    light_time : {"fixed", "solved"}
+        What the partials do with the light time, see `partials`; "solved" needs `TargetState.velocity_km_s`, and stays
+        "fixed" where that is not known.
+    center_cross_px2 : mapping of str to (2, 2) array, optional
+        See `center_cross`.
+
+    Raises
+    ------
+    PointingError
+        An unknown `light_time`.
+    """
+    if light_time not in LIGHT_TIMES:
+        raise PointingError(f"unknown light time {light_time!r}; choose one of {', '.join(LIGHT_TIMES)}.")
+    solved = light_time == "solved" and target.velocity_km_s is not None
+    velocity = np.asarray(observer_velocity_km_s, float)
+    view = _View(target, camera, camera_from_j2000, velocity, target.velocity_km_s if solved else None)
+    predicted = camera.project((camera_from_j2000 @ view.apparent)[None])[0]
+    return Observable(
+        image=image,
+        utc=utc,
+        et=et,
+        reference_body=reference_body,
+        observer=observer,
+        light_time="solved" if solved else "fixed",
+        a_priori_px=a_priori_px,
+        predicted_px=predicted,
+        residual_px=None if center.pixel_line is None else center.pixel_line - predicted,
+        diameter_px=diameter_px,
+        position_km=target.position_km,
+        range_km=target.range_km,
+        observer_velocity_km_s=velocity,
+        target_velocity_km_s=target.velocity_km_s,
+        attitude_covariance_rad2=attitude_covariance_rad2,
+        center_cross_px2=center_cross_px2 or {},
+        **_measured(center),
+        **_directions(view, center),
+        **_derivatives(view, center, np.asarray(attitude_covariance_rad2, float), diameter_px, predicted),
+    )
+
+
+def size_partials(target: TargetState, diameter_px: float) -> FloatArray:
+    """Return d(diameter)/d(spacecraft position), (3,) px/km, of a body much smaller than the field.
+
+    The angular radius of a sphere is asin(R/d), its gnomonic picture R / sqrt(d^2 - R^2): coming nearer by dx widens it
+    by the share d dx / (d^2 - R^2).
+    """
+    radius_km = 0.0 if target.radii_km is None else float(np.mean(target.radii_km))
+    range_km = target.range_km
+    return np.asarray(diameter_px * range_km / (range_km**2 - radius_km**2) * target.direction)
+
+
+def _measured(center: BodyCenter) -> dict[str, Any]:
+    return {
+        "name": center.name,
+        "method": center.method,
+        "status": center.status,
+        "observed_px": center.pixel_line,
+        "covariance_px2": center.covariance_px2,
+        "measured_diameter_px": center.diameter_px,
+        "diameter_sigma_px": center.diameter_sigma_px,
+        "measured_range_km": center.range_km,
+        "range_sigma_km": center.range_sigma_km,
+        "snr": center.snr,
+        "messages": center.messages,
+    }
+
+
+def _derivatives(
+    view: _View,
+    center: BodyCenter,
+    attitude_covariance: FloatArray,
+    diameter_px: float,
+    predicted_px: FloatArray,
+) -> dict[str, Any]:
+    """Partials, and the covariances that go through them; none where nothing is predicted."""
+    if not np.isfinite(predicted_px).all():
+        names = ("px_per_km", "px_per_rad")
+        return {f"partials_{n}": None for n in names} | {"total_covariance_px2": center.covariance_px2}
+    by_attitude = attitude_partials(view.apparent, view.camera, view.camera_from_j2000)
+    total = symmetric(center.covariance_px2 + by_attitude @ attitude_covariance @ by_attitude.T)
+    by_target = view.partials(numerical_target_partials)
+    by_sky = _sky_partials(view, center)
+    to_sky = np.linalg.inv(by_sky) * ARCSEC_PER_RAD
+    sized = np.isfinite(diameter_px) and view.target.radii_km is not None
+    return {
+        "partials_px_per_km": view.partials(numerical_position_partials),
+        "partials_px_per_rad": by_attitude,
+        "total_covariance_px2": total,
+        "target_partials_px_per_km": by_target[:, :3],
+        "target_partials_px_per_km_s": by_target[:, 3:],
+        "sky_partials_px_per_rad": by_sky,
+        "residual_covariance_arcsec2": None
+        if center.pixel_line is None
+        else symmetric(to_sky @ total @ to_sky.T),
+        "diameter_partials_px_per_km": size_partials(view.target, diameter_px) if sized else None,
+        "range_partials": -view.target.direction
+        @ light_time_jacobian(view.target.position_km, view.target_velocity_km_s),
+    }
+
+
+def _sky_partials(view: _View, center: BodyCenter) -> FloatArray:
+    """d(pixel, line)/d(RA cos dec, Dec) where the body was seen; where it was predicted if it was not."""
+    direction = view.target.direction
+    if center.pixel_line is not None:
+        direction = _observed_direction(view, center.pixel_line)
+    apparent = apparent_direction(direction, view.velocity_km_s)
+    tangent = np.stack(tangent_basis(*radec_from_unit(direction)), axis=-1)
+    of_pixel = view.camera.project_jacobian((view.camera_from_j2000 @ apparent)[None])[0]
+    by_apparent = of_pixel @ view.camera_from_j2000
+    return np.asarray(by_apparent @ aberration_jacobian(direction, view.velocity_km_s) @ tangent)
+
+
+def _observed_direction(view: _View, pixel_line: FloatArray) -> FloatArray:
+    """Unit vector (3,) J2000 toward what was seen at a place, aberration removed."""
+    apparent = view.camera.unproject(pixel_line[None])[0] @ view.camera_from_j2000
+    return geometric_direction(apparent, view.velocity_km_s)
+
+
+def _directions(view: _View, center: BodyCenter) -> dict[str, Any]:
+    """Apparent RA and Dec, the same without aberration (deg), and O-C on the sky (arcsec)."""
+    names = ("apparent_ra_deg", "apparent_dec_deg", "ra_deg", "dec_deg")
+    if center.pixel_line is None:
+        return dict.fromkeys(names, np.nan) | {"residual_arcsec": None}
+    geometric = _observed_direction(view, center.pixel_line)
+    apparent = apparent_direction(geometric, view.velocity_km_s)
+    computed = view.target.direction
+    tangent = np.stack(tangent_basis(*radec_from_unit(computed)))
+    # Gnomonic about the computed direction: exact to the third order of an offset that is arcseconds small.
+    residual = tangent @ geometric / float(computed @ geometric) * ARCSEC_PER_RAD
+    angles = [float(np.degrees(a)) for d in (apparent, geometric) for a in radec_from_unit(d)]
+    return dict(zip(names, angles, strict=True)) | {"residual_arcsec": residual}

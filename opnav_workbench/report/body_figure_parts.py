@@ -1,0 +1,222 @@
+"""What the figures of a body's center share: which center they show, its marks, and panels with a colour bar in DN."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Ellipse
+from matplotlib.patheffects import withStroke
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodycenters import BodyCenter, BodyPictures
+from opnav_workbench.bodycenters.ellipse_results import LimbEllipse
+from opnav_workbench.errors import SessionError
+from opnav_workbench.report.figure import BODY, OBSERVED, PREDICTED
+from opnav_workbench.session import ImageSession
+
+__all__ = [
+    "MARKS",
+    "ShownBody",
+    "blank",
+    "color_limits",
+    "draw_mark",
+    "draw_panel",
+    "error_ellipse",
+    "legend_below",
+    "method_words",
+    "pictures_of",
+    "shown_body",
+    "signed_limit",
+]
+
+TRUTH = "#009E73"
+EDGE = withStroke(linewidth=2.6, foreground="black")
+# The stretch is linear between these percentiles: a cosmic ray or a hot pixel does not darken the rest.
+BRIGHTEST, LARGEST = 99.9, 99.8
+# Mark and colour by what stands there.
+MARKS: dict[str, dict[str, Any]] = {
+    "predicted": {"marker": "o", "color": PREDICTED, "markersize": 11.0},
+    "observed": {"marker": "+", "color": OBSERVED, "markersize": 11.0},
+    "truth": {"marker": "x", "color": TRUTH, "markersize": 8.0},
+}
+OUTLINE: dict[str, Any] = {"color": BODY, "linewidth": 1.0, "linestyle": (0, (4, 3))}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownBody:
+    """A center and what is drawn with it.
+
+    Attributes
+    ----------
+    center : BodyCenter
+    predicted_px : (2,) array or None
+        Expected center (pixel, line); None where no session tells.
+    outline_px : (k, 2) array
+        The model's limb at the solution; k = 0 where it is not known.
+    where : str
+        Picture and time; empty without a session.
+    """
+
+    center: BodyCenter
+    predicted_px: FloatArray | None
+    outline_px: FloatArray
+    where: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def shown_body(source: BodyCenter | ImageSession, name: str = "", method: str = "") -> ShownBody:
+    """Return the center to show: `source` itself, or the last one of a session with this name and method.
+
+    Raises
+    ------
+    SessionError
+        The session has no such center.
+    """
+    if isinstance(source, BodyCenter):
+        return ShownBody(source, None, _limb_of(source), "")
+    found = [b for b in source.state.bodies if name in ("", b.name) and method in ("", b.method)]
+    if not found:
+        asked = " ".join(part for part in (name, f"({method})" if method else "") if part) or "any body"
+        there = ", ".join(f"{b.name} ({b.method})" for b in source.state.bodies) or "none"
+        raise SessionError(f"no center of {asked}; find_body() makes one. Found so far: {there}.")
+    return of_session(source, found[-1])
+
+
+def of_session(session: ImageSession, center: BodyCenter) -> ShownBody:
+    """Return a center with what a session knows of its body; the center need not stand in it any more."""
+    where = f"{session.context.frame.path.name}   {session.inputs.utc} UTC"
+    expected = session.predict_body(center.name)
+    outline = _limb_of(center)
+    if not len(outline) and center.pixel_line is not None:
+        size = expected.range_km / center.range_km if np.isfinite(center.range_km) else 1.0
+        outline = center.pixel_line + size * (expected.limb_px - expected.pixel_line)
+    return ShownBody(center, expected.pixel_line, outline, where)
+
+
+def _limb_of(center: BodyCenter) -> FloatArray:
+    return center.detail.outline_px if isinstance(center.detail, LimbEllipse) else np.empty((0, 2))
+
+
+def pictures_of(center: BodyCenter) -> BodyPictures:
+    """Return the pictures of a center.
+
+    Raises
+    ------
+    SessionError
+        It has none.
+    """
+    if center.pictures is not None:
+        return center.pictures
+    why = f"{center.status}: {'; '.join(center.messages)}" if center.pixel_line is None else "not kept"
+    raise SessionError(
+        f"{center.name} ({center.method}) has no pictures to show ({why.rstrip(': ')}); find_body() with a method for "
+        "extended bodies makes them."
+    )
+
+
+def method_words(method: str) -> str:
+    """Return a method's name as one writes it.
+
+    Examples
+    --------
+    >>> method_words("limb_scan"), method_words("cross_correlation")
+    ('limb scan', 'cross-correlation')
+    """
+    return {"cross_correlation": "cross-correlation"}.get(method, method.replace("_", " "))
+
+
+def blank(width: float, height: float, title: str) -> Figure:
+    """Return an empty figure with its title at the left, drawn without a window."""
+    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06))
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
+    return figure
+
+
+def color_limits(*values: FloatArray) -> tuple[float, float]:
+    """Return where a linear stretch begins and ends that suits all of these."""
+    good = np.concatenate([v[np.isfinite(v)] for v in values])
+    if not good.size:
+        return 0.0, 1.0
+    low, high = (float(p) for p in np.percentile(good, (100.0 - BRIGHTEST, BRIGHTEST)))
+    return min(low, 0.0), max(high, low + 1e-6)
+
+
+def signed_limit(*values: FloatArray) -> float:
+    """Return the limit of a stretch that is even about zero."""
+    good = np.concatenate([np.abs(v[np.isfinite(v)]) for v in values])
+    return max(float(np.percentile(good, LARGEST)), 1e-6) if good.size else 1.0
+
+
+def draw_panel(
+    axes: Axes,
+    window: tuple[int, int, int, int],
+    values: FloatArray,
+    limits: tuple[float, float],
+    title: str,
+    *,
+    cmap: str = "gray",
+) -> None:
+    """Draw part of the detector, with axes in its pixels and lines and a colour bar as high as the picture."""
+    pixel, line, n_pixel, n_line = window
+    drawn = axes.imshow(
+        values,
+        cmap=cmap,
+        vmin=limits[0],
+        vmax=limits[1],
+        interpolation="nearest",
+        extent=(pixel - 0.5, pixel + n_pixel - 0.5, line + n_line - 0.5, line - 0.5),
+    )
+    bar = axes.inset_axes((1.03, 0.0, 0.045, 1.0))
+    axes.figure.colorbar(drawn, cax=bar)  # type: ignore[union-attr]
+    bar.set_title("DN", fontsize=8)
+    for each in (axes, bar):
+        each.tick_params(labelsize=8)
+    axes.set_title(title, fontsize=10)
+    axes.set_xlabel("pixel", fontsize=9)
+
+
+def draw_mark(axes: Axes, what: str, place: FloatArray | None) -> Artist | None:
+    """Draw a mark where it lies within the axes' limits, and return it."""
+    if place is None or not _within(axes, place):
+        return None
+    style = {"markerfacecolor": "none", "markeredgewidth": 1.5, "linestyle": "none", "path_effects": [EDGE]}
+    (artist,) = axes.plot(*place, **(MARKS[what] | style))
+    return artist
+
+
+def _within(axes: Axes, place: FloatArray) -> bool:
+    limits = (sorted(axes.get_xlim()), sorted(axes.get_ylim()))
+    return all(low <= value <= high for value, (low, high) in zip(place, limits, strict=True))
+
+
+def error_ellipse(center: FloatArray, covariance: FloatArray, sigmas: float, **style: Any) -> Ellipse:
+    """Return the ellipse of `sigmas` standard deviations about a center."""
+    variance, axes = np.linalg.eigh(covariance)
+    minor, major = 2.0 * sigmas * np.sqrt(np.maximum(variance, 0.0))
+    angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
+    return Ellipse((float(center[0]), float(center[1])), major, minor, angle=angle, fill=False, **style)
+
+
+def legend_below(figure: Figure, entries: Sequence[tuple[Artist, str]]) -> None:
+    """Explain marks in a row below the panels, on grey, where light and dark ones are seen."""
+    if entries:
+        handles, labels = zip(*entries, strict=True)
+        figure.legend(
+            handles,
+            labels,
+            loc="outside lower left",
+            ncols=len(entries),
+            fontsize=8.5,
+            facecolor="0.25",
+            labelcolor="w",
+            handlelength=1.8,
+        )

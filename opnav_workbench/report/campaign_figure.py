@@ -1,0 +1,110 @@
+"""Trends of a campaign in one figure: O-C of bodies, pointing error, star residuals, detections against magnitude.
+
+Pixel components are blue, line components vermilion, as in the summary figure (Okabe & Ito); outliers are ringed.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.campaign import Completeness, Series, Trends
+
+__all__ = ["completeness_axes", "series_axes", "trends_figure"]
+
+PIXEL_COLOR, LINE_COLOR, TWIST_COLOR, GREY = "#0072B2", "#D55E00", "#009E73", "0.6"
+OUTLIER_COLOR = "#CC79A7"
+DAY_S = 86_400.0
+HOUR_S = 3_600.0
+FEW_DAYS = 3.0  # below this the axis counts hours
+PANEL_HEIGHT, WIDTH = 2.7, 12.0
+
+
+def trends_figure(trends: Trends, title: str = "") -> Figure:
+    """Draw all trends: a panel for each body and method, one each for pointing, twist, residuals and detections."""
+    panels = [*trends.bodies.values(), trends.pointing[:2], (trends.pointing[2],), (trends.residual,)]
+    rows = len(panels) // 2 + 1
+    figure = Figure(figsize=(WIDTH, PANEL_HEIGHT * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title)
+    axes = figure.subplots(rows, 2, squeeze=False).ravel()
+    start, scale, span, unit = _time_axis([series for panel in panels for series in panel])
+    for axis, panel in zip(axes, panels, strict=False):
+        series_axes(axis, panel, start, scale)
+        axis.set_xlabel(f"{unit} since the first picture")
+        axis.set_xlim(-0.03 * span, 1.03 * span)
+    completeness_axes(axes[len(panels)], trends.detections)
+    for spare in axes[len(panels) + 1 :]:
+        spare.set_axis_off()
+    return figure
+
+
+def series_axes(axes: Axes, panel: Sequence[Series], start_et: float = 0.0, scale_s: float = 1.0) -> None:
+    """Draw series of one quantity with their error bars, robust levels and outliers."""
+    for series, color in zip(panel, _colors(panel), strict=True):
+        time = (series.et - start_et) / scale_s
+        sigma = np.where(np.isfinite(series.sigma), series.sigma, 0.0)
+        label = series.name.rpartition(" ")[2] if len(panel) > 1 else None
+        axes.errorbar(
+            time, series.value, sigma, fmt="o", color=color, markersize=3.5, elinewidth=0.9, label=label
+        )
+        axes.plot(time, series.screened.level, color=color, linewidth=0.8, alpha=0.6)
+        off = series.outlier
+        axes.plot(
+            time[off], series.value[off], "o", mfc="none", mec=OUTLIER_COLOR, mew=1.6, markersize=10, zorder=5
+        )
+    axes.axhline(0.0, color="0.3", linewidth=0.6)
+    axes.set_title(_heading(panel), fontsize="medium")
+    axes.set_ylabel(panel[0].unit)
+    if not any(len(series) for series in panel):
+        axes.text(0.5, 0.5, "no measurement", transform=axes.transAxes, ha="center", color=GREY)
+    elif len(panel) > 1:
+        axes.legend(loc="best", fontsize="small", ncols=2)
+
+
+def completeness_axes(axes: Axes, found: Completeness) -> None:
+    """Draw the detected share against magnitude, with the logistic curve and the number of stars in each bin."""
+    axes.set(xlabel="magnitude", ylabel="detected share", ylim=(-0.05, 1.12))
+    axes.set_title("detections against magnitude", fontsize="medium")
+    filled = found.stars > 0
+    if not filled.any():
+        axes.text(0.5, 0.5, "no stars", transform=axes.transAxes, ha="center", color=GREY)
+        return
+    share, mag = found.share[filled], found.mag[filled]
+    below, above = share - found.low[filled], found.high[filled] - share
+    axes.errorbar(
+        mag, share, np.maximum([below, above], 0.0), fmt="o", color=PIXEL_COLOR, markersize=4, elinewidth=0.9
+    )
+    for x, y, count in zip(mag, found.high[filled], found.stars[filled], strict=True):
+        axes.annotate(str(count), (x, y), (0, 3), textcoords="offset points", ha="center", fontsize="x-small")
+    if np.isfinite(found.half_mag):
+        step = np.linspace(mag[0] - 0.5, mag[-1] + 0.5, 200)
+        sigma = f" ± {found.half_mag_sigma:.2f}" if np.isfinite(found.half_mag_sigma) else ""
+        axes.plot(step, found.curve(step), color=GREY, label=f"half at {found.half_mag:.2f}{sigma} mag")
+        axes.legend(loc="lower left", fontsize="small")
+
+
+def _colors(panel: Sequence[Series]) -> tuple[str, ...]:
+    if len(panel) > 1:
+        return (PIXEL_COLOR, LINE_COLOR)
+    return (TWIST_COLOR if panel[0].unit == "deg" else PIXEL_COLOR,)
+
+
+def _heading(panel: Sequence[Series]) -> str:
+    name = panel[0].name
+    return name.rpartition(" ")[0].rstrip(",") if len(panel) > 1 else name
+
+
+def _time_axis(series: Sequence[Series]) -> tuple[float, float, float, str]:
+    """Start (ET), seconds a unit, length in units, and the unit's name, of an axis that fits the campaign."""
+    times: FloatArray = np.concatenate([s.et for s in series] or [np.zeros(0)])
+    times = times[np.isfinite(times)]
+    if not times.size:
+        return 0.0, HOUR_S, 1.0, "hours"
+    start, span = float(times.min()), float(np.ptp(times))
+    scale, unit = (DAY_S, "days") if span > FEW_DAYS * DAY_S else (HOUR_S, "hours")
+    return start, scale, span / scale or 1.0, unit

@@ -1,0 +1,130 @@
+"""Star boxes: what a person looks at to confirm a star, with the numbers that belong to it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.errors import SessionError
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.nudging import field_attitude
+from opnav_workbench.session.state import Inputs, SessionState
+from opnav_workbench.session.verdicts import check_known, has_center
+from opnav_workbench.starcenters import default_box_px, describe_flags
+
+__all__ = ["StarBox", "star_boxes"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StarBox:
+    """One star and the pixels around it; arrays are [line, pixel].
+
+    Attributes
+    ----------
+    id : str
+    mag : float
+    first_px : (int, int)
+        Pixel and line of the first pixel of the box on the detector.
+    data_dn : (size, size) array
+        Background removed; nan where bad, saturated or off the detector.
+    model_dn, residual_dn : (size, size) arrays
+        Star as fitted, and data minus it; nan where no star was fitted.
+    observed_px : (2,) array or None
+        Fitted center (pixel, line).
+    predicted_px : (2,) array
+        Where the star is expected with the best known pointing.
+    sigma_px : (2,) array or None
+    snr : float
+        nan where nothing was fitted.
+    status, reason : str
+    verdict : str
+        ``accepted`` or ``rejected`` by the analyst, else empty.
+    flags : str
+        What is known against the center, in words.
+    method : str
+        Centerfinder; empty where nothing was fitted.
+    """
+
+    id: str
+    mag: float
+    first_px: tuple[int, int]
+    data_dn: FloatArray
+    model_dn: FloatArray
+    residual_dn: FloatArray
+    observed_px: FloatArray | None
+    predicted_px: FloatArray
+    sigma_px: FloatArray | None
+    snr: float
+    status: str
+    reason: str
+    verdict: str
+    flags: str
+    method: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def star_boxes(
+    context: Context, inputs: Inputs, state: SessionState, ids: Sequence[str] | None = None
+) -> tuple[StarBox, ...]:
+    """Return the boxes of stars; see `ImageSession.star_boxes`."""
+    stars = state.a_priori
+    if stars is None:
+        raise SessionError("no stars are predicted yet: call predict() first.")
+    predicted = stars.places(context.camera, field_attitude(inputs, state))
+    known = stars.id.tolist()
+    if ids is None:
+        rows = np.flatnonzero(context.camera.on_detector(predicted) | has_center(state)).tolist()
+    else:
+        check_known(stars, ids)
+        rows = [known.index(star) for star in ids]
+    measured = has_center(state)
+    return tuple(_box(context, state, predicted, row, bool(measured[row])) for row in rows)
+
+
+def _box(context: Context, state: SessionState, predicted: FloatArray, row: int, measured: bool) -> StarBox:
+    assert state.a_priori is not None
+    star, centers = str(state.a_priori.id[row]), state.centers
+    images = None if centers is None else centers.images
+    has_image = images is not None and np.isfinite(images.data_dn[row]).any()
+    if images is not None and has_image:
+        first, data, model = images.first[row], images.data_dn[row], images.model_dn[row]
+    else:
+        psf = state.psf or context.camera_psf
+        first, data = _cut(context, predicted[row], default_box_px(psf.sigma_px))
+        model = np.full_like(data, np.nan)
+    status = state.status[row]
+    return StarBox(
+        id=star,
+        mag=float(state.a_priori.mag[row]),
+        first_px=(int(first[0]), int(first[1])),
+        data_dn=data,
+        model_dn=model,
+        residual_dn=data - model,
+        observed_px=centers.pixel_line[row] if centers is not None and measured else None,
+        predicted_px=predicted[row],
+        sigma_px=centers.sigma_px[row] if centers is not None and measured else None,
+        snr=float("nan") if centers is None else float(centers.snr[row]),
+        status=status.status,
+        reason=status.reason,
+        verdict=state.decisions.get(star, ("", ""))[0],
+        flags="" if centers is None or not measured else describe_flags(int(centers.flags[row])),
+        method="" if centers is None else state.star_methods.get(star, centers.method),
+    )
+
+
+def _cut(context: Context, place: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+    """Return first pixel and line of the box about a place, and its data; nan off the detector and in bad pixels."""
+    data = np.full((size, size), np.nan)
+    if not np.isfinite(place).all():
+        return np.zeros(2), data
+    first = np.rint(place).astype(int) - size // 2
+    signal = np.where(context.bad | context.frame.saturated, np.nan, context.signal_dn)
+    n_line, n_pixel = signal.shape
+    pixel, line = first
+    p0, l0, p1, l1 = max(pixel, 0), max(line, 0), min(pixel + size, n_pixel), min(line + size, n_line)
+    if p0 < p1 and l0 < l1:
+        data[l0 - line : l1 - line, p0 - pixel : p1 - pixel] = signal[l0:l1, p0:p1]
+    return first, data

@@ -1,0 +1,174 @@
+// What stands around the picture: menus, switches for the overlays that are their legend too, and the readout.
+
+function make(tag, className, parent, text = "") {
+  const node = document.createElement(tag);
+  node.className = className;
+  node.textContent = text;
+  parent?.append(node);
+  return node;
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+const DASHES = { solid: "", dashed: "4 2", dotted: "1 2", dotdash: "5 2 1 2" };
+const SHAPES = {
+  circle: '<circle cx="7" cy="7" r="5"/>',
+  x: '<path d="M3 3 11 11M11 3 3 11"/>',
+  square_x: '<path d="M2 2H12V12H2ZM2 2 12 12M12 2 2 12"/>',
+  inverted_triangle: '<path d="M2 3H12L7 12Z"/>',
+  line: '<path d="M0 7H14"/>',
+  arrow: '<path d="M1 12 12 2M7 2H12V7"/>',
+  hatch: '<path d="M1 6 6 1M1 13 13 1M8 13 13 8"/>',
+  dots: '<path d="M3 3h.1M7 3h.1M11 3h.1M3 7h.1M7 7h.1M11 7h.1M3 11h.1M7 11h.1M11 11h.1" stroke-linecap="round" stroke-width="2.2"/>',
+};
+
+// A mark of the legend, on the dark ground that it has in the picture.
+function symbol([color, shape, dash]) {
+  const svg = document.createElementNS(SVG, "svg");
+  svg.setAttribute("viewBox", "-1 -1 16 16");
+  svg.setAttribute("class", "opnav-symbol");
+  svg.innerHTML = `<g fill="none" stroke="${color}" stroke-width="1.6" stroke-dasharray="${DASHES[dash] ?? ""}">${SHAPES[shape] ?? ""}</g>`;
+  return svg;
+}
+
+// Words of the switches; what each mark means stands in the tooltip too.
+const GROUP_WORDS = {
+  predicted: [["predicted", "predicted"], ["missing", "missing"]],
+  observed: [["used", "used"], ["rejected", "rejected"]],
+  magnitudes: [[null, "mag"]],
+  residuals: [["residual", "residual"]],
+  bodies: [["body", "limb"], ["body_predicted", "predicted"], ["terminator", "terminator"], ["pole", "pole"]],
+  masks: [["bad", "bad"], ["saturated", "saturated"]],
+  grid: [["grid", "RA, Dec"]],
+};
+const GROUP_HINTS = {
+  predicted: "Stars where they are predicted; those that were not detected.",
+  observed: "Star centers as measured: used for the pointing, or rejected.",
+  magnitudes: "Magnitudes of the brightest stars.",
+  residuals: "Observed minus predicted center, enlarged as the number says.",
+  bodies: "Bodies: limb where observed and where predicted, terminator, and the line to the north pole (N).",
+  masks: "Pixels that are not used: bad ones, and saturated ones.",
+  grid: "Lines of right ascension and declination (J2000).",
+};
+
+function menu(parent, title, choices, chosen) {
+  const select = make("select", "opnav-menu", parent);
+  select.title = title;
+  select.setAttribute("aria-label", title);
+  fillMenu(select, choices);
+  select.addEventListener("change", () => chosen(select.value));
+  return select;
+}
+
+function fillMenu(select, choices) {
+  const now = select.value;
+  select.replaceChildren(...choices.map(([value, text]) => {
+    const option = make("option", "", null, text);
+    option.value = value;
+    return option;
+  }));
+  select.value = now;
+}
+
+function button(parent, text, title, clicked) {
+  const node = make("button", "opnav-button", parent, text);
+  node.type = "button";
+  node.title = title;
+  node.addEventListener("click", clicked);
+  return node;
+}
+
+function numberField(parent, title, entered) {
+  const input = make("input", "opnav-number", parent);
+  input.type = "text";
+  input.inputMode = "decimal";
+  input.title = title;
+  input.setAttribute("aria-label", title);
+  input.addEventListener("change", () => Number.isFinite(Number(input.value)) && input.value.trim() && entered(Number(input.value)));
+  input.addEventListener("keydown", (event) => event.key === "Enter" && input.blur());
+  return input;
+}
+
+// The page's elements around the figures; `view` is an ImagePage.
+class ImageLayout {
+  constructor(view, host) {
+    this.view = view;
+    const { state } = view;
+    const set = (name) => (value) => state.setv({ [name]: value });
+    this.box = make("div", "opnav-image", host);
+    this.bar = make("div", "opnav-bar", this.box);
+    const plain = (list) => list.map((name) => [name, name]);
+    const { setup } = view;
+    this.image = menu(this.bar, "Picture that is shown", [], set("image"));
+    this.stretch = menu(this.bar, view.hint("stretch"), plain(setup.stretches), set("stretch"));
+    this.limits = menu(this.bar, view.hint("limits"), plain(setup.limits), (name) => view.setLimits(name));
+    this.low = numberField(this.bar, "Shown black, DN", (low) => view.setLimits("manual", { low }));
+    this.high = numberField(this.bar, "Shown white, DN", (high) => view.setLimits("manual", { high }));
+    this.colormap = menu(this.bar, view.hint("colormap"), plain(Object.keys(setup.colormaps)), set("colormap"));
+    this.inverted = button(this.bar, "Invert", view.hint("invert"), () => view.do("invert"));
+    this.blink = button(this.bar, "Blink", view.hint("blink"), () => view.do("blink"));
+    this.partner = menu(this.bar, "Picture to blink against", [], set("partner"));
+    this.partner.classList.add("opnav-partner");
+    this.blinkOn = button(this.bar, "Auto", view.hint("blink_on"), () => view.do("blink_on"));
+    this.switches = make("div", "opnav-switches", this.box);
+    this.body = make("div", "opnav-body", this.box);
+    this.stage = make("div", "opnav-stage", this.body);
+    this.picture = make("div", "opnav-figure", this.stage);
+    this.zoom = make("div", "opnav-zoom", this.stage);
+    for (const [name, text] of [["home", "All"], ["zoom_in", "+"], ["zoom_out", "−"]])
+      button(this.zoom, text, view.hint(name), () => view.do(name));
+    this.side = make("div", "opnav-side", this.body);
+    this.magnifier = make("div", "opnav-figure", this.side);
+    this.panner = make("div", "opnav-figure", setup.strip ? null : this.side);
+    if (setup.strip) this.body.prepend(this.panner);
+    this.readout = make("div", "opnav-readout", this.side);
+    this.lines = ["place", "value", "ra", "dec", "degrees", "body", "scale"].map((name) => make("div", `opnav-read-${name}`, this.readout));
+    this.lines[5].title = "Distance from the body's center; click for the next body.";
+    this.lines[5].addEventListener("click", () => view.nextBody());
+    this.theme = menu(this.readout, "Colors of the marks", setup.themes.map((name) => [name, `marks: ${name}`]), set("theme"));
+    this.theme.classList.add("opnav-theme");
+    this.box.classList.toggle("opnav-strip", setup.strip);
+  }
+
+  // Shows the state in menus and switches.
+  update() {
+    const { view } = this;
+    const { state, images } = view;
+    const named = Object.entries(images).map(([key, { label }]) => [key, label]);
+    fillMenu(this.image, named);
+    fillMenu(this.partner, named.filter(([key]) => key !== "data").concat(named.filter(([key]) => key === "data")));
+    const values = { image: state.image, stretch: state.stretch, limits: state.limits, colormap: state.colormap, theme: state.theme };
+    for (const [name, value] of Object.entries(values)) this[name].value = value;
+    this.partner.value = view.partner();
+    const many = named.length > 1;
+    for (const node of [this.image, this.blink, this.partner, this.blinkOn]) node.hidden = !many;
+    const [low, high] = view.limits();
+    for (const [node, value] of [[this.low, low], [this.high, high]])
+      if (node !== document.activeElement) node.value = String(Number(value.toPrecision(5)));
+    for (const node of [this.low, this.high]) node.classList.toggle("opnav-automatic", state.limits !== "manual");
+    this.inverted.setAttribute("aria-pressed", String(state.inverted));
+    this.blinkOn.setAttribute("aria-pressed", String(view.blinking));
+    this.updateSwitches();
+  }
+
+  updateSwitches() {
+    const { state, setup } = this.view;
+    const looks = setup.looks[state.theme];
+    const switches = Object.entries(GROUP_WORDS).map(([group, words]) => {
+      const action = group in setup.actions ? ` ${setup.actions[group][1]}` : "";
+      const node = button(null, "", GROUP_HINTS[group] + (action && ` Key: ${action.split("Key: ")[1]}`), () => this.view.toggle(group));
+      node.className = "opnav-switch";
+      node.dataset.group = group;
+      node.setAttribute("aria-pressed", String(state.groups.includes(group)));
+      for (const [kind, word] of words) {
+        if (kind) node.append(symbol(looks[kind]));
+        node.append(make("span", "", null, group === "residuals" ? `${word} ×${compact(state.vector_scale)}` : word));
+      }
+      return node;
+    });
+    const focused = document.activeElement?.dataset?.group;
+    this.switches.replaceChildren(...switches);
+    if (focused) this.switches.querySelector(`[data-group="${focused}"]`)?.focus({ preventScroll: true });
+  }
+}
+
+const compact = (number) => (number >= 10000 ? number.toExponential(0) : String(Number(number.toPrecision(3))));

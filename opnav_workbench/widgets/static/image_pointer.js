@@ -1,0 +1,84 @@
+// The pointer over the picture: click, drag of a tool's shape, and DS9's right drag for contrast and bias.
+
+const CLICK_PX = 4; // less is a click with a trembling hand
+
+class ImagePointer {
+  constructor(view, element) {
+    Object.assign(this, { view, element });
+    this.band = make("div", "opnav-band", element);
+    this.band.hidden = true;
+    const listen = (name, heard) =>
+      element.addEventListener(name, (event) => view.page.guard(() => heard.call(this, event)), { capture: true, signal: view.signal });
+    listen("pointerdown", this.down);
+    listen("pointermove", this.move);
+    listen("pointerup", this.up);
+    listen("pointercancel", this.cancel);
+    listen("pointerleave", () => view.leave());
+    listen("dblclick", (event) => event.stopPropagation());
+    listen("contextmenu", (event) => {
+      if (event.shiftKey) return; // the browser's own menu stays within reach
+      event.preventDefault();
+      event.stopPropagation();
+    });
+  }
+
+  down(event) {
+    const at = this.view.place(event);
+    if (!at) return;
+    this.start = { event, at, button: event.button, state: { ...this.view.shading() } };
+    if (event.button === 2 || this.view.state.drag) event.stopPropagation(); // else bokeh pans
+    if (event.button === 2 || this.view.state.drag) this.element.setPointerCapture(event.pointerId);
+  }
+
+  move(event) {
+    const { start, view } = this;
+    view.hover(event);
+    if (!start) return;
+    if (start.button === 2) return view.shade(start.state, this.offset(event));
+    if (view.state.drag && !this.isClick(event)) this.draw(event);
+  }
+
+  up(event) {
+    const { start, view } = this;
+    this.start = undefined;
+    this.band.hidden = true;
+    if (!start) return;
+    const at = view.place(event, true);
+    if (start.button === 2) {
+      event.stopPropagation();
+      if (this.isClick(event, start)) view.shade({ contrast: 1, bias: 0.5 }, [0, 0]);
+      return view.tellShading();
+    }
+    if (start.button !== 0) return;
+    if (this.isClick(event, start)) view.page.event("tap", start.at);
+    else if (view.state.drag) view.page.event("drag", [...start.at, ...at]);
+  }
+
+  cancel() {
+    this.start = undefined;
+    this.band.hidden = true;
+  }
+
+  isClick(event, start = this.start) {
+    return Math.hypot(event.clientX - start.event.clientX, event.clientY - start.event.clientY) < CLICK_PX;
+  }
+
+  // Shares of the picture's width and height that the pointer went.
+  offset(event) {
+    const { width, height } = this.element.getBoundingClientRect();
+    return [(event.clientX - this.start.event.clientX) / width, (event.clientY - this.start.event.clientY) / height];
+  }
+
+  draw(event) {
+    const box = this.element.getBoundingClientRect();
+    const [x0, y0] = [this.start.event.clientX - box.left, this.start.event.clientY - box.top];
+    const [x1, y1] = [event.clientX - box.left, event.clientY - box.top];
+    const shape = this.view.state.drag;
+    const r = Math.hypot(x1 - x0, y1 - y0);
+    const [left, top, width, height] =
+      shape === "circle" ? [x0 - r, y0 - r, 2 * r, 2 * r] : [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)];
+    Object.assign(this.band.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
+    this.band.dataset.shape = shape;
+    this.band.hidden = false;
+  }
+}

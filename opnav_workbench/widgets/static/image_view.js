@@ -1,0 +1,316 @@
+// The picture in the page: paints DN with the stretch, follows the cursor, and carries out the view's own actions.
+
+const MAGNIFIED_PX = 15; // pixels across the magnifier
+const SIDE_PX = 132; // magnifier and panner
+const SIDE_NARROW_PX = 112;
+const ZOOM_PX = 36; // the buttons beside the picture
+const MOST_PX = 620; // of the picture's frame
+const AROUND_PX = 270; // JupyterLab's bars, and the view's own
+const STRIP_SHAPE = 3; // width over height of the frame for a strip
+const STRIP_MARGIN = 1.15; // lines shown, over the strip's own
+const AXES_PX = [52, 26]; // room for axis labels, left and below
+
+class ImagePage extends ImageActions {
+  constructor(page, doc, state, host) {
+    super();
+    Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new Map() });
+    this.model = (name) => doc.get_model_by_name(name);
+    this.setup = JSON.parse(state.setup);
+    this.images = JSON.parse(state.images);
+    this.layout = new ImageLayout(this, host);
+    this.ndarray = page.bokeh.require("core/util/ndarray").ndarray;
+    this.palettes = Object.fromEntries(Object.entries(this.setup.colormaps).map(([name, hex]) => [name, paletteWords(hex)]));
+    this.fit();
+    this.update();
+  }
+
+  hint(action) {
+    return this.setup.actions[action][1];
+  }
+
+  // Before BokehJS draws: where each figure goes.
+  slots(roots) {
+    const places = { "opnav-picture": this.layout.picture, "opnav-magnifier": this.layout.magnifier, "opnav-panner": this.layout.panner };
+    return roots.map((root) => places[root.name]);
+  }
+
+  // After it has drawn.
+  attach() {
+    this.figure = this.page.views.get_by_id(this.model("opnav-picture").id);
+    this.pointer = new ImagePointer(this, this.layout.picture);
+    const { x_range, y_range } = this.model("opnav-picture");
+    for (const range of [x_range, y_range]) range.change.connect(() => this.soon("paint"));
+    this.state.change.connect(() => this.soon("update"));
+    const observer = new ResizeObserver(() => this.soon("fit"));
+    observer.observe(this.page.root.parentElement);
+    this.signal.addEventListener("abort", () => observer.disconnect());
+    this.leave();
+  }
+
+  // At most once a frame.
+  soon(task) {
+    this.due ??= new Set();
+    if (this.due.size === 0)
+      requestAnimationFrame(() => this.page.guard(() => {
+        const tasks = this.due;
+        this.due = new Set();
+        if (this.signal.aborted || this.page.doc !== this.doc) return;
+        if (tasks.has("fit")) this.fit();
+        if (tasks.has("update")) this.update();
+        else if (tasks.has("paint")) this.paint();
+      }));
+    this.due.add(task);
+  }
+
+  // Python's patch may have brought another picture, or other overlays.
+  patched() {
+    this.soon("update");
+  }
+
+  update() {
+    this.images = JSON.parse(this.state.images);
+    this.camera = JSON.parse(this.state.camera);
+    this.bodies = JSON.parse(this.state.bodies);
+    this.layout.update();
+    this.showGroups();
+    this.paint();
+    if (this.cursor) this.tell(...this.cursor);
+  }
+
+  // -- painting
+
+  pixels(key = this.shownKey()) {
+    return this.model(`opnav-pixels:${key}`)?.data?.dn?.[0];
+  }
+
+  // The picture shown; the frame itself while another one is being made.
+  shownKey() {
+    const wanted = this.blinkKey ?? this.state.image;
+    return this.images[wanted]?.ready && this.model(`opnav-pixels:${wanted}`) ? wanted : "data";
+  }
+
+  limits() {
+    const key = this.shownKey();
+    const { limits, low, high } = this.state;
+    return limits === "manual" ? [low, high] : this.images[key]?.limits?.[limits] ?? [0, 1];
+  }
+
+  shading() {
+    const { contrast, bias } = this.local ?? this.state;
+    return { contrast, bias };
+  }
+
+  paint() {
+    const values = this.pixels();
+    if (!values) return;
+    const [n_pixel, n_line] = this.setup.size;
+    const { x_range } = this.model("opnav-picture");
+    const scale = this.model("opnav-picture").frame_width / Math.abs(x_range.end - x_range.start);
+    const block = Math.max(1, Math.ceil(0.99 / scale));
+    const [low, high] = this.limits();
+    const { stretch, colormap, inverted } = this.state;
+    const look = JSON.stringify([stretch, colormap, inverted, this.shading(), low, high]);
+    if (look !== this.look) {
+      this.look = look;
+      this.table = colorTable({ stretch, inverted, ...this.shading() }, this.palettes[colormap] ?? this.palettes.gray);
+    }
+    const painted = [look, block];
+    if (this.paintedValues !== values || String(this.painted) !== String(painted)) {
+      [this.paintedValues, this.painted] = [values, painted];
+      this.fill("opnav-shown", this.mip(values, block), low, high, block);
+      this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
+    }
+    const small = Math.max(1, Math.ceil(n_pixel / (this.model("opnav-panner").frame_width || SIDE_PX)));
+    const overview = this.mip(values, small);
+    if (this.overviewOf !== values || this.overviewLook !== look) {
+      [this.overviewOf, this.overviewLook] = [values, look];
+      this.fill("opnav-overview", overview, low, high, small);
+    }
+    this.magnify();
+  }
+
+  mip(values, block) {
+    const [n_pixel, n_line] = this.setup.size;
+    if (block === 1) return { values, width: n_pixel, height: n_line };
+    if (this.mipsOf !== values) [this.mipsOf, this.mips] = [values, new Map()];
+    if (!this.mips.has(block)) this.mips.set(block, binned(values, n_pixel, n_line, block));
+    return this.mips.get(block);
+  }
+
+  fill(name, { values, width, height }, low, high, block, [x, y] = [-0.5, -0.5]) {
+    const words = colored(values, low, high, this.table);
+    const image = this.ndarray(words.buffer, { dtype: "uint32", shape: [height, width] });
+    const data = { image: [image], x: [x], y: [y], dw: [width * block], dh: [height * block] };
+    this.model(name).setv({ data }, { sync: false });
+  }
+
+  // -- sizes and ranges
+
+  // The frame's size follows the room there is; ranges are Python's, so both sides keep the frame's shape.
+  fit() {
+    const outer = this.page.root.parentElement;
+    const width = outer.clientWidth || this.width || 640; // none while it is out of the page
+    this.width = width;
+    const narrow = width < MOST_PX + SIDE_PX;
+    const square = narrow ? SIDE_NARROW_PX : SIDE_PX;
+    this.layout.box.classList.toggle("opnav-narrow", narrow);
+    const bars = this.layout.bar.offsetHeight + this.layout.switches.offsetHeight + 34;
+    const room = this.page.root.closest(".opnav-workbench") ? outer.clientHeight - bars : Infinity;
+    const [axis_x, axis_y] = AXES_PX;
+    const most = Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
+    const quiet_ = (name, values) => this.model(name).setv(values, { sync: false });
+    if (this.setup.strip) {
+      const frame = Math.round(Math.min(width - axis_x - ZOOM_PX - 10, 1200));
+      const height = Math.round(Math.min(frame / STRIP_SHAPE, room - square - 60));
+      quiet_("opnav-picture", { frame_width: Math.max(frame, 200), frame_height: Math.max(height, 120) });
+      const thin = Math.max(Math.round((frame * this.setup.size[1]) / this.setup.size[0]), 12);
+      quiet_("opnav-panner", { frame_width: Math.max(frame, 200), frame_height: thin });
+    } else {
+      const [side, below] = narrow ? [0, square + 8] : [SIDE_PX + 76, 0];
+      const frame = Math.round(Math.max(Math.min(width - axis_x - ZOOM_PX - side - 10, room - axis_y - below, most), 180));
+      quiet_("opnav-picture", { frame_width: frame, frame_height: frame });
+      quiet_("opnav-panner", { frame_width: square, frame_height: square });
+    }
+    quiet_("opnav-magnifier", { frame_width: square, frame_height: square });
+    const [n_pixel, n_line] = this.setup.size;
+    const longest = this.setup.strip ? [n_pixel, n_line] : [Math.max(n_pixel, n_line), Math.max(n_pixel, n_line)];
+    const panner = this.model("opnav-panner");
+    quiet(panner.x_range, { start: n_pixel / 2 - 0.5 - longest[0] / 2, end: n_pixel / 2 - 0.5 + longest[0] / 2 });
+    quiet(panner.y_range, { start: n_line / 2 - 0.5 + longest[1] / 2, end: n_line / 2 - 0.5 - longest[1] / 2 });
+    this.square();
+  }
+
+  // Square pixels: the lines shown follow from the pixels shown.
+  square() {
+    const { x_range, y_range, frame_width, frame_height } = this.model("opnav-picture");
+    const half = (Math.abs(x_range.end - x_range.start) * frame_height) / frame_width / 2;
+    const middle = (y_range.start + y_range.end) / 2;
+    quiet(y_range, { start: middle + half, end: middle - half });
+    this.soon("paint");
+  }
+
+  look_at(x, y, width) {
+    const { x_range, y_range, frame_width, frame_height } = this.model("opnav-picture");
+    const height = (width * frame_height) / frame_width;
+    x_range.setv({ start: x - width / 2, end: x + width / 2 });
+    y_range.setv({ start: y + height / 2, end: y - height / 2 });
+  }
+
+  home() {
+    const { frame_width, frame_height } = this.model("opnav-picture");
+    const [n_pixel, n_line] = this.setup.size;
+    const aspect = frame_width / frame_height;
+    const whole = Math.max(n_pixel, n_line * aspect);
+    this.look_at(n_pixel / 2 - 0.5, n_line / 2 - 0.5, this.setup.strip ? STRIP_MARGIN * n_line * aspect : whole);
+  }
+
+  zoomBy(factor) {
+    const { x_range, y_range } = this.model("opnav-picture");
+    const [x, y] = [(x_range.start + x_range.end) / 2, (y_range.start + y_range.end) / 2];
+    const [cx, cy] = this.cursor ?? [x, y];
+    this.look_at(cx + (x - cx) / factor, cy + (y - cy) / factor, (x_range.end - x_range.start) / factor);
+  }
+
+  // -- the cursor
+
+  // Pixel and line under the pointer; null outside the frame, unless `clip` is given.
+  place(event, clip = false) {
+    const { frame, canvas_view } = this.figure;
+    const box = canvas_view.el.getBoundingClientRect();
+    const [sx, sy] = [event.clientX - box.left, event.clientY - box.top];
+    if (!clip && !frame.bbox.contains(sx, sy)) return null;
+    return [frame.x_scale.invert(sx), frame.y_scale.invert(sy)];
+  }
+
+  hover(event) {
+    const at = this.place(event);
+    if (!at) return this.leave();
+    this.cursor = at;
+    this.tell(...at);
+    this.magnify();
+  }
+
+  leave() {
+    this.cursor = undefined;
+    this.layout.lines.slice(0, 6).forEach((line) => { line.textContent = ""; });
+    this.layout.lines[0].textContent = "Move the cursor over the picture.";
+    this.tellScale();
+  }
+
+  tell(pixel, line) {
+    const [place, value, ra, dec, degrees, body] = this.layout.lines;
+    const [n_pixel, n_line] = this.setup.size;
+    const [i, j] = [Math.round(pixel), Math.round(line)];
+    const on = i >= 0 && j >= 0 && i < n_pixel && j < n_line;
+    place.textContent = `pixel ${pixel.toFixed(2)}  line ${line.toFixed(2)}`;
+    const dn = on ? this.pixels()?.[j * n_pixel + i] : undefined;
+    const kind = on ? ["bad", "saturated"].filter((mask) => this.masked(mask, i, j)).join(", ") : "";
+    value.textContent = dn === undefined ? "off the detector" : `${dnText(dn)} DN${kind && `  (${kind})`}`;
+    const sky = this.camera && skyAt(this.camera, pixel, line);
+    const [right, north] = sky ? skyText(sky) : ["", ""];
+    ra.textContent = sky ? `RA ${right}` : "";
+    dec.textContent = sky ? `Dec ${north}` : "";
+    degrees.textContent = sky ? `${sky[0].toFixed(6)}° ${sky[1] < 0 ? "−" : "+"}${Math.abs(sky[1]).toFixed(6)}°` : "";
+    const target = this.bodies?.find(({ name }) => name === this.state.body);
+    const r = target && Math.hypot(pixel - target.pixel, line - target.line);
+    const radii = target?.radius_px ? ` = ${(r / target.radius_px).toFixed(2)} R` : "";
+    body.textContent = target ? `${target.name}: ${r.toFixed(2)} px${radii}` : "";
+    this.tellScale();
+  }
+
+  tellScale() {
+    const { x_range, frame_width } = this.model("opnav-picture");
+    const scale = frame_width / Math.abs(x_range.end - x_range.start);
+    const { contrast, bias } = this.shading();
+    const shaded = contrast !== 1 || bias !== 0.5 ? `  contrast ${contrast.toFixed(2)}, bias ${bias.toFixed(2)}` : "";
+    this.layout.lines[6].textContent = `zoom ×${scale.toPrecision(2)}${shaded}`;
+  }
+
+  masked(kind, i, j) {
+    const source = this.model(`opnav-${kind}`);
+    const { left, right, top, bottom } = source?.data ?? {};
+    for (let run = 0; run < (left?.length ?? 0); run++)
+      if (j > top[run] && j < bottom[run] && i > left[run] && i < right[run]) return true;
+    return false;
+  }
+
+  magnify() {
+    const values = this.pixels();
+    if (!values || !this.table) return;
+    const [n_pixel, n_line] = this.setup.size;
+    const [x, y] = this.cursor ?? [n_pixel / 2 - 0.5, n_line / 2 - 0.5];
+    const half = MAGNIFIED_PX / 2;
+    const [i0, j0] = [Math.floor(x - half), Math.floor(y - half)];
+    const n = MAGNIFIED_PX + 2;
+    const part = Float32Array.from({ length: n * n }, (_, k) => {
+      const [i, j] = [i0 + (k % n), j0 + Math.floor(k / n)];
+      return i >= 0 && j >= 0 && i < n_pixel && j < n_line ? values[j * n_pixel + i] : NaN;
+    });
+    const [low, high] = this.limits();
+    this.fill("opnav-magnified", { values: part, width: n, height: n }, low, high, 1, [i0 - 0.5, j0 - 0.5]);
+    this.model("opnav-cursor").setv({ data: { pixel: [Math.round(x)], line: [Math.round(y)] } }, { sync: false });
+    const { x_range, y_range } = this.model("opnav-magnifier");
+    quiet(x_range, { start: x - half, end: x + half });
+    quiet(y_range, { start: y + half, end: y - half });
+  }
+
+  nextBody() {
+    const names = this.bodies.map(({ name }) => name);
+    if (names.length) this.state.body = names[(names.indexOf(this.state.body) + 1) % names.length];
+  }
+}
+
+const dnText = (dn) => (Number.isInteger(dn) ? String(dn) : Number.isNaN(dn) ? "no value" : dn.toFixed(Math.abs(dn) < 1000 ? 3 : 1));
+
+// The page's hooks: see bridge.js.
+function prepareViews(page, doc) {
+  const state = doc.roots().find((root) => root.name === "opnav-state");
+  if (!state) return [];
+  page.view = new ImagePage(page, doc, state, page.host);
+  page.actions = (name) => page.view.do(name);
+  return page.view.slots(doc.roots());
+}
+
+function attachViews(page) {
+  page.view?.attach();
+}

@@ -1,0 +1,54 @@
+// From DN to colors in the page, as widgets/stretch.py describes it, so that a change of stretch sends no pixels.
+
+const LEVELS = 16384; // of the table; log's steep foot then moves by 2 of 256 shades from one level to the next
+const NO_VALUE = 0xff808080; // mid-gray, for pixels without a number
+
+const STRETCHES = {
+  linear: (t) => t,
+  asinh: (t) => Math.asinh(10 * t) / Math.asinh(10),
+  log: (t) => Math.log1p(1000 * t) / Math.log1p(1000),
+  sqrt: Math.sqrt,
+};
+
+// "rrggbb" x 256 -> little-endian RGBA words
+function paletteWords(hex) {
+  return Uint32Array.from({ length: hex.length / 6 }, (_, i) => {
+    const rgb = parseInt(hex.slice(6 * i, 6 * i + 6), 16);
+    return (0xff000000 | ((rgb & 0xff) << 16) | (rgb & 0xff00) | (rgb >> 16)) >>> 0;
+  });
+}
+
+function colorTable({ stretch, contrast, bias, inverted }, palette) {
+  const curve = STRETCHES[stretch] ?? STRETCHES.linear;
+  return Uint32Array.from({ length: LEVELS }, (_, i) => {
+    const shade = Math.min(Math.max((curve(i / (LEVELS - 1)) - bias) * contrast + 0.5, 0), 1);
+    return palette[Math.round((inverted ? 1 - shade : shade) * (palette.length - 1))];
+  });
+}
+
+// RGBA words of `values`.
+function colored(values, low, high, table) {
+  const words = new Uint32Array(values.length);
+  const scale = (LEVELS - 1) / (high - low);
+  for (let i = 0; i < values.length; i++) {
+    const level = (values[i] - low) * scale + 0.5;
+    words[i] = level >= LEVELS ? table[LEVELS - 1] : level > 0 ? table[level | 0] : level <= 0 ? table[0] : NO_VALUE;
+  }
+  return words;
+}
+
+// Means of k x k pixels: a picture shown smaller than it is must not drop pixels, or stars go with them.
+function binned(values, n_pixel, n_line, k) {
+  const [width, height] = [Math.ceil(n_pixel / k), Math.ceil(n_line / k)];
+  const sums = new Float32Array(width * height);
+  const counts = new Uint16Array(width * height);
+  for (let line = 0, i = 0; line < n_line; line++) {
+    const row = Math.floor(line / k) * width;
+    for (let pixel = 0; pixel < n_pixel; pixel++, i++) {
+      const at = row + ((pixel / k) | 0);
+      if (values[i] === values[i]) { sums[at] += values[i]; counts[at] += 1; }
+    }
+  }
+  for (let at = 0; at < sums.length; at++) sums[at] /= counts[at]; // 0/0: no value
+  return { values: sums, width, height };
+}

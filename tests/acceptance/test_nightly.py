@@ -1,0 +1,69 @@
+"""``opnav nightly`` with its own notebook: faults named, results those of ``opnav process``, flight frames too."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from opnav_workbench.campaign import Campaign
+from opnav_workbench.cli import app
+from opnav_workbench.rehearsal import DEMO_KERNELS
+
+
+def run(*words) -> tuple[int, str]:
+    answer = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "160"})
+    assert answer.exception is None or isinstance(answer.exception, SystemExit), answer.exception
+    return answer.exit_code, answer.output
+
+
+@pytest.mark.slow
+def test_a_night_gives_what_process_gives_and_names_what_fails(demo_truths, tmp_path):
+    good = demo_truths[0].picture
+    folder = tmp_path / "incoming"
+    folder.mkdir()
+    (folder / good.name).write_bytes(good.read_bytes())
+    (folder / "corrupt.fit").write_bytes(good.read_bytes()[:100_000])
+    options = ("--mission", "new_horizons", "--kernels", DEMO_KERNELS)
+    status, said = run("nightly", folder, *options, "--out", tmp_path / "night", "--jobs", "2")
+    assert status == 3
+    assert "failed: corrupt: corrupt.fit: truncated" in said
+    assert "1 ok, 0 partial, 1 failed" in said
+    assert run("process", folder / good.name, *options, "--out", tmp_path / "process")[0] == 0
+    night, process = (tmp_path / kind / good.stem for kind in ("night", "process"))
+    assert (night / "result.json").read_text() == (process / "result.json").read_text()
+    assert (night / "observables.ecsv").read_text() == (process / "observables.ecsv").read_text()
+    assert {"notebook.html", "notebook.ipynb", "session.json", "summary.png"} <= {
+        p.name for p in night.iterdir()
+    }
+    summary = json.loads((tmp_path / "night" / "summary.json").read_text())
+    rows = {row["name"]: row for row in summary["images"]}
+    assert rows[good.stem]["pointing"]["n_stars"] == 4
+    assert {body["name"] for body in rows[good.stem]["bodies"]} == {"PLUTO", "CHARON"}
+    with Campaign(tmp_path / "night") as campaign:
+        assert {entry.image: entry.status for entry in campaign.entries()} == {
+            good.name: "ok",
+            "corrupt.fit": "failed",
+        }
+    # The same command again has nothing to do.
+    status, said = run("nightly", folder, *options, "--out", tmp_path / "night")
+    assert (status, "0 of 2 pictures to process (2 done before)" in said) == (3, True)
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_the_six_flight_frames_in_one_night(data_dir, tmp_path):
+    frames = data_dir / "images" / "lorri_interstellar"
+    catalog = f"npz:{data_dir / 'stars' / 'tycho2.npz'}"
+    night = {"images": [str(frames)], "mission": "new_horizons", "catalog": catalog}
+    (tmp_path / "night.yaml").write_text(json.dumps(night))  # JSON is YAML
+    status, said = run("nightly", tmp_path / "night.yaml", "--out", tmp_path / "night", "--jobs", "2")
+    assert status == 0, said
+    summary = json.loads((tmp_path / "night" / "summary.json").read_text())
+    proxima = [row for row in summary["images"] if "04498559" in row["name"]]
+    wolf = [row for row in summary["images"] if "04499338" in row["name"]]
+    assert [row["pointing"]["n_stars"] for row in proxima] == [9, 9, 9]
+    assert all(row["pointing"]["rms_px"] < 0.1 for row in proxima)
+    assert [row["status"] for row in wolf] == ["partial"] * 3  # one star alone leaves the twist open
+    queue = json.loads((tmp_path / "night" / "queue.json").read_text())
+    assert {Path(item["image"]).stem for item in queue["images"]} == {row["name"] for row in wolf}

@@ -1,0 +1,407 @@
+"""The workbench in a live JupyterLab: keys, clicks, undo, reload, restart and kill, and an analyst's whole pass.
+
+The pictures are the demo's MVIC frame (15 stars) and a simulated LORRI frame with Pluto 190 px wide among 12 stars.
+"""
+
+import json
+import os
+import signal
+import statistics
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from opnav_workbench.geometry import radec_from_unit
+from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.session import ImageSession
+from opnav_workbench.simulation import load_picture_scenario, simulate
+from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc
+
+LORRI_PIXEL_RAD = 4.9636e-6
+UTC = "2015-07-12T08:46:57"
+RESOLVED_KERNELS = "new_horizons/pluto_approach"
+MAX_NOTEBOOK_BYTES = 100_000
+MAX_ACTIONS = 40
+
+
+def open_cell(picture, kernels, out, catalog="bundled", targets=("PLUTO",)):
+    """Source of a cell that opens (or resumes) the picture in a workbench."""
+    return f"""
+import opnav_workbench as opnav
+from opnav_workbench.widgets import workbench
+from opnav_workbench.widgets.queue_images import ImageQueue
+kernels = opnav.KernelSet({str(kernels)!r}); kernels.__enter__()
+queue = ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(out)!r}, catalog={catalog!r}, targets={list(targets)!r})
+bench = workbench(queue)
+bench
+"""
+
+
+class Analyst:
+    """Works in the page, and counts what it takes: a key, a click, a drag, a choice or a typed line is one action."""
+
+    def __init__(self, notebook):
+        self.notebook, self.page, self.actions = notebook, notebook.page, 0
+
+    def start(self):
+        self.notebook.run_all()
+        self.notebook.view()
+        self.page.locator(".ow-panel .page").wait_for()
+        self.page.locator(".opnav-workbench").evaluate("e => e.scrollIntoView({block: 'end'})")
+        self.page.locator(".ow-header").click(position={"x": 3, "y": 3})
+        return self
+
+    def press(self, *keys):
+        for key in keys:
+            self.actions += 1
+            self.page.keyboard.press(key)
+
+    def click(self, selector):
+        self.actions += 1
+        self.page.locator(selector).first.click()
+
+    def tap(self, pixel, line):
+        self.actions += 1
+        self.notebook.click(pixel, line)
+
+    def drag(self, start, end):
+        self.actions += 1
+        self.notebook.drag(start, end)
+
+    def choose(self, selector, value):
+        self.actions += 1
+        self.page.select_option(selector, value)
+
+    def type(self, selector, text):
+        self.actions += 1
+        self.page.fill(selector, text)
+        self.page.locator(selector).press("Enter")
+
+    def said(self, text, timeout_ms=20_000):
+        """Wait until the status line contains a text."""
+        self.page.wait_for_function(
+            "t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text, timeout=timeout_ms
+        )
+
+    def shown(self, selector, text):
+        """Wait until an element contains a text."""
+        self.page.wait_for_function(
+            "([s, t]) => [...document.querySelectorAll(s)].some(e => e.textContent.includes(t))",
+            arg=[selector, text],
+        )
+
+    @property
+    def focused(self):
+        return self.page.inner_text(".ow-panel .focus .id")
+
+    def cells(self):
+        return self.page.evaluate("() => jupyterapp.shell.currentWidget.content.widgets.length")
+
+    def decisions(self):
+        return self.notebook.python("dict(bench.session.state.decisions)")
+
+    def standing(self):
+        return self.notebook.python("[entry.step for entry in bench.session.standing]")
+
+
+@pytest.fixture(scope="session")
+def resolved(tmp_path_factory):
+    """Pluto 190 px wide among 12 stars that only this catalog knows: (picture, catalog spec)."""
+    folder = tmp_path_factory.mktemp("resolved")
+    with KernelSet(RESOLVED_KERNELS):
+        attitude = camera_attitude("NH_LORRI", et_from_utc(UTC))
+    number = np.arange(12)
+    angle = np.radians(30.0 * number + 5.0 * np.sin(number))
+    radius = np.where(number % 2, 330.0, 430.0) * LORRI_PIXEL_RAD
+    in_camera = np.stack([radius * np.cos(angle), radius * np.sin(angle), -np.ones(12)], axis=1)
+    ra, dec = radec_from_unit(in_camera / np.linalg.norm(in_camera, axis=1, keepdims=True) @ attitude)
+    np.savez(
+        folder / "stars.npz", ra_deg=np.degrees(ra), dec_deg=np.degrees(dec), mag=np.linspace(6.0, 8.2, 12),
+        id=np.array([f"STAR {i + 1}" for i in number]), epoch_jyear=2015.5,
+    )  # fmt: skip
+    catalog = f"npz:{folder / 'stars.npz'}"
+    lunar = {"law": "lunar_lambert", "lunar_weight": 0.5}
+    scenario = {
+        "description": "Pluto among stars", "mission": "new_horizons", "kernels": RESOLVED_KERNELS,
+        "catalog": catalog, "magnitude_limit": 12.0, "seed": 20150712,
+        "bodies": [{"name": "PLUTO", "law": lunar, "albedo": {"map": "mottled", "dark": 0.3, "bright": 0.6, "seed": 4}}],
+        "attitude": {"actual": {"source": "error", "shift_px": [30.6, 11.1], "twist_deg": 0.15}},
+        "pictures": [{"name": "pluto_stars", "utc": UTC, "camera": "lorri_1x1", "exposure_s": 0.1,
+                      "header": {"TARGET": "PLUTO"}}],
+    }  # fmt: skip
+    simulate(load_picture_scenario(scenario), folder)
+    return folder / "pluto_stars.fit", catalog
+
+
+def restart_and_run(analyst):
+    analyst.notebook.restart()
+    analyst.start()
+
+
+def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, tmp_path, record_property):
+    """One kernel's life: keys, clicks, undo, errors, two pages, reload, restart, kill -9."""
+    nb = notebook(open_cell(demo_truths[1].picture, DEMO_KERNELS, tmp_path), "'the end'")
+    hand = Analyst(nb).start()
+    hand.press("f")
+    hand.said("15 of 15 stars found")
+    first = hand.focused
+
+    # Keys decide, and no key of a confirmation reaches the notebook's cells.
+    hand.press("a")
+    hand.said("14 undecided")
+    assert hand.focused != first
+    second = hand.focused
+    hand.press("r")
+    hand.shown(".ow-panel .menu", "cosmic ray")
+    hand.press("1")
+    hand.said("13 undecided")
+    hand.press("d", "d", "x", "Escape", "y", "Enter", "m")
+    assert hand.cells() == 2
+    assert hand.decisions() == {first: ["accepted", ""], second: ["rejected", "cosmic ray"]}
+
+    # A click on a star in the picture brings its box; a click on a box does, too.
+    boxes = nb.python("[[b.id, *b.observed_px.tolist()] for b in bench.controller.stars.boxes]")
+    boxes.sort(key=lambda box: box[1])
+    pairs = zip(boxes, boxes[1:], strict=False)  # neighbors along the frame, of which the picture shows a part
+    (shown, *_), (near, *place) = min(pairs, key=lambda pair: pair[1][1] - pair[0][1])
+    hand.click(f'.ow-panel [data-star="{shown}"]')
+    hand.shown(".ow-panel .focus .id", shown)
+    nb.settle()
+    hand.tap(*place)
+    hand.shown(".ow-panel .focus .id", near)
+    hand.click(f'.ow-panel [data-star="{second}"]')
+    hand.shown(".ow-panel .focus .id", second)
+
+    # Undo and redo by key; the pointing follows the stars and goes back with them.
+    hand.press("p")
+    hand.said("14 stars")
+    hand.press("Control+z", "Control+z")
+    hand.said("undone: reject stars")
+    hand.press("Control+y")
+    hand.said("done again: reject stars")
+    assert hand.decisions()[second] == ["rejected", "cosmic ray"]
+    assert hand.standing()[-1] == "reject_stars"
+
+    # An exception in a callback is told in plain words, and the next key works.
+    nb.python("setattr(bench.session, 'accept_stars', lambda *a, **k: 1 / 0)")
+    hand.press("u", "a")
+    hand.said("unforeseen ZeroDivisionError: division by zero; nothing was changed.")
+    nb.python("delattr(bench.session, 'accept_stars')")
+
+    # The list of keys.
+    hand.press("?")
+    hand.shown(".ow-panel .keys", "Accept this star and go on")
+    hand.press("?")
+
+    # Speed, told and not asserted: key to the next box, and accept to the journal on disk.
+    journal = tmp_path / "mvic_framing" / "journal.jsonl"
+    to_box, to_disk = [], []
+    hand.press("u")
+    for _ in range(5):
+        to_box.append(
+            hand.page.evaluate(
+                """() => new Promise(done => {
+                  const box = () => document.querySelector('.ow-panel .focus .id').textContent;
+                  const before = box(), start = performance.now();
+                  const look = () => box() !== before ? done(performance.now() - start) : requestAnimationFrame(look);
+                  document.activeElement.dispatchEvent(new KeyboardEvent('keydown', {key: 'n', bubbles: true}));
+                  look();
+                })"""
+            )
+        )
+    for _ in range(5):
+        size, start = journal.stat().st_size, time.perf_counter()
+        before = hand.focused
+        hand.press("a")
+        while journal.stat().st_size == size:
+            assert time.perf_counter() - start < 10.0
+            time.sleep(0.001)
+        to_disk.append(1e3 * (time.perf_counter() - start))
+        hand.page.wait_for_function(
+            "b => document.querySelector('.ow-panel .focus .id').textContent !== b", arg=before
+        )
+    times = {"key_to_next_box_ms": statistics.median(to_box), "accept_to_disk_ms": statistics.median(to_disk)}
+    for name, value in times.items():
+        record_property(name, value)
+    nb.shot("workbench_stars")
+    (Path(os.environ.get("OPNAV_SHOTS", nb.lab.root / "shots")) / "workbench_times.json").write_text(
+        json.dumps(times)
+    )
+    decided = hand.decisions()
+    assert len(decided) == 7
+
+    # A second page on the same kernel sees the same and does not disturb it.
+    other = nb.context.new_page()
+    other.goto(f"{nb.lab.url}/lab/tree/{nb.name}?token=t")
+    other.locator(".ow-panel .focus .id").wait_for(timeout=30_000)
+    assert other.inner_text(".ow-panel .focus .id") == hand.focused
+    hand.press("a")
+    hand.said("7 undecided")
+    other.wait_for_function("() => document.querySelector('.ow-status').textContent.includes('7 undecided')")
+    other.close()
+    decided = hand.decisions()
+
+    # Reload: the present state, not the first one; keys still arrive.
+    nb.save()
+    nb.open()
+    nb.view()
+    hand.shown(".ow-panel .counts", "7 undecided")
+    hand.page.locator(".ow-header").click(position={"x": 3, "y": 3})
+    hand.press("Control+z")
+    hand.said("undone: accept stars")
+    hand.press("Control+y")
+    hand.said("done again: accept stars")
+    assert hand.decisions() == decided
+
+    # Restart: everything decided comes back from disk, and what was undone can still be redone.
+    restart_and_run(hand)
+    hand.shown(".ow-panel .counts", "7 undecided")
+    assert hand.decisions() == decided
+
+    # kill -9 at the moment when a decision is shown: it is on disk.
+    nb.expected += ["WebSocket", "Failed to load resource", "kernel", "Kernel"]
+    process = nb.python("__import__('os').getpid()")
+    hand.press("a")
+    hand.said("6 undecided")
+    os.kill(process, signal.SIGKILL)
+    resumed = ImageSession.resume(tmp_path / "mvic_framing")
+    assert len(resumed.state.decisions) == len(decided) + 1
+    hand.page.wait_for_function(
+        "() => ['restarting', 'autorestarting', 'starting', 'idle', 'dead', 'unknown'].includes("
+        "jupyterapp.shell.currentWidget.sessionContext.session.kernel.status)"
+    )
+    dialog = hand.page.locator(".jp-Dialog button").first
+    dialog.wait_for(timeout=20_000)
+    dialog.click()
+    nb.idle()
+    hand.start()
+    hand.shown(".ow-panel .counts", "6 undecided")
+    assert len(hand.decisions()) == len(decided) + 1
+
+    nb.save()
+    assert nb.path.stat().st_size < MAX_NOTEBOOK_BYTES
+
+
+def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
+    """Ten stars, pointing, circle, limb scans by every way, export: at most 40 actions for what a pass needs."""
+    picture, catalog = resolved
+    nb = notebook(
+        open_cell(picture, RESOLVED_KERNELS, tmp_path, catalog), size={"width": 1280, "height": 800}
+    )
+    hand = Analyst(nb).start()
+    hand.press("f")
+    hand.said("12 of 12 stars found")
+    for left in range(11, 1, -1):
+        hand.press("a")
+        hand.said(f"{left} undecided")
+    hand.press("A", "p")
+    hand.said("rms 0.00")
+    hand.press("3")
+    hand.choose('select[data-act="method"]', "limb_scan")
+    hand.press("f")
+    hand.said("PLUTO, limb scan", timeout_ms=60_000)
+    hand.type('input[data-act="scans"]', "0-40,90-120")
+    hand.said("72 scans chosen", timeout_ms=60_000)
+    hand.press("e")
+    hand.said("files written", timeout_ms=60_000)
+    counted = hand.actions
+    assert counted <= MAX_ACTIONS
+    result = json.loads((tmp_path / "pluto_stars" / "result.json").read_text())
+    assert result["status"] == "ok"
+    assert result["pointing"]["n_stars"] == 12
+    assert result["bodies"][0]["method"] == "limb_scan"
+    truth = json.loads((picture.parent / "pluto_stars.truth.json").read_text())
+    np.testing.assert_allclose(result["bodies"][0]["observed"], truth["bodies"]["PLUTO"], atol=0.2)
+    nb.shot("workbench_bodies")
+
+    # Scans by click on a small one, by a box over the strip, and by a box in the picture.
+    number = int(hand.page.locator(".ow-panel .thumb.used").first.get_attribute("data-scan"))
+    hand.click(f'.ow-panel [data-scan="{number}"]')
+    hand.said("71 scans chosen", timeout_ms=60_000)
+    assert nb.python(f"str(bench.controller.bodies.scans.status[{number}])") == "not_chosen"
+    strip = hand.page.locator(".ow-panel .strip-plot rect.frame")
+    strip.scroll_into_view_if_needed()
+    area = strip.bounding_box()
+    hand.page.mouse.move(area["x"] + 0.25 * area["width"], area["y"] + 5)
+    hand.page.mouse.down()
+    hand.page.mouse.move(area["x"] + 0.5 * area["width"], area["y"] + area["height"] - 5, steps=4)
+    hand.page.mouse.up()
+    hand.said("scans chosen by the analyst", timeout_ms=60_000)
+    chosen = nb.until(
+        "len(bench.session.state.scan_choices['PLUTO'].numbers) < 60 and list(bench.session.state.scan_choices['PLUTO'].numbers)"
+    )
+    assert chosen == list(range(chosen[0], chosen[-1] + 1))
+    assert abs(chosen[0] - 45) <= 2
+    assert abs(chosen[-1] - 90) <= 2
+    center = nb.python("bench.session.state.bodies[-1].pixel_line.tolist()")
+    hand.press("m")
+    hand.said("drag a box")
+    hand.drag((center[0] + 60.0, center[1] - 30.0), (center[0] + 130.0, center[1] + 30.0))
+    nb.until("bench.session.state.scan_choices['PLUTO'].reason == 'box in the picture'", timeout_s=60.0)
+    boxed = nb.python("list(bench.session.state.scan_choices['PLUTO'].numbers)")
+    assert 0 in boxed
+    assert 90 not in boxed
+    hand.press("y")
+    nb.until(
+        "bench.session.state.scan_choices.get('PLUTO') is None or bench.session.state.scan_choices['PLUTO'].numbers is None",
+        timeout_s=60.0,
+    )
+
+    # A circle by two clicks, moved by arrow keys, and by a drag; each is a step that can be undone.
+    hand.choose('select[data-act="method"]', "least_squares")
+    hand.press("k")
+    hand.said("click the body's center")
+    hand.tap(*center)
+    hand.said("now click a place on the limb")
+    hand.tap(center[0] + 95.0, center[1])
+    hand.said("circle set")
+    circle = nb.python(
+        "[*bench.session.state.circles['PLUTO'].center_px.tolist(), bench.session.state.circles['PLUTO'].radius_px]"
+    )
+    np.testing.assert_allclose(circle, [*center, 95.0], atol=1.5)  # a page pixel is two of the picture
+    hand.press("k")
+    hand.drag((center[0] - 20.0, center[1]), (center[0] + 60.0, center[1]))
+    nb.until("abs(bench.session.state.circles['PLUTO'].radius_px - 80.0) < 2.0")
+    hand.press("Control+z")
+    nb.until(f"abs(bench.session.state.circles['PLUTO'].radius_px - {circle[2]}) < 1e-6")
+
+    # In the dark, and back; nothing is lost by a restart.
+    nb.dark()
+    nb.shot("workbench_bodies_dark")
+    nb.dark(False)
+    standing = hand.standing()
+    restart_and_run(hand)
+    assert hand.standing() == standing
+    np.testing.assert_allclose(
+        nb.python("[*bench.session.state.circles['PLUTO'].center_px.tolist(), bench.session.state.circles['PLUTO'].radius_px]"),
+        circle, rtol=0.0, atol=1e-9,
+    )  # fmt: skip
+
+
+@pytest.mark.realdata
+def test_flight_frame(notebook, data_dir, tmp_path):
+    """A real LORRI frame: its stars found, confirmed, solved and exported, with what the header gives."""
+    picture = sorted((data_dir / "images" / "lorri_interstellar").glob("*.fit*"))[0]
+    nb = notebook(
+        f"""
+from opnav_workbench.widgets import workbench
+from opnav_workbench.widgets.queue_images import ImageQueue
+bench = workbench(ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(tmp_path)!r}))
+bench
+"""
+    )
+    hand = Analyst(nb).start()
+    hand.press("f")
+    hand.said("stars found")
+    hand.press("a")
+    hand.said("undecided")
+    hand.press("A", "p")
+    hand.said("pointing:")
+    hand.press("e")
+    hand.said("files written", timeout_ms=60_000)
+    nb.shot("workbench_flight")
+    result = json.loads(next(tmp_path.glob("*/result.json")).read_text())
+    assert result["pointing"]["n_stars"] >= 7
+    assert result["pointing"]["rms_px"] < 0.2

@@ -1,0 +1,125 @@
+"""Star-box confirmation with keys and clicks, without a browser: every decision is a session step."""
+
+import numpy as np
+import pytest
+
+from opnav_workbench.session import ImageSession
+
+
+def test_accepting_goes_on_to_the_next_undecided(star_hands):
+    first, second, third = star_hands.controller.stars.ids[:3]
+    star_hands.press("a")
+    assert dict(star_hands.session.state.decisions) == {first: ("accepted", "")}
+    assert star_hands.controller.stars.focused.id == second
+    star_hands.press("ArrowLeft", "u")
+    assert star_hands.controller.stars.focused.id == second
+    star_hands.press("n")
+    assert star_hands.controller.stars.focused.id == third
+    assert star_hands.said.startswith(f"{first} accepted; 14 undecided")
+
+
+def test_rejecting_asks_for_the_reason_by_digit(star_hands):
+    star = star_hands.controller.stars.focused.id
+    star_hands.press("r")
+    assert star_hands.session.state.decisions == {}
+    assert "cosmic ray" in star_hands.panel
+    star_hands.press("2")
+    assert star_hands.session.state.decisions[star] == ("rejected", "blend")
+    assert star_hands.session.journal[-1].reason == "blend"
+
+
+def test_escape_closes_the_menu_and_digits_mean_tabs_again(star_hands):
+    star_hands.press("r", "Escape", "2")
+    assert star_hands.controller.tab == "pointing"
+    assert star_hands.session.state.decisions == {}
+
+
+def test_pointing_follows_the_stars_and_undo_takes_both_back(star_hands):
+    star_hands.press("p")
+    solved = star_hands.session.state.pointing
+    star_hands.press("r", "1")
+    assert star_hands.steps[-2:] == ["reject_stars", "repoint"]
+    assert star_hands.session.state.pointing.n_stars == solved.n_stars - 1
+    star_hands.press("Ctrl+z")
+    assert star_hands.session.state.pointing.n_stars == solved.n_stars
+    assert star_hands.steps[-1] == "repoint"  # the one asked for by key stands
+    star_hands.press("Ctrl+y")
+    assert star_hands.session.state.pointing.n_stars == solved.n_stars - 1
+    star_hands.press("Ctrl+z", "Ctrl+z")
+    assert star_hands.session.state.pointing is None
+
+
+def test_residual_plots_follow_the_stars(star_hands):
+    before = star_hands.panel
+    assert "not repointed yet" in before
+    star_hands.press("p")
+    solved = star_hands.panel
+    assert "after repointing" in solved
+    star_hands.press("r", "1")
+    assert (
+        star_hands.panel.count('class="pt pixel"') == solved.count('class="pt pixel"') - 2
+    )  # one in each plot
+
+
+def test_each_must_be_examined_where_asked(star_hands):
+    star_hands.send("examine")
+    star_hands.press("p")
+    assert star_hands.kind == "error"
+    assert "15 stars are undecided, and each must be examined" in star_hands.said
+    assert star_hands.session.state.pointing is None
+    star_hands.press("A")
+    assert "one by one" in star_hands.said
+    star_hands.press(*("a",) * 15, "p")
+    assert star_hands.session.state.pointing.n_stars == 15
+
+
+def test_radius_and_template_fit_again_at_once(star_hands):
+    centers = star_hands.session.state.centers
+    star_hands.press("]")
+    assert star_hands.session.standing[-1].parameters["search_radius_px"] == pytest.approx(6.0)
+    assert star_hands.session.state.centers is not centers
+    star_hands.send("radius", value="3.5")
+    assert star_hands.session.standing[-1].parameters["search_radius_px"] == 3.5
+    star_hands.press("t")
+    assert star_hands.session.standing[-1].parameters["template"] == star_hands.controller.stars.focused.id
+    star_hands.press("t")
+    assert star_hands.session.standing[-1].parameters["initial"] == "cross_correlation"
+    assert star_hands.session.state.mask("used").sum() == 15
+    steps = len(star_hands.session.standing)
+    star_hands.send("radius", value="wide")
+    assert "the search radius is a number of pixels, not 'wide'" in star_hands.said
+    assert len(star_hands.session.standing) == steps
+
+
+def test_click_goes_to_a_star_and_places_one(star_hands):
+    box = star_hands.controller.stars.boxes[5]
+    star_hands.tap(*(box.observed_px + np.array([1.0, -1.0])))
+    assert star_hands.controller.stars.focused.id == box.id
+    star_hands.press("i")
+    star_hands.tap(*(box.observed_px + np.array([0.4, -0.3])))
+    assert star_hands.session.standing[-1].step == "place_star"
+    assert star_hands.session.state.decisions[box.id][0] == "accepted"
+    placed = next(b for b in star_hands.controller.stars.boxes if b.id == box.id)
+    np.testing.assert_allclose(placed.observed_px, box.observed_px, atol=0.05)
+
+
+def test_click_far_from_stars_changes_nothing(star_hands):
+    focus, steps = star_hands.controller.stars.focused.id, star_hands.steps
+    star_hands.tap(-500.0, -500.0)
+    assert star_hands.controller.stars.focused.id == focus
+    assert star_hands.steps == steps
+
+
+def test_everything_shown_as_decided_is_on_disk(star_hands):
+    star_hands.press("a", "r", "3", "a")
+    folder = star_hands.controller.queue.item.folder
+    resumed = ImageSession.resume(folder)
+    assert dict(resumed.state.decisions) == dict(star_hands.session.state.decisions)
+    assert len(resumed.state.decisions) == 3
+
+
+def test_without_stars_the_page_says_what_to_do(hands_on, demo_truths):
+    hands = hands_on(demo_truths[0].picture)
+    assert "Find stars" in hands.panel
+    hands.press("A")
+    assert hands.kind == "error"
