@@ -25,11 +25,13 @@ if TYPE_CHECKING:
         CameraError,
         CatalogError,
         CenterfindingError,
+        EstimationError,
         ImageError,
         KernelError,
         MissionError,
         OpNavError,
         PointingError,
+        SelectionPending,
         SessionError,
     )
     from opnav_workbench.mission import Mission, load_mission
@@ -53,7 +55,9 @@ _HOMES = {
     "ImageError": "errors",
     "MissionError": "errors",
     "CenterfindingError": "errors",
+    "EstimationError": "errors",
     "PointingError": "errors",
+    "SelectionPending": "errors",
     "SessionError": "errors",
 }
 
@@ -62,6 +66,7 @@ __all__ = [
     "CameraError",
     "CatalogError",
     "CenterfindingError",
+    "EstimationError",
     "ImageError",
     "ImageSession",
     "KernelError",
@@ -70,6 +75,7 @@ __all__ = [
     "MissionError",
     "OpNavError",
     "PointingError",
+    "SelectionPending",
     "SessionError",
     "Settings",
     "StarTable",

@@ -21,7 +21,7 @@ __all__ = ["METHOD", "LimbStage", "limb_center"]
 
 METHOD = "ellipse"
 WEAK_ARC_RAD = np.radians(60.0)
-WEAK_SIGMA_PX = 0.5
+WEAK_SIGMA_PX, WEAK_SHARE = 0.5, 0.005  # at least so much, and this share of the radius
 WEAK_RATIO = 8.0  # of the axes of the error ellipse
 ROUGH_SHARE = 0.02  # of the radius: a limb rougher than this is not that of the model, and
 ROUGH_PX = 0.5  # at least so much
@@ -224,7 +224,7 @@ def _flags(
         BodyFlag.THIN_CRESCENT: thickness < THIN_SIGMAS * float(np.max(picture.psf.sigma_px)),
         BodyFlag.POOR_FIT: detail.rough_px > rough_limit or missing_share(stage.verdict) > MISSING_SHARE,
         BodyFlag.CIRCLE_MISFIT: any(max(r, 1.0 / r) > 1.0 + MISFIT_SHARE for r in ratios),
-        BodyFlag.WEAK_GEOMETRY: sigma_max > WEAK_SIGMA_PX
+        BodyFlag.WEAK_GEOMETRY: sigma_max > max(WEAK_SIGMA_PX, WEAK_SHARE * 0.5 * diameter)
         or (detail.lit_arc_rad < WEAK_ARC_RAD and sigma_max > WEAK_RATIO * sigma_min),
     }
     flags = BodyFlag.OK

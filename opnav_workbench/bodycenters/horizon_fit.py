@@ -27,7 +27,7 @@ NORMAL_MAD = 1.4826
 FIRST_LENGTH = 2.0  # pieces, to start from
 SHORTEST, SHORTEST_PULL = 0.2, 1.0
 MOST_TRIALS = 80
-LONGEST_SHARE = 0.25  # of the limb: a longer correlation is a wrong figure, not topography
+LONGEST_SHARE = 1.0 / 12.0  # of the limb: what is alike over more than 30 deg is a wrong figure, not relief
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,11 +160,11 @@ def _result(
 ) -> LimbMotion:
     residual = shift - design @ solution
     _, gain = _weighted(shift, np.hypot(sigma, rough), design, used)
-    length = 0.0
+    height, length = 0.0, 0.0
     if rough > 0.0:
-        rough, length = _relief(residual, sigma, design, used, rough)
+        height, length = _relief(residual, sigma, design, used, rough)
     noise = (gain * sigma[used] ** 2) @ gain.T
-    topography = rough**2 * _correlation(np.flatnonzero(used).astype(np.int64), len(used), length)
+    topography = height**2 * _correlation(np.flatnonzero(used).astype(np.int64), len(used), length)
     n = len(solution)
     motion, covariance, noise_covariance = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
     motion[:n] = solution

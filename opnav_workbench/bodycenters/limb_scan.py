@@ -8,54 +8,24 @@ Reference: Jackman & Dumont (2013), AAS 13-443, "Limb-Scanning Algorithm for Tar
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodycenters.circle import Circle
-from opnav_workbench.bodycenters.cutout import Cutout
-from opnav_workbench.bodycenters.expectation import Found, expect, find_place
+from opnav_workbench.bodycenters.expectation import Expectation, Found, expect, find_place
 from opnav_workbench.bodycenters.picture import BodyPicture
 from opnav_workbench.bodycenters.results import BodyCenter
-from opnav_workbench.bodycenters.scan_capture import Capture, capture
-from opnav_workbench.bodycenters.scan_center import CenterStep, OffsetErrors, offset_errors, solve_center
-from opnav_workbench.bodycenters.scan_choice import Choice, check_numbers, choose_scans, unevenness
-from opnav_workbench.bodycenters.scan_common import LAW, Common, solve_common
+from opnav_workbench.bodycenters.scan_capture import capture
+from opnav_workbench.bodycenters.scan_choice import Choice, check_numbers
 from opnav_workbench.bodycenters.scan_fan import N_SCANS
-from opnav_workbench.bodycenters.scan_law import with_law_share
-from opnav_workbench.bodycenters.scan_matching import ScanMatch, ScanSystem
-from opnav_workbench.bodycenters.scan_profiles import scan_profiles
+from opnav_workbench.bodycenters.scan_iteration import FEWEST, iterate
 from opnav_workbench.bodycenters.scan_report import ScanRun, report
-from opnav_workbench.bodycenters.scan_sampling import ScanSampler
-from opnav_workbench.bodycenters.scan_view import (
-    BodyLight,
-    ScanView,
-    body_light,
-    fan_reach,
-    pooled_brightness,
-    scan_system,
-    usable_pixels,
-    view_scans,
-)
 from opnav_workbench.bodycenters.silhouette import Silhouette
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["METHOD", "find_limb_scan"]
 
 METHOD = "limb_scan"
-CONVERGED_PX = 0.01
-MAX_ITERATIONS = 8
-SETTLED_PX = 0.3  # a step below which choice and roughness stay as they are
-ROUGHNESSES = (0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
-SPOKEN_FOR = 4.0  # gain in logarithmic likelihood that makes an albedo uneven
-# Maps have edges that a Gaussian of their mean roughness does not expect: scans are matched with a rougher albedo, which
-# costs little, and errors stated for one that is rougher by so much (over 40 mottled maps, error over sigma is 1.0).
-MARGIN, ERROR_MARGIN = 3.0, 1.4
-FEWEST = 3
-LAW_CHANGE = 0.05  # share of another scattering law from which on the body is rendered with it
-MAX_LAW_CHANGES = 3
 
 
 def find_limb_scan(
@@ -65,6 +35,7 @@ def find_limb_scan(
     circle: Circle | None = None,
     scans: Sequence[int] | None = None,
     n_scans: int = N_SCANS,
+    solve_range: bool = False,
     search_radius_px: float | None = None,
 ) -> BodyCenter:
     """Find a body's center of figure with scans across its limb.
@@ -83,6 +54,9 @@ def find_limb_scan(
         None: they are chosen automatically.
     n_scans : int
         How many there are.
+    solve_range : bool
+        Solve for the range from the size of the image. Without, the body has the size of its model unless the limb
+        clearly says otherwise.
     search_radius_px : float, optional
         How far from its prediction (or circle) the body may be.
 
@@ -91,7 +65,7 @@ def find_limb_scan(
     BodyCenter
         `detail` is a `LimbScans`: every scan with its offset and the reason why it was used or not. Status ``ok``;
         ``uncertain`` (see its messages); ``not_detected``, ``off_detector``, ``saturated`` or ``failed`` without a
-        center. `diameter_px` is measured with the same scans, and does not touch the center.
+        center. `diameter_px` is measured with the same scans.
 
     Raises
     ------
@@ -107,152 +81,29 @@ def find_limb_scan(
     expected = expect(picture, name, METHOD, circle, search_radius_px)
     if isinstance(expected, BodyCenter):
         return expected
-    found = find_place(picture, expected, METHOD, other_sizes=False)
+    found = _found(picture, expected, solve_range=solve_range)
     if isinstance(found, BodyCenter):
         return found
     try:
-        captured = capture(picture, silhouette, found.place.center_px, 1.0, n_scans)
+        captured = capture(picture, silhouette, found.sized_place.center_px, 1.0 / found.size_ratio, n_scans)
+        rounds = iterate(picture, name, captured, numbers, solve_size=solve_range)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, METHOD, "failed", str(error))
-    return _iterated(picture, name, found, captured, numbers)
+    if rounds.last is None:
+        return _undetermined(name, rounds.choice)
+    return report(ScanRun(picture, found, captured, rounds, numbers is not None, solve_range), METHOD)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Look:
-    """Everything seen with the model at one center."""
-
-    center: FloatArray
-    cutout: Cutout
-    body: BodyLight
-    sampler: ScanSampler
-    view: ScanView
-    brightness: FloatArray
-    system: ScanSystem
-    variance_dn2: FloatArray
+def _found(picture: BodyPicture, expected: Expectation, *, solve_range: bool) -> Found | BodyCenter:
+    """Search with the size that is expected; with other sizes, which takes longer, only if that finds nothing."""
+    found = find_place(picture, expected, METHOD, solve_range=solve_range, other_sizes=False)
+    if isinstance(found, BodyCenter) and found.status == "not_detected":
+        return find_place(picture, expected, METHOD, solve_range=solve_range)
+    return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Settings:
-    """What the data tell of the scans, kept once the center has settled."""
-
-    roughness: float
-    choice: Choice
-    uneven: FloatArray
-
-
-def _iterated(
-    picture: BodyPicture, name: str, found: Found, captured: Capture, numbers: NDArray[np.int64] | None
-) -> BodyCenter:
-    center, law_changes = captured.center_px, 0
-    settings: _Settings | None = None
-    steps: list[tuple[float, float]] = []
-    for _ in range(MAX_ITERATIONS):
-        look = _look(picture, name, captured, center)
-        if settings is None or np.hypot(*steps[-1]) > SETTLED_PX:
-            settings = _settings(picture, captured, look, numbers)
-        if settings.choice.chosen.sum() < FEWEST:
-            return _without(name, settings)
-        seen = _seen(picture, captured, look, settings)
-        center = center + seen.solved.step_px
-        steps.append((float(seen.solved.step_px[0]), float(seen.solved.step_px[1])))
-        length = float(np.hypot(*seen.solved.step_px))
-        if not length < 2.0 + 0.5 * float(np.median(captured.fan.limb_px)):
-            return _without(name, settings)
-        share = float(seen.common.values[LAW])
-        if abs(share) > LAW_CHANGE and law_changes < MAX_LAW_CHANGES:
-            picture, law_changes, settings = with_law_share(picture, name, share), law_changes + 1, None
-            profiles = scan_profiles(picture, name, captured.fan, look.center, captured.range_scale)
-            captured = replace(captured, profiles=profiles)
-        elif length < CONVERGED_PX:
-            break
-    run = ScanRun(
-        picture, found, captured, look.center, look.cutout, look.body, look.view, seen.system, seen.match, seen.errors,
-        seen.solved, seen.common, seen.settings.choice, seen.settings.uneven, seen.settings.roughness, tuple(steps),
-        converged=bool(np.hypot(*steps[-1]) < CONVERGED_PX), by_hand=numbers is not None,
-    )  # fmt: skip
-    return report(run, METHOD)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """What one iteration came to."""
-
-    settings: _Settings
-    common: Common
-    system: ScanSystem
-    match: ScanMatch
-    errors: OffsetErrors
-    solved: CenterStep
-
-
-def _seen(picture: BodyPicture, captured: Capture, look: _Look, settings: _Settings) -> _Seen:
-    """Match the scans and solve for the center, with what all scans share taken out."""
-    roughness, chosen = settings.roughness, settings.choice.chosen
-    common = solve_common(look.system, roughness, chosen, float(np.mean(picture.psf.sigma_px**2)))
-    system = look.system.without_common(common.values)
-    match = system.match(MARGIN * roughness)
-    weighted = offset_errors(match, look.sampler, look.variance_dn2, MARGIN * roughness)
-    solved = solve_center(
-        match,
-        weighted.sigma_px,
-        chosen,
-        captured.fan.limb_px,
-        look.sampler,
-        look.variance_dn2,
-        ERROR_MARGIN * roughness,
-        captured.fan.angle_rad,
-        common.covariance,
-    )
-    errors = offset_errors(match, look.sampler, look.variance_dn2, ERROR_MARGIN * roughness)
-    return _Seen(settings, common, system, match, errors, solved)
-
-
-def _look(picture: BodyPicture, name: str, captured: Capture, center: FloatArray) -> _Look:
-    fan = captured.fan
-    body = body_light(picture, name, center, captured.range_scale, fan_reach(fan, picture))
-    cutout = usable_pixels(picture, name, center, body.window)
-    sampler = ScanSampler(fan.places(center, fan.distances()), body.window)
-    view = view_scans(sampler, cutout, body)
-    brightness = pooled_brightness(view)
-    system = scan_system(fan, view, captured.profiles, cutout.gain_e_per_dn, brightness)
-    variance = cutout.noise_dn**2 + np.maximum(cutout.data_dn, 0.0) / cutout.gain_e_per_dn
-    return _Look(center, cutout, body, sampler, view, brightness, system, variance)
-
-
-def _settings(
-    picture: BodyPicture, captured: Capture, look: _Look, numbers: NDArray[np.int64] | None
-) -> _Settings:
-    """Let the data tell how rough the albedo is, and choose scans."""
-    fan, view = captured.fan, look.view
-    sigma_psf = float(np.max(picture.psf.sigma_px))
-    uneven = unevenness(fan, view, look.brightness, sigma_psf, look.cutout.gain_e_per_dn)
-    system, roughness = look.system, 0.0
-
-    def chosen() -> Choice:  # which scans may speak depends a little on the roughness
-        match = system.match(MARGIN * roughness)
-        errors = offset_errors(match, look.sampler, look.variance_dn2, MARGIN * roughness)
-        return choose_scans(fan, view, errors.sigma_px, match.motion, uneven, numbers)
-
-    for _ in range(2):
-        choice = chosen()
-        roughness = _roughness(system, choice)
-        common = solve_common(look.system, roughness, choice.chosen, sigma_psf**2)
-        system = look.system.without_common(common.values)
-    roughness = _roughness(system, choice)
-    return _Settings(roughness, chosen(), uneven)
-
-
-def _roughness(system: ScanSystem, choice: Choice) -> float:
-    """Return the albedo's relative scatter under which the chosen scans are most likely; 0 if they do not ask for one."""
-    if not choice.chosen.any():
-        return 0.0
-    likelihood = [float(system.likelihood(r)[choice.chosen].sum()) for r in (0.0, *ROUGHNESSES)]
-    best = int(np.argmax(likelihood))
-    return 0.0 if best == 0 or likelihood[best] < likelihood[0] + SPOKEN_FOR else ROUGHNESSES[best - 1]
-
-
-def _without(name: str, settings: _Settings) -> BodyCenter:
-    reasons, counts = np.unique(settings.choice.reason[~settings.choice.chosen], return_counts=True)
+def _undetermined(name: str, choice: Choice) -> BodyCenter:
+    reasons, counts = np.unique(choice.reason[~choice.chosen], return_counts=True)
     said = [f"{n} scans: {text}" for n, text in sorted(zip(counts, reasons, strict=True), reverse=True)]
-    message = f"{int(settings.choice.chosen.sum())} usable scans do not determine a center"
+    message = f"{int(choice.chosen.sum())} usable scans do not determine a center"
     return BodyCenter.without_center(name, METHOD, "failed", message, *said[:3])

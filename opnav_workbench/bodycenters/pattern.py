@@ -2,15 +2,16 @@
 
 Albedo features leave residuals that many neighbouring pixels share. Scaling a covariance by reduced chi-squared counts
 each of those pixels as a witness of its own, and makes sigma too small by about the square root of the pixels in a
-feature. Here the data are the model's light times (1 + a): a is a random field with a Gaussian correlation of the
-variance and the length that the residuals show. The fit is linear in it, so that its error has the covariance
+feature. Here the data are the model's light times (1 + a): a is a random field with an exponential correlation (patterns
+have features of many sizes), of the variance and the length that the residuals show. The fit is linear in it, so that its
+error has the covariance
 
-    cov = s^2 G R G^T,    G = (J^T W J)^-1 J^T W m,    R_ij = exp(-|x_i - x_j|^2 / (2 l^2))
+    cov = s^2 G R G^T,    G = (J^T W J)^-1 J^T W m,    R_ij = exp(-|x_i - x_j| / l)
 
 with the products by R done with the FFT. The fit absorbs part of the pattern (a dark half looks like a shift); that part
-is missing in the residuals, and s^2 is raised by what such a field is expected to lose. What this cannot see: features as
-large as the body itself, which a shift imitates altogether. Real patterns have several lengths; over random maps sigma is
-right to a factor of about 1.5.
+is missing in the residuals, which therefore show too small a length and too small a variance; both are raised. What this
+cannot see: features as large as the body itself, which a shift imitates altogether. Over random maps of Pluto's contrast
+sigma is right to a factor of 1.7: too large for small features near full phase, too small for large ones on a half disk.
 """
 
 from dataclasses import dataclass
@@ -26,8 +27,9 @@ LIT_SHARE = 0.1  # of the peak: pixels that show a surface, not its blurred edge
 MIN_PIXELS = 12
 SIGNIFICANT = 4.0  # sigmas of chi-squared
 SHORTEST_PX = 0.5  # of what differs from pixel to pixel
-HALF = float(np.sqrt(2.0 * np.log(2.0)))  # lengths at which a Gaussian correlation has fallen to one half
-REACH = 4.0  # lengths: correlation 3e-4
+HALF = float(np.log(2.0))  # lengths at which an exponential correlation has fallen to one half
+REACH = 4.0  # lengths: correlation 0.02
+UNABSORBED = 1.4  # length of a pattern over that of its residuals, from mottled maps
 MOST_ABSORBED = 0.8  # share of a pattern that a fit may absorb before its residuals say nothing
 
 
@@ -40,7 +42,7 @@ class Pattern:
     relative_sigma : float
         Contrast over the model's light; 0 where the residuals are those of the noise.
     length_px : float
-        Correlation length (sigma of the Gaussian).
+        Length of its exponential correlation.
     covariance : (q, q) array
         Of the q quantities that the gain is of.
     chi2_reduced : float
@@ -103,7 +105,7 @@ def _bounds(mask: BoolArray) -> tuple[slice, slice]:
 def _correlation_length(
     residual: FloatArray, weight: FloatArray, light: FloatArray, variance: float
 ) -> float:
-    """Return the length at which the autocovariance of residual over light falls to half its variance, as a sigma."""
+    """Return the length at which the autocovariance of residual over light falls to half its variance, as a length."""
     good = [fft.next_fast_len(2 * n, real=True) for n in light.shape]
 
     def autocorrelation(plane: FloatArray) -> FloatArray:
@@ -112,7 +114,7 @@ def _correlation_length(
 
     field, pairs = autocorrelation(weight * light * residual), autocorrelation(weight * light**2)
     distance = np.hypot(*np.meshgrid(*(fft.fftfreq(n, 1.0 / n) for n in good), indexing="ij"))
-    farthest = max(light.shape)
+    farthest = max(light.shape) // 2
     near = (distance < farthest) & (pairs > 1e-6 * pairs.max())
     ring = np.rint(distance[near]).astype(np.int64)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -120,20 +122,20 @@ def _correlation_length(
     mean[0] = variance  # without the noise of the pixels
     below = np.flatnonzero(np.nan_to_num(mean) < 0.5 * variance)
     if not len(below):
-        return float(farthest / HALF)
+        return float(UNABSORBED * farthest / HALF)
     end = int(below[0])
     over, under = float(mean[end - 1]), float(np.nan_to_num(mean[end]))
     half = end - 1 + (over - 0.5 * variance) / max(over - under, 1e-300)
-    return float(max(half / HALF, SHORTEST_PX))
+    return float(max(UNABSORBED * half / HALF, SHORTEST_PX))
 
 
 def _joined(images: FloatArray, length: float) -> FloatArray:
-    """Return products (q, q) of images with each other through the Gaussian correlation."""
+    """Return products (q, q) of images with each other through the exponential correlation."""
     pad = int(np.ceil(REACH * length))
     good = [fft.next_fast_len(n + pad, real=True) for n in images.shape[1:]]
     spectra = fft.rfft2(images, good)
-    one, two = (np.exp(-0.5 * (np.minimum(np.arange(n), n - np.arange(n)) / length) ** 2) for n in good)
-    kernel = fft.rfft2(np.outer(one, two)).real
+    down, along = (np.minimum(np.arange(n), n - np.arange(n)) for n in good)
+    kernel = fft.rfft2(np.exp(-np.hypot(down[:, None], along) / length)).real
     double = np.full(spectra.shape[-1], 2.0)  # the half of the spectrum that rfft2 leaves out
     double[0] = 1.0
     if good[1] % 2 == 0:

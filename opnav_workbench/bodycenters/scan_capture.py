@@ -28,10 +28,10 @@ SIZE_SHARE = 0.4  # of the radius: how far the limb may be from where it is pred
 MIN_LAG_PX = 6.0
 ROUGH = 0.3  # relative scatter of the albedo that is allowed for while it is unknown
 MIN_PEAK = 0.5  # correlation below which a scan has met nothing like the limb
-ROUNDS = 3
+ROUNDS = 4
 NEAR_PX = 0.2  # what a step s along a limb of radius r, seen as straight, is off by at most: s^2 / 2 r
-SIZE_NOTICED = 0.04  # relative; a wrong scattering law moves the apparent limb by up to 0.02 of the radius
-SIZE_NOTICED_PX = 2.0
+SIZE_NOTICED = 0.01  # relative, and
+SIZE_NOTICED_PX = 1.0  # difference of the limb from the predicted one: less is left to the rendered model
 NARROWINGS = 8  # of the distance that counts as near
 NEAREST_PX = 0.5
 FEWEST = 5  # scans that must agree
@@ -73,6 +73,7 @@ def capture(
         The body leaves what the camera model covers.
     """
     center, agreeing = np.asarray(center_px, dtype=np.float64), 0.0
+    other_size = False
     for turn in range(ROUNDS):
         fan = lay_fan(picture, silhouette, center, range_scale, n_scans)
         profiles = scan_profiles(picture, silhouette.name, fan, center, range_scale)
@@ -84,9 +85,9 @@ def capture(
         step, size, agreeing = _consensus(fan, lag, known, lags)
         center = center + step
         radius = float(np.median(fan.limb_px))
-        if abs(size) > max(SIZE_NOTICED, SIZE_NOTICED_PX / radius):
-            range_scale /= 1.0 + size
-        elif step @ step < 2.0 * radius * NEAR_PX:
+        if abs(size) > max(SIZE_NOTICED, SIZE_NOTICED_PX / radius) or other_size:
+            range_scale, other_size = range_scale / (1.0 + size), True
+        if abs(size) * radius < SIZE_NOTICED_PX and step @ step < 2.0 * radius * NEAR_PX:
             break
     return Capture(center, range_scale, fan, profiles, agreeing)
 

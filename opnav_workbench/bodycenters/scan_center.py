@@ -16,7 +16,7 @@ from opnav_workbench.bodycenters.scan_matching import ScanMatch
 from opnav_workbench.bodycenters.scan_profiles import CORRELATION_RAD
 from opnav_workbench.bodycenters.scan_sampling import ScanSampler
 
-__all__ = ["CenterStep", "OffsetErrors", "offset_errors", "solve_center"]
+__all__ = ["CenterStep", "ErrorSources", "OffsetErrors", "offset_errors", "solve_center"]
 
 OUTLIER_SIGMAS = 4.0
 ROUNDS = 10
@@ -85,6 +85,45 @@ class CenterStep:
         freeze_arrays(self)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorSources:
+    """Where errors of offsets come from.
+
+    Attributes
+    ----------
+    sampler : ScanSampler
+        Which pixels the samples of the scans rest on.
+    variance_dn2 : (n_line, n_pixel) array
+        Of the noise of pixels.
+    roughness : float
+        Relative scatter of the albedo.
+    angle_rad : (n,) array
+        Of the scans: those that lie close share an albedo.
+    common_covariance : (g, g) array
+        Of what was taken out of all scans (`opnav_workbench.bodycenters.scan_common`).
+    """
+
+    sampler: ScanSampler
+    variance_dn2: FloatArray
+    roughness: float
+    angle_rad: FloatArray
+    common_covariance: FloatArray
+
+    def noise(self, estimator: FloatArray, match: ScanMatch) -> FloatArray:
+        """Return the noise covariance (p, p) of linear combinations (p, n) of offsets."""
+        rows = [self.sampler.pixel_weights(row[:, None] * match.gain).sum(axis=0) for row in estimator]
+        weights = np.stack([np.asarray(row).ravel() for row in rows])
+        return np.asarray((weights * self.variance_dn2.ravel()) @ weights.T)
+
+    def shared(self, match: ScanMatch) -> FloatArray:
+        """Return the covariance (n, n) of offsets from albedo and from what all scans share."""
+        apart = np.abs(self.angle_rad[:, None] - self.angle_rad)
+        apart = np.minimum(apart, 2.0 * np.pi - apart)
+        nearby = np.exp(-0.5 * (apart / CORRELATION_RAD) ** 2)
+        albedo = self.roughness**2 * (match.albedo @ match.albedo.T) * nearby
+        return np.asarray(albedo + match.common @ self.common_covariance @ match.common.T)
+
+
 def offset_errors(
     match: ScanMatch, sampler: ScanSampler, variance_dn2: FloatArray, roughness: FloatArray | float
 ) -> OffsetErrors:
@@ -100,11 +139,7 @@ def solve_center(
     weight_sigma_px: FloatArray,
     chosen: BoolArray,
     limb_px: FloatArray,
-    sampler: ScanSampler,
-    variance_dn2: FloatArray,
-    roughness: float,
-    angle_rad: FloatArray,
-    common_covariance: FloatArray,
+    sources: ErrorSources,
     size_in_model: float,
     *,
     solve_size: bool,
@@ -119,15 +154,7 @@ def solve_center(
     chosen : (n,) array of bool
     limb_px : (n,) array
         Distance of the limb: the change of an offset with the logarithm of the body's size.
-    sampler : ScanSampler
-    variance_dn2 : (n_line, n_pixel) array
-        Of the noise of pixels.
-    roughness : float
-        Relative scatter of the albedo.
-    angle_rad : (n,) array
-        Of the scans.
-    common_covariance : (g, g) array
-        Of what was taken out of all scans (`opnav_workbench.bodycenters.scan_common`).
+    sources : ErrorSources
     size_in_model : float
         Logarithm of the size that the model has over the predicted one.
     solve_size : bool
@@ -137,25 +164,21 @@ def solve_center(
     weight = np.where(used, 1.0 / weight_sigma_px**2, 0.0)
     plain = _estimator(match.motion, weight)
     sizing = _estimator(np.concatenate([match.motion, limb_px[:, None]], axis=1), weight)[2:]
-    albedo = np.square(roughness) * _shared(match.albedo, angle_rad)
-    albedo += match.common @ common_covariance @ match.common.T
-
-    def errors(estimator: FloatArray) -> tuple[FloatArray, FloatArray]:
-        noise = _noise_covariance(estimator, match, sampler, variance_dn2)
-        return noise, noise + estimator @ albedo @ estimator.T
-
-    size, size_variance = size_in_model + float(sizing[0] @ match.offset_px), float(errors(sizing)[1][0, 0])
+    shared = sources.shared(match)
+    size = size_in_model + float(sizing[0] @ match.offset_px)
+    size_variance = float((sources.noise(sizing, match) + sizing @ shared @ sizing.T)[0, 0])
     trust = 1.0 if solve_size else _trust(size, size_variance)
     offset = match.offset_px - (trust * size - size_in_model) * limb_px
     step = plain @ offset
     residual = offset - match.motion @ step
-    own = offset_errors(match, sampler, variance_dn2, roughness)
+    own = offset_errors(match, sources.sampler, sources.variance_dn2, sources.roughness)
     chi2 = float(np.sum((residual[used] / own.sigma_px[used]) ** 2)) / max(int(used.sum()) - 2, 1)
     excess = max(1.0, chi2 / EXCESS)
-    noise, total = errors(plain - trust * (plain @ limb_px)[:, None] * sizing)
+    estimator = plain - trust * (plain @ limb_px)[:, None] * sizing
+    noise = sources.noise(estimator, match)
     return CenterStep(
         step_px=step,
-        covariance_px2=symmetric(excess * total),
+        covariance_px2=symmetric(excess * (noise + estimator @ shared @ estimator.T)),
         noise_covariance_px2=symmetric(noise),
         used=used,
         residual_px=residual,
@@ -199,20 +222,3 @@ def _estimator(columns: FloatArray, weight: FloatArray) -> FloatArray:
     return np.asarray(
         np.linalg.pinv(normal, rcond=1e-12, hermitian=True) @ (weighted / scale).T / scale[:, None]
     )
-
-
-def _shared(albedo: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Return the covariance (n, n) of offsets from an albedo of scatter 1, which scans nearby share."""
-    apart = np.abs(angle_rad[:, None] - angle_rad)
-    apart = np.minimum(apart, 2.0 * np.pi - apart)
-    return np.asarray((albedo @ albedo.T) * np.exp(-0.5 * (apart / CORRELATION_RAD) ** 2))
-
-
-def _noise_covariance(
-    estimator: FloatArray, match: ScanMatch, sampler: ScanSampler, variance_dn2: FloatArray
-) -> FloatArray:
-    rows = [
-        np.asarray(sampler.pixel_weights(row[:, None] * match.gain).sum(axis=0)).ravel() for row in estimator
-    ]
-    weights = np.stack(rows)
-    return np.asarray((weights * variance_dn2.ravel()) @ weights.T)

@@ -37,9 +37,14 @@ def no_common() -> Common:
     return Common(np.zeros(2), np.zeros((2, 2)))
 
 
-def solve_common(system: ScanSystem, roughness: float, chosen: BoolArray, psf_variance_px2: float) -> Common:
-    """Solve for what the chosen scans share; what is not significant is left at zero."""
-    normal, right = system.common_normal(roughness, chosen)
+def solve_common(
+    system: ScanSystem, roughness: float, chosen: BoolArray, psf_variance_px2: float, alike: float
+) -> Common:
+    """Solve for what the chosen scans share; what is not significant is left at zero.
+
+    `alike` is the number of neighbouring scans that tell the same.
+    """
+    normal, right = (part / alike for part in system.common_normal(roughness, chosen))
     prior = np.diag([LAW_SIGMA**-2.0, (BLUR_SIGMA * psf_variance_px2) ** -2.0])
     active = np.array([True, True])
     while active.any():

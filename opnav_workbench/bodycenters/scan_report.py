@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodycenters.cutout import Cutout
 from opnav_workbench.bodycenters.expectation import Found
 from opnav_workbench.bodycenters.flags import BodyFlag, describe_body_flags
 from opnav_workbench.bodycenters.judging import CIRCLE_TOLERANCE, DOUBTFUL, SIZE_TOLERANCE
@@ -14,14 +13,10 @@ from opnav_workbench.bodycenters.limb_scan_results import REJECTED, LimbScans
 from opnav_workbench.bodycenters.picture import BodyPicture
 from opnav_workbench.bodycenters.results import BodyCenter, BodyPictures
 from opnav_workbench.bodycenters.scan_capture import Capture
-from opnav_workbench.bodycenters.scan_center import CenterStep, OffsetErrors
-from opnav_workbench.bodycenters.scan_choice import Choice
-from opnav_workbench.bodycenters.scan_common import Common
 from opnav_workbench.bodycenters.scan_correlation import correlate_scans
 from opnav_workbench.bodycenters.scan_fan import STEP_PX, ScanFan
-from opnav_workbench.bodycenters.scan_matching import ScanMatch, ScanSystem
+from opnav_workbench.bodycenters.scan_iteration import Round, Rounds
 from opnav_workbench.bodycenters.scan_sampling import ScanSampler
-from opnav_workbench.bodycenters.scan_view import BodyLight, ScanView
 
 __all__ = ["ScanRun", "report"]
 
@@ -41,38 +36,14 @@ FWHM = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanRun:
-    """A limb scan that has come to its end.
-
-    Attributes
-    ----------
-    center_px : (2,) array
-        Of the last model; the last step leads on from there.
-    uneven : (n,) array
-    roughness : float
-    errors : OffsetErrors
-        Of the offsets, for the albedo's roughness.
-    steps : tuple of (float, float)
-    converged, by_hand : bool
-    """
+    """A limb scan that has come to its end."""
 
     picture: BodyPicture
     found: Found
     captured: Capture
-    center_px: FloatArray
-    cutout: Cutout
-    body: BodyLight
-    view: ScanView
-    system: ScanSystem
-    match: ScanMatch
-    errors: OffsetErrors
-    solved: CenterStep
-    common: Common
-    choice: Choice
-    uneven: FloatArray
-    roughness: float
-    steps: tuple[tuple[float, float], ...]
-    converged: bool
+    rounds: Rounds
     by_hand: bool
+    size_solved: bool
 
     @property
     def name(self) -> str:
@@ -85,9 +56,15 @@ class ScanRun:
         return self.captured.fan
 
     @property
+    def last(self) -> Round:
+        """The last round."""
+        assert self.rounds.last is not None
+        return self.rounds.last
+
+    @property
     def size_ratio(self) -> float:
         """Size of the body's image over that of the a priori model."""
-        return (1.0 + self.solved.size) / self.captured.range_scale
+        return float(np.exp(self.last.solved.size))
 
 
 def report(run: ScanRun, method: str) -> BodyCenter:
@@ -95,31 +72,33 @@ def report(run: ScanRun, method: str) -> BodyCenter:
     flags = _flags(run)
     status = "uncertain" if flags & DOUBTFUL or _too_uncertain(run) else "ok"
     model = _final_model(run)
-    use = run.cutout.use
+    use = run.last.look.cutout.use
     under = float(np.sum(model[use] ** 2))
-    scale = float(np.sum(run.cutout.data_dn[use] * model[use])) / under if under > 0.0 else np.nan
-    scatter = run.match.brightness[run.solved.used]
+    scale = float(np.sum(run.last.look.cutout.data_dn[use] * model[use])) / under if under > 0.0 else np.nan
+    scatter = run.last.match.brightness[run.last.solved.used]
     detail = _detail(run, float(np.mean(scatter)), model)
     excess = run.picture.excess_sigma_px**2 * np.eye(2)
-    diameter = run.body.diameter_px
+    diameter = run.picture.diameter_px(run.name) * run.size_ratio
     return BodyCenter(
         name=run.name,
         method=method,
         status=status,
-        pixel_line=run.center_px + run.solved.step_px,
-        covariance_px2=run.solved.covariance_px2 + excess,
-        flux_dn=scale * run.body.flux_dn,
+        pixel_line=run.last.look.center + run.last.solved.step_px,
+        covariance_px2=run.last.solved.covariance_px2 + excess,
+        flux_dn=scale * run.last.look.body.flux_dn,
         snr=run.found.place.snr,
-        diameter_px=diameter * (1.0 + run.solved.size),
-        diameter_sigma_px=diameter * run.solved.size_sigma,
+        diameter_px=diameter,
+        diameter_sigma_px=diameter * run.last.solved.size_sigma,
         messages=_messages(run, flags),
         flags=int(flags),
-        noise_covariance_px2=run.solved.noise_covariance_px2,
-        chi2_reduced=run.solved.chi2_reduced,
+        noise_covariance_px2=run.last.solved.noise_covariance_px2,
+        chi2_reduced=run.last.solved.chi2_reduced,
         brightness_scale=scale,
         brightness_scale_sigma=float(np.std(scatter) / np.sqrt(len(scatter))),
-        background_dn=float(np.median(run.match.background_dn[run.solved.used])),
-        background_sigma_dn=float(np.std(run.match.background_dn[run.solved.used]) / np.sqrt(len(scatter))),
+        background_dn=float(np.median(run.last.match.background_dn[run.last.solved.used])),
+        background_sigma_dn=float(
+            np.std(run.last.match.background_dn[run.last.solved.used]) / np.sqrt(len(scatter))
+        ),
         pictures=_pictures(run, scale * model),
         detail=detail,
     )
@@ -127,34 +106,38 @@ def report(run: ScanRun, method: str) -> BodyCenter:
 
 def _final_model(run: ScanRun) -> FloatArray:
     """Return the body's light at the solution: the last picture, moved by the last step."""
-    moved = run.body.light_dn + np.tensordot(run.solved.step_px, run.body.slope_dn, axes=1)
+    moved = run.last.look.body.light_dn + np.tensordot(
+        run.last.solved.step_px, run.last.look.body.slope_dn, axes=1
+    )
     return np.asarray(np.maximum(moved, 0.0))
 
 
 def _pictures(run: ScanRun, model_dn: FloatArray) -> BodyPictures:
-    pixel, line, n_pixel, n_line = run.body.window
+    pixel, line, n_pixel, n_line = run.last.look.body.window
     data = run.picture.signal_dn[line : line + n_line, pixel : pixel + n_pixel]
-    return BodyPictures(run.body.window, data, model_dn, data - model_dn, run.cutout.use)
+    return BodyPictures(run.last.look.body.window, data, model_dn, data - model_dn, run.last.look.cutout.use)
 
 
 def _flags(run: ScanRun) -> BodyFlag:
-    bright = run.body.light_dn > 0.1 * run.body.light_dn.max(initial=0.0)
-    chosen, used = int(run.choice.chosen.sum()), int(run.solved.used.sum())
-    minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(run.solved.covariance_px2), 0.0))
+    bright = run.last.look.body.light_dn > 0.1 * run.last.look.body.light_dn.max(initial=0.0)
+    chosen, used = int(run.last.choice.chosen.sum()), int(run.last.solved.used.sum())
+    minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(run.last.solved.covariance_px2), 0.0))
     expected = run.found.expectation
-    final = run.center_px + run.solved.step_px
+    final = run.last.look.center + run.last.solved.step_px
     conditions = {
         BodyFlag.CUT_BY_EDGE: _cut(run, final),
-        BodyFlag.OVEREXPOSED: bool(np.any(bright & run.cutout.saturated)),
+        BodyFlag.OVEREXPOSED: bool(np.any(bright & run.last.look.cutout.saturated)),
         BodyFlag.OCCULTED: bool(run.fan.covered.any()),
         BodyFlag.THIN_CRESCENT: _thin(run),
         BodyFlag.CIRCLE_MISFIT: bool(_misfit_words(run)),
-        BodyFlag.POOR_FIT: run.solved.chi2_reduced > POOR_CHI2 or used < (1.0 - POOR_SHARE) * chosen,
+        BodyFlag.POOR_FIT: run.last.solved.chi2_reduced > POOR_CHI2 or used < (1.0 - POOR_SHARE) * chosen,
         BodyFlag.AT_LIMIT: float(np.hypot(*(final - expected.center_px))) > expected.search_px + LIMIT_PX,
         BodyFlag.WEAK_GEOMETRY: major > WEAK_SIGMA_PX
         or (major > WEAK_MATTERS_PX and major > WEAK_RATIO * minor),
-        BodyFlag.BAD_PIXELS: bool(np.any(bright & ~run.cutout.use & ~run.cutout.saturated)),
-        BodyFlag.NOT_CONVERGED: not run.converged,
+        BodyFlag.BAD_PIXELS: bool(
+            np.any(bright & ~run.last.look.cutout.use & ~run.last.look.cutout.saturated)
+        ),
+        BodyFlag.NOT_CONVERGED: not run.rounds.converged,
     }
     flags = BodyFlag.OK
     for flag, condition in conditions.items():
@@ -178,7 +161,7 @@ def _misfit_words(run: ScanRun) -> str:
     ratio, circle = run.size_ratio, run.found.expectation.circle_ratio
     predicted = run.picture.diameter_px(run.name)
     words = []
-    significant = abs(ratio - 1.0) > 3.0 * run.solved.size_sigma
+    significant = abs(ratio - 1.0) > 3.0 * run.last.solved.size_sigma
     if significant and abs(ratio - 1.0) > SIZE_TOLERANCE:
         words.append(
             f"its limb is {100 * abs(ratio - 1.0):.0f} % {'larger' if ratio > 1.0 else 'smaller'} than the predicted "
@@ -192,7 +175,7 @@ def _misfit_words(run: ScanRun) -> str:
 def _too_uncertain(run: ScanRun) -> bool:
     """Tell whether too little of the body is left: half of the scans across the lit limb lost to edges and pixels."""
     limb = run.fan.crosses_limb
-    share = float(run.choice.chosen[limb].mean()) if limb.any() else 0.0
+    share = float(run.last.choice.chosen[limb].mean()) if limb.any() else 0.0
     return bool(not run.by_hand and share < 0.3)
 
 
@@ -203,9 +186,9 @@ def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
         BodyFlag.CUT_BY_EDGE: f"the detector has {size.n_pixel} x {size.n_line} px",
         BodyFlag.OCCULTED: f"{int(run.fan.covered.sum())} scans left out",
         BodyFlag.CIRCLE_MISFIT: _misfit_words(run),
-        BodyFlag.POOR_FIT: f"scatter of the scans {run.solved.chi2_reduced**0.5:.1f} times their sigmas, "
-        f"{int((run.choice.chosen & ~run.solved.used).sum())} of {int(run.choice.chosen.sum())} rejected",
-        BodyFlag.WEAK_GEOMETRY: f"to {np.sqrt(np.linalg.eigvalsh(run.solved.covariance_px2)[1]):.2f} px",
+        BodyFlag.POOR_FIT: f"scatter of the scans {run.last.solved.chi2_reduced**0.5:.1f} times their sigmas, "
+        f"{int((run.last.choice.chosen & ~run.last.solved.used).sum())} of {int(run.last.choice.chosen.sum())} rejected",
+        BodyFlag.WEAK_GEOMETRY: f"to {np.sqrt(np.linalg.eigvalsh(run.last.solved.covariance_px2)[1]):.2f} px",
     }
     for flag in BodyFlag:
         if flags & flag:
@@ -213,26 +196,30 @@ def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
             said.append(describe_body_flags(flag) + (f" ({note})" if note else ""))
     if _too_uncertain(run):
         said.append("few scans of its lit limb could be used")
-    return (*said, *run.choice.summary)
+    return (*said, *run.last.choice.summary)
 
 
 def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
-    fan, solved = run.fan, run.solved
-    center = run.center_px + solved.step_px
+    fan, solved = run.fan, run.last.solved
+    center = run.last.look.center + solved.step_px
     last = int((fan.first + fan.n_samples).max())
     distance: FloatArray = STEP_PX * np.arange(last + 1.0)
     places = fan.places(center, distance)
-    sampler = ScanSampler(places, run.body.window)
-    data = np.where(sampler.blocked(run.cutout.use), np.nan, sampler.sample(run.cutout.data_dn))
+    sampler = ScanSampler(places, run.last.look.body.window)
+    data = np.where(
+        sampler.blocked(run.last.look.cutout.use), np.nan, sampler.sample(run.last.look.cutout.data_dn)
+    )
     lag: FloatArray = np.arange(-LAG_PX, LAG_PX + 0.5 * STEP_PX, STEP_PX)
     reach = round(LAG_PX / STEP_PX)
-    wide = ScanSampler(fan.places(run.center_px, fan.distances(reach, reach)), run.body.window)
+    wide = ScanSampler(
+        fan.places(run.last.look.center, fan.distances(reach, reach)), run.last.look.body.window
+    )
     correlation = correlate_scans(
-        run.system,
-        run.view.model,
-        wide.sample(run.cutout.data_dn),
-        wide.blocked(run.cutout.use),
-        run.roughness,
+        run.last.system,
+        run.last.look.view.model,
+        wide.sample(run.last.look.cutout.data_dn),
+        wide.blocked(run.last.look.cutout.use),
+        run.last.roughness,
     )
     status, reason = _verdicts(run)
     known = np.isfinite(fan.edge_px)
@@ -247,25 +234,25 @@ def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
         edge_px=fan.edge_px,
         correlation=correlation,
         lag_px=lag,
-        offset_px=np.where(known, run.match.offset_px, np.nan),
-        sigma_px=np.where(known, run.errors.sigma_px, np.nan),
-        motion=run.match.motion,
-        brightness=run.match.brightness,
-        unevenness=run.uneven,
+        offset_px=np.where(known, run.last.match.offset_px, np.nan),
+        sigma_px=np.where(known, run.last.errors.sigma_px, np.nan),
+        motion=run.last.match.motion,
+        brightness=run.last.match.brightness,
+        unevenness=run.last.uneven,
         residual_px=np.where(known, solved.residual_px, np.nan),
         status=status,
         reason=reason,
-        roughness=run.roughness,
-        iterations=run.steps,
-        summary=run.choice.summary,
+        roughness=run.last.roughness,
+        iterations=run.rounds.steps,
+        summary=run.last.choice.summary,
     )
 
 
 def _verdicts(run: ScanRun) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """Return status and reason of every scan, with those of rejected outliers."""
-    status, reason = run.choice.status.astype("<U12"), run.choice.reason.astype("<U160")
-    for row in np.flatnonzero(run.choice.chosen & ~run.solved.used):
-        residual, sigma = run.solved.residual_px[row], run.errors.sigma_px[row]
+    status, reason = run.last.choice.status.astype("<U12"), run.last.choice.reason.astype("<U160")
+    for row in np.flatnonzero(run.last.choice.chosen & ~run.last.solved.used):
+        residual, sigma = run.last.solved.residual_px[row], run.last.errors.sigma_px[row]
         status[row] = REJECTED
         reason[row] = (
             f"off by {residual:+.3f} px from the other scans, {abs(residual) / sigma:.1f} of its sigma"

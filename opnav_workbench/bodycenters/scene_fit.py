@@ -8,11 +8,11 @@ derivatives are those of the rendered light itself, so that three renderings usu
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.linalg import solve
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodycenters.cutout import Cutout
 from opnav_workbench.bodycenters.hit_pixels import find_hit_pixels
+from opnav_workbench.bodycenters.normal_equations import inverse, normal_matrix, projected, solved_for
 from opnav_workbench.bodycenters.picture import BodyPicture
 from opnav_workbench.bodycenters.scene_light import SceneLight, SceneState, light_up, range_derivatives
 
@@ -24,7 +24,6 @@ MAX_STEP_PX = 2.0  # linear in the center no farther than the PSF and the limb's
 MAX_STEP_LOG = 0.25
 MAX_LOG_RANGE = 1.2  # a factor of 3.3
 FRESH_PX = 0.15  # derivatives that were taken farther away than this are taken anew
-RIDGE = 1e-10
 GROWTH = 1.01  # chi-squared may grow so much in a step: the weights change with the model
 
 
@@ -75,7 +74,7 @@ class SceneFit:
     @property
     def covariance(self) -> FloatArray:
         """Covariance (p, p) of the parameters from the noise of the pixels."""
-        return _inverse(self.information)
+        return inverse(self.information)
 
     @property
     def gain(self) -> FloatArray:
@@ -163,7 +162,7 @@ class _Linear:
 
     @property
     def degrees(self) -> float:
-        return float(max(np.count_nonzero(self.weight), 1))
+        return max(float(np.count_nonzero(self.weight)), 1.0)
 
 
 def _no_hits(cutout: Cutout) -> BoolArray:
@@ -201,7 +200,7 @@ def solve_brightness(
     for _ in range(2):
         weight = np.where(hits, 0.0, cutout.weight(expected))
         design = np.concatenate([each, np.ones((1, *weight.shape))])
-        solved = _solved(_normal(design, weight), _projected(design, weight, cutout.data_dn))
+        solved = solved_for(normal_matrix(design, weight), projected(design, weight, cutout.data_dn))
         expected = np.tensordot(solved[:-1], each, axes=1)
     weight = np.where(hits, 0.0, cutout.weight(expected))
     return replace(state, scales=solved[:-1], level_dn=float(solved[-1])), weight
@@ -226,8 +225,9 @@ def _descend(task: _Task, linear: _Linear) -> SceneFit:
 
 def _step(linear: _Linear, task: _Task) -> FloatArray:
     """Return the change of all parameters, those of centers and ranges within limits."""
-    change = _solved(
-        _normal(linear.columns, linear.weight), _projected(linear.columns, linear.weight, linear.residual)
+    change = solved_for(
+        normal_matrix(linear.columns, linear.weight),
+        projected(linear.columns, linear.weight, linear.residual),
     )
     n, k = len(linear.state.names), task.count
     centers = change[: 2 * n].reshape(n, 2)
@@ -276,37 +276,9 @@ def _finished(
         residual_dn=residual,
         weight=linear.weight,
         columns=linear.columns,
-        information=_normal(linear.columns, linear.weight),
+        information=normal_matrix(linear.columns, linear.weight),
         hits=linear.hits,
         steps_px=steps,
         converged=converged,
         chi2=float(np.sum(linear.weight * residual**2)),
     )
-
-
-def _normal(columns: FloatArray, weight: FloatArray) -> FloatArray:
-    flat = columns.reshape(len(columns), -1)
-    return symmetric((flat * weight.ravel()) @ flat.T)
-
-
-def _projected(columns: FloatArray, weight: FloatArray, data: FloatArray) -> FloatArray:
-    return np.asarray(columns.reshape(len(columns), -1) @ (weight * data).ravel())
-
-
-def _solved(information: FloatArray, right: FloatArray) -> FloatArray:
-    scale, scaled = _scaled(information)
-    return np.asarray(scale * solve(scaled, scale * right))
-
-
-def _inverse(information: FloatArray) -> FloatArray:
-    scale, scaled = _scaled(information)
-    return symmetric(scale[:, None] * np.linalg.inv(scaled) * scale)
-
-
-def _scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return scales (p,) and the matrix scaled to a unit diagonal; a parameter that nothing depends on stays 0."""
-    diagonal = np.diag(information)
-    known = diagonal > 0.0
-    scale = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
-    ridge = np.where(known, RIDGE, 1.0)
-    return scale, information * scale[:, None] * scale + np.diag(ridge)

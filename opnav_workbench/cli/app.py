@@ -8,11 +8,13 @@ from rich.console import Console
 from rich.markup import escape
 
 from opnav_workbench.cli.calibrate import calibrate
+from opnav_workbench.cli.campaign import campaign_app
 from opnav_workbench.cli.catalog import catalog_app
 from opnav_workbench.cli.demo import demo
 from opnav_workbench.cli.doctor import doctor
 from opnav_workbench.cli.export import export
 from opnav_workbench.cli.kernels import kernels_app
+from opnav_workbench.cli.lab import lab
 from opnav_workbench.cli.nightly import nightly
 from opnav_workbench.cli.process import process
 from opnav_workbench.cli.simulate import simulate
@@ -33,9 +35,11 @@ app = typer.Typer(
 )
 app.command()(demo)
 app.command()(process)
+app.command()(lab)
 app.command()(nightly)
 app.command()(export)
 app.command()(simulate)
+app.add_typer(campaign_app)
 app.add_typer(kernels_app)
 app.add_typer(catalog_app)
 app.add_typer(calibrate)

@@ -12,7 +12,7 @@ from opnav_workbench.resources import notebooks_dir
 __all__ = ["NOTEBOOK", "LabParameters", "put_notebook"]
 
 NOTEBOOK = "workbench.ipynb"
-PARAMETERS_TAG = "parameters"
+PARAMETERS_TAG, SET_TAG = "parameters", "injected-parameters"  # papermill's words
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +71,20 @@ def put_notebook(folder: Path, parameters: LabParameters) -> Path:
     source = path if path.is_file() else notebooks_dir() / NOTEBOOK
     try:
         notebook: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
-        cell = next(c for c in notebook["cells"] if PARAMETERS_TAG in c["metadata"].get("tags", ()))
+        _set(notebook["cells"], parameters)
     except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
         raise SessionError(
             f"{source} cannot be read, or has no cell tagged {PARAMETERS_TAG!r}; move it away, and it is made anew."
         ) from error
-    cell["source"] = parameters.source().splitlines(keepends=True)
     write_text(path, json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
     return path.resolve()
+
+
+def _set(cells: list[dict[str, Any]], parameters: LabParameters) -> None:
+    """Put the parameters into the cell after the notebook's own, as papermill does."""
+    tags = [cell["metadata"].get("tags", ()) for cell in cells]
+    after = next(number for number, tag in enumerate(tags) if PARAMETERS_TAG in tag) + 1
+    if after == len(cells) or SET_TAG not in tags[after]:
+        cell = {"cell_type": "code", "execution_count": None, "id": "set-by-opnav-lab", "outputs": []}
+        cells.insert(after, cell | {"metadata": {"tags": [SET_TAG]}})
+    cells[after]["source"] = parameters.source().splitlines(keepends=True)

@@ -14,6 +14,8 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Self
 
+from jupyterlab_server.workspaces_handler import WorkspacesManager
+
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder
 
@@ -27,6 +29,15 @@ OVERRIDES = {
     # Callbacks of the view then never run beside a cell's code: SPICE serves one thread only.
     "@jupyterlab/apputils-extension:kernels-settings": {"commsOverSubshells": "disabled"},
     "@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": False},
+}
+# The side bars begin closed, so that the workbench has the whole width; JupyterLab keeps what the analyst then changes.
+LAYOUT = {
+    "layout-restorer:data": {
+        "main": {"dock": None},
+        "left": {"collapsed": True, "visible": True},
+        "right": {"collapsed": True, "visible": True},
+        "relativeSizes": [0, 1, 0],
+    }
 }
 
 
@@ -130,6 +141,9 @@ class LabServer:
         make_folder(self._private / "labconfig")
         path = self._private / "labconfig" / "default_setting_overrides.json"
         path.write_text(json.dumps(OVERRIDES, indent=1), encoding="utf-8")
+        layouts = WorkspacesManager(str(self._private / "workspaces"))
+        if WORKSPACE not in [layout["metadata"]["id"] for layout in layouts.list_workspaces()]:
+            layouts.save(WORKSPACE, json.dumps({"data": LAYOUT, "metadata": {"id": WORKSPACE}}))
 
     def _wait_for_start(self) -> None:
         end = time.monotonic() + STARTS_IN_S

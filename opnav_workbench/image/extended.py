@@ -19,8 +19,14 @@ PEAK_SHARE = 0.1  # of an area's peak: a limb is above it, a star's wings are no
 PEAK_PERCENTILE = 95.0  # cosmic rays are not a peak
 RIM_SIGMAS = 4.0  # of the PSF: light beyond the area itself
 RIM_PX = 2.0
-# A sky that varies by more than this is no sky: a body fills most of the picture and was taken for it.
+# An overexposed star is as wide, but most of its light lies in wings that fall off; a body's has an edge.
+SATURATED_SHARE = 0.2  # of the area above `PEAK_SHARE`
+EDGED_SHARE = 0.4  # of all its light
+# A sky this much above the darkest part of the picture may be none, but a body that fills most of it and was taken for
+# the sky: then the light above the darkest part ends at an edge, as stray light does not.
 SKY_RANGE_SIGMAS = 10.0
+EDGE_SIGMAS = 3.0
+EDGE_FROM_PX, EDGE_TO_PX = 2.0, 6.0  # from the rim, to both sides
 BLOCK_PX = 16  # of the search for the darkest part, which then is the sky
 DARKEST_PERCENTILE = 2.0
 MAD_TO_SIGMA = 1.482602
@@ -52,13 +58,28 @@ def sky_and_bodies(
 
     background = estimate_background(image_dn, masked)
     extended = bodies(background.level_dn, background.noise_dn)
-    if np.ptp(background.level_dn) > SKY_RANGE_SIGMAS * np.median(background.noise_dn):
-        dark = bodies(*_darkest(np.where(masked, np.nan, image_dn)))
-        extended = dark if dark.any() else extended
+    darkest_dn, noise_dn = _darkest(np.where(masked, np.nan, image_dn))
+    if background.level_dn.max() - darkest_dn > SKY_RANGE_SIGMAS * noise_dn:
+        above = bodies(darkest_dn, noise_dn)
+        if _has_edge(image_dn, above, masked, EDGE_SIGMAS * noise_dn):
+            extended = above
     if extended.any() and not (masked | extended).all():
         background = estimate_background(image_dn, masked | extended)
         extended = bodies(background.level_dn, background.noise_dn)
     return background, extended
+
+
+def _has_edge(image: FloatArray, area: BoolArray, masked: BoolArray, least_dn: float) -> bool:
+    """Tell whether the picture is brighter by `least_dn` just within an area than just beside it."""
+    if area.all() or not area.any():
+        return False
+    within = ndimage.distance_transform_edt(area) - RIM_PX
+    beside = ndimage.distance_transform_edt(~area)
+    inner = (within > EDGE_FROM_PX) & (within < EDGE_TO_PX + RIM_PX) & ~masked
+    outer = (beside > EDGE_FROM_PX) & (beside < EDGE_TO_PX) & ~masked
+    if not (inner.any() and outer.any()):
+        return False
+    return bool(np.median(image[inner]) - np.median(image[outer]) > least_dn)
 
 
 def _darkest(image: FloatArray) -> tuple[float, float]:
@@ -68,7 +89,7 @@ def _darkest(image: FloatArray) -> tuple[float, float]:
     values = blocks.swapaxes(1, 2).reshape(-1, BLOCK_PX * BLOCK_PX)
     values = values[np.isfinite(values).sum(axis=1) > BLOCK_PX * BLOCK_PX / 2]
     if len(values) == 0:
-        return float(np.nanmedian(image)), float(np.nanstd(image))
+        return float(np.nanmedian(image)), float(np.nanstd(image))  # few pixels speak for the whole picture
     level = np.nanmedian(values, axis=1)
     dark = values[level <= np.percentile(level, DARKEST_PERCENTILE)]
     middle = np.nanmedian(dark, axis=1, keepdims=True)
@@ -106,18 +127,27 @@ def extended_light(
     """
     signal = np.asarray(signal_dn, dtype=np.float64)
     light = np.asarray(saturated, dtype=bool) | (signal > BRIGHT_SIGMAS * np.asarray(noise_dn))
-    nothing = np.zeros(signal.shape, dtype=bool)
+    covered = np.zeros(signal.shape, dtype=bool)
     if np.count_nonzero(light) < np.pi * radius_px**2:
-        return nothing
+        return covered
     filled = ndimage.binary_closing(light | (np.asarray(bad, dtype=bool) & _surrounded(light)))
-    wide = _wide(filled, radius_px)
-    if not wide.any():
-        return nothing
-    areas, _ = ndimage.label(ndimage.binary_propagation(wide, mask=filled))
-    boxes = ndimage.find_objects(areas)
-    bodies = [_is_body(signal[b], areas[b] == n, radius_px) for n, b in enumerate(boxes, start=1)]
-    chosen = np.isin(areas, 1 + np.flatnonzero(bodies))
-    return _grown(chosen, RIM_SIGMAS * psf_sigma_px + RIM_PX) if chosen.any() else nothing
+    bright, rim = np.asarray(saturated, dtype=bool), RIM_SIGMAS * psf_sigma_px + RIM_PX
+    areas, _ = ndimage.label(filled)
+    for number, box in enumerate(ndimage.find_objects(areas), start=1):
+        if min(part.stop - part.start for part in box) < radius_px:
+            continue
+        around = _widened(box, int(rim) + 2, signal.shape)
+        area = areas[around] == number
+        if _is_body(signal[around], area, bright[around], radius_px):
+            covered[around] |= ndimage.distance_transform_edt(~area) <= rim
+    return covered
+
+
+def _widened(box: tuple[slice, ...], by: int, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    return tuple(
+        slice(max(part.start - by, 0), min(part.stop + by, size))
+        for part, size in zip(box, shape, strict=True)
+    )
 
 
 def _surrounded(light: BoolArray) -> BoolArray:
@@ -130,10 +160,10 @@ def _wide(area: BoolArray, radius_px: float) -> BoolArray:
     return np.asarray(ndimage.distance_transform_edt(np.pad(area, 1, mode="edge"))[1:-1, 1:-1] >= radius_px)
 
 
-def _is_body(signal: FloatArray, area: BoolArray, radius_px: float) -> bool:
+def _is_body(signal: FloatArray, area: BoolArray, saturated: BoolArray, radius_px: float) -> bool:
+    if not _wide(area, radius_px).any():
+        return False
     peak = np.percentile(signal[area], PEAK_PERCENTILE)
-    return bool(_wide(area & (signal > PEAK_SHARE * peak), radius_px).any())
-
-
-def _grown(area: BoolArray, by_px: float) -> BoolArray:
-    return np.asarray(ndimage.distance_transform_edt(~area) <= by_px)
+    bright = area & (signal > PEAK_SHARE * peak)
+    edged = bright.sum() > EDGED_SHARE * area.sum() or saturated[bright].mean() < SATURATED_SHARE
+    return bool(edged and _wide(bright, radius_px).any())

@@ -1,5 +1,6 @@
 """Truth beside solution, in sigmas."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -42,15 +43,17 @@ class Comparison:
 
 
 def compare(truth: Truth, result: Mapping[str, Any], camera: Camera) -> tuple[Comparison, ...]:
-    """Compare a ``result.json`` with the truth: three angles of the attitude, two coordinates a body.
+    """Compare a ``result.json`` with the truth: three angles of the attitude, two coordinates a body and method.
 
     The attitude is compared as the shift of the boresight's sky on the detector and the change of twist, both against
     the predicted attitude.
     """
     rows = _attitude(truth, result["pointing"], camera) if result.get("pointing") else []
-    for body in result.get("bodies", ()):
-        if body["name"] in truth.bodies and body["observed"] is not None:
-            rows += _center(body, truth.bodies[body["name"]])
+    seen = [b for b in result.get("bodies", ()) if b["name"] in truth.bodies and b["observed"] is not None]
+    times = Counter(body["name"] for body in seen)
+    for body in seen:
+        name = body["name"] if times[body["name"]] == 1 else f"{body['name']} ({body['method']})"
+        rows += _center(body, name, truth.bodies[body["name"]])
     return tuple(rows)
 
 
@@ -75,11 +78,11 @@ def _shift(first: FloatArray, second: FloatArray, camera: Camera) -> tuple[float
     return shift.delta_pixel, shift.delta_line, float(np.degrees(shift.delta_twist_rad))
 
 
-def _center(body: Mapping[str, Any], true_center: Any) -> list[Comparison]:
+def _center(body: Mapping[str, Any], name: str, true_center: Any) -> list[Comparison]:
     covariance = np.asarray(body["covariance_px2"], dtype=np.float64)
     return [
         Comparison(
-            f"{body['name']} {axis}",
+            f"{name} {axis}",
             "px",
             float(body["observed"][i]),
             float(true_center[i]),

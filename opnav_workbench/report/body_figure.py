@@ -4,17 +4,18 @@ As Figures 13 and 16 of Jackman & Dumont (2013), AAS 13-443. Data and model shar
 its own, even about zero.
 """
 
-import textwrap
 from pathlib import Path
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodycenters import BodyCenter, BodyPictures, describe_body_flags
+from opnav_workbench.bodycenters import BodyCenter, BodyPictures
 from opnav_workbench.report.body_figure_parts import (
     EDGE,
     OUTLINE,
@@ -27,6 +28,7 @@ from opnav_workbench.report.body_figure_parts import (
     legend_below,
     method_words,
     pictures_of,
+    said_of,
     shown_body,
     signed_limit,
 )
@@ -39,8 +41,9 @@ __all__ = ["body_figure", "body_png", "write_body"]
 
 # The error ellipse is enlarged so that its longer semi-axis is at most this share of the picture's smaller side.
 ELLIPSE_SHARE = 0.15
-WIDTH_INCH, PANEL_INCH = 14.0, 3.65
-TEXT_WIDTH = 190  # characters that fit a line
+WIDTH_INCH, PANEL_INCH = 14.0, 3.55
+AROUND_INCH, TITLE_INCH = 1.15, 0.19  # labels and legend; a line of the title
+RIM = 2  # px around the sub-array: methods that leave it out leave out no light
 NAMES = {"predicted": "predicted center", "observed": "observed center", "truth": "true center"}
 
 
@@ -74,8 +77,9 @@ def body_figure(
     shown = shown_body(source, name, method)
     pictures = pictures_of(shown.center)
     n_pixel, n_line = pictures.window[2:]
-    height = PANEL_INCH * float(np.clip(n_line / n_pixel, 0.4, 1.6))
-    figure = blank(WIDTH_INCH, height + 1.9, _title(shown))
+    title = _title(shown)
+    height = PANEL_INCH * float(np.clip(n_line / n_pixel, 0.4, 1.6)) + AROUND_INCH
+    figure = blank(WIDTH_INCH, height + TITLE_INCH * (1 + title.count("\n")), title)
     panels = figure.subplots(1, 3)
     _draw_pictures(panels, pictures)
     truth = None if truth_px is None else np.asarray(truth_px, dtype=np.float64)
@@ -84,12 +88,16 @@ def body_figure(
     return figure
 
 
-def body_png(source: BodyCenter | ImageSession, name: str = "", method: str = "", *, truth_px: FloatArray | None = None) -> bytes:
+def body_png(
+    source: BodyCenter | ImageSession, name: str = "", method: str = "", *, truth_px: FloatArray | None = None
+) -> bytes:
     """Return `body_figure` as a PNG, for a notebook: ``display(Image(body_png(session, "PLUTO")))``."""
     return png_bytes(body_figure(source, name, method, truth_px=truth_px))
 
 
-def write_body(session: BodyCenter | ImageSession, path: str | Path, name: str = "", method: str = "") -> None:
+def write_body(
+    session: BodyCenter | ImageSession, path: str | Path, name: str = "", method: str = ""
+) -> None:
     """Write `body_figure` as a PNG, whole or not at all."""
     write_png(body_figure(session, name, method), path)
 
@@ -99,9 +107,7 @@ def _title(shown: ShownBody) -> str:
     lines = [f"{center.name}, {method_words(center.method)}: {center.status}   {shown.where}".rstrip()]
     if center.pixel_line is not None:
         lines.append(_numbers(shown, center.pixel_line))
-    said = [*center.messages, *([describe_body_flags(center.flags)] if center.flags else [])]
-    lines += textwrap.wrap("; ".join(dict.fromkeys(said)), TEXT_WIDTH)
-    return "\n".join(lines)
+    return "\n".join([*lines, *said_of(center)])
 
 
 def _numbers(shown: ShownBody, place: FloatArray) -> str:
@@ -123,17 +129,20 @@ def _draw_pictures(panels: list[Axes], pictures: BodyPictures) -> None:
     limit = signed_limit(pictures.difference_dn)
     draw_panel(panels[0], window, pictures.data_dn, light, "data, background removed")
     draw_panel(panels[1], window, pictures.model_dn, light, "model at the solution")
-    left_out = bool((~pictures.mask).any())
+    left_out = bool((~pictures.mask)[RIM:-RIM, RIM:-RIM].any())
     title = "data − model" + ("; pixels not used are veiled" if left_out else "")
     draw_panel(panels[2], window, pictures.difference_dn, (-limit, limit), title, cmap="RdBu_r")
     if left_out:
         veil = np.where(pictures.mask, np.nan, 1.0)
-        panels[2].imshow(veil, cmap=ListedColormap(["0.5"]), alpha=0.45, extent=panels[2].images[0].get_extent())
+        panels[2].imshow(
+            veil, cmap=ListedColormap(["0.5"]), alpha=0.45, extent=panels[2].images[0].get_extent()
+        )
 
 
 def _draw_marks(figure: Figure, panels: list[Axes], shown: ShownBody, truth: FloatArray | None) -> None:
-    entries = {}
+    entries: dict[str, Artist] = {}
     places = {"predicted": shown.predicted_px, "observed": shown.center.pixel_line, "truth": truth}
+    _draw_circle(panels[0], shown, entries)
     for axes in panels:
         limits = axes.axis()
         if len(shown.outline_px):
@@ -149,7 +158,15 @@ def _draw_marks(figure: Figure, panels: list[Axes], shown: ShownBody, truth: Flo
     legend_below(figure, [(artist, text) for text, artist in entries.items()])
 
 
-def _draw_ellipse(axes: Axes, center: BodyCenter, entries: dict[str, Line2D]) -> None:
+def _draw_circle(axes: Axes, shown: ShownBody, entries: dict[str, Artist]) -> None:
+    if shown.circle is not None:
+        pixel, line = (float(value) for value in shown.circle.center_px)
+        style = {"fill": False, "edgecolor": "w", "linestyle": ":", "linewidth": 1.4}
+        axes.add_patch(Circle((pixel, line), shown.circle.radius_px, **style))
+        entries["analyst's circle"] = Line2D([], [], color="w", linestyle=":", linewidth=1.4)
+
+
+def _draw_ellipse(axes: Axes, center: BodyCenter, entries: dict[str, Artist]) -> None:
     """Draw the error ellipse as large as is seen well, and say by how much it is enlarged."""
     if center.pixel_line is None or not np.isfinite(center.covariance_px2).all():
         return
@@ -159,4 +176,6 @@ def _draw_ellipse(axes: Axes, center: BodyCenter, entries: dict[str, Line2D]) ->
     style = {"edgecolor": OBSERVED, "linewidth": 1.3, "path_effects": [EDGE]}
     axes.add_patch(error_ellipse(center.pixel_line, center.covariance_px2, factor, **style))
     enlarged = f", drawn {factor:g} × larger" if factor > 1.0 else ""
-    entries[f"its 1 sigma error ellipse{enlarged}"] = Line2D([], [], color=OBSERVED, linewidth=1.3)
+    entries[f"1 sigma error ellipse of the observed center{enlarged}"] = Line2D(
+        [], [], color=OBSERVED, linewidth=1.3
+    )

@@ -1,5 +1,6 @@
 """What the figures of a body's center share: which center they show, its marks, and panels with a colour bar in DN."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodycenters import BodyCenter, BodyPictures
+from opnav_workbench.bodycenters import BodyCenter, BodyPictures, Circle, describe_body_flags
 from opnav_workbench.bodycenters.ellipse_results import LimbEllipse
 from opnav_workbench.errors import SessionError
 from opnav_workbench.report.figure import BODY, OBSERVED, PREDICTED
@@ -30,7 +31,9 @@ __all__ = [
     "error_ellipse",
     "legend_below",
     "method_words",
+    "of_session",
     "pictures_of",
+    "said_of",
     "shown_body",
     "signed_limit",
 ]
@@ -39,6 +42,7 @@ TRUTH = "#009E73"
 EDGE = withStroke(linewidth=2.6, foreground="black")
 # The stretch is linear between these percentiles: a cosmic ray or a hot pixel does not darken the rest.
 BRIGHTEST, LARGEST = 99.9, 99.8
+TEXT_WIDTH = 190  # characters that fit a line of the title
 # Mark and colour by what stands there.
 MARKS: dict[str, dict[str, Any]] = {
     "predicted": {"marker": "o", "color": PREDICTED, "markersize": 11.0},
@@ -59,6 +63,8 @@ class ShownBody:
         Expected center (pixel, line); None where no session tells.
     outline_px : (k, 2) array
         The model's limb at the solution; k = 0 where it is not known.
+    circle : Circle or None
+        Where the analyst saw the body.
     where : str
         Picture and time; empty without a session.
     """
@@ -66,7 +72,8 @@ class ShownBody:
     center: BodyCenter
     predicted_px: FloatArray | None
     outline_px: FloatArray
-    where: str
+    circle: Circle | None = None
+    where: str = ""
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -81,7 +88,7 @@ def shown_body(source: BodyCenter | ImageSession, name: str = "", method: str = 
         The session has no such center.
     """
     if isinstance(source, BodyCenter):
-        return ShownBody(source, None, _limb_of(source), "")
+        return ShownBody(source, None, _limb_of(source))
     found = [b for b in source.state.bodies if name in ("", b.name) and method in ("", b.method)]
     if not found:
         asked = " ".join(part for part in (name, f"({method})" if method else "") if part) or "any body"
@@ -98,7 +105,7 @@ def of_session(session: ImageSession, center: BodyCenter) -> ShownBody:
     if not len(outline) and center.pixel_line is not None:
         size = expected.range_km / center.range_km if np.isfinite(center.range_km) else 1.0
         outline = center.pixel_line + size * (expected.limb_px - expected.pixel_line)
-    return ShownBody(center, expected.pixel_line, outline, where)
+    return ShownBody(center, expected.pixel_line, outline, session.state.circles.get(center.name), where)
 
 
 def _limb_of(center: BodyCenter) -> FloatArray:
@@ -120,6 +127,12 @@ def pictures_of(center: BodyCenter) -> BodyPictures:
         f"{center.name} ({center.method}) has no pictures to show ({why.rstrip(': ')}); find_body() with a method for "
         "extended bodies makes them."
     )
+
+
+def said_of(center: BodyCenter) -> list[str]:
+    """Return a center's messages and flags as lines that fit a title."""
+    said = [*center.messages, *([describe_body_flags(center.flags)] if center.flags else [])]
+    return textwrap.wrap("; ".join(dict.fromkeys(said)), TEXT_WIDTH)
 
 
 def method_words(method: str) -> str:
@@ -176,7 +189,7 @@ def draw_panel(
         extent=(pixel - 0.5, pixel + n_pixel - 0.5, line + n_line - 0.5, line - 0.5),
     )
     bar = axes.inset_axes((1.03, 0.0, 0.045, 1.0))
-    axes.figure.colorbar(drawn, cax=bar)  # type: ignore[union-attr]
+    axes.figure.colorbar(drawn, cax=bar)
     bar.set_title("DN", fontsize=8)
     for each in (axes, bar):
         each.tick_params(labelsize=8)

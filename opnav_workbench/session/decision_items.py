@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session.body_finding import BodyMethod
@@ -160,7 +160,7 @@ class PictureDecisions(_Strict):
     mission: str = ""
     catalog: str = ""
     attitude: Literal["", "kernels", "header"] = ""
-    settings: dict[str, float] = {}
+    settings: Annotated[dict[str, int | float], AfterValidator(_known_settings)] = {}
     reject: tuple[Verdict, ...] = ()
     accept: tuple[Verdict, ...] = ()
     place: tuple[PlacedStar, ...] = ()
@@ -174,8 +174,7 @@ class PictureDecisions(_Strict):
     steps: tuple[Step, ...] = ()
 
     @model_validator(mode="after")
-    def _places_and_settings(self) -> "PictureDecisions":
-        _known_settings(dict(self.settings))
+    def _places_once(self) -> "PictureDecisions":
         taken: dict[int, str] = {}
         for section, _, item in self.items():
             if item.at is not None and taken.setdefault(item.at, section) != section:

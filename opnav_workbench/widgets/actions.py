@@ -206,7 +206,7 @@ def _bodies() -> Iterator[Action]:
     yield Action(
         "circle", ("k",), "Circle", "Click the center, then the limb; or drag from center to limb.", where
     )
-    yield Action("clear_circle", ("K",), "Clear", "Start from the predicted place and size again.", where)
+    yield Action("clear_circle", ("w",), "Clear", "Start from the predicted place and size again.", where)
     yield Action("next_scan", ("ArrowRight",), "Next scan", "Look at the next limb scan.", where)
     yield Action("previous_scan", ("ArrowLeft",), "Previous scan", "Look at the limb scan before.", where)
     yield Action("toggle_scan", ("d", " "), "Use", "Use this limb scan, or leave it out.", where)

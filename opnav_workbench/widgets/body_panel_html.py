@@ -158,7 +158,8 @@ def _ellipse_plot(covariance_px2: FloatArray) -> str:
         return ""
     points = ellipse_points(covariance_px2)
     reach = 1.3 * float(np.abs(points).max()) or 1.0
-    plot = Plot(146, 122, (-reach, reach), (reach, -reach), "1-sigma ellipse, px", ticks=2)
+    plot = Plot(112, 122, (-reach, reach), (reach, -reach), f"1 sigma, ±{reach:.2g} px", ticks=0)
+    plot.line([0.0, 0.0], [-reach, reach], "axis").line([-reach, reach], [0.0, 0.0], "axis")
     return plot.line(points[:, 0], points[:, 1], "data").svg()
 
 
@@ -176,7 +177,7 @@ def _pictures(center: BodyCenter, size_px: int, wanted: Sequence[str]) -> str:
     figures = []
     for name in wanted:
         if name == "difference":
-            png, words = residual_png(difference, full), f"data − model, ±{full:.3g} DN"
+            png, words = residual_png(difference, full), f"data − model, ±{full:.2g} DN"
         else:
             dn = data if name == "data" else np.asarray(pictures.model_dn, dtype=float)
             png, words = gray_png(dn, min(float(low), 0.0), float(high)), name

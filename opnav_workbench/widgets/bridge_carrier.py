@@ -31,6 +31,7 @@ SCRIPTS = (
     "image_layout.js",
     "image_pointer.js",
     "image_actions.js",
+    "image_cursor.js",
     "image_view.js",
     "bridge.js",
 )

@@ -38,8 +38,8 @@ ARCSEC = np.pi / 648000.0
 AU_KM = 149597870.7
 READY = {
     "m7": ("new_horizons/m7_2006", "new_horizons/m7_2006", ""),
-    "pluto_charon": ("new_horizons/pluto_charon", "new_horizons/pluto_approach", ""),
-    "limb": ("new_horizons/pluto_limb", "new_horizons/pluto_approach", ""),
+    "pluto_charon": ("new_horizons/pluto_charon", "new_horizons/pluto_approach", "PLUTO,CHARON"),
+    "limb": ("new_horizons/pluto_limb", "new_horizons/pluto_approach", "PLUTO"),
     "barycenter": ("new_horizons/pluto_barycenter", "new_horizons/pluto_approach", ""),
     "bennu": ("osiris_rex/bennu_approach", "osiris_rex/bennu_approach", "BENNU"),
 }
@@ -129,7 +129,7 @@ def test_figure_14_has_pluto_190_px_wide(truths):
 
 @pytest.mark.parametrize("name", READY)
 def test_processing_gives_back_the_truth(pictures, truths, tmp_path, name):
-    """The pointing error that only the truth knows is found, within its own sigmas; resolved bodies wait for limbs."""
+    """The pointing error that only the truth knows is found, within its own sigmas, and so are the bodies."""
     _, kernels, targets = READY[name]
     mission = load_mission(truths[name].mission)
     options = ("--mission", mission.name, "--kernels", kernels, "--targets", targets)
@@ -138,10 +138,47 @@ def test_processing_gives_back_the_truth(pictures, truths, tmp_path, name):
     assert result["status"] == "ok", result["messages"]
     camera = mission.camera_for(fits.getheader(pictures[name]))
     rows = compare(truths[name], result, camera)
-    assert len(rows) == (5 if targets else 3)
+    assert len(rows) == 3 + 2 * len([name for name in targets.split(",") if name])
     assert all(abs(row.sigmas) < 4.0 for row in rows), rows
     assert max(abs(row.truth) for row in rows[:2]) > 10.0  # there was something to find
     assert all(abs(row.error) < 0.05 for row in rows[:2])  # px
+
+
+def test_bodies_of_every_size_are_found_with_the_method_that_suits_them(pictures, truths, tmp_path):
+    """Albedo unknown: the limb gives Pluto's center to 0.1 px, where a whole disk of wrong albedo is off by more."""
+    for name in ("limb", "pluto_charon"):
+        options = ("--mission", "new_horizons", "--kernels", "new_horizons/pluto_approach", "--out", tmp_path)
+        opnav("process", pictures[name], *options)
+        result = json.loads((tmp_path / pictures[name].stem / "result.json").read_text())
+        assert result["status"] == "ok", result["messages"]
+        found = {body["name"]: body for body in result["bodies"]}
+        # Charon is off the detector in one of them; the mission's targets are not missed where they cannot be.
+        assert set(found) == ({"PLUTO"} if name == "limb" else {"PLUTO", "CHARON"})
+        assert found["PLUTO"]["method"] == "limb_scan"
+        assert found["PLUTO"]["scans_used"] > 40
+        for body in found.values():
+            assert np.hypot(*(np.array(body["observed"]) - truths[name].bodies[body["name"]])) < 0.1
+            assert body["measured_diameter_px"] is None or body["measured_diameter_px"] == pytest.approx(
+                body["diameter_px"], rel=0.02
+            )
+
+
+def test_methods_are_chosen_on_the_command_line(pictures, truths, tmp_path):
+    options = ("--mission", "new_horizons", "--kernels", "new_horizons/pluto_approach", "--out", tmp_path)
+    opnav(
+        "process",
+        pictures["pluto_charon"],
+        *options,
+        "--method",
+        "ellipse",
+        "--targets",
+        "PLUTO,CHARON:least_squares",
+    )
+    result = json.loads((tmp_path / pictures["pluto_charon"].stem / "result.json").read_text())
+    assert {body["name"]: body["method"] for body in result["bodies"]} == {
+        "PLUTO": "ellipse",
+        "CHARON": "least_squares",
+    }
 
 
 # -- what each effect does -----------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from opnav_workbench.errors import CenterfindingError
 
 FINDERS = [find_cross_correlation, find_least_squares]
 TRUE = np.array([480.3, 530.7])
-BEFORE = TRUE + np.array([28.0, 11.0])
+BEFORE = TRUE + np.array([19.0, 8.0])
 APART = TRUE + np.array([200.0, -90.0])
 
 
@@ -140,8 +140,8 @@ def test_thin_crescent(body_stage):
 @pytest.fixture(scope="module")
 def pair(body_stage):
     """A large body and a nearer, smaller one before its limb."""
-    large = body_stage.body(60.0, 30.0, TRUE, name="PLUTO")
-    small = body_stage.body(30.0, 30.0, BEFORE, name="CHARON", range_share=0.3)
+    large = body_stage.body(40.0, 30.0, TRUE, name="PLUTO")
+    small = body_stage.body(20.0, 30.0, BEFORE, name="CHARON", range_share=0.3)
     return large, small
 
 
@@ -149,13 +149,13 @@ def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     rng, light = np.random.default_rng(8), body_stage.light(*pair)
     true = np.concatenate([TRUE, BEFORE])
     errors = []
-    for _ in range(12):
+    for _ in range(8):
         picture = body_stage.picture(light, pair, data=add_noise(900.0 * light, rng), offset_px=(4.0, -3.0))
         joint = find_jointly(picture, ("PLUTO", "CHARON"))
         assert [c.status for c in joint.centers] == ["ok", "ok"], joint.centers[0].messages
         error = np.concatenate([c.pixel_line for c in joint.centers]) - true
         errors.append(error @ np.linalg.solve(joint.covariance_px2, error))
-    assert 2.3 < np.mean(errors) < 5.7  # 4 expected, 12 trials: sigma 0.8
+    assert 1.5 < np.mean(errors) < 7.0  # 4 expected, 8 trials: 3 sigma
     pluto = joint.center("PLUTO")
     assert pluto.flags & BodyFlag.OCCULTED
     np.testing.assert_array_equal(joint.covariance_px2[:2, :2], pluto.covariance_px2)

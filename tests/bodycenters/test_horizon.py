@@ -73,7 +73,8 @@ def test_outline_is_the_conic_of_the_ellipsoid(body_stage):
     assert np.abs(off_px).max() < 1e-3  # chords between 2048 angles
     ellipse = ellipse_from_conic(cone)
     assert outline.diameter_px == pytest.approx(
-        2.0 * np.sqrt(np.prod(ellipse.semi_axes)) / camera.pixel_scale_rad, rel=3e-3  # distortion stretches it there
+        2.0 * np.sqrt(np.prod(ellipse.semi_axes)) / camera.pixel_scale_rad,
+        rel=3e-3,  # distortion stretches it there
     )
 
 
@@ -90,9 +91,7 @@ def sphere_of_plates(n, bumps=0.0, seed=1):
     """A sphere of radius 1 (times RADII), with bumps."""
     rng = np.random.default_rng(seed)
     lat, lon = np.linspace(-np.pi / 2, np.pi / 2, n)[1:-1], np.arange(2 * n) * np.pi / n
-    ring = [
-        [np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)] for b in lat for a in lon
-    ]
+    ring = [[np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)] for b in lat for a in lon]
     vertices = np.array([[0.0, 0.0, -1.0], *ring, [0.0, 0.0, 1.0]])
     for way, height in zip(unit(rng.normal(size=(25, 3))), rng.normal(size=25), strict=True):
         vertices = vertices * (1.0 + bumps * height * np.exp((unit(vertices) @ way - 1.0) / 0.08))[:, None]
@@ -188,4 +187,6 @@ def test_outliers_are_left_out_and_noise_stays_noise():
 
 def test_too_few_pieces_give_no_motion():
     response = np.column_stack([np.ones(4), np.zeros(4), -np.ones(4)])
-    assert limb_motion(np.zeros(4), np.ones(4), response, np.array([1, 1, 1, 0], bool), solve_range=True) is None
+    assert (
+        limb_motion(np.zeros(4), np.ones(4), response, np.array([1, 1, 1, 0], bool), solve_range=True) is None
+    )

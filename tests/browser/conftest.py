@@ -92,7 +92,7 @@ class Notebook:
         self.others: list[Notebook] = []
         self.page = context.new_page()
         self.page.set_default_timeout(STEP_MS)
-        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("pageerror", lambda error: self.errors.append(f"{error}\n{error.stack}"))
         self.page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
         self.open("&reset")
 

@@ -1,5 +1,7 @@
 """The bridge in a real page: both ways, reload, two pages, dead kernel, keys, failing callbacks."""
 
+import os
+import signal
 from pathlib import Path
 
 SETUP = """
@@ -64,3 +66,13 @@ def test_bridge(notebook) -> None:
     assert "Run the notebook's cells again" in nb.page.inner_text(".opnav-banner")
     nb.save()
     assert Path(nb.path).stat().st_size < 100_000
+
+
+def test_killed_kernel_looks_dead(notebook) -> None:
+    nb = notebook(SETUP, "bridge")
+    nb.run_all()
+    nb.view()
+    os.kill(nb.python("__import__('os').getpid()"), signal.SIGKILL)
+    nb.page.wait_for_selector(".opnav-dead")
+    assert "every decision is on disk" in nb.page.inner_text(".opnav-banner")
+    nb.expected = ["Kernel", "kernel", "Canceled"]  # JupyterLab's own words for a kernel that died

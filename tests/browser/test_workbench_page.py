@@ -24,6 +24,18 @@ UTC = "2015-07-12T08:46:57"
 RESOLVED_KERNELS = "new_horizons/pluto_approach"
 MAX_NOTEBOOK_BYTES = 100_000
 MAX_ACTIONS = 40
+# In the kernel: the analyst's scans and circle.
+CHOICE = "bench.session.state.scan_choices['PLUTO']"
+CIRCLE = "[*bench.session.state.circles['PLUTO'].center_px.tolist(), bench.session.state.circles['PLUTO'].radius_px]"
+
+# Milliseconds from the key to the page that shows another star's box.
+TIME_TO_NEXT_BOX = """() => new Promise(done => {
+  const box = () => document.querySelector('.ow-panel .focus .id').textContent;
+  const before = box(), start = performance.now();
+  const look = () => box() !== before ? done(performance.now() - start) : requestAnimationFrame(look);
+  document.activeElement.dispatchEvent(new KeyboardEvent('keydown', {key: 'n', bubbles: true}));
+  look();
+})"""
 
 
 def open_cell(picture, kernels, out, catalog="bundled", targets=("PLUTO",)):
@@ -33,7 +45,8 @@ import opnav_workbench as opnav
 from opnav_workbench.widgets import workbench
 from opnav_workbench.widgets.queue_images import ImageQueue
 kernels = opnav.KernelSet({str(kernels)!r}); kernels.__enter__()
-queue = ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(out)!r}, catalog={catalog!r}, targets={list(targets)!r})
+options = dict(catalog={catalog!r}, targets={list(targets)!r})
+queue = ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(out)!r}, **options)
 bench = workbench(queue)
 bench
 """
@@ -46,6 +59,7 @@ class Analyst:
         self.notebook, self.page, self.actions = notebook, notebook.page, 0
 
     def start(self):
+        self.page.evaluate("() => jupyterapp.shell.collapseLeft()")
         self.notebook.run_all()
         self.notebook.view()
         self.page.locator(".ow-panel .page").wait_for()
@@ -136,6 +150,7 @@ def resolved(tmp_path_factory):
 
 
 def restart_and_run(analyst):
+    analyst.notebook.expected.append("Comm not found")  # JupyterLab, of the views of the kernel that is gone
     analyst.notebook.restart()
     analyst.start()
 
@@ -164,7 +179,9 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
     # A click on a star in the picture brings its box; a click on a box does, too.
     boxes = nb.python("[[b.id, *b.observed_px.tolist()] for b in bench.controller.stars.boxes]")
     boxes.sort(key=lambda box: box[1])
-    pairs = zip(boxes, boxes[1:], strict=False)  # neighbors along the frame, of which the picture shows a part
+    pairs = zip(
+        boxes, boxes[1:], strict=False
+    )  # neighbors along the frame, of which the picture shows a part
     (shown, *_), (near, *place) = min(pairs, key=lambda pair: pair[1][1] - pair[0][1])
     hand.click(f'.ow-panel [data-star="{shown}"]')
     hand.shown(".ow-panel .focus .id", shown)
@@ -194,23 +211,13 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
     hand.press("?")
     hand.shown(".ow-panel .keys", "Accept this star and go on")
     hand.press("?")
+    hand.page.locator(".ow-panel .focus .id").wait_for()
 
     # Speed, told and not asserted: key to the next box, and accept to the journal on disk.
     journal = tmp_path / "mvic_framing" / "journal.jsonl"
-    to_box, to_disk = [], []
+    to_disk = []
     hand.press("u")
-    for _ in range(5):
-        to_box.append(
-            hand.page.evaluate(
-                """() => new Promise(done => {
-                  const box = () => document.querySelector('.ow-panel .focus .id').textContent;
-                  const before = box(), start = performance.now();
-                  const look = () => box() !== before ? done(performance.now() - start) : requestAnimationFrame(look);
-                  document.activeElement.dispatchEvent(new KeyboardEvent('keydown', {key: 'n', bubbles: true}));
-                  look();
-                })"""
-            )
-        )
+    to_box = [hand.page.evaluate(TIME_TO_NEXT_BOX) for _ in range(5)]
     for _ in range(5):
         size, start = journal.stat().st_size, time.perf_counter()
         before = hand.focused
@@ -233,13 +240,21 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
     assert len(decided) == 7
 
     # A second page on the same kernel sees the same and does not disturb it.
-    other = nb.context.new_page()
-    other.goto(f"{nb.lab.url}/lab/tree/{nb.name}?token=t")
-    other.locator(".ow-panel .focus .id").wait_for(timeout=30_000)
+    nb.save()
+    tab = nb.second()
+    other = tab.page
+    other.locator(".ow-panel .focus .id").wait_for()
     assert other.inner_text(".ow-panel .focus .id") == hand.focused
     hand.press("a")
     hand.said("7 undecided")
     other.wait_for_function("() => document.querySelector('.ow-status').textContent.includes('7 undecided')")
+    other.locator(".ow-header").click(position={"x": 3, "y": 3})
+    other.keyboard.press("Control+z")
+    hand.said("undone: accept stars")
+    hand.press("Control+y")
+    hand.said("done again: accept stars")
+    assert not tab.errors
+    nb.others.remove(tab)
     other.close()
     decided = hand.decisions()
 
@@ -329,9 +344,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.page.mouse.move(area["x"] + 0.5 * area["width"], area["y"] + area["height"] - 5, steps=4)
     hand.page.mouse.up()
     hand.said("scans chosen by the analyst", timeout_ms=60_000)
-    chosen = nb.until(
-        "len(bench.session.state.scan_choices['PLUTO'].numbers) < 60 and list(bench.session.state.scan_choices['PLUTO'].numbers)"
-    )
+    chosen = nb.until(f"len({CHOICE}.numbers) < 60 and list({CHOICE}.numbers)")
     assert chosen == list(range(chosen[0], chosen[-1] + 1))
     assert abs(chosen[0] - 45) <= 2
     assert abs(chosen[-1] - 90) <= 2
@@ -339,13 +352,13 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.press("m")
     hand.said("drag a box")
     hand.drag((center[0] + 60.0, center[1] - 30.0), (center[0] + 130.0, center[1] + 30.0))
-    nb.until("bench.session.state.scan_choices['PLUTO'].reason == 'box in the picture'", timeout_s=60.0)
-    boxed = nb.python("list(bench.session.state.scan_choices['PLUTO'].numbers)")
+    nb.until(f"{CHOICE}.reason == 'box in the picture'", timeout_s=60.0)
+    boxed = nb.python(f"list({CHOICE}.numbers)")
     assert 0 in boxed
     assert 90 not in boxed
     hand.press("y")
     nb.until(
-        "bench.session.state.scan_choices.get('PLUTO') is None or bench.session.state.scan_choices['PLUTO'].numbers is None",
+        f"bench.session.state.scan_choices.get('PLUTO') is None or {CHOICE}.numbers is None",
         timeout_s=60.0,
     )
 
@@ -357,9 +370,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.said("now click a place on the limb")
     hand.tap(center[0] + 95.0, center[1])
     hand.said("circle set")
-    circle = nb.python(
-        "[*bench.session.state.circles['PLUTO'].center_px.tolist(), bench.session.state.circles['PLUTO'].radius_px]"
-    )
+    circle = nb.python(CIRCLE)
     np.testing.assert_allclose(circle, [*center, 95.0], atol=1.5)  # a page pixel is two of the picture
     hand.press("k")
     hand.drag((center[0] - 20.0, center[1]), (center[0] + 60.0, center[1]))
@@ -369,13 +380,14 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
 
     # In the dark, and back; nothing is lost by a restart.
     nb.dark()
+    hand.page.locator("#jupyterlab-splash").wait_for(state="detached")
     nb.shot("workbench_bodies_dark")
     nb.dark(False)
     standing = hand.standing()
     restart_and_run(hand)
     assert hand.standing() == standing
     np.testing.assert_allclose(
-        nb.python("[*bench.session.state.circles['PLUTO'].center_px.tolist(), bench.session.state.circles['PLUTO'].radius_px]"),
+        nb.python(CIRCLE),
         circle, rtol=0.0, atol=1e-9,
     )  # fmt: skip
 

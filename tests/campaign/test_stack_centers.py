@@ -212,8 +212,9 @@ def test_a_bright_neighbour_does_not_pull(make_sky, exposed):
     for frame in frames:
         place = frame.camera.project((frame.camera_from_j2000 @ target_direction(frame))[None])
         image = np.array(frame.signal_dn)
-        add_sources(image, frame.psf, place + [4.0, 4.5], [8000.0])
-        seen = frame.camera.unproject(place + [4.0, 4.5]) @ frame.camera_from_j2000
+        beside = place + np.array([4.0, 4.5])
+        add_sources(image, frame.psf, beside, [8000.0])
+        seen = frame.camera.unproject(beside) @ frame.camera_from_j2000
         lit.append(frame.replace(signal_dn=image, neighbours=seen))
     stacked = stack_frames(lit, "target", window_px=32, reject_hits=False)
     center = find_in_stack(stacked, "FAINT")

@@ -165,6 +165,8 @@ def test_exit_status_3_when_some_fail(demo_truths, tmp_path, capsys, monkeypatch
         (("process", "--mission", "new_horizons"), "images"),
         (("proces",), "process"),
         (("process", "a.fit", "--mission", "new_horizons", "--model", "guess"), "euler"),
+        (("process", "a.fit", "--mission", "new_horizons", "--method", "guess"), "limb_scan"),
+        (("process", "a.fit", "--mission", "new_horizons", "--targets", "PLUTO:eye"), "unknown method 'eye'"),
         (("process", "a.fit", "b/a.fit", "--mission", "new_horizons"), "more than one picture is named a"),
     ],
 )

@@ -47,7 +47,7 @@ def test_circle_by_two_clicks_is_a_step_and_arrows_move_it(body_hands):
     np.testing.assert_allclose([*circle.center_px, circle.radius_px], [481.0, 49.9, 14.0])
     body_hands.send("circle_field", arg="radius", value="20")
     assert body_hands.session.state.circles["PLUTO"].radius_px == 20.0
-    body_hands.press("K")
+    body_hands.press("w")
     assert "PLUTO" not in body_hands.session.state.circles
     body_hands.press("Ctrl+z")
     assert body_hands.session.state.circles["PLUTO"].radius_px == 20.0

@@ -72,7 +72,7 @@ def _slope(median: FloatArray) -> FloatArray:
 
 def _hits(frame: StackFrame, grid: Grid, median: FloatArray, slope: FloatArray, response: float) -> BoolArray:
     cut = _covered(frame, grid)
-    line, pixel = (axis[cut] for axis in np.indices(frame.bad.shape))
+    line, pixel = np.indices(frame.bad.shape)[(slice(None), *cut)]
     own = np.stack([pixel.ravel(), line.ravel()], axis=1).astype(np.float64)
     there = grid.index(grid.from_frame(own, frame))
     expected, steep = (_at(values, there).reshape(line.shape) for values in (median, slope))
@@ -87,7 +87,7 @@ def _hits(frame: StackFrame, grid: Grid, median: FloatArray, slope: FloatArray, 
 def _covered(frame: StackFrame, grid: Grid) -> tuple[slice, slice]:
     """Lines and pixels of a picture that the grid lies on."""
     places = grid.to_frame(grid.centers(), frame)
-    seen = places[np.isfinite(places).all(axis=1)]
+    seen = places[np.asarray(np.isfinite(places).all(axis=1))]
     if not len(seen):
         return slice(0), slice(0)
     left, top = (max(round(float(edge)), 0) for edge in seen.min(axis=0))

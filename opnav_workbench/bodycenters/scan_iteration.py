@@ -1,0 +1,271 @@
+"""The iteration of a limb scan: model at the center, scans matched, center moved, until it stays.
+
+Along with the center follow, where the data speak for it beyond doubt: the body's size, how its surface darkens toward the
+limb, and the width of the PSF. A limb seen from one side only would turn errors of these into a shift of the body.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodycenters.cutout import Cutout
+from opnav_workbench.bodycenters.picture import BodyPicture
+from opnav_workbench.bodycenters.scan_capture import Capture
+from opnav_workbench.bodycenters.scan_center import (
+    CenterStep,
+    ErrorSources,
+    OffsetErrors,
+    offset_errors,
+    solve_center,
+)
+from opnav_workbench.bodycenters.scan_choice import Choice, choose_scans, unevenness
+from opnav_workbench.bodycenters.scan_common import LAW, Common, solve_common
+from opnav_workbench.bodycenters.scan_fan import ScanFan
+from opnav_workbench.bodycenters.scan_law import law_share, with_law_share
+from opnav_workbench.bodycenters.scan_matching import ScanMatch, ScanSystem
+from opnav_workbench.bodycenters.scan_profiles import CORRELATION_RAD, ScanProfiles, scan_profiles
+from opnav_workbench.bodycenters.scan_sampling import ScanSampler
+from opnav_workbench.bodycenters.scan_view import (
+    BodyLight,
+    ScanView,
+    body_light,
+    fan_reach,
+    pooled_brightness,
+    scan_system,
+    usable_pixels,
+    view_scans,
+)
+
+__all__ = ["FEWEST", "Look", "Round", "Rounds", "iterate"]
+
+CONVERGED_PX = 0.01
+MAX_ROUNDS = 12
+SETTLED_PX = 0.3  # a step, or move of the limb, after which choice and roughness stay as they are
+ROUGHNESSES = (0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
+SPOKEN_FOR = 4.0  # gain in logarithmic likelihood that makes an albedo uneven
+# Maps have edges that a Gaussian of their mean roughness does not expect: scans are matched with a rougher albedo, which
+# costs little, and errors stated for one that is rougher by so much (over 40 mottled maps, error over sigma is 1.0).
+MARGIN, ERROR_MARGIN = 3.0, 1.4
+FEWEST = 3
+LAW_CHANGE = 0.03  # share of another scattering law from which on the body is rendered with it
+LARGEST_LAW_CHANGE = 0.4  # at a time: the change is linear in the share only nearby
+PIXELS_SHARED_PX = 2.0  # along the limb, by the interpolation of a scan
+LIMB_MOVED_PX = 0.02  # by another size, from which on the body is rendered anew
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """Everything seen with the model at one center."""
+
+    center: FloatArray
+    cutout: Cutout
+    body: BodyLight
+    sampler: ScanSampler
+    view: ScanView
+    brightness: FloatArray
+    system: ScanSystem
+    variance_dn2: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def errors(self, match: ScanMatch, roughness: float) -> OffsetErrors:
+        """Return the errors of offsets."""
+        return offset_errors(match, self.sampler, self.variance_dn2, roughness)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Settings:
+    """What the data tell of the scans, kept once the center has settled."""
+
+    roughness: float
+    choice: Choice
+    uneven: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """What one round came to.
+
+    Attributes
+    ----------
+    look : Look
+    roughness : float
+    choice : Choice
+    uneven : (n,) array
+    common : Common
+    system : ScanSystem
+        With what is common taken out.
+    match : ScanMatch
+    errors : OffsetErrors
+    solved : CenterStep
+    """
+
+    look: Look
+    roughness: float
+    choice: Choice
+    uneven: FloatArray
+    common: Common
+    system: ScanSystem
+    match: ScanMatch
+    errors: OffsetErrors
+    solved: CenterStep
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rounds:
+    """Where the iteration ended.
+
+    Attributes
+    ----------
+    last : Round or None
+        None where fewer scans than `FEWEST` were left.
+    choice : Choice
+    steps : tuple of (float, float)
+    converged : bool
+    range_scale, law_share : float
+        Of the last model.
+    """
+
+    last: Round | None
+    choice: Choice
+    steps: tuple[tuple[float, float], ...]
+    converged: bool
+    range_scale: float
+    law_share: float
+
+
+def iterate(
+    picture: BodyPicture,
+    name: str,
+    captured: Capture,
+    numbers: NDArray[np.int64] | None,
+    *,
+    solve_size: bool,
+) -> Rounds:
+    """Move the center until it stays.
+
+    Parameters
+    ----------
+    picture : BodyPicture
+    name : str
+    captured : Capture
+    numbers : (k,) array of int or None
+        Scans chosen by hand.
+    solve_size : bool
+    """
+    fan, profiles = captured.fan, captured.profiles
+    center, scale = captured.center_px, captured.range_scale
+    radius = float(np.median(fan.limb_px))
+    settings, seen, settled = None, None, False
+    steps: list[tuple[float, float]] = []
+    for _ in range(MAX_ROUNDS):
+        look = _look(picture, name, fan, profiles, center, scale)
+        if settings is None or not settled:
+            settings = _settings(picture, fan, look, numbers)
+        if settings.choice.chosen.sum() < FEWEST:
+            return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
+        seen = _round(picture, fan, look, settings, -np.log(scale), solve_size=solve_size)
+        step = seen.solved.step_px
+        steps.append((float(step[0]), float(step[1])))
+        center = center + step
+        grown = float(np.exp(seen.solved.size_trust * seen.solved.size)) * scale - 1.0
+        moved = max(float(np.hypot(*step)), radius * abs(grown))
+        settled = moved < SETTLED_PX
+        if not moved < 2.0 + 0.5 * radius:
+            return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
+        if radius * abs(grown) > LIMB_MOVED_PX:
+            scale /= 1.0 + grown
+        share = float(np.clip(seen.common.values[LAW], -LARGEST_LAW_CHANGE, LARGEST_LAW_CHANGE))
+        changed = with_law_share(picture, name, law_share(picture, name) + share)
+        other_law = abs(law_share(changed, name) - law_share(picture, name)) > LAW_CHANGE
+        if other_law:
+            picture, settled = changed, False
+            profiles = scan_profiles(picture, name, fan, look.center, scale)
+        elif moved < CONVERGED_PX + LIMB_MOVED_PX and np.hypot(*step) < CONVERGED_PX:
+            return Rounds(seen, settings.choice, tuple(steps), True, scale, law_share(picture, name))
+    assert settings is not None
+    return Rounds(seen, settings.choice, tuple(steps), False, scale, law_share(picture, name))
+
+
+def _look(
+    picture: BodyPicture, name: str, fan: ScanFan, profiles: ScanProfiles, center: FloatArray, scale: float
+) -> Look:
+    body = body_light(picture, name, center, scale, fan_reach(fan, picture))
+    cutout = usable_pixels(picture, name, center, body.window)
+    sampler = ScanSampler(fan.places(center, fan.distances()), body.window)
+    view = view_scans(sampler, cutout, body)
+    brightness = pooled_brightness(view)
+    system = scan_system(fan, view, profiles, cutout.gain_e_per_dn, brightness)
+    variance = cutout.noise_dn**2 + np.maximum(cutout.data_dn, 0.0) / cutout.gain_e_per_dn
+    return Look(center, cutout, body, sampler, view, brightness, system, variance)
+
+
+def _settings(picture: BodyPicture, fan: ScanFan, look: Look, numbers: NDArray[np.int64] | None) -> _Settings:
+    """Let the data tell how rough the albedo is, and choose scans."""
+    psf_sigma = float(np.max(picture.psf.sigma_px))
+    uneven = unevenness(fan, look.view, look.brightness, psf_sigma, look.cutout.gain_e_per_dn)
+    system, roughness = look.system, 0.0
+
+    def choice() -> Choice:  # which scans may speak depends a little on the roughness
+        match = system.match(MARGIN * roughness)
+        sigma = look.errors(match, MARGIN * roughness).sigma_px
+        return choose_scans(fan, look.view, sigma, match.motion, uneven, numbers)
+
+    for _ in range(2):
+        chosen = choice().chosen
+        roughness = _roughness(system, chosen, ROUGHNESSES)
+        system = look.system.without_common(_common(picture, fan, look, roughness, chosen).values)
+    return _Settings(_roughness(system, chosen, ROUGHNESSES), choice(), uneven)
+
+
+def _roughness(system: ScanSystem, chosen: NDArray[np.bool_], tried: Sequence[float]) -> float:
+    """Return the albedo's relative scatter under which the chosen scans are most likely; 0 if they do not ask for one."""
+    if not chosen.any():
+        return 0.0
+    likelihood = [float(system.likelihood(r)[chosen].sum()) for r in (0.0, *tried)]
+    best = int(np.argmax(likelihood))
+    return 0.0 if best == 0 or likelihood[best] < likelihood[0] + SPOKEN_FOR else tried[best - 1]
+
+
+def _common(
+    picture: BodyPicture, fan: ScanFan, look: Look, roughness: float, chosen: NDArray[np.bool_]
+) -> Common:
+    variance = float(np.mean(picture.psf.sigma_px**2))
+    return solve_common(look.system, ERROR_MARGIN * roughness, chosen, variance, _alike(fan, roughness))
+
+
+def _alike(fan: ScanFan, roughness: float) -> float:
+    """Return how many neighbouring scans see the same pixels or the same albedo: they count as one."""
+    spacing = 2.0 * np.pi / len(fan)
+    pixels = PIXELS_SHARED_PX / (spacing * float(np.median(fan.limb_px)))
+    albedo = np.sqrt(2.0 * np.pi) * CORRELATION_RAD / spacing if roughness > 0.0 else 1.0
+    return max(1.0, pixels, float(albedo))
+
+
+def _round(
+    picture: BodyPicture,
+    fan: ScanFan,
+    look: Look,
+    settings: _Settings,
+    size_in_model: float,
+    *,
+    solve_size: bool,
+) -> Round:
+    """Match the scans and solve for the center, with what all scans share taken out."""
+    roughness, chosen = settings.roughness, settings.choice.chosen
+    common = _common(picture, fan, look, roughness, chosen)
+    system = look.system.without_common(common.values)
+    match = system.match(MARGIN * roughness)
+    sources = ErrorSources(
+        look.sampler, look.variance_dn2, ERROR_MARGIN * roughness, fan.angle_rad, common.covariance
+    )
+    weight_sigma = look.errors(match, MARGIN * roughness).sigma_px
+    solved = solve_center(
+        match, weight_sigma, chosen, fan.limb_px, sources, float(size_in_model), solve_size=solve_size
+    )
+    errors = look.errors(match, ERROR_MARGIN * roughness)
+    return Round(look, roughness, settings.choice, settings.uneven, common, system, match, errors, solved)

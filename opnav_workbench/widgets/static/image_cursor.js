@@ -1,0 +1,93 @@
+// What follows the cursor: the readout and the magnifier.
+
+const MAGNIFIED_PX = 15; // pixels across the magnifier
+
+class ImageCursor extends ImageActions {
+  // Pixel and line under the pointer; null outside the frame, unless `clip` is given.
+  place(event, clip = false) {
+    const { frame, canvas_view } = this.figure;
+    const box = canvas_view.el.getBoundingClientRect();
+    const [sx, sy] = [event.clientX - box.left, event.clientY - box.top];
+    if (!clip && !frame.bbox.contains(sx, sy)) return null;
+    return [frame.x_scale.invert(sx), frame.y_scale.invert(sy)];
+  }
+
+  hover(event) {
+    const at = this.place(event);
+    if (!at) return this.leave();
+    this.cursor = at;
+    this.tell(...at);
+    this.magnify();
+  }
+
+  leave() {
+    this.cursor = undefined;
+    this.layout.lines.slice(0, 6).forEach((line) => { line.textContent = ""; });
+    this.layout.lines[0].textContent = "Move the cursor over the picture.";
+    this.tellScale();
+  }
+
+  tell(pixel, line) {
+    const [place, value, ra, dec, degrees, body] = this.layout.lines;
+    const [n_pixel, n_line] = this.setup.size;
+    const [i, j] = [Math.round(pixel), Math.round(line)];
+    const on = i >= 0 && j >= 0 && i < n_pixel && j < n_line;
+    place.textContent = `pixel ${pixel.toFixed(2)}  line ${line.toFixed(2)}`;
+    const dn = on ? this.pixels()?.[j * n_pixel + i] : undefined;
+    const kind = on ? ["bad", "saturated"].filter((mask) => this.masked(mask, i, j)).join(", ") : "";
+    value.textContent = dn === undefined ? "off the detector" : `${dnText(dn)} DN${kind && `  (${kind})`}`;
+    const sky = this.camera && skyAt(this.camera, pixel, line);
+    const [right, north] = sky ? skyText(sky) : ["", ""];
+    ra.textContent = sky ? `RA ${right}` : "";
+    dec.textContent = sky ? `Dec ${north}` : "";
+    degrees.textContent = sky ? `${sky[0].toFixed(6)}° ${sky[1] < 0 ? "−" : "+"}${Math.abs(sky[1]).toFixed(6)}°` : "";
+    const target = this.bodies?.find(({ name }) => name === this.state.body);
+    const r = target && Math.hypot(pixel - target.pixel, line - target.line);
+    const radii = target?.radius_px ? ` = ${(r / target.radius_px).toFixed(2)} R` : "";
+    body.textContent = target ? `${target.name}: ${r.toFixed(2)} px${radii}` : "";
+    this.tellScale();
+  }
+
+  tellScale() {
+    const { x_range, frame_width } = this.model("opnav-picture");
+    const scale = frame_width / Math.abs(x_range.end - x_range.start);
+    const { contrast, bias } = this.shading();
+    const shaded = contrast !== 1 || bias !== 0.5 ? `  contrast ${contrast.toFixed(2)}, bias ${bias.toFixed(2)}` : "";
+    this.layout.lines[6].textContent = `zoom ×${scale.toPrecision(2)}${shaded}`;
+  }
+
+  masked(kind, i, j) {
+    const source = this.model(`opnav-${kind}`);
+    const { left, right, top, bottom } = source?.data ?? {};
+    for (let run = 0; run < (left?.length ?? 0); run++)
+      if (j > top[run] && j < bottom[run] && i > left[run] && i < right[run]) return true;
+    return false;
+  }
+
+  magnify() {
+    const values = this.pixels();
+    if (!values || !this.table) return;
+    const [n_pixel, n_line] = this.setup.size;
+    const [x, y] = this.cursor ?? [n_pixel / 2 - 0.5, n_line / 2 - 0.5];
+    const half = MAGNIFIED_PX / 2;
+    const [i0, j0] = [Math.floor(x - half), Math.floor(y - half)];
+    const n = MAGNIFIED_PX + 2;
+    const part = Float32Array.from({ length: n * n }, (_, k) => {
+      const [i, j] = [i0 + (k % n), j0 + Math.floor(k / n)];
+      return i >= 0 && j >= 0 && i < n_pixel && j < n_line ? values[j * n_pixel + i] : NaN;
+    });
+    const [low, high] = this.limits();
+    this.fill("opnav-magnified", { values: part, width: n, height: n }, low, high, 1, [i0 - 0.5, j0 - 0.5]);
+    this.model("opnav-cursor").setv({ data: { pixel: [Math.round(x)], line: [Math.round(y)] } }, { sync: false });
+    const { x_range, y_range } = this.model("opnav-magnifier");
+    quiet(x_range, { start: x - half, end: x + half });
+    quiet(y_range, { start: y + half, end: y - half });
+  }
+
+  nextBody() {
+    const names = this.bodies.map(({ name }) => name);
+    if (names.length) this.state.body = names[(names.indexOf(this.state.body) + 1) % names.length];
+  }
+}
+
+const dnText = (dn) => (Number.isInteger(dn) ? String(dn) : Number.isNaN(dn) ? "no value" : dn.toFixed(Math.abs(dn) < 1000 ? 3 : 1));

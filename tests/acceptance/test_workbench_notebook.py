@@ -1,0 +1,87 @@
+"""notebooks/workbench.ipynb headless: the gate holds without decisions, and recorded decisions go through it."""
+
+import json
+from pathlib import Path
+
+import papermill
+import pytest
+
+from opnav_workbench.mission import load_mission
+from opnav_workbench.rehearsal import (
+    DEMO_CATALOG,
+    DEMO_KERNELS,
+    DEMO_MISSION,
+    DEMO_PICTURES,
+    simulate_picture,
+)
+from opnav_workbench.session import ImageSession
+from opnav_workbench.spice import KernelSet
+
+NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "workbench.ipynb"
+MAX_BYTES = 100_000
+
+
+def run(tmp_path, **parameters):
+    out = tmp_path / "out.ipynb"
+    papermill.execute_notebook(
+        NOTEBOOK,
+        out,
+        {"mode": "headless"} | parameters,
+        cwd=tmp_path,
+        progress_bar=False,
+        kernel_name="python3",
+    )
+    return out
+
+
+def test_committed_without_outputs():
+    book = json.loads(NOTEBOOK.read_text())
+    assert not any(cell.get("outputs") for cell in book["cells"])
+    assert "widgets" not in book["metadata"]
+
+
+@pytest.mark.slow
+def test_undecided_stars_stop_the_notebook_in_one_line(tmp_path):
+    with pytest.raises(
+        papermill.PapermillExecutionError, match="SelectionPending: lorri_4x4.fit: 4 stars wait to be"
+    ):
+        run(tmp_path)
+    assert not (tmp_path / "workbench_run" / "lorri_4x4" / "result.json").exists()
+
+
+@pytest.mark.slow
+def test_recorded_decisions_go_through(tmp_path):
+    """An analyst's session, written down, repeated headless: the same result, and a small notebook without widgets."""
+    with KernelSet(DEMO_KERNELS):
+        picture = simulate_picture(
+            DEMO_PICTURES[0], load_mission(DEMO_MISSION), DEMO_CATALOG, tmp_path
+        ).picture
+        session = ImageSession.open(picture, DEMO_MISSION)
+        session.predict()
+        session.add_target("PLUTO")
+        session.find_stars()
+        stars = [box.id for box in session.star_boxes() if box.status == "used"]
+        session.accept_stars(stars[:-1])
+        session.reject_stars(stars[-1:], "blend")
+        session.repoint()
+        session.find_body("PLUTO")
+        session.observables()
+        session.write_decisions(tmp_path / "decisions.yaml", who="a test")
+    out = run(
+        tmp_path,
+        images=str(picture),
+        kernels=DEMO_KERNELS,
+        targets="PLUTO",
+        decisions=str(tmp_path / "decisions.yaml"),
+    )
+    result = json.loads((tmp_path / "workbench_run" / "lorri_4x4" / "result.json").read_text())
+    assert result["pointing"] == json.loads(session.to_json())["pointing"]
+    assert [s["status"] for s in result["stars"] if s["id"] == stars[-1]] == ["rejected"]
+    assert out.stat().st_size < MAX_BYTES
+    assert "widgets" not in json.loads(out.read_text())["metadata"]
+
+
+@pytest.mark.slow
+def test_a_misspelt_parameter_is_told(tmp_path):
+    with pytest.raises(papermill.PapermillExecutionError, match="SessionError.*decision"):
+        run(tmp_path, decision="x.yaml")

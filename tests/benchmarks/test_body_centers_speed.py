@@ -1,0 +1,129 @@
+"""Speed of the body centerfinders, as ratios against rendering and a general least-squares solver in the same run."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from opnav_workbench import bodycenters
+from opnav_workbench.bodies import TargetState
+from opnav_workbench.bodycenters import (
+    BodyPicture,
+    choose_subarray,
+    displaced_model,
+    find_cross_correlation,
+    find_least_squares,
+    find_unresolved_body,
+    model_picture,
+)
+from opnav_workbench.camera import Camera
+from opnav_workbench.psf import GaussianPsf
+from opnav_workbench.render import BodyModel, render_bodies
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.starcenters import NoiseModel
+
+NOISE_DN, GAIN, PEAK_DN = 3.0, 22.0, 1200.0
+TRUE_PX, OFF_PX = (511.3, 508.8), (4.2, -3.7)
+RADIUS_KM = 1188.3
+# A center costs a search and few renderings: these bounds hold on a busy machine, and fail where a fit renders for every
+# parameter and step (a general solver: 25 and more).
+MAX_RENDERINGS = 15.0
+
+
+def picture_of(diameter_px):
+    camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/lorri_1x1.yaml")
+    toward = camera.unproject(np.array([TRUE_PX]))[0]
+    distance = 2.0 * RADIUS_KM / (diameter_px * camera.pixel_scale_rad)
+    sun = 4.9e9 * np.array([np.sin(0.7), 0.0, np.cos(0.7)])
+    model = BodyModel(TargetState("PLUTO", toward * distance, radii_km=[RADIUS_KM] * 3, sun_position_km=sun))
+    psf = GaussianPsf(0.8, 0.8)
+    light = render_bodies([model], camera, np.eye(3), np.zeros(3), psf=psf, sunlight_e=1e15).electrons
+    signal = PEAK_DN * light / light.max()
+    noise = np.sqrt(NOISE_DN**2 + signal / GAIN)
+    data = signal + np.random.default_rng(int(diameter_px)).normal(size=signal.shape) * noise
+
+    def picture(scene):
+        return BodyPicture(
+            data,
+            NOISE_DN,
+            False,
+            False,
+            camera,
+            np.eye(3),
+            np.zeros(3),
+            scene,
+            psf,
+            1e15,
+            NoiseModel(NOISE_DN, GAIN),
+        )
+
+    true = picture((model,))
+    return picture((displaced_model(true, "PLUTO", np.add(TRUE_PX, OFF_PX)),))
+
+
+@pytest.fixture(scope="module", params=[200.0, 600.0], ids=["200px", "600px"])
+def resolved(request):
+    return picture_of(request.param)
+
+
+def seconds(function):
+    begin = time.perf_counter()
+    result = function()
+    return time.perf_counter() - begin, result
+
+
+def rendering_s(picture):
+    window = choose_subarray(picture, "PLUTO").window
+    return min(seconds(lambda: model_picture(picture, window, {"PLUTO": TRUE_PX}))[0] for _ in range(3))
+
+
+@pytest.mark.parametrize("method", ["cross_correlation", "least_squares", "limb_scan", "ellipse"])
+def test_center_against_one_rendering(benchmark, resolved, method):
+    finder = getattr(bodycenters, f"find_{method}", None)
+    if finder is None:
+        pytest.skip(f"no method {method}")
+    one = rendering_s(resolved)
+    taken, found = min(
+        (seconds(lambda: finder(resolved, "PLUTO")) for _ in range(2)), key=lambda pair: pair[0]
+    )
+    benchmark.pedantic(lambda: finder(resolved, "PLUTO"), rounds=1)
+    benchmark.extra_info.update(seconds=taken, renderings=taken / one)
+    np.testing.assert_allclose(found.pixel_line, TRUE_PX, atol=0.03)
+    assert taken < MAX_RENDERINGS * one
+
+
+def test_least_squares_against_a_general_solver(benchmark):
+    """scipy's solver with numeric derivatives, on the same pixels, from the same start, after the same search."""
+    picture = picture_of(80.0)
+    part = choose_subarray(picture, "PLUTO")
+    data = picture.signal_dn[part.slices]
+    start = find_cross_correlation(picture, "PLUTO").pixel_line + 0.1
+    light = model_picture(picture, part.window, {"PLUTO": start})
+    scale = np.sum(light * data) / np.sum(light**2)
+
+    def residuals(p):
+        model = p[2] * scale * model_picture(picture, part.window, {"PLUTO": p[:2]}) + p[3]
+        return ((data - model) / NOISE_DN).ravel()
+
+    peer_s, peer = seconds(
+        lambda: least_squares(
+            residuals, [*start, 1.0, 0.0], x_scale=[1, 1, 0.1, 1], diff_step=[1e-4, 1e-4, 1e-3, 1e-3]
+        )
+    )
+    own_s = min(seconds(lambda: find_least_squares(picture, "PLUTO"))[0] for _ in range(3))
+    found = benchmark.pedantic(lambda: find_least_squares(picture, "PLUTO"), rounds=3)
+    benchmark.extra_info.update(seconds=own_s, times_faster=peer_s / own_s)
+    np.testing.assert_allclose(found.pixel_line, peer.x[:2], atol=0.01)
+    assert own_s < peer_s
+
+
+def test_unresolved_body(benchmark):
+    """With its correction, rendered and fitted again, a small body costs less than a 200 px one costs one rendering."""
+    small, large = picture_of(1.0), picture_of(200.0)
+    one = rendering_s(large)
+    taken = min(seconds(lambda: find_unresolved_body(small, "PLUTO"))[0] for _ in range(3))
+    found = benchmark.pedantic(lambda: find_unresolved_body(small, "PLUTO"), rounds=3)
+    benchmark.extra_info.update(seconds=taken, renderings_of_200_px=taken / one)
+    np.testing.assert_allclose(found.pixel_line, TRUE_PX, atol=0.05)
+    assert taken < 5.0 * one
