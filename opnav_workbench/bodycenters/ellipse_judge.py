@@ -15,9 +15,7 @@ from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["LimbVerdict", "judge_limb", "missing_share"]
 
-LIT_SHARE = (
-    0.2  # of the brightest piece of limb: darker ones lie at the terminator, where relief makes the edge
-)
+LIT_SHARE = 0.2  # of the brightest piece: darker ones lie at the terminator, where relief makes the edge
 LEAST_HEIGHT_SNR = 5.0
 LEAST_HEIGHT = 0.15  # of the median: no surface has a tenth of its own albedo all along a piece of limb
 LARGEST_SIGMA_PX = 0.5

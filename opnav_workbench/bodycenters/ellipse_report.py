@@ -25,9 +25,9 @@ WEAK_SIGMA_PX, WEAK_SHARE = 0.5, 0.005  # at least so much, and this share of th
 WEAK_RATIO = 8.0  # of the axes of the error ellipse
 ROUGH_SHARE = 0.02  # of the radius: a limb rougher than this is not that of the model, and
 ROUGH_PX = 0.5  # at least so much
-MISSING_SHARE = (
-    0.05  # of the limb that should be in sight: with more of it missing, the body has another shape
-)
+MISSING_SHARE = 0.05  # of the limb that should be in sight; with more of it missing the shape is another
+BETTER_SHARE = 0.4  # of the residuals: a free ellipse that leaves less tells of wrong radii
+
 MISFIT_SHARE = 0.15  # a diameter this far from the expected one was not expected
 RATIO_SIGMAS, RATIO_SHARE = 3.0, 0.01  # of the free ellipse's radii: what is said of the model's
 THIN_SIGMAS = 1.0  # a crescent thinner than this many sigmas of the PSF is a line
@@ -222,7 +222,9 @@ def _flags(
         BodyFlag.OCCULTED: stage.verdict.hidden.any(),
         BodyFlag.BAD_PIXELS: stage.edges.n_bad.any(),
         BodyFlag.THIN_CRESCENT: thickness < THIN_SIGMAS * float(np.max(picture.psf.sigma_px)),
-        BodyFlag.POOR_FIT: detail.rough_px > rough_limit or missing_share(stage.verdict) > MISSING_SHARE,
+        BodyFlag.POOR_FIT: detail.rough_px > rough_limit
+        or missing_share(stage.verdict) > MISSING_SHARE
+        or _another_ellipse(detail),
         BodyFlag.CIRCLE_MISFIT: any(max(r, 1.0 / r) > 1.0 + MISFIT_SHARE for r in ratios),
         BodyFlag.WEAK_GEOMETRY: sigma_max > max(WEAK_SIGMA_PX, WEAK_SHARE * 0.5 * diameter)
         or (detail.lit_arc_rad < WEAK_ARC_RAD and sigma_max > WEAK_RATIO * sigma_min),
@@ -257,11 +259,24 @@ def _messages(
     return said + _said_of_radii(detail)
 
 
+def _another_ellipse(detail: LimbEllipse) -> bool:
+    """Whether an ellipse of other axes fits the limb, and the model's does not."""
+    free = detail.free
+    return free is not None and detail.rough_px > 0.0 and free.residual_rms_px < BETTER_SHARE * detail.rms_px
+
+
 def _said_of_radii(detail: LimbEllipse) -> list[str]:
     free = detail.free
     if free is None:
         return []
     said = []
+    if _another_ellipse(detail):
+        (major, minor), (a, b) = free.ellipse.semi_axes, free.model.semi_axes
+        said.append(
+            f"its limb is an ellipse, but another one: {major:.1f} x {minor:.1f} px toward "
+            f"{np.degrees(free.ellipse.angle_rad):.0f} deg, not {a:.1f} x {b:.1f} px toward "
+            f"{np.degrees(free.model.angle_rad):.0f} deg; the radii or the pole of the ellipsoid are wrong"
+        )
     for axis, ratio, sigma in zip(("long", "short"), free.ratio, free.ratio_sigma, strict=True):
         off = abs(float(ratio) - 1.0)
         if off > RATIO_SIGMAS * float(sigma) and off > RATIO_SHARE:

@@ -94,7 +94,7 @@ def picture_from_circle(
     >>> picture = picture_from_circle(sky, camera, Circle([300.0, 400.0], 50.0),
     ...                               radii_km=[252.0] * 3, phase_rad=0.8, sun_angle_rad=3.1)
     >>> round(picture.diameter_px("BODY"), 1), round(picture.model("BODY").target.range_km)
-    (100.0, 504005)
+    (100.0, 504002)
     """
     image = np.asarray(image_dn, dtype=np.float64)
     extent = _extent(radii_km, shape)

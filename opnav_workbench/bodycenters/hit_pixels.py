@@ -34,7 +34,7 @@ def find_hit_pixels(residual_dn: FloatArray, weight: FloatArray) -> BoolArray:
     --------
     >>> residual = np.zeros((9, 9))
     >>> residual[4, 5] = 8.0
-    >>> find_hit_pixels(residual, np.ones((9, 9))).sum()
+    >>> int(find_hit_pixels(residual, np.ones((9, 9))).sum())
     1
     """
     in_sigmas = np.where(weight > 0.0, residual_dn * np.sqrt(weight), np.nan)

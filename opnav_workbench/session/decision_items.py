@@ -184,7 +184,7 @@ class PictureDecisions(_Strict):
     @property
     def recorded(self) -> bool:
         """Whether the whole session is recorded, so that it can be taken again step by step."""
-        return bool(self.steps)
+        return any(item.at is not None for _, _, item in self.items())
 
     def items(self) -> Iterator[tuple[str, int, Item]]:
         """Yield every item with its section and its place there."""

@@ -44,7 +44,7 @@ def body_page_html(page: BodyPage, session: ImageSession, registry: ActionRegist
         return f'<div class="page">{empty}<div class="tools">{_adder(page)}</div></div>'
     centers = [center for center in session.state.bodies if center.name == page.chosen]
     scans = scans_of(session, page.chosen)
-    parts = [_list(page, session), _tools(page, registry), _circle(page)]
+    parts = [_list(page, session), _tools(page, registry), _circle(page, short=scans is not None)]
     if centers:
         parts.append(_center(centers[-1], page, short=scans is not None))
     if scans is not None:
@@ -97,9 +97,9 @@ def _tools(page: BodyPage, registry: ActionRegistry) -> str:
     )
 
 
-def _circle(page: BodyPage) -> str:
+def _circle(page: BodyPage, *, short: bool) -> str:
     predicted = ""
-    if page.prediction is not None:
+    if page.prediction is not None and not short:
         pixel, line, diameter = page.prediction
         size = f", diameter {diameter:.1f} px" if np.isfinite(diameter) else ""
         predicted = f'<p class="facts">predicted: pixel {pixel:.1f}, line {line:.1f}{size}</p>'
@@ -116,7 +116,8 @@ def _circle(page: BodyPage) -> str:
 def _center(center: BodyCenter, page: BodyPage, *, short: bool) -> str:
     """The center: numbers, covariance ellipse and pictures; `short` leaves room for the scans below."""
     head = f"<b>{_words(center.method)}: {_words(center.status)}</b>"
-    said = f'<p class="hint">{text("; ".join(center.messages))}</p>' if center.messages else ""
+    told = () if short and center.status == "ok" else center.messages  # the scans below say the same
+    said = f'<p class="hint">{text("; ".join(told))}</p>' if told else ""
     if center.pixel_line is None:
         return f'<section class="center">{head}{said}</section>'
     table = "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in _rows(center, page))
@@ -158,9 +159,10 @@ def _ellipse_plot(covariance_px2: FloatArray) -> str:
         return ""
     points = ellipse_points(covariance_px2)
     reach = 1.3 * float(np.abs(points).max()) or 1.0
-    plot = Plot(112, 122, (-reach, reach), (reach, -reach), f"1 sigma, ±{reach:.2g} px", ticks=0)
+    plot = Plot(SMALL_PX, SMALL_PX, (-reach, reach), (reach, -reach), bare=True)
     plot.line([0.0, 0.0], [-reach, reach], "axis").line([-reach, reach], [0.0, 0.0], "axis")
-    return plot.line(points[:, 0], points[:, 1], "data").svg()
+    plot.line(points[:, 0], points[:, 1], "data")
+    return f"<figure>{plot.svg()}<figcaption>1 sigma, frame ±{reach:.2g} px</figcaption></figure>"
 
 
 def _pictures(center: BodyCenter, size_px: int, wanted: Sequence[str]) -> str:
@@ -177,10 +179,14 @@ def _pictures(center: BodyCenter, size_px: int, wanted: Sequence[str]) -> str:
     figures = []
     for name in wanted:
         if name == "difference":
-            png, words = residual_png(difference, full), f"data − model, ±{full:.2g} DN"
+            png, words = residual_png(difference, full), f"data − model, ±{_shown_dn(full)} DN"
         else:
             dn = data if name == "data" else np.asarray(pictures.model_dn, dtype=float)
             png, words = gray_png(dn, min(float(low), 0.0), float(high)), name
         shown = image(png, width, height, words)
         figures.append(f"<figure>{shown}<figcaption>{words}</figcaption></figure>")
     return f'<div class="pictures">{"".join(figures)}</div>'
+
+
+def _shown_dn(dn: float) -> str:
+    return f"{dn:.0f}" if dn >= 10.0 else f"{dn:.2g}"

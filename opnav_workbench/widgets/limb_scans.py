@@ -24,6 +24,8 @@ __all__ = [
 ]
 
 _RANGE = re.compile(r"(\d+)(?:\s*-\s*(\d+))?")
+# Share of a scan's length that is left out in the picture, so that the body stays in sight.
+SHOWN_FROM = {"focus": 0.0, "used": 0.6, "rejected": 0.6, "unused": 0.9}
 NUMBERED = 12  # scans that have their number in the picture
 CLICK_PX = 6.0  # a click so near to a scan, on screen-sized pictures, means it
 
@@ -100,13 +102,19 @@ def used_scans(status: Iterable[str]) -> list[int]:
 
 def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int) -> Layer:
     """Return the scans (n, m, 2) as lines with their numbers at the outer ends."""
-    ends, words = np.concatenate([places_px[:, :1], places_px[:, -1:]], axis=1), list(status)
+    words = list(status)
+    ends = np.concatenate([places_px[:, :1], places_px[:, -1:]], axis=1)
     names = {USED: "used", REJECTED: "rejected"}
     styles = ["focus" if i == focus else names.get(word, "unused") for i, word in enumerate(words)]
+    inner = np.array([SHOWN_FROM[style] for style in styles])[:, None]
+    begins = ends[:, 0] + inner * (ends[:, 1] - ends[:, 0])
     outward = ends[:, 1] + 0.06 * (ends[:, 1] - ends[:, 0])
     step = max(1, round(len(ends) / NUMBERED))
     return Layer(
-        [(float(a[0]), float(a[1]), float(b[0]), float(b[1])) for a, b in ends],
+        [
+            (float(a[0]), float(a[1]), float(b[0]), float(b[1]))
+            for a, b in zip(begins, ends[:, 1], strict=True)
+        ],
         styles,
         [(float(x), float(y), str(i)) for i, (x, y) in enumerate(outward) if i % step == 0 or i == focus],
     )

@@ -12,8 +12,8 @@ from opnav_workbench.widgets.workbench_svg import Plot, data_range
 __all__ = ["THUMBS", "scans_html"]
 
 THUMBS = 6  # scans shown small, the one at hand among them
-THUMB_W, THUMB_H, THUMB_POINTS = 68, 38, 60
-STRIP_W, STRIP_H = 458, 92
+THUMB_W, THUMB_H, THUMB_POINTS = 68, 32, 60
+STRIP_W, STRIP_H = 458, 88
 SIGNS = {"used": "✓", "rejected": "✗", "not_chosen": "–"}
 WORDS = {"used": "in use", "rejected": "left out by the fit", "not_chosen": "not chosen"}
 
@@ -42,7 +42,7 @@ def _tools(scans: LimbScans, by_hand: bool, registry: ActionRegistry, boxing: bo
     chosen = shown_scans(used_scans(scans.status))
     used = sum(word == "used" for word in scans.status)
     how = "by hand" if by_hand else "automatic"
-    field = f'<input data-act="scans" size="13" title="Numbers and ranges, such as 3-9,12" value="{chosen}">'
+    field = f'<input data-act="scans" size="9" title="Numbers and ranges, such as 3-9,12" value="{chosen}">'
     said = "; ".join(scans.summary)
     return (
         f'<div class="tools">{field}{button(registry["box_scans"], on=boxing)}'
@@ -105,11 +105,11 @@ def _large(scans: LimbScans, number: int) -> str:
     word = str(scans.status[number])
     data, model = scans.data_dn[number], scans.model_dn[number]
     profile = Plot(
-        246, 126, _ends(scans.distance_px), data_range([data, model], with_zero=True), f"scan {number}: DN", "px along it"
+        246, 110, _ends(scans.distance_px), data_range([data, model], with_zero=True), f"scan {number}: DN", "px along it"
     )  # fmt: skip
     profile.line(scans.distance_px, model, "model").line(scans.distance_px, data, "data")
     curve = Plot(
-        206, 126, _ends(scans.lag_px), data_range(scans.correlation[number]), "correlation", "offset, px"
+        206, 110, _ends(scans.lag_px), data_range(scans.correlation[number]), "correlation", "offset, px"
     )
     curve.line(scans.lag_px, scans.correlation[number], "data")
     offset, said = float(scans.offset_px[number]), "no offset"

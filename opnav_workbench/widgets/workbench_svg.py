@@ -57,7 +57,7 @@ class Plot:
     bare : bool
         No axes and no labels: a thumbnail.
     ticks : int
-        About so many on each axis; 0: none, and no labels.
+        About so many on each axis.
     """
 
     width_px: int
@@ -76,8 +76,6 @@ class Plot:
         """Left, top, right, bottom of the frame, px."""
         if self.bare:
             return 1.0, 1.0, self.width_px - 1.0, self.height_px - 1.0
-        if not self.ticks:
-            return 1.0, 20.0, self.width_px - 1.0, self.height_px - 4.0
         top = 20.0 if self.title else 6.0
         bottom = self.height_px - (34.0 if self.x_label else 20.0)
         return (58.0 if self.y_label else 40.0), top, self.width_px - 14.0, bottom
@@ -139,11 +137,11 @@ class Plot:
 
     def _axes(self) -> Iterator[str]:
         left, top, right, bottom = self.frame
-        for value in [] if not self.ticks else round_ticks(min(self.x_range), max(self.x_range), self.ticks):
+        for value in round_ticks(min(self.x_range), max(self.x_range), self.ticks):
             a = float(self.x(value))
             yield f'<path class="tick" d="M{a:.1f} {bottom:.1f}v4"/>'
             yield f'<text x="{a:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{value:.6g}</text>'
-        for value in [] if not self.ticks else round_ticks(min(self.y_range), max(self.y_range), self.ticks):
+        for value in round_ticks(min(self.y_range), max(self.y_range), self.ticks):
             b = float(self.y(value))
             yield f'<path class="tick" d="M{left:.1f} {b:.1f}h-4"/>'
             yield f'<text x="{left - 6:.1f}" y="{b + 4:.1f}" text-anchor="end">{value:.6g}</text>'
@@ -161,9 +159,7 @@ class Plot:
         left, top, right, bottom = self.frame
         low, high = sorted(self.y_range)
         zero = (
-            f'<path class="zero" d="M{left} {float(self.y(0.0)):.1f}H{right}"/>'
-            if self.ticks and low < 0.0 < high
-            else ""
+            f'<path class="zero" d="M{left} {float(self.y(0.0)):.1f}H{right}"/>' if low < 0.0 < high else ""
         )
         size = f'width="{self.width_px}" height="{self.height_px}"'
         box = f'x="{left}" y="{top}" width="{right - left:.1f}" height="{bottom - top:.1f}"'

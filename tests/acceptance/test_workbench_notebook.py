@@ -43,7 +43,7 @@ def test_committed_without_outputs():
 @pytest.mark.slow
 def test_undecided_stars_stop_the_notebook_in_one_line(tmp_path):
     with pytest.raises(
-        papermill.PapermillExecutionError, match="SelectionPending: lorri_4x4.fit: 4 stars wait to be"
+        papermill.PapermillExecutionError, match=r"SelectionPending: lorri_4x4\.fit: 4 stars wait to be"
     ):
         run(tmp_path)
     assert not (tmp_path / "workbench_run" / "lorri_4x4" / "result.json").exists()
@@ -83,5 +83,5 @@ def test_recorded_decisions_go_through(tmp_path):
 
 @pytest.mark.slow
 def test_a_misspelt_parameter_is_told(tmp_path):
-    with pytest.raises(papermill.PapermillExecutionError, match="SessionError.*decision"):
+    with pytest.raises(papermill.PapermillExecutionError, match=r"SessionError.*decision"):
         run(tmp_path, decision="x.yaml")

@@ -3,6 +3,7 @@
 The pictures are the demo's MVIC frame (15 stars) and a simulated LORRI frame with Pluto 190 px wide among 12 stars.
 """
 
+import itertools
 import json
 import os
 import signal
@@ -179,9 +180,7 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
     # A click on a star in the picture brings its box; a click on a box does, too.
     boxes = nb.python("[[b.id, *b.observed_px.tolist()] for b in bench.controller.stars.boxes]")
     boxes.sort(key=lambda box: box[1])
-    pairs = zip(
-        boxes, boxes[1:], strict=False
-    )  # neighbors along the frame, of which the picture shows a part
+    pairs = itertools.pairwise(boxes)  # neighbors along the frame, of which the picture shows a part
     (shown, *_), (near, *place) = min(pairs, key=lambda pair: pair[1][1] - pair[0][1])
     hand.click(f'.ow-panel [data-star="{shown}"]')
     hand.shown(".ow-panel .focus .id", shown)
@@ -351,6 +350,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     center = nb.python("bench.session.state.bodies[-1].pixel_line.tolist()")
     hand.press("m")
     hand.said("drag a box")
+    nb.settle()
     hand.drag((center[0] + 60.0, center[1] - 30.0), (center[0] + 130.0, center[1] + 30.0))
     nb.until(f"{CHOICE}.reason == 'box in the picture'", timeout_s=60.0)
     boxed = nb.python(f"list({CHOICE}.numbers)")
@@ -373,6 +373,8 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     circle = nb.python(CIRCLE)
     np.testing.assert_allclose(circle, [*center, 95.0], atol=1.5)  # a page pixel is two of the picture
     hand.press("k")
+    hand.said("click the body's center")
+    nb.settle()
     hand.drag((center[0] - 20.0, center[1]), (center[0] + 60.0, center[1]))
     nb.until("abs(bench.session.state.circles['PLUTO'].radius_px - 80.0) < 2.0")
     hand.press("Control+z")
@@ -400,7 +402,8 @@ def test_flight_frame(notebook, data_dir, tmp_path):
         f"""
 from opnav_workbench.widgets import workbench
 from opnav_workbench.widgets.queue_images import ImageQueue
-bench = workbench(ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(tmp_path)!r}))
+catalog = "npz:" + {str(data_dir / "stars" / "tycho2.npz")!r}
+bench = workbench(ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(tmp_path)!r}, catalog=catalog))
 bench
 """
     )

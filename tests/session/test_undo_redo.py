@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.rehearsal import DEMO_KERNELS
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import Decisions, ImageSession
 from opnav_workbench.spice import KernelSet
 
 
@@ -137,7 +137,7 @@ def untouched(demo_truths) -> ImageSession:
 )
 @given(sequence=sequences)
 def test_any_sequence_of_steps_replays_to_the_same_result(untouched, tmp_path_factory, sequence):
-    """Undo gives back the state before, redo the one after; a folder followed by autosave resumes to the same bits."""
+    """Undo gives back the state before, redo the one after; autosave and decisions lead to the same bits again."""
     folder = tmp_path_factory.mktemp("any")
     with KernelSet(DEMO_KERNELS):
         session = ImageSession(untouched.context, untouched.source, untouched.inputs)
@@ -159,6 +159,9 @@ def test_any_sequence_of_steps_replays_to_the_same_result(untouched, tmp_path_fa
                 line, at = [*line[: at + 1], session.state], at + 1
             assert session.state is line[at]
             assert (session.can_undo, session.can_redo) == (at > 0, at + 1 < len(line))
+        decided = ImageSession(untouched.context, untouched.source, untouched.inputs)
+        Decisions.from_session(session).apply(decided)
+        assert _result(decided) == _result(session)
     resumed = ImageSession.resume(folder)
     assert resumed.journal == session.journal
     assert resumed.standing == session.standing

@@ -78,7 +78,7 @@ def test_center_is_found_and_shown(body_hands):
     body_hands.press("2", "p", "3", "f")
     assert body_hands.session.state.bodies[-1].status == "ok"
     assert body_hands.session.state.observables
-    assert "1-sigma ellipse" in body_hands.panel
+    assert "1 sigma, frame ±" in body_hands.panel
     method = body_hands.session.state.bodies[-1].method
     assert body_hands.said.startswith(f"PLUTO, {method.replace('_', ' ')}: pixel")
     body_hands.press("4")

@@ -63,6 +63,9 @@ def test_layer_tells_used_rejected_and_focus_apart():
     status = ["used", "rejected", "not_chosen"] * 4
     layer = scan_layer(PLACES, status, focus=2)
     assert layer.styles[:4] == ("used", "rejected", "focus", "used")
-    assert layer.segments[0] == pytest.approx((200.0, 100.0, 250.0, 100.0))
+    assert layer.segments[0] == pytest.approx(
+        (230.0, 100.0, 250.0, 100.0)
+    )  # the outer part: the body stays in sight
+    assert layer.segments[2][:2] == pytest.approx((200.0, 100.0))  # the whole of the one that is looked at
     assert [label[2] for label in layer.labels] == [str(i) for i in range(12)]
     assert used_scans(status) == [0, 1, 3, 4, 6, 7, 9, 10]

@@ -126,6 +126,7 @@ class ImagePage extends ImageCursor {
       this.fill("opnav-overview", overview, low, high, small);
     }
     this.magnify();
+    this.tellScale();
   }
 
   mip(values, block) {
