@@ -90,9 +90,8 @@ class PictureModels:
             source.name = f"opnav-{kind}"  # the readout tells what masks the pixel
             renderer = self.picture.quad(
                 left="left", right="right", top="top", bottom="bottom", source=source, name="overlay:masks",
-                fill_color=None, hatch_pattern=pattern, hatch_scale=6, line_width=1, level="underlay",
+                fill_color=None, hatch_pattern=pattern, hatch_scale=6, line_width=1,
             )  # fmt: skip
-            renderer.level = "glyph"
             self._glyphs[kind] = [renderer.glyph]
 
     def _add_lines(self) -> None:

@@ -27,6 +27,13 @@ view.listen(lambda *at: heard.append(at), lambda *ends: heard.append(ends))
 """
 
 
+FLIGHT = """
+import opnav_workbench as opnav
+from opnav_workbench.widgets import ImageView
+session = opnav.ImageSession.open({path!r}, "new_horizons", catalog={catalog!r}, attitude="header")
+session.predict(); session.find_stars(); session.repoint()
+view = ImageView(session)
+"""
 AS_NEW = """view.state.update(image="data", partner="", stretch="asinh", limits="sky", colormap="gray", inverted=False,
     contrast=1.0, bias=0.5, groups=["predicted", "observed", "magnitudes", "bodies"], drag="")
 view._look_at_all(*json.loads(view.state.setup)["size"])
@@ -119,6 +126,23 @@ def test_readout_is_right(opened, demo_truths, number):
     place, _, _, text = readout(nb, body[0] + 3.0, body[1] - 4.0)
     distance = float(re.search(r"PLUTO: ([\d.]+) px", text).group(1))
     assert distance == pytest.approx(np.hypot(place[0] - body[0], place[1] - body[1]), abs=0.012)
+
+
+@pytest.mark.realdata
+def test_readout_on_a_flight_frame(module_notebook, data_dir):
+    path = data_dir / "images/lorri_interstellar/lor_0449855930_0x633_pwcs2.fits"
+    nb = module_notebook(
+        FLIGHT.format(path=str(path), catalog=f"npz:{data_dir / 'stars/tycho2.npz'}"), "view"
+    )
+    nb.run_all()
+    nb.view()
+    context = ImageSession.open(path, DEMO_MISSION, attitude="header").context
+    attitude = np.array(nb.python("session.camera_from_j2000.tolist()"))
+    place, dn, sky, _ = readout(nb, 200.0, 31.0)
+    assert dn == pytest.approx(context.frame.image_dn[round(place[1]), round(place[0])], rel=1e-6, abs=6e-4)
+    x, y, z = attitude.T @ context.camera.unproject(np.array([place]))[0]
+    assert abs(sky[0] - np.degrees(np.arctan2(y, x)) % 360.0) * np.hypot(x, y) < 0.1 * ARCSEC_DEG
+    assert abs(sky[1] - np.degrees(np.arcsin(z))) < 0.1 * ARCSEC_DEG
 
 
 def test_stretch_blink_and_overlays(opened, demo_truths):

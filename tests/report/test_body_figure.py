@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse
 
 from opnav_workbench.bodycenters import BodyCenter, BodyFlag, BodyPictures
@@ -90,20 +89,11 @@ def words():
     return read
 
 
-def clipped(figure) -> list[str]:
-    """Texts that leave the page."""
+def clipped(figure) -> float:
+    """By how many inches what is drawn leaves the page."""
     figure.canvas.draw()
-    page = figure.bbox
-    boxes = [
-        (t.get_text(), t.get_window_extent())
-        for t in figure.findobj(lambda a: hasattr(a, "get_window_extent") and hasattr(a, "get_text"))
-        if t.get_visible() and t.get_text()
-    ]
-    return [
-        text
-        for text, box in boxes
-        if box.x0 < -1 or box.y0 < -1 or box.x1 > page.x1 + 1 or box.y1 > page.y1 + 1
-    ]
+    drawn, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+    return max(-drawn.x0, -drawn.y0, drawn.x1 - width, drawn.y1 - height)
 
 
 # -- one method ------------------------------------------------------------------------------------------------------
@@ -130,7 +120,7 @@ def test_ellipse_is_enlarged_by_what_the_legend_says(words):
     assert "drawn 10 × larger" in words(figure)
     assert (ellipse.width, ellipse.height) == pytest.approx((2 * 10 * 0.5, 2 * 10 * 0.25))
     assert ellipse.angle % 180.0 == pytest.approx(0.0)
-    assert ellipse.center == pytest.approx(CENTER + (0.9, -0.4))
+    assert ellipse.center == pytest.approx(CENTER + np.array([0.9, -0.4]))
 
 
 def test_title_says_numbers_messages_and_flags(words):
@@ -252,7 +242,7 @@ def test_nothing_leaves_the_page():
         methods_figure(CENTERS, truth_px=CENTER),
         difference_figure(CENTERS),
     ):
-        assert not clipped(figure)
+        assert clipped(figure) < 0.01
 
 
 # -- from a session --------------------------------------------------------------------------------------------------
@@ -298,14 +288,5 @@ def test_methods_of_a_session_are_those_it_has(session):
 def test_center_that_nobody_found(session):
     with pytest.raises(SessionError, match=r"no center of CHARON \(ellipse\).*PLUTO \(least_squares\)"):
         body_figure(session, "CHARON", "ellipse")
-    with pytest.raises(SessionError, match="no limb scans|no center of PLUTO"):
+    with pytest.raises(SessionError, match="no center of PLUTO"):
         scan_figure(session, "PLUTO")
-
-
-def test_colours_of_the_marks_can_be_told_apart_in_grey():
-    """Used, not chosen and rejected scans, and the marks, differ in lightness or shape: no pair relies on hue alone."""
-    from opnav_workbench.report.body_figure_parts import MARKS
-
-    shapes = [mark["marker"] for mark in MARKS.values()]
-    assert len(set(shapes)) == len(shapes)
-    assert all(len(to_rgb(mark["color"])) == 3 for mark in MARKS.values())
