@@ -32,6 +32,7 @@ ROUNDS = 4
 NEAR_PX = 0.2  # what a step s along a limb of radius r, seen as straight, is off by at most: s^2 / 2 r
 SIZE_NOTICED = 0.01  # relative, and
 SIZE_NOTICED_PX = 1.0  # difference of the limb from the predicted one: less is left to the rendered model
+SMALLEST_SIZED_PX = 8.0  # radius; smaller bodies show brightness and place, hardly their size
 NARROWINGS = 8  # of the distance that counts as near
 NEAREST_PX = 0.5
 FEWEST = 5  # scans that must agree
@@ -138,9 +139,10 @@ def _consensus(
     motion = fan.direction - (bend / fan.limb_px)[:, None] * across  # of the limb along the scan
     columns = np.concatenate([motion, fan.limb_px[:, None]], axis=1)[known]
     offset, near = lag[known], reach_px
-    solution = np.array([0.0, 0.0, np.median(offset) / np.median(fan.limb_px)])
+    solution = np.zeros(3)
     # A change of size is believed only where the scans turn around enough of the body to tell it from a shift.
-    steady = np.diag([0.0, 0.0, 1e-3 * float(np.sum(columns[:, 2] ** 2))])
+    firmness = 1e-3 if float(np.median(fan.limb_px)) > SMALLEST_SIZED_PX else 1e6
+    steady = np.diag([1e-9, 1e-9, firmness * float(np.sum(columns[:, 2] ** 2))])
     for _ in range(NARROWINGS):
         residual = offset - columns @ solution
         weight = 1.0 / (1.0 + (residual / near) ** 2) ** 2

@@ -25,7 +25,7 @@ FEWEST = 3
 MAX_REJECTED = 0.4  # of the scans: more outliers than that are the rule
 # A common distance of all offsets from zero, beyond this many sigmas, is not noise: the body has another size, and a limb
 # seen from one side would turn that into a shift. It is then solved for, fully where it is much larger than that.
-SIZE_SIGMAS = 4.0
+SIZE_SIGMAS = 3.0
 EXCESS = 1.3  # reduced chi-squared that the residuals of right sigmas stay below
 
 
@@ -129,9 +129,10 @@ def offset_errors(
 ) -> OffsetErrors:
     """Return the uncertainty of offsets from the noise of pixels (n_line, n_pixel) and an albedo's roughness."""
     weights = sampler.pixel_weights(match.gain)
-    noise2 = weights.multiply(weights) @ variance_dn2.ravel()
+    noise2 = np.asarray(weights.multiply(weights) @ variance_dn2.ravel())
+    noise2 = np.where(noise2 > 0.0, noise2, np.inf)  # without light a scan says nothing
     albedo2 = np.square(roughness) * np.sum(match.albedo**2, axis=1)
-    return OffsetErrors(np.asarray(noise2), albedo2)
+    return OffsetErrors(noise2, albedo2)
 
 
 def solve_center(
@@ -200,10 +201,8 @@ def _without_outliers(match: ScanMatch, sigma: FloatArray, chosen: BoolArray) ->
     limit = int(np.ceil(MAX_REJECTED * chosen.sum()))
     for turn in range(ROUNDS):
         weight = np.where(used, 1.0 / sigma**2, 0.0)
-        residual = (
-            np.abs(match.offset_px - match.motion @ (_estimator(match.motion, weight) @ match.offset_px))
-            / sigma
-        )
+        step = _estimator(match.motion, weight) @ match.offset_px
+        residual = np.abs(match.offset_px - match.motion @ step) / sigma
         spread = max(MAD_SIGMA * float(np.median(residual[used])), 1.0)
         near = chosen & (residual < OUTLIER_SIGMAS * spread)
         if near.sum() < max(FEWEST, int(chosen.sum()) - limit):

@@ -13,12 +13,14 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodycenters.scan_matching import ScanSystem
 
-__all__ = ["BLUR", "LAW", "Common", "no_common", "solve_common"]
+__all__ = ["BLUR", "LAW", "Common", "find_roughness", "no_common", "solve_common"]
 
 LAW, BLUR = 0, 1  # share of another law (`scan_law`); variance added to the PSF, px^2
 LAW_SIGMA = 0.5  # a priori: half the way from Lambert to Lommel-Seeliger
 BLUR_SIGMA = 0.5  # a priori, of the PSF's variance: a width known to a quarter
 SIGNIFICANT = 5.0  # sigmas
+ROUGHNESSES = (0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
+SPOKEN_FOR = 4.0  # gain in logarithmic likelihood that makes an albedo uneven
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +47,7 @@ def solve_common(
     `alike` is the number of neighbouring scans that tell the same.
     """
     normal, right = (part / alike for part in system.common_normal(roughness, chosen))
-    prior = np.diag([LAW_SIGMA**-2.0, (BLUR_SIGMA * psf_variance_px2) ** -2.0])
+    prior = _prior(psf_variance_px2)
     active = np.array([True, True])
     while active.any():
         rows = np.ix_(active, active)
@@ -59,3 +61,25 @@ def solve_common(
             return Common(all_values, all_covariance)
         active[np.flatnonzero(active)[strength.argmin()]] = False
     return no_common()
+
+
+def find_roughness(system: ScanSystem, chosen: BoolArray, psf_variance_px2: float) -> float:
+    """Return the albedo's relative scatter under which the chosen scans are most likely; 0 if they do not ask for one.
+
+    What they share is free, so that a wrong scattering law does not pass for a rough albedo.
+    """
+    prior = _prior(psf_variance_px2)
+
+    def likelihood(roughness: float) -> float:
+        normal, right = system.common_normal(roughness, chosen)
+        shared = 0.5 * right @ np.linalg.solve(normal + prior, right)
+        return float(system.likelihood(roughness)[chosen].sum() + shared)
+
+    tried = (0.0, *ROUGHNESSES)
+    found = [likelihood(roughness) for roughness in tried]
+    best = int(np.argmax(found))
+    return 0.0 if found[best] < found[0] + SPOKEN_FOR else tried[best]
+
+
+def _prior(psf_variance_px2: float) -> FloatArray:
+    return np.diag([LAW_SIGMA**-2.0, (BLUR_SIGMA * psf_variance_px2) ** -2.0])

@@ -4,7 +4,6 @@ Along with the center follow, where the data speak for it beyond doubt: the body
 limb, and the width of the PSF. A limb seen from one side only would turn errors of these into a shift of the body.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +21,7 @@ from opnav_workbench.bodycenters.scan_center import (
     solve_center,
 )
 from opnav_workbench.bodycenters.scan_choice import Choice, choose_scans, unevenness
-from opnav_workbench.bodycenters.scan_common import LAW, Common, solve_common
+from opnav_workbench.bodycenters.scan_common import LAW, Common, find_roughness, no_common, solve_common
 from opnav_workbench.bodycenters.scan_fan import ScanFan
 from opnav_workbench.bodycenters.scan_law import law_share, with_law_share
 from opnav_workbench.bodycenters.scan_matching import ScanMatch, ScanSystem
@@ -44,12 +43,11 @@ __all__ = ["FEWEST", "Look", "Round", "Rounds", "iterate"]
 CONVERGED_PX = 0.01
 MAX_ROUNDS = 12
 SETTLED_PX = 0.3  # a step, or move of the limb, after which choice and roughness stay as they are
-ROUGHNESSES = (0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
-SPOKEN_FOR = 4.0  # gain in logarithmic likelihood that makes an albedo uneven
 # Maps have edges that a Gaussian of their mean roughness does not expect: scans are matched with a rougher albedo, which
 # costs little, and errors stated for one that is rougher by so much (over 40 mottled maps, error over sigma is 1.0).
 MARGIN, ERROR_MARGIN = 3.0, 1.4
 FEWEST = 3
+SMALLEST_COMMON_PX = 10.0  # radius of a body whose limb is long enough to tell law and PSF
 LAW_CHANGE = 0.03  # share of another scattering law from which on the body is rendered with it
 LARGEST_LAW_CHANGE = 0.4  # at a time: the change is linear in the share only nearby
 PIXELS_SHARED_PX = 2.0  # along the limb, by the interpolation of a scan
@@ -170,8 +168,9 @@ def iterate(
             return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
         seen = _round(picture, fan, look, settings, -np.log(scale), solve_size=solve_size)
         step = seen.solved.step_px
+        turned = bool(steps) and float(step @ np.array(steps[-1])) < 0.0
         steps.append((float(step[0]), float(step[1])))
-        center = center + step
+        center = center + (0.6 if turned else 1.0) * step  # a step back: the one before was too long
         grown = float(np.exp(seen.solved.size_trust * seen.solved.size)) * scale - 1.0
         moved = max(float(np.hypot(*step)), radius * abs(grown))
         settled = moved < SETTLED_PX
@@ -209,33 +208,40 @@ def _settings(picture: BodyPicture, fan: ScanFan, look: Look, numbers: NDArray[n
     psf_sigma = float(np.max(picture.psf.sigma_px))
     uneven = unevenness(fan, look.view, look.brightness, psf_sigma, look.cutout.gain_e_per_dn)
     system, roughness = look.system, 0.0
-
-    def choice() -> Choice:  # which scans may speak depends a little on the roughness
-        match = system.match(MARGIN * roughness)
-        sigma = look.errors(match, MARGIN * roughness).sigma_px
-        return choose_scans(fan, look.view, sigma, match.motion, uneven, numbers)
-
     for _ in range(2):
-        chosen = choice().chosen
-        roughness = _roughness(system, chosen, ROUGHNESSES)
+        chosen = _choice(fan, look, system, roughness, uneven, numbers).chosen
+        if not chosen.any():
+            break
+        roughness = find_roughness(look.system, chosen, _psf_variance(picture))
         system = look.system.without_common(_common(picture, fan, look, roughness, chosen).values)
-    return _Settings(_roughness(system, chosen, ROUGHNESSES), choice(), uneven)
+    return _Settings(roughness, _choice(fan, look, system, roughness, uneven, numbers), uneven)
 
 
-def _roughness(system: ScanSystem, chosen: NDArray[np.bool_], tried: Sequence[float]) -> float:
-    """Return the albedo's relative scatter under which the chosen scans are most likely; 0 if they do not ask for one."""
-    if not chosen.any():
-        return 0.0
-    likelihood = [float(system.likelihood(r)[chosen].sum()) for r in (0.0, *tried)]
-    best = int(np.argmax(likelihood))
-    return 0.0 if best == 0 or likelihood[best] < likelihood[0] + SPOKEN_FOR else tried[best - 1]
+def _choice(
+    fan: ScanFan,
+    look: Look,
+    system: ScanSystem,
+    roughness: float,
+    uneven: FloatArray,
+    numbers: NDArray[np.int64] | None,
+) -> Choice:
+    """Choose scans; which of them may speak depends a little on the roughness."""
+    match = system.match(MARGIN * roughness)
+    sigma = look.errors(match, MARGIN * roughness).sigma_px
+    return choose_scans(fan, look.view, sigma, match.motion, uneven, numbers)
+
+
+def _psf_variance(picture: BodyPicture) -> float:
+    return float(np.mean(picture.psf.sigma_px**2))
 
 
 def _common(
     picture: BodyPicture, fan: ScanFan, look: Look, roughness: float, chosen: NDArray[np.bool_]
 ) -> Common:
-    variance = float(np.mean(picture.psf.sigma_px**2))
-    return solve_common(look.system, ERROR_MARGIN * roughness, chosen, variance, _alike(fan, roughness))
+    if float(np.median(fan.limb_px)) < SMALLEST_COMMON_PX:
+        return no_common()
+    alike = _alike(fan, roughness)
+    return solve_common(look.system, ERROR_MARGIN * roughness, chosen, _psf_variance(picture), alike)
 
 
 def _alike(fan: ScanFan, roughness: float) -> float:

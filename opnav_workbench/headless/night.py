@@ -23,6 +23,7 @@ from opnav_workbench.headless.night_record import Record, digest_of_session, fin
 from opnav_workbench.headless.night_spec import NightSpec, picture_names, pictures_of_night
 from opnav_workbench.headless.night_worker import Job, Verdict
 from opnav_workbench.headless.picture_job import PictureJob
+from opnav_workbench.headless.policy import failed_result
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.session.folder_lock import FolderLock
@@ -203,9 +204,8 @@ def _sole_night(out: Path) -> Iterator[None]:
 def _finish(plan: NightPlan, picture: Picture, verdict: Verdict) -> None:
     work = Path(verdict.folder) if verdict.folder else make_folder(plan.out / WORK_FOLDER / picture.name)
     if not (work / RESULT_FILE).is_file():
-        write_json(
-            work / RESULT_FILE, _failed(plan, picture, verdict.reason or "the notebook wrote no result")
-        )
+        reason = verdict.reason or "the notebook wrote no result"
+        write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, reason))
     record = Record(
         image=str(picture.image),
         fingerprint="" if verdict.fault == "machine" else picture.fingerprint,
@@ -217,15 +217,6 @@ def _finish(plan: NightPlan, picture: Picture, verdict: Verdict) -> None:
         tries=verdict.tries,
     )
     settle(work, inside(plan.out, picture.name), record, plan.out / WORK_FOLDER / "old")
-
-
-def _failed(plan: NightPlan, picture: Picture, reason: str) -> dict[str, Any]:
-    return {
-        "image": picture.image.name,
-        "mission": plan.spec.mission,
-        "status": "failed",
-        "messages": [reason],
-    }
 
 
 def _archive(night: Night, campaign: Campaign, name: str) -> None:

@@ -22,6 +22,7 @@ import psutil
 
 from opnav_workbench import errors
 from opnav_workbench.files import write_json
+from opnav_workbench.headless.policy import failed_result
 from opnav_workbench.session import RESULT_FILE
 
 __all__ = ["EXECUTED_FILE", "HTML_FILE", "Job", "Verdict", "process_picture"]
@@ -237,6 +238,6 @@ def _reported(folder: Path, code: int) -> tuple[str, str]:
 
 def _write_failure(job: Job, folder: Path, reason: str) -> None:
     """Leave a result that says why, in place of one that an earlier cell may have written."""
-    result = {"image": Path(job.image).name, "mission": job.mission, "status": "failed", "messages": [reason]}
+    result = failed_result(Path(job.image), job.mission, reason)
     with contextlib.suppress(errors.SessionError):  # a full disk: the night's own summary names the picture
         write_json(folder / RESULT_FILE, result)

@@ -26,7 +26,7 @@ from opnav_workbench.scene import BodyPrediction
 from opnav_workbench.session import ATTITUDE_SOURCES, BODY_METHODS, RESULT_FILE, ImageSession, Settings
 from opnav_workbench.spice import KernelSet
 
-__all__ = ["Outcome", "Policy", "open_picture", "process_image", "run_policy", "solve_stars"]
+__all__ = ["Outcome", "Policy", "failed_result", "open_picture", "process_image", "run_policy", "solve_stars"]
 
 Say = Callable[[str], None]
 
@@ -138,7 +138,7 @@ def process_image(image: str | Path, policy: Policy, out: str | Path, say: Say =
     try:
         folder = _folder(out, path)
     except OpNavError as error:
-        return Outcome(path, Path(out), _failed_result(path, policy, str(error)), str(error))
+        return Outcome(path, Path(out), failed_result(path, policy.mission.name, str(error)), str(error))
     try:
         say("reading")
         session = open_picture(path, policy)
@@ -300,16 +300,17 @@ def _find(session: ImageSession, policy: Policy, name: str) -> None:
         session.find_body(name, **options)
 
 
-def _failed_result(path: Path, policy: Policy, reason: str) -> dict[str, Any]:
-    result = {"image": path.name, "mission": policy.mission.name, "status": "failed", "messages": [reason]}
+def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:
+    """Return the ``result.json`` of a picture that could not be processed, so that a night's summary can name it."""
+    result = {"image": image.name, "mission": mission, "status": "failed", "messages": [reason]}
     with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
-        result["sha256"] = sha256_of(path)
+        result["sha256"] = sha256_of(image)
     return result
 
 
 def _failure(path: Path, folder: Path, policy: Policy, reason: str) -> Outcome:
-    """Record a picture that could not be processed, so that a night's summary can name it."""
-    result = _failed_result(path, policy, reason)
+    """Record a picture that could not be processed."""
+    result = failed_result(path, policy.mission.name, reason)
     with contextlib.suppress(SessionError):  # the folder cannot be written: the reason tells it already
         write_json(folder / RESULT_FILE, result)
     return Outcome(path, folder, result, reason)

@@ -4,6 +4,7 @@ As Figures 13 and 16 of Jackman & Dumont (2013), AAS 13-443. Data and model shar
 its own, even about zero.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Patch
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodycenters import BodyCenter, BodyPictures
@@ -22,6 +23,7 @@ from opnav_workbench.report.body_figure_parts import (
     ShownBody,
     blank,
     color_limits,
+    draw_compass,
     draw_mark,
     draw_panel,
     error_ellipse,
@@ -43,6 +45,7 @@ __all__ = ["body_figure", "body_png", "write_body"]
 ELLIPSE_SHARE = 0.15
 WIDTH_INCH, PANEL_INCH = 14.0, 3.55
 AROUND_INCH, TITLE_INCH = 1.15, 0.19  # labels and legend; a line of the title
+VEIL = 0.45  # opacity over pixels that were not used
 RIM = 2  # px around the sub-array: methods that leave it out leave out no light
 NAMES = {"predicted": "predicted center", "observed": "observed center", "truth": "true center"}
 
@@ -75,15 +78,16 @@ def body_figure(
         There is no such center, or it comes without pictures.
     """
     shown = shown_body(source, name, method)
-    pictures = pictures_of(shown.center)
+    pictures = pictures_of(shown)
     n_pixel, n_line = pictures.window[2:]
     title = _title(shown)
     height = PANEL_INCH * float(np.clip(n_line / n_pixel, 0.4, 1.6)) + AROUND_INCH
     figure = blank(WIDTH_INCH, height + TITLE_INCH * (1 + title.count("\n")), title)
     panels = figure.subplots(1, 3)
-    _draw_pictures(panels, pictures)
+    entries = _draw_pictures(panels, pictures)
+    draw_compass(panels[0], shown)
     truth = None if truth_px is None else np.asarray(truth_px, dtype=np.float64)
-    _draw_marks(figure, panels, shown, truth)
+    legend_below(figure, [*_draw_marks(panels, shown, truth), *entries])
     panels[0].set_ylabel("line", fontsize=9)
     return figure
 
@@ -124,22 +128,23 @@ def _numbers(shown: ShownBody, place: FloatArray) -> str:
     return "   ".join(words)
 
 
-def _draw_pictures(panels: list[Axes], pictures: BodyPictures) -> None:
+def _draw_pictures(panels: Sequence[Axes], pictures: BodyPictures) -> list[tuple[Artist, str]]:
+    """Draw the three panels; return what the veil over pixels that were not used means, where there is one."""
     window, light = pictures.window, color_limits(pictures.data_dn, pictures.model_dn)
     limit = signed_limit(pictures.difference_dn)
     draw_panel(panels[0], window, pictures.data_dn, light, "data, background removed")
     draw_panel(panels[1], window, pictures.model_dn, light, "model at the solution")
-    left_out = bool((~pictures.mask)[RIM:-RIM, RIM:-RIM].any())
-    title = "data − model" + ("; pixels not used are veiled" if left_out else "")
-    draw_panel(panels[2], window, pictures.difference_dn, (-limit, limit), title, cmap="RdBu_r")
-    if left_out:
-        veil = np.where(pictures.mask, np.nan, 1.0)
-        panels[2].imshow(
-            veil, cmap=ListedColormap(["0.5"]), alpha=0.45, extent=panels[2].images[0].get_extent()
-        )
+    draw_panel(panels[2], window, pictures.difference_dn, (-limit, limit), "data − model", cmap="RdBu_r")
+    if not (~pictures.mask)[RIM:-RIM, RIM:-RIM].any():
+        return []
+    veil = np.where(pictures.mask, np.nan, 1.0)
+    panels[2].imshow(veil, cmap=ListedColormap(["0.5"]), alpha=VEIL, extent=panels[2].images[0].get_extent())
+    return [(Patch(facecolor="0.65", edgecolor="w", linewidth=0.6), "veiled: pixels not used")]
 
 
-def _draw_marks(figure: Figure, panels: list[Axes], shown: ShownBody, truth: FloatArray | None) -> None:
+def _draw_marks(
+    panels: Sequence[Axes], shown: ShownBody, truth: FloatArray | None
+) -> list[tuple[Artist, str]]:
     entries: dict[str, Artist] = {}
     places = {"predicted": shown.predicted_px, "observed": shown.center.pixel_line, "truth": truth}
     _draw_circle(panels[0], shown, entries)
@@ -147,15 +152,14 @@ def _draw_marks(figure: Figure, panels: list[Axes], shown: ShownBody, truth: Flo
         limits = axes.axis()
         if len(shown.outline_px):
             closed = np.concatenate([shown.outline_px, shown.outline_px[:1]])
-            (line,) = axes.plot(*closed.T, **OUTLINE)
-            entries["limb of the model at the observed center"] = line
+            (entries["limb of the model at the observed center"],) = axes.plot(*closed.T, **OUTLINE)
         axes.axis(limits)
         for what, place in places.items():
             artist = draw_mark(axes, what, place)
             if artist is not None:
                 entries[NAMES[what]] = artist
     _draw_ellipse(panels[0], shown.center, entries)
-    legend_below(figure, [(artist, text) for text, artist in entries.items()])
+    return [(artist, text) for text, artist in entries.items()]
 
 
 def _draw_circle(axes: Axes, shown: ShownBody, entries: dict[str, Artist]) -> None:

@@ -127,7 +127,7 @@ def difference_figure(source: Centers, name: str = "", *, truth_px: ArrayLike | 
     title = f"{first.center.name}: data − model at the solution of each method, one stretch   {first.where}"
     figure = blank(PANEL_INCH * columns, 0.9 + PANEL_ASPECT * PANEL_INCH * rows, title)
     panels = figure.subplots(rows, columns, squeeze=False)
-    limit = signed_limit(*(pictures_of(body.center).difference_dn for body in shown.values()))
+    limit = signed_limit(*(pictures_of(body).difference_dn for body in shown.values()))
     for axes, (label, body) in zip(panels.flat, shown.items(), strict=False):
         _difference(axes, label, body, limit, truth_px)
     for axes in panels.flat[len(shown) :]:
@@ -218,7 +218,7 @@ def _legend(figure: Figure, entries: list[tuple[Artist, str]]) -> None:
 
 
 def _difference(axes: Axes, label: str, body: ShownBody, limit: float, truth_px: ArrayLike | None) -> None:
-    pictures, place = pictures_of(body.center), body.center.pixel_line
+    pictures, place = pictures_of(body), body.center.pixel_line
     title = label
     if truth_px is not None and place is not None:
         off = place - np.asarray(truth_px)

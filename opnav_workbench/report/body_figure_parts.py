@@ -18,6 +18,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodycenters import BodyCenter, BodyPictures, Circle, describe_body_flags
 from opnav_workbench.bodycenters.ellipse_results import LimbEllipse
 from opnav_workbench.errors import SessionError
+from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.report.figure import BODY, OBSERVED, PREDICTED
 from opnav_workbench.session import ImageSession
 
@@ -26,6 +27,7 @@ __all__ = [
     "ShownBody",
     "blank",
     "color_limits",
+    "draw_compass",
     "draw_mark",
     "draw_panel",
     "error_ellipse",
@@ -42,6 +44,9 @@ TRUTH = "#009E73"
 EDGE = withStroke(linewidth=2.6, foreground="black")
 # The stretch is linear between these percentiles: a cosmic ray or a hot pixel does not darken the rest.
 BRIGHTEST, LARGEST = 99.9, 99.8
+# A window this many times as large as the body, and some px, is cut down to the body and a rim: a share of it, and px.
+WIDE, LEAST_WIDE_PX = 2.0, 60
+CLOSE_RIM, LEAST_RIM_PX = 0.2, 6.0
 TEXT_WIDTH = 190  # characters that fit a line of the title
 # Mark and colour by what stands there.
 MARKS: dict[str, dict[str, Any]] = {
@@ -65,6 +70,8 @@ class ShownBody:
         The model's limb at the solution; k = 0 where it is not known.
     circle : Circle or None
         Where the analyst saw the body.
+    east_north : (2, 2) array or None
+        Rows: how (pixel, line) change with RA cos Dec and with Dec, as unit vectors.
     where : str
         Picture and time; empty without a session.
     """
@@ -73,6 +80,7 @@ class ShownBody:
     predicted_px: FloatArray | None
     outline_px: FloatArray
     circle: Circle | None = None
+    east_north: FloatArray | None = None
     where: str = ""
 
     def __post_init__(self) -> None:
@@ -105,27 +113,59 @@ def of_session(session: ImageSession, center: BodyCenter) -> ShownBody:
     if not len(outline) and center.pixel_line is not None:
         size = expected.range_km / center.range_km if np.isfinite(center.range_km) else 1.0
         outline = center.pixel_line + size * (expected.limb_px - expected.pixel_line)
-    return ShownBody(center, expected.pixel_line, outline, session.state.circles.get(center.name), where)
+    circle = session.state.circles.get(center.name)
+    return ShownBody(
+        center, expected.pixel_line, outline, circle, _east_north(session, expected.direction), where
+    )
+
+
+def _east_north(session: ImageSession, direction: FloatArray) -> FloatArray:
+    attitude = session.camera_from_j2000
+    sky = np.stack(tangent_basis(*radec_from_unit(direction)))
+    motion = sky @ attitude.T @ session.context.camera.project_jacobian(attitude @ direction).T
+    return np.asarray(motion / np.linalg.norm(motion, axis=1, keepdims=True))
 
 
 def _limb_of(center: BodyCenter) -> FloatArray:
     return center.detail.outline_px if isinstance(center.detail, LimbEllipse) else np.empty((0, 2))
 
 
-def pictures_of(center: BodyCenter) -> BodyPictures:
-    """Return the pictures of a center.
+def pictures_of(shown: ShownBody) -> BodyPictures:
+    """Return the pictures of a center; of a window much larger than the body, as of joint fits, the part around it.
 
     Raises
     ------
     SessionError
         It has none.
     """
+    center = shown.center
     if center.pictures is not None:
-        return center.pictures
+        return _around(center.pictures, shown.outline_px)
     why = f"{center.status}: {'; '.join(center.messages)}" if center.pixel_line is None else "not kept"
     raise SessionError(
         f"{center.name} ({center.method}) has no pictures to show ({why.rstrip(': ')}); find_body() with a method for "
         "extended bodies makes them."
+    )
+
+
+def _around(pictures: BodyPictures, outline: FloatArray) -> BodyPictures:
+    if not len(outline):
+        return pictures
+    first, size = np.array(pictures.window[:2]), np.array(pictures.window[2:])
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    if (size <= WIDE * (high - low) + LEAST_WIDE_PX).all():
+        return pictures
+    rim = 0.5 * CLOSE_RIM * (high - low).max() + LEAST_RIM_PX
+    begin = np.clip(np.floor(low - rim).astype(int) - first, 0, size - 1)
+    end = np.clip(np.ceil(high + rim).astype(int) - first, begin + 1, size)
+    part = np.s_[begin[1] : end[1], begin[0] : end[0]]
+    window = tuple(int(value) for value in (*(first + begin), *(end - begin)))
+    return BodyPictures(
+        window,  # type: ignore[arg-type]
+        pictures.data_dn[part],
+        pictures.model_dn[part],
+        pictures.difference_dn[part],
+        pictures.mask[part],
     )
 
 
@@ -206,6 +246,20 @@ def draw_mark(axes: Axes, what: str, place: FloatArray | None) -> Artist | None:
     return artist
 
 
+def draw_compass(axes: Axes, shown: ShownBody) -> None:
+    """Draw in the upper right corner where right ascension and declination grow."""
+    if shown.east_north is None:
+        return
+    corner = np.array([0.87, 0.87])
+    for name, (pixel, line) in zip(("RA", "Dec"), shown.east_north, strict=True):
+        way = np.array([pixel, -line])  # the axes' fractions count upward, lines downward
+        tip, text = corner + 0.06 * way, corner + 0.095 * way
+        arrow = {"arrowstyle": "->", "color": "w", "shrinkA": 0.0, "shrinkB": 0.0}
+        axes.annotate("", tuple(tip), tuple(corner), "axes fraction", "axes fraction", arrowprops=arrow)
+        style: dict[str, Any] = {"color": "w", "fontsize": 7.5, "ha": "center", "va": "center"}
+        axes.text(float(text[0]), float(text[1]), name, transform=axes.transAxes, **style)
+
+
 def _within(axes: Axes, place: FloatArray) -> bool:
     limits = (sorted(axes.get_xlim()), sorted(axes.get_ylim()))
     return all(low <= value <= high for value, (low, high) in zip(place, limits, strict=True))
@@ -219,17 +273,18 @@ def error_ellipse(center: FloatArray, covariance: FloatArray, sigmas: float, **s
     return Ellipse((float(center[0]), float(center[1])), major, minor, angle=angle, fill=False, **style)
 
 
-def legend_below(figure: Figure, entries: Sequence[tuple[Artist, str]]) -> None:
-    """Explain marks in a row below the panels, on grey, where light and dark ones are seen."""
-    if entries:
-        handles, labels = zip(*entries, strict=True)
-        figure.legend(
-            handles,
-            labels,
-            loc="outside lower left",
-            ncols=len(entries),
-            fontsize=8.5,
-            facecolor="0.25",
-            labelcolor="w",
-            handlelength=1.8,
-        )
+def legend_below(figure: Figure, entries: Sequence[tuple[Artist, str]], *, dark: bool = True) -> None:
+    """Explain marks below the panels: those of pictures left and on grey, those of plots (`dark` False) right on white."""
+    if not entries:
+        return
+    handles, labels = zip(*entries, strict=True)
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower left" if dark else "outside lower right",
+        ncols=len(entries),
+        fontsize=8.5,
+        facecolor="0.25" if dark else "w",
+        labelcolor="w" if dark else "k",
+        handlelength=1.8,
+    )

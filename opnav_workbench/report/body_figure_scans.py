@@ -21,6 +21,7 @@ from opnav_workbench.report.body_figure_parts import (
     ShownBody,
     blank,
     color_limits,
+    draw_compass,
     draw_mark,
     draw_panel,
     legend_below,
@@ -88,8 +89,8 @@ def scan_figure(
     picture, rest = left.subplots(2, 1, height_ratios=(2.7, 1.0))
     entries = _draw_scans(picture, shown, scans, plotted)
     _draw_residuals(rest, scans)
-    entries += _draw_plots(right, scans, plotted)
     legend_below(figure, entries)
+    legend_below(figure, _draw_plots(right, scans, plotted), dark=False)
     return figure
 
 
@@ -143,7 +144,7 @@ def _largest_gap(numbers: np.ndarray, n: int) -> int:
 def _draw_scans(
     axes: Axes, shown: ShownBody, scans: LimbScans, plotted: Sequence[int]
 ) -> list[tuple[Artist, str]]:
-    pictures = pictures_of(shown.center)
+    pictures = pictures_of(shown)
     draw_panel(
         axes,
         pictures.window,
@@ -163,6 +164,7 @@ def _draw_scans(
             axes.add_collection(drawn)
             entries.insert(0, (drawn, f"scan {words}"))
     _number(axes, scans, end, plotted)
+    draw_compass(axes, shown)
     reach = np.abs(end - scans.start_px).max() * 1.13
     x, y = (float(value) for value in scans.start_px)
     axes.set(xlim=(x - reach, x + reach), ylim=(y + reach, y - reach))
@@ -272,11 +274,11 @@ def _correlation(axes: Axes, scans: LimbScans, number: int) -> list[tuple[Artist
     (curve,) = axes.plot(
         scans.lag_px, scans.correlation[number], ".-", color="0.35", markersize=4, linewidth=0.9
     )
-    offset, sigma = scans.offset_px[number], scans.sigma_px[number]
+    offset, sigma, peak = scans.offset_px[number], scans.sigma_px[number], None
     axes.set(xlim=(scans.lag_px[0], scans.lag_px[-1]), ylim=(-0.35, 1.2))
     words = f"no offset: {scans.reason[number]}"
     if np.isfinite(offset):
-        axes.axvline(offset, color=PIXEL_COLOR, linewidth=1.2)
+        peak = axes.axvline(offset, color=PIXEL_COLOR, linewidth=1.2)
         words = f"{offset:+.3f} ± {sigma:.3f}"
     axes.text(0.98, 0.92, words, transform=axes.transAxes, ha="right", va="top", fontsize=8)
-    return [(curve, "correlation of data with model; its maximum is the offset")]
+    return [(curve, "correlation, data with model"), *([(peak, "offset")] if peak else [])]

@@ -13,12 +13,12 @@ from opnav_workbench.bodycenters import (
     JointCenters,
     choose_method,
     find_cross_correlation,
+    find_ellipse,
     find_jointly,
     find_least_squares,
+    find_limb_scan,
     find_unresolved,
 )
-from opnav_workbench.bodycenters.ellipse import find_ellipse
-from opnav_workbench.bodycenters.limb_scan import find_limb_scan
 from opnav_workbench.bodycenters.picture import sized_target
 from opnav_workbench.bodycenters.subarray import search_radius
 from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError

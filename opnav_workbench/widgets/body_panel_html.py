@@ -184,7 +184,8 @@ def _pictures(center: BodyCenter, size_px: int, wanted: Sequence[str]) -> str:
             dn = data if name == "data" else np.asarray(pictures.model_dn, dtype=float)
             png, words = gray_png(dn, min(float(low), 0.0), float(high)), name
         shown = image(png, width, height, words)
-        figures.append(f"<figure>{shown}<figcaption>{words}</figcaption></figure>")
+        caption = words if len(wanted) > 1 else words.split(",")[0]  # alone it stands beside other things
+        figures.append(f"<figure>{shown}<figcaption>{caption}</figcaption></figure>")
     return f'<div class="pictures">{"".join(figures)}</div>'
 
 

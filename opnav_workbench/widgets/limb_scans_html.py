@@ -47,7 +47,7 @@ def _tools(scans: LimbScans, by_hand: bool, registry: ActionRegistry, boxing: bo
     return (
         f'<div class="tools">{field}{button(registry["box_scans"], on=boxing)}'
         f"{button(registry['automatic_scans'], enabled=by_hand)}"
-        f'<span class="hint" title="{text(said)}">{used} of {len(scans.status)} in use, {how}</span></div>'
+        f'<span class="hint" title="{text(said)}">{used} of {len(scans.status)} used, {how}</span></div>'
     )
 
 

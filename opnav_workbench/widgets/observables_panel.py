@@ -36,7 +36,7 @@ def export(session: ImageSession, folder: Path) -> list[str]:
     session.save(folder)
     session.write_decisions(folder / DECISIONS_FILE, who=_user())
     write_summary(session, folder / FIGURE_FILE)
-    return sorted(path.name for path in folder.iterdir() if path.is_file())
+    return sorted(path.name for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
 
 
 def _user() -> str:

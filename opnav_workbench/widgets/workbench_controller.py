@@ -29,6 +29,7 @@ from opnav_workbench.widgets.workbench_viewer import Layer, Viewer
 
 __all__ = ["REGIONS", "WorkbenchController"]
 
+LAYERS = ("two stars", "limb scans")  # that the tabs draw
 REGIONS = ("header", "queue", "panel", "status")
 
 
@@ -137,7 +138,7 @@ class WorkbenchController:
 
     def show_tab(self, name: str) -> None:
         """Show a tab; tools of the old one are put away."""
-        self.bench.tool = self.bench.menu = ""
+        self._put_away()
         self.tab = name
         self.desk.entered()
 
@@ -149,9 +150,7 @@ class WorkbenchController:
         self._show_image()
 
     def _show_image(self) -> None:
-        self.bench.tool = self.bench.menu = ""
-        for layer in ("two stars", "limb scans"):
-            self._clear(layer)
+        self._put_away()
         folder = self.queue.item.folder
         self.bench.status.log_folder = folder
         session = self.queue.session
@@ -163,9 +162,13 @@ class WorkbenchController:
             session.predict()
         self.bench.status.say(f"{self.queue.item.name}: {len(session.standing)} steps. Press ? for the keys.")
 
-    def _clear(self, layer: str) -> None:
-        self.viewer.layer(layer, Layer())
+    def _put_away(self) -> None:
+        """Leave tools and menus, and take what the tab had drawn off the picture."""
+        self.bench.tool = self.bench.menu = ""
+        for layer in LAYERS:
+            self.viewer.layer(layer, Layer())
         self.viewer.circle(None)
+        self.viewer.drag_mode(False)
 
     def _opened(self, session: ImageSession) -> None:
         session.on_change(lambda _: None if self.bench.job is not None else self.refresh())

@@ -1,6 +1,7 @@
 """The demo as a user runs it, and every notebook executed by papermill."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import papermill
 import pytest
+from astropy.table import QTable
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
@@ -83,6 +85,27 @@ def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
         progress_bar=False,
     )
     assert list((tmp_path / "run").rglob("result.json"))
+    if notebook == "target_centers.ipynb":
+        check_table_3(tmp_path / "run/table3.ecsv")
+
+
+def check_table_3(path: Path) -> None:
+    """The paper's key result on an unknown surface: limb scans within 0.12 and 0.03 arcsec, the full disk far off."""
+    rows = {row["method"]: row for row in QTable.read(path, format="ascii.ecsv")}
+    off = {
+        m: [row[f"{axis} error"].to_value("arcsec") for axis in ("RA cos Dec", "Dec")]
+        for m, row in rows.items()
+    }
+    assert set(off) == {
+        "full-disk cross-correlation",
+        "full-disk least squares",
+        "limb scan, automatic",
+        "ellipse",
+    }
+    scan = off["limb scan, automatic"]
+    assert abs(scan[0]) < 0.12
+    assert abs(scan[1]) < 0.03
+    assert math.hypot(*off["full-disk cross-correlation"]) > 4.0 * math.hypot(*scan)
 
 
 def test_program_runs_as_a_process(tmp_path):

@@ -14,7 +14,7 @@ from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.version import __version__
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-COMMANDS = ("demo", "process", "simulate", "doctor")
+COMMANDS = ("demo", "process", "lab", "nightly", "export", "simulate", "doctor")
 
 
 def _invoke(*arguments: object):
@@ -54,7 +54,7 @@ def test_every_command_is_listed_here():
 def test_help_contains_an_example(command):
     answer = _invoke(command, "--help")
     assert answer.exit_code == 0
-    assert re.search(rf"Example\s+opnav {command}", answer.output)
+    assert re.search(rf"Examples?\s+opnav {command}", answer.output)
 
 
 def test_the_example_of_process_uses_options_that_exist():

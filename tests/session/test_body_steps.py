@@ -78,8 +78,11 @@ def test_a_solved_range_and_its_diameter_stand_in_result_and_table(near):
     near.find_body("PLUTO", "least_squares", solve_range=True)
     table = near.observables()
     body = json.loads(near.to_json())["bodies"][0]
-    assert abs(body["measured_range_km"] - body["range_km"]) < 4.0 * body["range_sigma_km"]
-    assert abs(body["measured_diameter_px"] - body["diameter_px"]) < 4.0 * body["diameter_sigma_px"]
+    # What the methods can is tested where they are; 0.05 px is a thousandth of the diameter.
+    assert abs(body["measured_diameter_px"] - body["diameter_px"]) < 0.05
+    assert body["measured_range_km"] == pytest.approx(body["range_km"], rel=1e-3)
+    assert 0.0 < body["diameter_sigma_px"] < 0.05
+    assert 0.0 < body["range_sigma_km"] < 1e-3 * body["range_km"]
     assert table["measured_diameter"][0].value == body["measured_diameter_px"]
 
 
@@ -126,7 +129,7 @@ def test_unknown_methods_are_answered_with_the_known(near):
         near.find_bodies(["PLUTO", "CHARON"], "limb_scan")
     with pytest.raises(SessionError, match="two bodies or more"):
         near.find_bodies(["PLUTO"])
-    with pytest.raises(SessionError, match="circle is .pixel, line, radius"):
+    with pytest.raises(SessionError, match=r"circle is \(pixel, line, radius"):
         near.find_body("PLUTO", circle=(1.0, 2.0))
 
 
@@ -157,7 +160,7 @@ def test_a_shape_among_the_kernels_is_drawn(near, resolved_truths, tmp_path):
 
 def test_the_analysts_circle_is_where_every_method_starts(near, resolved_truths):
     truth = resolved_truths[0].bodies["PLUTO"]
-    near.set_circle("PLUTO", truth + [3.0, -2.0], 24.0)
+    near.set_circle("PLUTO", truth + np.array([3.0, -2.0]), 24.0)
     near.find_body("PLUTO")
     assert _error(near, resolved_truths[0], "PLUTO") < RIGHT_PX
     assert near.result()["provenance"]["circles"][0]["radius_px"] == 24.0
