@@ -85,6 +85,11 @@ def _set(cells: list[dict[str, Any]], parameters: LabParameters) -> None:
     tags = [cell["metadata"].get("tags", ()) for cell in cells]
     after = next(number for number, tag in enumerate(tags) if PARAMETERS_TAG in tag) + 1
     if after == len(cells) or SET_TAG not in tags[after]:
-        cell = {"cell_type": "code", "execution_count": None, "id": "set-by-opnav-lab", "outputs": []}
+        cell: dict[str, Any] = {
+            "cell_type": "code",
+            "execution_count": None,
+            "id": "set-by-opnav-lab",
+            "outputs": [],
+        }
         cells.insert(after, cell | {"metadata": {"tags": [SET_TAG]}})
     cells[after]["source"] = parameters.source().splitlines(keepends=True)

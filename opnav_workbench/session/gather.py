@@ -167,4 +167,6 @@ def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:
             f"target {name}: it is not in the target star list, and no kernels are loaded; give kernels that "
             "cover the body (--kernels) or a star list (--target-stars)."
         )
+    if name != name.strip().upper():  # SPICE would take it, and the picture have one body under two names
+        raise KernelError(f"target {name!r}: write the body's name in capitals, {name.strip().upper()}.")
     return context.mission.with_magnitude(body_target(name, context.mission.spacecraft_id, inputs.et))

@@ -74,7 +74,9 @@ class BodiesDesk(Desk):
         if scans is None:
             viewer.layer(LAYER, Layer())
         else:
-            viewer.layer(LAYER, limb_scans.scan_layer(scans.places_px, scans.status, self.focus_scan))
+            frame_px = float(max(self.bench.session.context.signal_dn.shape))
+            layer = limb_scans.scan_layer(scans.places_px, scans.status, self.focus_scan, frame_px)
+            viewer.layer(LAYER, layer)
         viewer.drag_mode(self.bench.tool in SHAPES, SHAPES.get(self.bench.tool, "box"))
 
     def html(self) -> str:

@@ -26,7 +26,8 @@ __all__ = [
 _RANGE = re.compile(r"(\d+)(?:\s*-\s*(\d+))?")
 # Share of a scan's length that is left out in the picture, so that the body stays in sight.
 SHOWN_FROM = {"focus": 0.0, "used": 0.6, "rejected": 0.6, "unused": 0.9}
-NUMBERED = 12  # scans that have their number in the picture
+FEWEST_NUMBERS, MOST_NUMBERS = 4, 12  # scans that have their number in the picture
+NUMBER_SHARE = 0.11  # of the picture's longer side, that a number takes along the circle of the scans' ends
 CLICK_PX = 6.0  # a click so near to a scan, on screen-sized pictures, means it
 
 
@@ -100,8 +101,8 @@ def used_scans(status: Iterable[str]) -> list[int]:
     return [number for number, word in enumerate(status) if word != NOT_CHOSEN]
 
 
-def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int) -> Layer:
-    """Return the scans (n, m, 2) as lines with their numbers at the outer ends."""
+def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int, frame_px: float) -> Layer:
+    """Return the scans (n, m, 2) as lines with some of their numbers; `frame_px` is the picture's longer side."""
     words = list(status)
     ends = np.concatenate([places_px[:, :1], places_px[:, -1:]], axis=1)
     names = {USED: "used", REJECTED: "rejected"}
@@ -109,7 +110,7 @@ def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int) -> Laye
     inner = np.array([SHOWN_FROM[style] for style in styles])[:, None]
     begins = ends[:, 0] + inner * (ends[:, 1] - ends[:, 0])
     outward = ends[:, 1] + 0.06 * (ends[:, 1] - ends[:, 0])
-    step = max(1, round(len(ends) / NUMBERED))
+    step = max(1, round(len(ends) / _numbered(ends, frame_px)))
     return Layer(
         [
             (float(a[0]), float(a[1]), float(b[0]), float(b[1]))
@@ -118,6 +119,12 @@ def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int) -> Laye
         styles,
         [(float(x), float(y), str(i)) for i, (x, y) in enumerate(outward) if i % step == 0 or i == focus],
     )
+
+
+def _numbered(ends: FloatArray, frame_px: float) -> int:
+    """How many scans have their number: no more than there is room for while the whole frame is shown."""
+    around = 2.0 * np.pi * float(np.median(np.hypot(*(ends[:, 1] - ends[:, 0]).T)))
+    return int(np.clip(around / (NUMBER_SHARE * frame_px), FEWEST_NUMBERS, MOST_NUMBERS))
 
 
 def scan_at(places_px: FloatArray, pixel: float, line: float) -> int | None:

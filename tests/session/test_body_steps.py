@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.mission import load_mission
 from opnav_workbench.session import BODY_METHODS, ImageSession
@@ -367,3 +367,8 @@ def test_everything_with_bodies_resumes_to_the_same_bits(near, tmp_path):
     got = resumed.result()
     del expected["provenance"]["kernels"], got["provenance"]["kernels"]
     assert json_text(got) == json_text(expected)
+
+
+def test_a_body_has_one_name(near):
+    with pytest.raises(KernelError, match="in capitals, PLUTO"):
+        near.find_body("pluto")
