@@ -26,6 +26,7 @@ from opnav_workbench.errors import CenterfindingError
 __all__ = ["METHOD", "find_limb_scan"]
 
 METHOD = "limb_scan"
+WELL_EXPLAINED = 0.6  # share of the light under the model; an albedo map of Pluto's contrast leaves 0.9
 
 
 def find_limb_scan(
@@ -95,9 +96,10 @@ def find_limb_scan(
 
 
 def _found(picture: BodyPicture, expected: Expectation, *, solve_range: bool) -> Found | BodyCenter:
-    """Search with the size that is expected; with other sizes, which takes longer, only if that finds nothing."""
+    """Search with the size that is expected; with other sizes, which takes longer, only if that explains little."""
     found = find_place(picture, expected, METHOD, solve_range=solve_range, other_sizes=False)
-    if isinstance(found, BodyCenter) and found.status == "not_detected":
+    unseen = isinstance(found, BodyCenter) and found.status == "not_detected"
+    if unseen or (isinstance(found, Found) and found.place.explained < WELL_EXPLAINED):
         return find_place(picture, expected, METHOD, solve_range=solve_range)
     return found
 

@@ -139,7 +139,7 @@ def _consensus(
     motion = fan.direction - (bend / fan.limb_px)[:, None] * across  # of the limb along the scan
     columns = np.concatenate([motion, fan.limb_px[:, None]], axis=1)[known]
     offset, near = lag[known], reach_px
-    solution = np.zeros(3)
+    solution: FloatArray = np.zeros(3)
     # A change of size is believed only where the scans turn around enough of the body to tell it from a shift.
     firmness = 1e-3 if float(np.median(fan.limb_px)) > SMALLEST_SIZED_PX else 1e6
     steady = np.diag([1e-9, 1e-9, firmness * float(np.sum(columns[:, 2] ** 2))])

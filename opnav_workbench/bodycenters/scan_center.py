@@ -142,8 +142,7 @@ def solve_center(
     limb_px: FloatArray,
     sources: ErrorSources,
     size_in_model: float,
-    *,
-    solve_size: bool,
+    trust: float | None,
 ) -> CenterStep:
     """Solve for the center with the chosen scans.
 
@@ -158,8 +157,8 @@ def solve_center(
     sources : ErrorSources
     size_in_model : float
         Logarithm of the size that the model has over the predicted one.
-    solve_size : bool
-        Follow the measured size, whether significant or not.
+    trust : float or None
+        How far to follow the measured size, 0..1; None: as it is significant.
     """
     used = _without_outliers(match, weight_sigma_px, chosen)
     weight = np.where(used, 1.0 / weight_sigma_px**2, 0.0)
@@ -168,7 +167,7 @@ def solve_center(
     shared = sources.shared(match)
     size = size_in_model + float(sizing[0] @ match.offset_px)
     size_variance = float((sources.noise(sizing, match) + sizing @ shared @ sizing.T)[0, 0])
-    trust = 1.0 if solve_size else _trust(size, size_variance)
+    trust = _trust(size, size_variance) if trust is None else trust
     offset = match.offset_px - (trust * size - size_in_model) * limb_px
     step = plain @ offset
     residual = offset - match.motion @ step

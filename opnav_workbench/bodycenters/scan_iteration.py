@@ -51,6 +51,7 @@ SMALLEST_COMMON_PX = 10.0  # radius of a body whose limb is long enough to tell 
 LAW_CHANGE = 0.03  # share of another scattering law from which on the body is rendered with it
 LARGEST_LAW_CHANGE = 0.4  # at a time: the change is linear in the share only nearby
 PIXELS_SHARED_PX = 2.0  # along the limb, by the interpolation of a scan
+TRUST_ROUNDS = 3  # after which the size is followed as far as it was: else it may go to and fro
 LIMB_MOVED_PX = 0.02  # by another size, from which on the body is rendered anew
 
 
@@ -159,6 +160,7 @@ def iterate(
     center, scale = captured.center_px, captured.range_scale
     radius = float(np.median(fan.limb_px))
     settings, seen, settled = None, None, False
+    trust = 1.0 if solve_size else None
     steps: list[tuple[float, float]] = []
     for _ in range(MAX_ROUNDS):
         look = _look(picture, name, fan, profiles, center, scale)
@@ -166,7 +168,7 @@ def iterate(
             settings = _settings(picture, fan, look, numbers)
         if settings.choice.chosen.sum() < FEWEST:
             return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
-        seen = _round(picture, fan, look, settings, -np.log(scale), solve_size=solve_size)
+        seen = _round(picture, fan, look, settings, -np.log(scale), trust)
         step = seen.solved.step_px
         turned = bool(steps) and float(step @ np.array(steps[-1])) < 0.0
         steps.append((float(step[0]), float(step[1])))
@@ -174,6 +176,8 @@ def iterate(
         grown = float(np.exp(seen.solved.size_trust * seen.solved.size)) * scale - 1.0
         moved = max(float(np.hypot(*step)), radius * abs(grown))
         settled = moved < SETTLED_PX
+        if len(steps) >= TRUST_ROUNDS:
+            trust = seen.solved.size_trust
         if not moved < 2.0 + 0.5 * radius:
             return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
         if radius * abs(grown) > LIMB_MOVED_PX:
@@ -258,8 +262,7 @@ def _round(
     look: Look,
     settings: _Settings,
     size_in_model: float,
-    *,
-    solve_size: bool,
+    trust: float | None,
 ) -> Round:
     """Match the scans and solve for the center, with what all scans share taken out."""
     roughness, chosen = settings.roughness, settings.choice.chosen
@@ -271,7 +274,7 @@ def _round(
     )
     weight_sigma = look.errors(match, MARGIN * roughness).sigma_px
     solved = solve_center(
-        match, weight_sigma, chosen, fan.limb_px, sources, float(size_in_model), solve_size=solve_size
+        match, weight_sigma, chosen, fan.limb_px, sources, float(size_in_model), trust
     )
     errors = look.errors(match, ERROR_MARGIN * roughness)
     return Round(look, roughness, settings.choice, settings.uneven, common, system, match, errors, solved)
