@@ -18,7 +18,7 @@ from opnav_workbench.bodycenters.scan_fan import STEP_PX, ScanFan, edge_reach, l
 from opnav_workbench.bodycenters.scan_matching import ScanSystem
 from opnav_workbench.bodycenters.scan_profiles import ScanProfiles, scan_profiles
 from opnav_workbench.bodycenters.scan_sampling import ScanSampler
-from opnav_workbench.bodycenters.scan_view import usable_pixels
+from opnav_workbench.bodycenters.scan_view import without_others
 from opnav_workbench.bodycenters.silhouette import Silhouette
 from opnav_workbench.bodycenters.subarray import choose_subarray
 
@@ -26,6 +26,7 @@ __all__ = ["Capture", "capture"]
 
 SIZE_SHARE = 0.4  # of the radius: how far the limb may be from where it is predicted
 MIN_LAG_PX = 6.0
+MODEL_ERROR = 0.03  # of the peak: what profiles in one dimension differ from the picture
 ROUGH = 0.3  # relative scatter of the albedo that is allowed for while it is unknown
 MIN_PEAK = 0.5  # correlation below which a scan has met nothing like the limb
 ROUNDS = 4
@@ -83,10 +84,10 @@ def capture(
         lag, known = _lags(picture, silhouette.name, fan, profiles, center, int(np.ceil(lags / STEP_PX)))
         if known.sum() < FEWEST:
             break
-        step, size, agreeing = _consensus(fan, lag, known, lags)
+        step, size, agreeing = _consensus(fan, lag, known, lags, other_size=other_size)
         center = center + step
         radius = float(np.median(fan.limb_px))
-        if abs(size) > max(SIZE_NOTICED, SIZE_NOTICED_PX / radius) or other_size:
+        if size != 0.0:
             range_scale, other_size = range_scale / (1.0 + size), True
         if abs(size) * radius < SIZE_NOTICED_PX and step @ step < 2.0 * radius * NEAR_PX:
             break
@@ -99,13 +100,14 @@ def _lags(
     """Return the lag of each scan (n,), and which of them crossed the lit limb."""
     far = float(STEP_PX * (fan.first.max() + fan.n_samples + reach)) + edge_reach(picture)
     window = choose_subarray(picture, name, Circle(center, far), margin=0.0).window
-    cutout = usable_pixels(picture, name, center, window)
+    cutout = without_others(picture, name, center, window)
     sampler = ScanSampler(fan.places(center, fan.distances(reach, reach)), window)
     data, blocked = sampler.sample(cutout.data_dn), sampler.blocked(cutout.use)
     model = profiles.total
     inside = slice(reach, reach + fan.n_samples)
     brightness = _brightness(data[:, inside], model, blocked[:, inside])
     noise2 = float(np.mean(cutout.noise_dn**2)) + brightness * model / cutout.gain_e_per_dn
+    noise2 = noise2 + (MODEL_ERROR * brightness) ** 2
     outward = -np.gradient(model, STEP_PX, axis=1)
     slope = outward[..., None] * fan.direction[:, None, :]
     system = ScanSystem(
@@ -131,24 +133,30 @@ def _brightness(data: FloatArray, model: FloatArray, blocked: BoolArray) -> floa
 
 
 def _consensus(
-    fan: ScanFan, lag: FloatArray, known: BoolArray, reach_px: float
+    fan: ScanFan, lag: FloatArray, known: BoolArray, reach_px: float, *, other_size: bool
 ) -> tuple[FloatArray, float, float]:
     """Return step (2,), relative change of size and share of scans that agree, by weights that narrow."""
     bend = (np.roll(fan.limb_px, -1) - np.roll(fan.limb_px, 1)) / (4.0 * np.pi / len(fan))
     across = np.stack([-fan.direction[:, 1], fan.direction[:, 0]], axis=-1)
     motion = fan.direction - (bend / fan.limb_px)[:, None] * across  # of the limb along the scan
-    columns = np.concatenate([motion, fan.limb_px[:, None]], axis=1)[known]
-    offset, near = lag[known], reach_px
-    solution: FloatArray = np.zeros(3)
-    # A change of size is believed only where the scans turn around enough of the body to tell it from a shift.
-    firmness = 1e-3 if float(np.median(fan.limb_px)) > SMALLEST_SIZED_PX else 1e6
-    steady = np.diag([1e-9, 1e-9, firmness * float(np.sum(columns[:, 2] ** 2))])
-    for _ in range(NARROWINGS):
-        residual = offset - columns @ solution
-        weight = 1.0 / (1.0 + (residual / near) ** 2) ** 2
-        weighted = columns * weight[:, None]
-        solution = np.linalg.solve(columns.T @ weighted + steady, weighted.T @ offset)
-        near = max(0.5 * near, NEAREST_PX)
+    columns, offset = np.concatenate([motion, fan.limb_px[:, None]], axis=1)[known], lag[known]
+    radius = float(np.median(fan.limb_px))
+    solution = _robust(columns, offset, reach_px)
+    if radius < SMALLEST_SIZED_PX or not (
+        other_size or abs(solution[2]) > max(SIZE_NOTICED, SIZE_NOTICED_PX / radius)
+    ):  # the size that is expected stays; then the center is the one that goes with it
+        solution = np.append(_robust(columns[:, :2], offset, reach_px), 0.0)
     residual = np.abs(offset - columns @ solution)
-    agreeing = float(np.mean(residual < 3.0 * NEAREST_PX)) if len(offset) else 0.0
-    return solution[:2], float(solution[2]), agreeing
+    return solution[:2], float(solution[2]), float(np.mean(residual < 3.0 * NEAREST_PX))
+
+
+def _robust(columns: FloatArray, offset: FloatArray, near: float) -> FloatArray:
+    """Return the solution (p,) that most offsets (n,) agree with, by weights that narrow to `NEAREST_PX`."""
+    steady = 1e-6 * np.diag(np.sum(columns**2, axis=0))
+    solution: FloatArray = np.zeros(columns.shape[1])
+    for _ in range(NARROWINGS):
+        weight = 1.0 / (1.0 + ((offset - columns @ solution) / near) ** 2) ** 2
+        weighted = columns * weight[:, None]
+        solution = np.asarray(np.linalg.solve(columns.T @ weighted + steady, weighted.T @ offset))
+        near = max(0.5 * near, NEAREST_PX)
+    return solution

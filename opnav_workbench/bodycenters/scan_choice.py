@@ -209,11 +209,14 @@ def _explain(
         edge = "lit limb" if fan.crosses_limb[row] else "terminator, as the lit limb alone is not enough"
         albedo = "too small to judge its albedo"
         if np.isfinite(uneven[row]):
-            albedo = f"albedo uneven by {100 * rough[row]:.0f} %"
+            albedo = f"albedo even to {max(100 * rough[row], 1.0):.0f} %"
         if dropped[row]:
-            reason[row] = f"{albedo}, where {100 * usual:.0f} % is usual; the others span enough without it"
+            reason[row] = (
+                f"albedo uneven by {100 * rough[row]:.0f} %, where {100 * usual:.0f} % is usual; the others span "
+                "enough without it"
+            )
         elif rough[row] > max(UNEVEN_RATIO * usual, UNEVEN_SHARE):
-            reason[row] = f"{edge}; {albedo}, kept for the span that it adds"
+            reason[row] = f"{edge}; albedo uneven by {100 * rough[row]:.0f} %, kept for the span that it adds"
         else:
             reason[row] = f"{edge}; {albedo}"
 

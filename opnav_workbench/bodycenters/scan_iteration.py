@@ -51,6 +51,7 @@ SMALLEST_COMMON_PX = 10.0  # radius of a body whose limb is long enough to tell 
 LAW_CHANGE = 0.03  # share of another scattering law from which on the body is rendered with it
 LARGEST_LAW_CHANGE = 0.4  # at a time: the change is linear in the share only nearby
 PIXELS_SHARED_PX = 2.0  # along the limb, by the interpolation of a scan
+STEP_UNEVEN, STEP_BACK = 0.83, 0.6  # shares of a step over an uneven albedo, and of one that turns back
 TRUST_ROUNDS = 3  # after which the size is followed as far as it was: else it may go to and fro
 LIMB_MOVED_PX = 0.02  # by another size, from which on the body is rendered anew
 
@@ -172,7 +173,7 @@ def iterate(
         step = seen.solved.step_px
         turned = bool(steps) and float(step @ np.array(steps[-1])) < 0.0
         steps.append((float(step[0]), float(step[1])))
-        center = center + (0.6 if turned else 1.0) * step  # a step back: the one before was too long
+        center = center + _share_of_step(step, settings.roughness, turned=turned) * step
         grown = float(np.exp(seen.solved.size_trust * seen.solved.size)) * scale - 1.0
         moved = max(float(np.hypot(*step)), radius * abs(grown))
         settled = moved < SETTLED_PX
@@ -194,11 +195,18 @@ def iterate(
     return Rounds(seen, settings.choice, tuple(steps), False, scale, law_share(picture, name))
 
 
+def _share_of_step(step: FloatArray, roughness: float, *, turned: bool) -> float:
+    """Return how much of a step to take: an uneven albedo seems to shift along with the limb, and steps overshoot."""
+    if np.hypot(*step) < CONVERGED_PX or (roughness == 0.0 and not turned):
+        return 1.0
+    return STEP_BACK if turned else STEP_UNEVEN
+
+
 def _look(
     picture: BodyPicture, name: str, fan: ScanFan, profiles: ScanProfiles, center: FloatArray, scale: float
 ) -> Look:
     body = body_light(picture, name, center, scale, fan_reach(fan, picture))
-    cutout = usable_pixels(picture, name, center, body.window)
+    cutout = usable_pixels(picture, name, center, body)
     sampler = ScanSampler(fan.places(center, fan.distances()), body.window)
     view = view_scans(sampler, cutout, body)
     brightness = pooled_brightness(view)
@@ -273,8 +281,6 @@ def _round(
         look.sampler, look.variance_dn2, ERROR_MARGIN * roughness, fan.angle_rad, common.covariance
     )
     weight_sigma = look.errors(match, MARGIN * roughness).sigma_px
-    solved = solve_center(
-        match, weight_sigma, chosen, fan.limb_px, sources, float(size_in_model), trust
-    )
+    solved = solve_center(match, weight_sigma, chosen, fan.limb_px, sources, float(size_in_model), trust)
     errors = look.errors(match, ERROR_MARGIN * roughness)
     return Round(look, roughness, settings.choice, settings.uneven, common, system, match, errors, solved)

@@ -25,6 +25,7 @@ FWHM = 2.355  # of a Gaussian, in sigmas
 LAG_PX = 5.0  # to each side: what an analyst looks at
 POOR_CHI2 = 4.0
 POOR_SHARE = 0.35  # of the scans rejected: more, and they do not see one body
+BRIGHT_SKY = 0.2  # light beside the limb over that inside: more, and an edge within the disk was taken for it
 WEAK_SIGMA_PX = 0.3
 WEAK_RATIO = 10.0  # of the axes of the error ellipse, if the larger one matters
 WEAK_MATTERS_PX = 0.05
@@ -122,27 +123,38 @@ def _flags(run: ScanRun) -> BodyFlag:
     bright = run.last.look.body.light_dn > 0.1 * run.last.look.body.light_dn.max(initial=0.0)
     chosen, used = int(run.last.choice.chosen.sum()), int(run.last.solved.used.sum())
     minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(run.last.solved.covariance_px2), 0.0))
+    pixel, line, n_pixel, n_line = run.last.look.body.window
+    part, cutout = np.s_[line : line + n_line, pixel : pixel + n_pixel], run.last.look.cutout
+    bad = run.picture.bad[part] | ~np.isfinite(run.picture.signal_dn[part])
     expected = run.found.expectation
     final = run.last.look.center + run.last.solved.step_px
     conditions = {
         BodyFlag.CUT_BY_EDGE: _cut(run, final),
-        BodyFlag.OVEREXPOSED: bool(np.any(bright & run.last.look.cutout.saturated)),
+        BodyFlag.OVEREXPOSED: bool(np.any(bright & cutout.saturated)),
         BodyFlag.OCCULTED: bool(run.fan.covered.any()),
         BodyFlag.THIN_CRESCENT: _thin(run),
         BodyFlag.CIRCLE_MISFIT: bool(_misfit_words(run)),
-        BodyFlag.POOR_FIT: run.last.solved.chi2_reduced > POOR_CHI2 or used < (1.0 - POOR_SHARE) * chosen,
+        BodyFlag.POOR_FIT: run.last.solved.chi2_reduced > POOR_CHI2
+        or used < (1.0 - POOR_SHARE) * chosen
+        or _sky_share(run) > BRIGHT_SKY,
         BodyFlag.AT_LIMIT: float(np.hypot(*(final - expected.center_px))) > expected.search_px + LIMIT_PX,
         BodyFlag.WEAK_GEOMETRY: major > WEAK_SIGMA_PX
         or (major > WEAK_MATTERS_PX and major > WEAK_RATIO * minor),
-        BodyFlag.BAD_PIXELS: bool(
-            np.any(bright & ~run.last.look.cutout.use & ~run.last.look.cutout.saturated)
-        ),
+        BodyFlag.BAD_PIXELS: bool(np.any(bright & bad)),
+        BodyFlag.HIT: bool(np.any(bright & ~cutout.use & ~cutout.saturated & ~bad)),
         BodyFlag.NOT_CONVERGED: not run.rounds.converged,
     }
     flags = BodyFlag.OK
     for flag, condition in conditions.items():
         flags |= flag if condition else BodyFlag.OK
     return flags
+
+
+def _sky_share(run: ScanRun) -> float:
+    """Return the light beside the limb over that inside of it: a limb has the dark of the sky behind it."""
+    used = run.last.solved.used
+    inside = (run.last.match.brightness[:, None] * run.last.look.view.model).max(axis=1)
+    return float(np.median(run.last.match.background_dn[used] / np.maximum(inside[used], np.finfo(float).tiny)))
 
 
 def _cut(run: ScanRun, center: FloatArray) -> bool:
@@ -187,7 +199,8 @@ def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
         BodyFlag.OCCULTED: f"{int(run.fan.covered.sum())} scans left out",
         BodyFlag.CIRCLE_MISFIT: _misfit_words(run),
         BodyFlag.POOR_FIT: f"scatter of the scans {run.last.solved.chi2_reduced**0.5:.1f} times their sigmas, "
-        f"{int((run.last.choice.chosen & ~run.last.solved.used).sum())} of {int(run.last.choice.chosen.sum())} rejected",
+        f"{int((run.last.choice.chosen & ~run.last.solved.used).sum())} of {int(run.last.choice.chosen.sum())} rejected; "
+        f"light beside the limb {100 * _sky_share(run):.0f} % of that inside",
         BodyFlag.WEAK_GEOMETRY: f"to {np.sqrt(np.linalg.eigvalsh(run.last.solved.covariance_px2)[1]):.2f} px",
     }
     for flag in BodyFlag:

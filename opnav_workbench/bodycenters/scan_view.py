@@ -4,7 +4,7 @@ Flow   center -> window -> rendered body and its derivatives -> samples along th
 Units  DN; derivatives per px that the center moves
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_dilation, laplace
@@ -12,6 +12,7 @@ from scipy.ndimage import binary_dilation, laplace
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodycenters.circle import Circle
 from opnav_workbench.bodycenters.cutout import Cutout, cut_out
+from opnav_workbench.bodycenters.hit_pixels import find_hit_pixels
 from opnav_workbench.bodycenters.model_picture import displaced_model, model_picture, sunlight_electrons
 from opnav_workbench.bodycenters.picture import BodyPicture
 from opnav_workbench.bodycenters.scan_fan import STEP_PX, ScanFan, edge_reach, near_bodies
@@ -30,6 +31,7 @@ __all__ = [
     "scan_system",
     "usable_pixels",
     "view_scans",
+    "without_others",
 ]
 
 OTHERS_SHARE = 1.0  # light of other bodies, in units of the noise, from which on a pixel does not count
@@ -109,7 +111,17 @@ def body_light(
     return BodyLight(window, body.electrons / gain, slope, body.body.diameter_px, body.body.flux_e / gain)
 
 
-def usable_pixels(
+def usable_pixels(picture: BodyPicture, name: str, center_px: FloatArray, body: BodyLight) -> Cutout:
+    """Return the data of the body's window, without pixels that other bodies light or cosmic rays have hit."""
+    cutout = without_others(picture, name, center_px, body.window)
+    weight = cutout.weight(body.light_dn)
+    under = float(np.sum(weight * body.light_dn**2))
+    scale = float(np.sum(weight * cutout.data_dn * body.light_dn)) / under if under > 0.0 else 0.0
+    hits = find_hit_pixels(cutout.data_dn - scale * body.light_dn, cutout.weight(scale * body.light_dn))
+    return replace(cutout, use=cutout.use & ~hits)
+
+
+def without_others(
     picture: BodyPicture, name: str, center_px: FloatArray, window: tuple[int, int, int, int]
 ) -> Cutout:
     """Return the data of a window, with pixels left out that other bodies light."""
@@ -119,9 +131,7 @@ def usable_pixels(
         return cutout
     light = model_picture(picture, window, others, only=tuple(others))
     lit = binary_dilation(light > OTHERS_SHARE * cutout.noise_dn, iterations=OTHERS_ERROR_PX)
-    return Cutout(
-        window, cutout.data_dn, cutout.noise_dn, cutout.use & ~lit, cutout.saturated, cutout.gain_e_per_dn
-    )
+    return replace(cutout, use=cutout.use & ~lit)
 
 
 def view_scans(sampler: ScanSampler, cutout: Cutout, body: BodyLight) -> ScanView:

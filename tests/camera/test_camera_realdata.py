@@ -137,7 +137,8 @@ def test_mapcam_sees_bennu_in_march_2019(furnish):
 
 def test_frames_of_every_flight_camera_are_known_to_the_flight_kernels(furnish):
     spice = furnish("generic/nh_v220.tf", "generic/orx_v14.tf")
-    for path in sorted(kernels_meta_dir().glob("[no]*/cameras/*.yaml")):
+    flight = ("new_horizons", "osiris_rex")  # the missions whose frame kernels are at hand
+    for path in sorted(p for name in flight for p in kernels_meta_dir().glob(f"{name}/cameras/*.yaml")):
         assert spice.namfrm(Camera.from_yaml(path).frame) < 0, path
 
 

@@ -59,7 +59,13 @@ def test_mvic_sees_the_sun_as_its_headers_say():
     assert computed(camera).sunlight_e(1.0) == pytest.approx(camera.sunlight_e(1.0), rel=0.05)
 
 
-@pytest.mark.parametrize("path", CAMERAS, ids=lambda path: path.stem)
+# These measure flight pictures only: nothing of their response is stated.
+WITHOUT_RESPONSE = ("iss_nac", "onc_w2", "msi")
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in CAMERAS if p.stem not in WITHOUT_RESPONSE], ids=lambda path: path.stem
+)
 def test_every_camera_can_be_simulated(path):
     camera = Camera.from_yaml(path)
     for name in (
