@@ -122,20 +122,16 @@ class Rounds:
     Attributes
     ----------
     last : Round or None
-        None where fewer scans than `FEWEST` were left.
+        None where fewer scans than `FEWEST` were left, or a step left the body.
     choice : Choice
     steps : tuple of (float, float)
     converged : bool
-    range_scale, law_share : float
-        Of the last model.
     """
 
     last: Round | None
     choice: Choice
     steps: tuple[tuple[float, float], ...]
     converged: bool
-    range_scale: float
-    law_share: float
 
 
 def iterate(
@@ -160,7 +156,7 @@ def iterate(
     fan, profiles = captured.fan, captured.profiles
     center, scale = captured.center_px, captured.range_scale
     radius = float(np.median(fan.limb_px))
-    settings, seen, settled = None, None, False
+    settings, seen, settled, converged = None, None, False, False
     trust = 1.0 if solve_size else None
     steps: list[tuple[float, float]] = []
     for _ in range(MAX_ROUNDS):
@@ -168,7 +164,8 @@ def iterate(
         if settings is None or not settled:
             settings = _settings(picture, fan, look, numbers)
         if settings.choice.chosen.sum() < FEWEST:
-            return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
+            seen = None
+            break
         seen = _round(picture, fan, look, settings, -np.log(scale), trust)
         step = seen.solved.step_px
         turned = bool(steps) and float(step @ np.array(steps[-1])) < 0.0
@@ -177,22 +174,30 @@ def iterate(
         grown = float(np.exp(seen.solved.size_trust * seen.solved.size)) * scale - 1.0
         moved = max(float(np.hypot(*step)), radius * abs(grown))
         settled = moved < SETTLED_PX
+        if not moved < 2.0 + 0.5 * radius:
+            seen = None
+            break
         if len(steps) >= TRUST_ROUNDS:
             trust = seen.solved.size_trust
-        if not moved < 2.0 + 0.5 * radius:
-            return Rounds(None, settings.choice, tuple(steps), False, scale, law_share(picture, name))
         if radius * abs(grown) > LIMB_MOVED_PX:
             scale /= 1.0 + grown
-        share = float(np.clip(seen.common.values[LAW], -LARGEST_LAW_CHANGE, LARGEST_LAW_CHANGE))
-        changed = with_law_share(picture, name, law_share(picture, name) + share)
-        other_law = abs(law_share(changed, name) - law_share(picture, name)) > LAW_CHANGE
-        if other_law:
+        changed = _other_law(picture, name, seen.common)
+        if changed is not picture:
             picture, settled = changed, False
             profiles = scan_profiles(picture, name, fan, look.center, scale)
         elif moved < CONVERGED_PX + LIMB_MOVED_PX and np.hypot(*step) < CONVERGED_PX:
-            return Rounds(seen, settings.choice, tuple(steps), True, scale, law_share(picture, name))
+            converged = True
+            break
     assert settings is not None
-    return Rounds(seen, settings.choice, tuple(steps), False, scale, law_share(picture, name))
+    return Rounds(seen, settings.choice, tuple(steps), converged)
+
+
+def _other_law(picture: BodyPicture, name: str, common: Common) -> BodyPicture:
+    """Return the picture with the scattering law that the scans ask for; itself if they ask for no other."""
+    present = law_share(picture, name)
+    share = float(np.clip(common.values[LAW], -LARGEST_LAW_CHANGE, LARGEST_LAW_CHANGE))
+    changed = with_law_share(picture, name, present + share)
+    return changed if abs(law_share(changed, name) - present) > LAW_CHANGE else picture
 
 
 def _share_of_step(step: FloatArray, roughness: float, *, turned: bool) -> float:

@@ -80,6 +80,7 @@ def report(run: ScanRun, method: str) -> BodyCenter:
     detail = _detail(run, float(np.mean(scatter)), model)
     excess = run.picture.excess_sigma_px**2 * np.eye(2)
     diameter = run.picture.diameter_px(run.name) * run.size_ratio
+    distance = run.picture.model(run.name).target.range_km
     return BodyCenter(
         name=run.name,
         method=method,
@@ -96,6 +97,8 @@ def report(run: ScanRun, method: str) -> BodyCenter:
         chi2_reduced=run.last.solved.chi2_reduced,
         brightness_scale=scale,
         brightness_scale_sigma=float(np.std(scatter) / np.sqrt(len(scatter))),
+        range_km=distance / run.size_ratio if run.size_solved else np.nan,
+        range_sigma_km=distance / run.size_ratio * run.last.solved.size_sigma if run.size_solved else np.nan,
         background_dn=float(np.median(run.last.match.background_dn[run.last.solved.used])),
         background_sigma_dn=float(
             np.std(run.last.match.background_dn[run.last.solved.used]) / np.sqrt(len(scatter))
@@ -154,7 +157,9 @@ def _sky_share(run: ScanRun) -> float:
     """Return the light beside the limb over that inside of it: a limb has the dark of the sky behind it."""
     used = run.last.solved.used
     inside = (run.last.match.brightness[:, None] * run.last.look.view.model).max(axis=1)
-    return float(np.median(run.last.match.background_dn[used] / np.maximum(inside[used], np.finfo(float).tiny)))
+    return float(
+        np.median(run.last.match.background_dn[used] / np.maximum(inside[used], np.finfo(float).tiny))
+    )
 
 
 def _cut(run: ScanRun, center: FloatArray) -> bool:
@@ -200,7 +205,7 @@ def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
         BodyFlag.CIRCLE_MISFIT: _misfit_words(run),
         BodyFlag.POOR_FIT: f"scatter of the scans {run.last.solved.chi2_reduced**0.5:.1f} times their sigmas, "
         f"{int((run.last.choice.chosen & ~run.last.solved.used).sum())} of {int(run.last.choice.chosen.sum())} rejected; "
-        f"light beside the limb {100 * _sky_share(run):.0f} % of that inside",
+        f"light beside the limb is {min(_sky_share(run), 99.0):.2g} times that inside",
         BodyFlag.WEAK_GEOMETRY: f"to {np.sqrt(np.linalg.eigvalsh(run.last.solved.covariance_px2)[1]):.2f} px",
     }
     for flag in BodyFlag:
@@ -222,18 +227,7 @@ def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
     data = np.where(
         sampler.blocked(run.last.look.cutout.use), np.nan, sampler.sample(run.last.look.cutout.data_dn)
     )
-    lag: FloatArray = np.arange(-LAG_PX, LAG_PX + 0.5 * STEP_PX, STEP_PX)
-    reach = round(LAG_PX / STEP_PX)
-    wide = ScanSampler(
-        fan.places(run.last.look.center, fan.distances(reach, reach)), run.last.look.body.window
-    )
-    correlation = correlate_scans(
-        run.last.system,
-        run.last.look.view.model,
-        wide.sample(run.last.look.cutout.data_dn),
-        wide.blocked(run.last.look.cutout.use),
-        run.last.roughness,
-    )
+    lag, correlation = _correlation(run)
     status, reason = _verdicts(run)
     known = np.isfinite(fan.edge_px)
     return LimbScans(
@@ -259,6 +253,16 @@ def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
         iterations=run.rounds.steps,
         summary=run.last.choice.summary,
     )
+
+
+def _correlation(run: ScanRun) -> tuple[FloatArray, FloatArray]:
+    """Return lags (k,) px and correlations (n, k) about the last model's place."""
+    reach = round(LAG_PX / STEP_PX)
+    look, fan = run.last.look, run.fan
+    sampler = ScanSampler(fan.places(look.center, fan.distances(reach, reach)), look.body.window)
+    data, blocked = sampler.sample(look.cutout.data_dn), sampler.blocked(look.cutout.use)
+    correlation = correlate_scans(run.last.system, look.view.model, data, blocked, run.last.roughness)
+    return np.asarray(STEP_PX * np.arange(-reach, reach + 1.0)), correlation
 
 
 def _verdicts(run: ScanRun) -> tuple[NDArray[np.str_], NDArray[np.str_]]:

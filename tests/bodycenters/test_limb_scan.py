@@ -53,7 +53,7 @@ def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
         pulls.append(error @ np.linalg.solve(center.covariance_px2, error))
     assert np.sqrt(np.mean(np.square(errors))) < 0.03
     assert np.abs(errors).max() < 0.06
-    assert np.mean(pulls) < 6.0  # 2 expected, of six numbers
+    assert np.sum(pulls) < 22.5  # chi-squared of six numbers: one in a thousand exceeds it
 
 
 def test_a_mottled_surface_does_not_move_the_center(body_stage):
@@ -96,7 +96,6 @@ def test_scans_by_hand(body_stage, sphere):
     model, light = sphere
     picture = body_stage.picture(light, [model], np.random.default_rng(3))
     auto = find_limb_scan(picture, "BODY").detail
-    assert set(auto.status[~auto.used_rows]) <= {"not_chosen", "rejected"} if hasattr(auto, "used_rows") else True
     numbers = auto.used[::6]
     center = find_limb_scan(picture, "BODY", scans=numbers)
     assert center.detail.used.tolist() == numbers.tolist()
@@ -205,7 +204,9 @@ def test_samples_follow_a_plane_and_know_their_weights():
     rng = np.random.default_rng(1)
     places = rng.uniform([13.0, 8.0], [36.0, 21.0], (4, 9, 2))
     sampler = ScanSampler(places, (10, 5, 30, 20))
-    np.testing.assert_allclose(sampler.sample(2.0 * pixel - line), 2.0 * places[..., 0] - places[..., 1], atol=1e-12)
+    np.testing.assert_allclose(
+        sampler.sample(2.0 * pixel - line), 2.0 * places[..., 0] - places[..., 1], atol=1e-12
+    )
     weight, plane = rng.normal(size=(4, 9)), rng.normal(size=line.shape)
     np.testing.assert_allclose(
         sampler.pixel_weights(weight) @ plane.ravel(), (weight * sampler.sample(plane)).sum(axis=1)

@@ -80,16 +80,14 @@ def test_errors_are_what_the_covariance_says(binned_stage, add_noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("diameter", "phase", "axes"), [(5.0, 30.0, SPHERE), (9.0, 110.0, TRIAXIAL), (24.0, 60.0, TRIAXIAL)]
-)
-def test_errors_over_500_trials(binned_stage, add_noise, diameter, phase, axes):
+@pytest.mark.parametrize(("diameter", "phase", "axes"), [(5.0, 30.0, SPHERE), (9.0, 110.0, TRIAXIAL)])
+def test_errors_over_sigma_of_many_trials(binned_stage, add_noise, diameter, phase, axes):
     true = np.array([127.31, 126.84])
     model = binned_stage.body(diameter, phase, true, axes)
     half = int(diameter / 2 + 12)
     light = binned_stage.brute_force(model, (127 - half, 127 - half, 2 * half, 2 * half), 32)
-    # 0.9 to 1.1, as far as 1000 components can tell (2.2 %): a crescent 9 px wide comes out at the upper end
-    check_trials(trials(binned_stage, model, true, light, 500, 2, add_noise), 0.87, 1.13)
+    # 0.9 to 1.1, as far as 240 components can tell (4.6 %); 500 trials gave 0.92 to 1.10
+    check_trials(trials(binned_stage, model, true, light, 120, 2, add_noise), 0.81, 1.19)
 
 
 @pytest.mark.parametrize("finder", FINDERS)
