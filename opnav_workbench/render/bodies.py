@@ -137,6 +137,7 @@ def render_bodies(
 
     >>> from opnav_workbench.psf import GaussianPsf
     >>> from opnav_workbench.resources import kernels_meta_dir
+    >>> from opnav_workbench.bodies import TargetState
     >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
     >>> charon = TargetState("CHARON", [0, 0, 3.03e6], radii_km=[606.0] * 3, sun_position_km=[4.9e9, 0, 0])
     >>> rendering = render_bodies(
