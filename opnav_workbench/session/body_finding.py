@@ -6,7 +6,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies import TargetState, center_of_light_radii
+from opnav_workbench.bodies import TargetState
 from opnav_workbench.bodycenters import (
     BodyCenter,
     Circle,
@@ -18,6 +18,7 @@ from opnav_workbench.bodycenters import (
     find_least_squares,
     find_limb_scan,
     find_unresolved,
+    find_unresolved_body,
 )
 from opnav_workbench.bodycenters.picture import sized_target
 from opnav_workbench.bodycenters.subarray import search_radius
@@ -28,7 +29,7 @@ from opnav_workbench.session.body_pictures import best_center, body_picture, sce
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.observing import attitude, attitude_covariance
 from opnav_workbench.session.state import BodyRequest, Inputs, SessionState
-from opnav_workbench.session.surfaces import drawn, knows_surface
+from opnav_workbench.session.surfaces import drawn, knows_law, knows_surface
 
 __all__ = ["BODY_METHODS", "BodyMethod", "find_center", "find_together", "predicted_sigma_px"]
 
@@ -179,47 +180,38 @@ def _unresolved(
             f"it is {prediction.diameter_px:.1f} px wide, too large for the unresolved method "
             f"(at most {MAX_UNRESOLVED_DIAMETER_PX:g} px)",
         )
-    sigma = predicted_sigma_px(context, inputs, state, target)
-    radius = request.search_radius_px or float(
-        np.clip(SEARCH_SIGMAS * sigma, MIN_BODY_RADIUS_PX, MAX_BODY_RADIUS_PX)
-    )
-    offset, offset_covariance = _light_offset(context, inputs, state, target, prediction)
-    return find_unresolved(
+    circle, radius = circle_of(state, request), request.search_radius_px
+    if circle is None and radius is None:
+        sigma = predicted_sigma_px(context, inputs, state, target)
+        radius = float(np.clip(SEARCH_SIGMAS * sigma, MIN_BODY_RADIUS_PX, MAX_BODY_RADIUS_PX))
+    prior = state.psf or context.camera_psf
+    psf_error = 0.0 if state.centers is None else state.centers.psf_error
+    neighbours = _neighbours(context, inputs, state, request)
+    if drawn(context, inputs, request.name) is not None:
+        return find_unresolved_body(
+            body_picture(context, inputs, state, (request.name,), scene_names(inputs, state, request)),
+            request.name,
+            circle=circle,
+            search_radius_px=radius,
+            prior=prior,
+            psf_error=psf_error,
+            neighbours_px=neighbours,
+            law_sigma=0.0 if knows_law(context, request.name) else 1.0,
+        )
+    return find_unresolved(  # neither size nor brightness is known: a point, whatever its light
         context.signal_dn,
         context.noise_dn,
         context.bad,
-        prediction.pixel_line,
-        state.psf or context.camera_psf,
+        prediction.pixel_line if circle is None else circle.center_px,
+        prior,
         name=target.name,
-        search_radius_px=radius,
+        search_radius_px=search_radius(0.0, circle, radius),
         saturated=context.frame.saturated,
         noise_model=context.noise_model,
-        psf_error=0.0 if state.centers is None else state.centers.psf_error,
+        psf_error=psf_error,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
-        diameter_px=prediction.diameter_px if np.isfinite(prediction.diameter_px) else 0.0,
-        light_offset_px=offset,
-        light_offset_covariance_px2=offset_covariance,
-        neighbours_px=_neighbours(context, inputs, state, request),
+        neighbours_px=neighbours,
     )
-
-
-def _light_offset(
-    context: Context, inputs: Inputs, state: SessionState, target: TargetState, prediction: BodyPrediction
-) -> tuple[FloatArray, FloatArray]:
-    """Center of light minus center of figure (px) of a small disk at phase, and its covariance."""
-    if target.sun_position_km is None or not prediction.diameter_px > 0.0:
-        return np.zeros(2), np.zeros((2, 2))
-    shift, sigma = center_of_light_radii(prediction.phase_rad)
-    rotation = attitude(inputs, state)
-    toward_sun = rotation @ np.asarray(target.sun_position_km)
-    in_camera = rotation @ prediction.direction
-    on_detector = context.camera.project_jacobian(in_camera[None])[0] @ toward_sun
-    length = float(np.hypot(*on_detector))
-    if length == 0.0:
-        return np.zeros(2), np.zeros((2, 2))
-    sunward = on_detector / length
-    radius_px = 0.5 * prediction.diameter_px
-    return shift * radius_px * sunward, (sigma * radius_px) ** 2 * np.outer(sunward, sunward)
 
 
 def predicted_sigma_px(context: Context, inputs: Inputs, state: SessionState, target: TargetState) -> float:

@@ -15,7 +15,7 @@ from opnav_workbench.render import AlbedoMap, BodyModel, ScatteringLaw, ShapeMod
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import Inputs
 
-__all__ = ["body_model", "drawn", "knows_surface"]
+__all__ = ["body_model", "drawn", "knows_law", "knows_surface"]
 
 PLAIN = Surface()
 
@@ -52,6 +52,15 @@ def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
 def knows_surface(context: Context, name: str) -> bool:
     """Tell whether the albedo pattern of a body is known, so that its whole disk counts."""
     return context.mission.target_surfaces.get(name, PLAIN).albedo_map is not None
+
+
+def knows_law(context: Context, name: str) -> bool:
+    """Tell whether the mission states how a body's surface scatters light."""
+    surface, photometry = (
+        context.mission.target_surfaces.get(name),
+        context.mission.target_photometry.get(name),
+    )
+    return bool((surface and surface.law) or (photometry and photometry.law))
 
 
 def _law(context: Context, name: str, surface: Surface) -> ScatteringLaw:
