@@ -227,11 +227,12 @@ def _summary(
     span = np.degrees(_span_rad(fan.angle_rad[chosen]))
     said = [f"{int(chosen.sum())} of {len(fan)} scans chosen, over {span:.0f} deg"]
     if dropped.any():
-        said.append(
-            f"{int(dropped.sum())} left out for their uneven albedo; without them the weaker direction is determined to "
-            f"{_major_sigma(motion, sigma_px, chosen):.3f} px instead of "
-            f"{_major_sigma(motion, sigma_px, chosen | dropped):.3f} px"
+        left = f"{int(dropped.sum())} left out for their uneven albedo"
+        now, before = (
+            f"{_major_sigma(motion, sigma_px, rows):.3f} px" for rows in (chosen, chosen | dropped)
         )
+        costs = "at no cost" if now == before else f"at the cost of {now} instead of {before}"
+        said.append(f"{left}, {costs} in the weaker direction")
     return tuple(said)
 
 

@@ -131,9 +131,9 @@ def test_fields_far_off_are_identified(name, limits):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("limits", "least"), [(WIDE, 0.99), (LOST, 0.95)], ids=["200px", "1000px"])
-def test_five_hundred_fields_far_off_are_identified(limits, least):
-    """The full figures; 250 fields of each camera."""
-    both = [rates(camera, limits, 250, seed=2) for camera in CAMERAS.values()]
+def test_two_hundred_fields_far_off_are_identified(limits, least):
+    """100 fields of each camera; the published figures are of 250 with the same seed."""
+    both = [rates(camera, limits, 100, seed=2) for camera in CAMERAS.values()]
     assert np.mean([right for right, _ in both]) >= least
     assert sum(wrong for _, wrong in both) == 0
 
@@ -186,7 +186,7 @@ def test_unrelated_fields_are_not_accepted():
 @pytest.mark.slow
 def test_less_than_one_unrelated_field_of_a_thousand_is_accepted():
     near, wide, lost = (
-        confidences((60.0, 0.5), 3000, 2),
+        confidences((60.0, 0.5), 1000, 2),
         confidences(WIDE, 1000, 2),
         confidences(LOST, 300, 2),
     )
