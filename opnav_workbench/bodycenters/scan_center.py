@@ -26,6 +26,9 @@ MAX_REJECTED = 0.4  # of the scans: more outliers than that are the rule
 # A common distance of all offsets from zero, beyond this many sigmas, is not noise: the body has another size, and a limb
 # seen from one side would turn that into a shift. It is then solved for, fully where it is much larger than that.
 SIZE_SIGMAS = 3.0
+# Regions of one albedo are longer along the limb than what a scan meets across it: centers on 60 mottled surfaces of 40 to
+# 190 px scatter by 0.6 to 2.1 sigma with this angle, by 0.7 to 2.7 with that of the profiles.
+REGION_RAD = np.radians(16.0)
 EXCESS = 1.3  # reduced chi-squared that the residuals of right sigmas stay below
 
 
@@ -115,11 +118,11 @@ class ErrorSources:
         weights = np.stack([np.asarray(row).ravel() for row in rows])
         return np.asarray((weights * self.variance_dn2.ravel()) @ weights.T)
 
-    def shared(self, match: ScanMatch) -> FloatArray:
-        """Return the covariance (n, n) of offsets from albedo and from what all scans share."""
+    def shared(self, match: ScanMatch, along_rad: float = CORRELATION_RAD) -> FloatArray:
+        """Return the covariance (n, n) of offsets from albedo, alike over an angle, and from what all scans share."""
         apart = np.abs(self.angle_rad[:, None] - self.angle_rad)
         apart = np.minimum(apart, 2.0 * np.pi - apart)
-        nearby = np.exp(-0.5 * (apart / CORRELATION_RAD) ** 2)
+        nearby = np.exp(-0.5 * (apart / along_rad) ** 2)
         albedo = self.roughness**2 * (match.albedo @ match.albedo.T) * nearby
         return np.asarray(albedo + match.common @ self.common_covariance @ match.common.T)
 
@@ -176,9 +179,10 @@ def solve_center(
     excess = max(1.0, chi2 / EXCESS)
     estimator = plain - trust * (plain @ limb_px)[:, None] * sizing
     noise = sources.noise(estimator, match)
+    wide = sources.shared(match, REGION_RAD)
     return CenterStep(
         step_px=step,
-        covariance_px2=symmetric(excess * (noise + estimator @ shared @ estimator.T)),
+        covariance_px2=symmetric(excess * (noise + estimator @ wide @ estimator.T)),
         noise_covariance_px2=symmetric(noise),
         used=used,
         residual_px=residual,
