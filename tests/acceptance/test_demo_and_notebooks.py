@@ -73,8 +73,8 @@ def test_demo_statistics_over_seeds(tmp_path):
 
 
 ALL_NOTEBOOKS = sorted(p.name for p in NOTEBOOKS.glob("*.ipynb"))
-# These need a picture or an analyst's decisions: test_nightly.py and test_workbench_notebook.py execute them.
-WITH_TESTS_OF_THEIR_OWN = {"process_image.ipynb", "workbench.ipynb"}
+# Those with a test file of their own: they need a picture or decisions, or are judged by their numbers.
+WITH_TESTS_OF_THEIR_OWN = {"interstellar_navigation.ipynb", "process_image.ipynb", "workbench.ipynb"}
 
 
 @pytest.mark.parametrize("notebook", ALL_NOTEBOOKS)

@@ -1,0 +1,246 @@
+"""Which two stars fix a spacecraft's position best, with a camera of a given error.
+
+The pair is judged by the covariance that `triangulate` would state: errors of direction and catalog at the stars' distances,
+from where the spacecraft roughly is. Near stars far apart on the sky win; Lauer et al. (2025), AJ 170, 22,
+doi:10.3847/1538-3881/addabe, section 5, find that one such pair beats many farther stars.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.catalog import StarTable, open_catalog
+from opnav_workbench.catalog.quality import StarQuality
+from opnav_workbench.errors import EstimationError
+from opnav_workbench.estimation.triangulation_stars import star_positions
+from opnav_workbench.geometry import AU_KM, angle_between, radec_from_unit, tangent_basis, unit
+
+__all__ = ["NEAR_STAR_NAMES", "best_pairs", "nearest_stars"]
+
+RAD_PER_ARCSEC = np.pi / 648000.0
+NEAREST = 60
+SAME_STAR_RAD = (
+    60.0 * RAD_PER_ARCSEC
+)  # a star of the list this near a catalog star, after motion, is the same
+# An unresolved companion moves the light by more than a camera's error: such stars are no landmarks.
+NOT_LANDMARKS = StarQuality.DOUBLE | StarQuality.BAD_ASTROMETRY
+
+# Hipparcos numbers, and what people call these stars.
+NEAR_STAR_NAMES: Mapping[str, str] = MappingProxyType(
+    {
+        "HIP 70890": "Proxima Cen",
+        "HIP 71683": "alpha Cen A",
+        "HIP 71681": "alpha Cen B",
+        "HIP 87937": "Barnard's Star",
+        "HIP 54035": "Lalande 21185",
+        "HIP 32349": "Sirius",
+        "HIP 92403": "Ross 154",
+        "HIP 16537": "epsilon Eri",
+        "HIP 114046": "Lacaille 9352",
+        "HIP 57548": "Ross 128",
+        "HIP 104214": "61 Cyg A",
+        "HIP 104217": "61 Cyg B",
+        "HIP 37279": "Procyon",
+        "HIP 1475": "Groombridge 34",
+        "HIP 108870": "epsilon Ind",
+        "HIP 8102": "tau Cet",
+        "HIP 36208": "Luyten's Star",
+        "HIP 24186": "Kapteyn's Star",
+        "HIP 105090": "Lacaille 8760",
+    }
+)
+
+
+def nearest_stars(
+    extra: StarTable | None = None, *, count: int = NEAREST, catalog: str = "bundled"
+) -> StarTable:
+    """Return the nearest stars of a catalog, by parallax, for `best_pairs`.
+
+    Parameters
+    ----------
+    extra : StarTable, optional
+        Stars to add, such as those of a mission's star list; they take the place of the catalog's where it has them too.
+        The bundled catalog has its parallaxes from Hipparcos, which lacks stars fainter than magnitude 12.
+    count : int
+    catalog : str
+        Catalog spec.
+
+    Raises
+    ------
+    CatalogError
+        The catalog cannot be opened.
+
+    Examples
+    --------
+    >>> nearest_stars(count=2).id.tolist()
+    ['alpha Cen B', 'Proxima Cen']
+    """
+    stars = open_catalog(catalog).cone(0.0, 0.0, np.pi)
+    stars = stars.take(
+        np.argsort(-stars.parallax_rad, kind="stable")[: count + (0 if extra is None else len(extra))]
+    )
+    stars = _named(stars)
+    if extra is not None:
+        known = np.array([_is_among(stars, row, extra) for row in range(len(stars))], dtype=bool)
+        stars = StarTable.concatenate([extra, stars.take(~known)])
+    return stars.take(np.argsort(-stars.parallax_rad, kind="stable")[:count])
+
+
+def _named(stars: StarTable) -> StarTable:
+    columns = {name: getattr(stars, name) for name in StarTable.__slots__}
+    return StarTable(**columns | {"id": np.array([NEAR_STAR_NAMES.get(s, s) for s in stars.id.tolist()])})
+
+
+def _is_among(stars: StarTable, row: int, others: StarTable) -> bool:
+    """Whether a star is one of the others, at the epoch of each."""
+    one = stars.take([row])
+    et = (others.epoch_jyear - 2000.0) * 365.25 * 86400.0
+    places = np.concatenate([one.directions(float(t)) for t in et])
+    there = np.concatenate([others.take([i]).directions(float(t)) for i, t in enumerate(et)])
+    return bool((angle_between(places, there) < SAME_STAR_RAD).any())
+
+
+def best_pairs(
+    stars: StarTable,
+    et: float,
+    position_km: ArrayLike,
+    error_arcsec: float,
+    *,
+    mag_limit: float = np.inf,
+    min_elongation_deg: float = 20.0,
+    landmarks_only: bool = True,
+    count: int = 20,
+) -> QTable:
+    """Rank pairs of stars by how well they fix a position.
+
+    Parameters
+    ----------
+    stars : StarTable
+        Stars with parallaxes: see `nearest_stars`.
+    et : float
+        TDB seconds past J2000.
+    position_km : (3,) array_like
+        Spacecraft from the solar-system barycenter, J2000, roughly.
+    error_arcsec : float
+        Error of one measured direction, 1 sigma an axis.
+    mag_limit : float
+        Faintest magnitude, in the stars' own band, that the camera sees.
+    min_elongation_deg : float
+        Least angle from the Sun that the camera bears.
+    landmarks_only : bool
+        Leave out stars with a companion or poor astrometry by the catalog's flags.
+    count : int
+        Rows, best first.
+
+    Returns
+    -------
+    QTable
+        ``star_1, star_2``; ``mag_1, mag_2``; ``distance_1, distance_2`` (pc); ``separation`` of the two on the sky and
+        ``elongation_1, elongation_2`` from the Sun (deg); ``sigma`` of the position (au and km, root of the trace) and the
+        semi-axes ``major, middle, minor`` of its ellipsoid (au).
+
+    Raises
+    ------
+    EstimationError
+        Fewer than two stars are left, or an error that is not positive.
+
+    Examples
+    --------
+    >>> from opnav_workbench.geometry import et_from_jyear
+    >>> position = np.array([13.55, -42.02, -16.46]) * AU_KM
+    >>> table = best_pairs(nearest_stars(), float(et_from_jyear(2020.31)), position, 0.1, count=1)
+    >>> print(*table["star_1", "star_2"][0], table["sigma"][0].round(2))
+    Proxima Cen Barnard's Star 0.32 AU
+    """
+    if not error_arcsec > 0.0:
+        raise EstimationError(
+            f"an error of {error_arcsec:g} arcsec ranks nothing; give one larger than zero."
+        )
+    place = np.asarray(position_km, float)
+    fit = _visible(stars, place, et, mag_limit, min_elongation_deg, landmarks_only)
+    if fit.sum() < 2:
+        raise EstimationError(
+            f"{int(fit.sum())} of {len(stars)} stars with a parallax are brighter than {mag_limit:g} and more than "
+            f"{min_elongation_deg:g} deg from the Sun; two are needed: widen the limits."
+        )
+    chosen = stars.take(fit)
+    return _table(chosen, _ranked(chosen, et, place, error_arcsec * RAD_PER_ARCSEC, count), place, et)
+
+
+def _visible(
+    stars: StarTable,
+    place: FloatArray,
+    et: float,
+    mag_limit: float,
+    min_elongation_deg: float,
+    landmarks: bool,
+) -> BoolArray:
+    near = stars.parallax_rad > 0.0
+    elongation = np.degrees(angle_between(stars.directions(et, place), -place))
+    sound = (stars.flags & int(NOT_LANDMARKS)) == 0 if landmarks else np.ones(len(stars), dtype=bool)
+    return np.asarray(near & (stars.mag <= mag_limit) & (elongation >= min_elongation_deg) & sound)
+
+
+class _Ranked(NamedTuple):
+    first: IntArray
+    second: IntArray
+    semi_axes_km: FloatArray  # (k, 3), largest first
+
+
+def _ranked(stars: StarTable, et: float, place: FloatArray, error_rad: float, count: int) -> _Ranked:
+    """Order all pairs by the trace of the position's covariance; the nearer star of a pair comes first."""
+    known = star_positions(stars, et, place)
+    line = known.position_km - place
+    distance = np.linalg.norm(line, axis=1)[:, None, None]
+    across = np.stack(tangent_basis(*radec_from_unit(unit(line))), axis=1) / distance
+    spread = error_rad**2 * np.eye(2) + across @ known.covariance_km2 @ np.swapaxes(across, 1, 2)
+    information = np.swapaxes(across, 1, 2) @ np.linalg.solve(spread, across)
+    near = np.argsort(distance[:, 0, 0], kind="stable")
+    first, second = (near[i] for i in np.triu_indices(len(stars), 1))
+    values = np.linalg.eigvalsh(information[first] + information[second])
+    with np.errstate(divide="ignore"):
+        axes = 1.0 / np.sqrt(np.maximum(values, 0.0))
+    best = np.argsort(np.sum(axes**2, axis=1), kind="stable")[:count]
+    return _Ranked(first[best], second[best], axes[best])
+
+
+def _table(stars: StarTable, ranked: _Ranked, place: FloatArray, et: float) -> QTable:
+    direction = stars.directions(et, place)
+    elongation = np.degrees(angle_between(direction, -place))
+    table = QTable()
+    pair = {"1": ranked.first, "2": ranked.second}
+    for name, rows in pair.items():
+        table[f"star_{name}"] = stars.id[rows]
+    for name, rows in pair.items():
+        table[f"mag_{name}"] = stars.mag[rows] * u.mag
+        table[f"distance_{name}"] = 1.0 / (stars.parallax_rad[rows] / RAD_PER_ARCSEC) * u.pc
+        table[f"elongation_{name}"] = elongation[rows] * u.deg
+    table["separation"] = np.degrees(angle_between(direction[ranked.first], direction[ranked.second])) * u.deg
+    sigma = np.sqrt(np.sum(ranked.semi_axes_km**2, axis=1))
+    table["sigma"], table["sigma_km"] = sigma / AU_KM * u.au, sigma * u.km
+    for axis, name in enumerate(("major", "middle", "minor")):
+        table[name] = ranked.semi_axes_km[:, axis] / AU_KM * u.au
+    for name in table.colnames[2:]:
+        table[name].info.format = ".3e" if name == "sigma_km" else ".3f" if name in AXES else ".2f"
+    for name, words in DESCRIPTIONS.items():
+        table[name].info.description = words
+    return table
+
+
+AXES = ("sigma", "major", "middle", "minor")
+DESCRIPTIONS = {
+    "separation": "angle between the two stars",
+    "elongation_1": "angle of star_1 from the Sun",
+    "elongation_2": "angle of star_2 from the Sun",
+    "sigma": "position error, root of the covariance's trace",
+    "sigma_km": "the same in km",
+    "major": "largest semi-axis of the one-sigma ellipsoid",
+    "middle": "middle semi-axis",
+    "minor": "smallest semi-axis",
+}
