@@ -4,7 +4,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray
 
-__all__ = ["refine_peaks"]
+__all__ = ["paraboloid_coefficients", "refine_peaks"]
 
 RIDGE = 1e-6  # a curvature this small against the other one is rounding
 MAX_OFFSET_PX = 1.0  # the top of a true peak lies within its 3 x 3 samples
@@ -45,9 +45,14 @@ def refine_peaks(surface: FloatArray, row: IntArray, column: IntArray) -> tuple[
     return paraboloid_peak(patch)
 
 
+def paraboloid_coefficients(patch: FloatArray) -> FloatArray:
+    """Return (n, 6) for c0 + cx x + cy y + cxx x^2 + cyy y^2 + cxy x y, x and y from the middle of (n, 3, 3) samples."""
+    return np.asarray((SOLVER @ patch.reshape(len(patch), 9).T).T)
+
+
 def paraboloid_peak(patch: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return offset (n, 2) and Hessian (n, 2, 2) of paraboloids through (n, 3, 3) samples."""
-    _, cx, cy, cxx, cyy, cxy = SOLVER @ patch.reshape(len(patch), 9).T
+    _, cx, cy, cxx, cyy, cxy = paraboloid_coefficients(patch).T
     hessian = np.stack([2.0 * cxx, cxy, cxy, 2.0 * cyy], axis=-1).reshape(-1, 2, 2)
     det = 4.0 * cxx * cyy - cxy**2
     peaked = (cxx < 0.0) & (cyy < 0.0) & (det > RIDGE * (cxx**2 + cyy**2))
