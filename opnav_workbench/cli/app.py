@@ -16,6 +16,8 @@ from opnav_workbench.cli.export import export
 from opnav_workbench.cli.kernels import kernels_app
 from opnav_workbench.cli.lab import lab
 from opnav_workbench.cli.nightly import nightly
+from opnav_workbench.cli.ort import ort
+from opnav_workbench.cli.plan import plan
 from opnav_workbench.cli.process import process
 from opnav_workbench.cli.simulate import simulate
 from opnav_workbench.errors import OpNavError
@@ -39,6 +41,8 @@ app.command()(lab)
 app.command()(nightly)
 app.command()(export)
 app.command()(simulate)
+app.command()(plan)
+app.add_typer(ort)
 app.add_typer(campaign_app)
 app.add_typer(kernels_app)
 app.add_typer(catalog_app)

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, ndtri
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, symmetric
 
-__all__ = ["Scatter", "scatter_of", "worst"]
+__all__ = ["Scatter", "equal_sigmas", "scatter_of", "worst"]
 
 # A measurement that alone determines a parameter has no residual left to judge it by.
 LEAST_FREEDOM = 1e-6  # of the measurement's own variance
@@ -71,8 +71,18 @@ def _sigmas(residual: FloatArray, predicted: FloatArray, own: FloatArray) -> flo
     free = values > LEAST_FREEDOM * float(np.trace(own))
     if not free.any():
         return 0.0
-    square = float(np.sum((vectors.T @ residual)[free] ** 2 / values[free]))
-    improbable = float(chdtrc(int(free.sum()), square))
+    return equal_sigmas(float(np.sum((vectors.T @ residual)[free] ** 2 / values[free])), int(free.sum()))
+
+
+def equal_sigmas(square: float, freedom: int) -> float:
+    """Return the sigmas of a normal error that is as improbable as a chi-squared.
+
+    Examples
+    --------
+    >>> round(equal_sigmas(9.0, 1), 6), round(equal_sigmas(11.829, 2), 3)
+    (3.0, 3.0)
+    """
+    improbable = float(chdtrc(freedom, square))
     return float(-ndtri(0.5 * improbable)) if improbable > 0.0 else max(MOST_SIGMAS, float(np.sqrt(square)))
 
 

@@ -19,6 +19,7 @@ from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import inside, sha256_of, write_json, write_text
 from opnav_workbench.headless.decisions import Decisions
+from opnav_workbench.headless.wider_search import search_wider
 from opnav_workbench.mission import Mission
 from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.report import write_summary
@@ -296,8 +297,11 @@ def _in_sight(session: ImageSession, body: BodyPrediction) -> bool:
 
 def _find(session: ImageSession, policy: Policy, name: str) -> None:
     decided = policy.decisions.methods_of(session, name)
-    for options in decided or ({"method": policy.methods.get(name, policy.method)},):
+    method = policy.methods.get(name, policy.method)
+    for options in decided or ({"method": method},):
         session.find_body(name, **options)
+    if not decided and session.state.pointing is not None:
+        search_wider(session, name, method)
 
 
 def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:

@@ -5,18 +5,15 @@ or not at all, so what is finished when a run is stopped stays, and is good.
 """
 
 import contextlib
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
-from opnav_workbench.errors import MissionError, OpNavError, SessionError
+from opnav_workbench.errors import MissionError
 from opnav_workbench.files import make_folder
 from opnav_workbench.simulation.output import PictureReport, write_picture
 from opnav_workbench.simulation.picture import expose_picture
+from opnav_workbench.simulation.processes import in_processes
 from opnav_workbench.simulation.scenario import PictureScenario
 from opnav_workbench.simulation.workshop import Task, Workshop, at
 from opnav_workbench.spice import KernelSet
@@ -66,7 +63,7 @@ def simulate(
         make_folder(out)
         if min(jobs, len(tasks)) == 1:
             return tuple(_reported(_make(workshop, task, out), done) for task in tasks)
-    return _in_parallel(scenario, tasks, out, min(jobs, len(tasks)), done)
+    return in_processes(tasks, min(jobs, len(tasks)), _start, (scenario, _active_kernels(), out), _work, done)
 
 
 def chosen_tasks(scenario: PictureScenario, only: Sequence[str]) -> tuple[Task, ...]:
@@ -139,7 +136,6 @@ _WORKERS: list[_Worker] = []  # of this process: one, once it has started
 
 
 def _start(scenario: PictureScenario, kernels: Sequence[Path], out: Path) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which lets this process finish
     stack = contextlib.ExitStack()
     _WORKERS.append(_Worker(stack, stack.enter_context(_opened(scenario, kernels)), out))
 
@@ -147,33 +143,3 @@ def _start(scenario: PictureScenario, kernels: Sequence[Path], out: Path) -> Non
 def _work(task: Task) -> PictureReport:
     worker = _WORKERS[0]
     return _make(worker.workshop, task, worker.out)
-
-
-def _in_parallel(
-    scenario: PictureScenario,
-    tasks: Sequence[Task],
-    out: Path,
-    jobs: int,
-    done: Callable[[PictureReport], None],
-) -> tuple[PictureReport, ...]:
-    # Spawned, not forked: SPICE's pool and numpy's threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, _start, (scenario, _active_kernels(), out)) as pool:
-        futures = [pool.submit(_work, task) for task in tasks]
-        try:
-            for future in as_completed(futures):
-                done(future.result())
-        except BrokenProcessPool as error:
-            raise SessionError(_died(futures)) from error
-        except (OpNavError, KeyboardInterrupt):
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return tuple(future.result() for future in futures)
-
-
-def _died(futures: Sequence["Future[PictureReport]"]) -> str:
-    finished = sum(f.done() and not f.cancelled() and f.exception() is None for f in futures)
-    return (
-        f"a worker process died after {finished} of {len(futures)} pictures, perhaps for want of memory; "
-        "the finished ones are kept. Use fewer --jobs."
-    )

@@ -37,7 +37,7 @@ from opnav_workbench.spice.manifest import (
     match_kinds,
 )
 from opnav_workbench.spice.sources import known_names
-from opnav_workbench.spice.states import State, body_id, body_name, body_radii_km, state
+from opnav_workbench.spice.states import State, body_gm_km3_s2, body_id, body_name, body_radii_km, state
 from opnav_workbench.spice.text_kernels import write_text_kernel
 from opnav_workbench.spice.time import et_from_sclk, et_from_utc, sclk_from_et, utc_from_et
 from opnav_workbench.spice.writing import SpkSegment, write_spk
@@ -65,6 +65,7 @@ __all__ = [
     "SurfacePoint",
     "body_attitude",
     "body_frame",
+    "body_gm_km3_s2",
     "body_id",
     "body_name",
     "body_radii_km",

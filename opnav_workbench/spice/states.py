@@ -10,7 +10,7 @@ from opnav_workbench.errors import KernelError
 from opnav_workbench.spice.explain import unknown_body
 from opnav_workbench.spice.guard import Request, spice_call
 
-__all__ = ["Correction", "State", "body_id", "body_name", "body_radii_km", "state"]
+__all__ = ["Correction", "State", "body_gm_km3_s2", "body_id", "body_name", "body_radii_km", "state"]
 
 Correction = Literal["NONE", "LT", "CN", "LT+S", "CN+S"]
 LARGEST_ID = 2**31 - 1  # SPICE's integers; a larger one would wrap around
@@ -79,6 +79,26 @@ def body_radii_km(body: str | int) -> FloatArray:
             f"BODY{number}_RADII holds {values.tolist()}, not three positive km; load a correct PCK."
         )
     return readonly(values, (3,), "radii")
+
+
+def body_gm_km3_s2(body: str | int) -> float:
+    """Return the gravitational parameter of a body or barycenter, km^3/s^2; 0 where no loaded PCK gives it.
+
+    Raises
+    ------
+    KernelError
+        The body is unknown, or its GM is no positive number.
+    """
+    number = body_id(body)
+    with spice_call(Request(f"GM of {body}", bodies=(body,)), needs_kernels=True):
+        if not spiceypy.bodfnd(number, "GM"):
+            return 0.0
+        count, values = spiceypy.bodvcd(number, "GM", 1)
+    if count != 1 or not values[0] > 0:
+        raise KernelError(
+            f"BODY{number}_GM holds {values.tolist()}, not a positive km^3/s^2; load a correct PCK."
+        )
+    return float(values[0])
 
 
 def body_id(name: str | int) -> int:

@@ -1,0 +1,141 @@
+"""The blind run of a rehearsal: every picture of a package processed with the package's own kernels, nobody looking.
+
+A picture that is lost, damaged or cannot be solved is an outcome with its reason, never a stop.
+"""
+
+import json
+import multiprocessing
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import make_folder, sha256_of
+from opnav_workbench.headless.policy import Outcome, Policy, process_image
+from opnav_workbench.mission import load_mission
+from opnav_workbench.rehearsal.ort_package import OrtPackage
+from opnav_workbench.session import RESULT_FILE
+from opnav_workbench.spice import KernelSet
+
+__all__ = ["process_package"]
+
+Done = Callable[[Outcome], None]
+
+
+def process_package(
+    package: OrtPackage,
+    out: str | Path,
+    *,
+    jobs: int = 1,
+    again: bool = False,
+    done: Done = lambda _outcome: None,
+) -> tuple[Outcome, ...]:
+    """Process the pictures of a rehearsal and write ``OUT/<picture>/`` for each.
+
+    What has a result already, an analyst's above all, is left as it is.
+
+    Parameters
+    ----------
+    package : OrtPackage
+    out : path
+    jobs : int
+        Processes. A script that asks for more than one must guard its main part (``if __name__ == "__main__"``).
+    again : bool
+        Process all of them anew.
+    done : callable
+        Called with each outcome as soon as it stands, in any order.
+
+    Returns
+    -------
+    tuple of Outcome
+        In the package's order.
+
+    Raises
+    ------
+    KernelError, CatalogError, SessionError
+        Kernels or catalog cannot be opened, or `out` cannot be written.
+    """
+    if jobs < 1:
+        raise SessionError(f"{jobs} jobs; give 1 or more.")
+    folder = make_folder(out)
+    paths = [picture.path for picture in package.pictures]
+    kept = {} if again else {path: outcome for path in paths if (outcome := _kept(path, folder)) is not None}
+    for outcome in kept.values():
+        done(outcome)
+    left = [path for path in paths if path not in kept]
+    made = _processed(package, left, folder, min(jobs, len(left)), done)
+    found = kept | dict(zip(left, made, strict=True))
+    return tuple(found[path] for path in paths)
+
+
+def _kept(path: Path, out: Path) -> Outcome | None:
+    """Return what was made of a picture before; None where nothing, or of another picture of that name."""
+    folder = out / path.stem
+    try:
+        result = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+        same = result["sha256"] == sha256_of(path)
+        reason = "; ".join(result["messages"]) if result["status"] == "failed" else ""
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return Outcome(path, folder, result, reason) if same else None
+
+
+def _processed(
+    package: OrtPackage, paths: Sequence[Path], out: Path, jobs: int, done: Done
+) -> tuple[Outcome, ...]:
+    if jobs > 1:
+        return _in_parallel(package, paths, out, jobs, done)
+    if not paths:
+        return ()
+    policy = policy_of(package)
+    with KernelSet(package.metakernel):
+        return tuple(_reported(process_image(path, policy, out), done) for path in paths)
+
+
+def policy_of(package: OrtPackage) -> Policy:
+    """Return how the pictures of a package are processed."""
+    return Policy(mission=load_mission(package.mission), catalog=package.catalog, targets=package.targets)
+
+
+def _reported(outcome: Outcome, done: Done) -> Outcome:
+    done(outcome)
+    return outcome
+
+
+# -- several processes ---------------------------------------------------------------------------------------------
+
+_WORKERS: list[tuple[KernelSet, Policy, Path]] = []  # of this process: one, once it has started
+
+
+def _start(package: OrtPackage, out: Path) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which lets this process finish
+    kernels = KernelSet(package.metakernel)
+    kernels.__enter__()  # for the life of the process
+    _WORKERS.append((kernels, policy_of(package), out))
+
+
+def _work(path: Path) -> Outcome:
+    _, policy, out = _WORKERS[0]
+    return process_image(path, policy, out)
+
+
+def _in_parallel(
+    package: OrtPackage, paths: Sequence[Path], out: Path, jobs: int, done: Done
+) -> tuple[Outcome, ...]:
+    # Spawned, not forked: SPICE's pool and numpy's threads do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, _start, (package, out)) as pool:
+        futures = [pool.submit(_work, path) for path in paths]
+        try:
+            for future in as_completed(futures):
+                done(future.result())
+        except BrokenProcessPool as error:
+            raise SessionError(
+                "a worker process died, perhaps for want of memory; finished pictures are kept. Use fewer --jobs."
+            ) from error
+        except KeyboardInterrupt:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return tuple(future.result() for future in futures)

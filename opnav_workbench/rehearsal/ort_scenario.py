@@ -1,0 +1,261 @@
+"""Scenarios of operational readiness tests (ORT): what a team rehearses, and what the director hides from it.
+
+A scenario names a mission, predicted kernels, the picture sequence, what the team shall estimate and how well that is
+known before, and the perturbations. Those are stated, or distributions that a rehearsal's seed draws from, so that a
+team that has read the file still does not know its case. Ready ones stand in ``kernels_meta/<mission>/rehearsals`` and
+are called ``<mission>/<name>``; those files are examples of the schema.
+"""
+
+import difflib
+from collections.abc import Mapping
+from datetime import timedelta
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator, model_validator
+
+from opnav_workbench.errors import EstimationError, MissionError
+from opnav_workbench.estimation.parameters import parse_groups
+from opnav_workbench.rehearsal.ort_perturb_schema import OrtPerturbations
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.simulation.effects import DetectorEffects
+from opnav_workbench.simulation.scenario_surfaces import BodyOptions
+from opnav_workbench.spice.scenario_parts import FileStem, Strict, Utc
+from opnav_workbench.yaml_file import check_model, read_model
+
+__all__ = ["OrtEntry", "OrtPointing", "OrtScenario", "load_ort_scenario", "ort_scenario_names"]
+
+FOLDER = "rehearsals"
+WHAT = "rehearsal scenario"
+
+Sigma = PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat]
+
+
+class OrtPointing(Strict):
+    """Where the commanded attitude puts a target, in place of the attitude that the kernels have."""
+
+    target: str | None = None  # None: the first of the picture's targets
+    offset_px: tuple[float, float] = (0.0, 0.0)  # of the target from the boresight: pixel, line
+    twist_deg: float = 0.0
+
+
+class OrtEntry(Strict):
+    """One picture at `utc`, or `count` pictures from `start` every `step_s` (named ``NAME_1``, ...)."""
+
+    name: FileStem
+    utc: Utc | None = None  # mid-exposure
+    start: Utc | None = None
+    step_s: PositiveFloat | None = None
+    count: PositiveInt | None = None
+    camera: str  # name of one of the mission's camera files
+    exposure_s: PositiveFloat
+    targets: tuple[str, ...] | None = None  # None: the scenario's
+    pointing: OrtPointing | None = None  # None: as the kernels have it
+
+    @model_validator(mode="after")
+    def _one_time(self) -> Self:
+        series = [value is not None for value in (self.start, self.step_s, self.count)]
+        if (self.utc is not None) == any(series) or (any(series) and not all(series)):
+            raise ValueError("give either utc, or start, step_s and count")
+        return self
+
+    @property
+    def time(self) -> str:
+        """Mid-exposure of a single picture, UTC."""
+        assert self.utc is not None  # a series has been expanded
+        return self.utc.isoformat(timespec="milliseconds")
+
+    def expanded(self) -> tuple[Self, ...]:
+        """Return the pictures of a series, each with its own name and time."""
+        if self.start is None or self.step_s is None or self.count is None:
+            return (self,)
+        digits = len(str(self.count))
+        none = {"start": None, "step_s": None, "count": None}
+        return tuple(
+            self.model_copy(
+                update={
+                    **none,
+                    "name": f"{self.name}_{i + 1:0{digits}d}",
+                    "utc": self.start + timedelta(seconds=i * self.step_s),
+                }
+            )
+            for i in range(self.count)
+        )
+
+
+class OrtScenario(Strict):
+    """A whole rehearsal; see the files in ``kernels_meta/<mission>/rehearsals``."""
+
+    title: str
+    description: str  # what the team is told of the mission phase
+    mission: str  # name or YAML file
+    kernels: str  # predicted: kernel-set name, metakernel or folder; a relative path counts from this file
+    catalog: str = "bundled"
+    magnitude_limit: float = 30.0  # of catalog stars
+    targets: Annotated[tuple[str, ...], Field(min_length=1)]
+    b_plane: str  # body whose B-plane the flyby is told in
+    parameters: Annotated[dict[str, Sigma], Field(min_length=1)]  # to estimate, with a priori sigmas
+    epoch: Utc | None = None  # of the corrected states; None: the last picture
+    due_hours: PositiveFloat = 24.0  # after the last picture is received
+    deliver: tuple[str, ...] = ()  # beside what every rehearsal asks for
+    bodies: tuple[BodyOptions, ...] = ()  # how they truly look
+    detector: DetectorEffects = DetectorEffects()
+    perturbations: OrtPerturbations = OrtPerturbations()
+    pictures: Annotated[tuple[OrtEntry, ...], Field(min_length=1)]
+    _path: Path | None = PrivateAttr(default=None)
+
+    @field_validator("parameters")
+    @classmethod
+    def _known(cls, parameters: dict[str, Any]) -> dict[str, Any]:
+        try:
+            groups = parse_groups(tuple(parameters))
+        except EstimationError as error:
+            raise ValueError(str(error)) from error
+        ranges = [group.name for group in groups if group.size == 1]
+        if ranges:
+            raise ValueError(f"{', '.join(ranges)}: a rehearsal estimates positions and velocities only")
+        return parameters
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        names = [picture.name for picture in self.sequence()]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"pictures: {', '.join(twice)} is given twice; give each its own name")
+        hidden = [name for name in self.perturbations.moved() if name not in self.parameters]
+        if hidden:
+            raise ValueError(
+                f"parameters: the perturbations change {', '.join(hidden)}, which the team does not estimate; add it "
+                "with its a priori sigma"
+            )
+        self._check_losses(names)
+        return self
+
+    def _check_losses(self, names: list[str]) -> None:
+        lost = self.perturbations.lost_images
+        if lost is None:
+            return
+        unknown = sorted(set(lost.spare) - set(names))
+        if unknown:
+            raise ValueError(
+                f"perturbations.lost_images.spare: no picture {', '.join(unknown)}; there are {', '.join(names)}"
+            )
+        if lost.missing + lost.truncated >= len(names) - len(lost.spare) + bool(lost.spare):
+            raise ValueError(
+                f"perturbations.lost_images: {lost.missing + lost.truncated} lost of {len(names)} pictures, "
+                f"{len(lost.spare)} spared; at least one must arrive"
+            )
+
+    def sequence(self) -> tuple[OrtEntry, ...]:
+        """Return all pictures, in the order of their times."""
+        pictures = (picture for entry in self.pictures for picture in entry.expanded())
+        return tuple(sorted(pictures, key=lambda p: (p.time, p.name)))
+
+    def limited(self, count: int | None) -> "OrtScenario":
+        """Return the scenario with at most `count` of its pictures, spread over the sequence, the last one among them.
+
+        Lost pictures are no more than then make sense: one of each kind.
+        """
+        pictures = self.sequence()
+        if count is None or count >= len(pictures):
+            return self
+        if count < 1:
+            raise MissionError(f"{count} pictures; give 1 or more.")
+        chosen = np.unique(np.rint(np.linspace(len(pictures) - 1, 0, count)).astype(int))
+        kept = tuple(pictures[i] for i in chosen)
+        return check_model(
+            self.model_dump() | {"pictures": [p.model_dump() for p in kept]} | self._fewer(kept),
+            OrtScenario,
+            WHAT,
+            MissionError,
+        ).at_path(self._path)
+
+    def _fewer(self, kept: tuple[OrtEntry, ...]) -> dict[str, Any]:
+        content = self.perturbations.model_dump()
+        lost = content["lost_images"]
+        if lost is not None:
+            names = {picture.name for picture in kept}
+            lost["spare"] = tuple(name for name in lost["spare"] if name in names)
+            room = max(0, (len(kept) - 1) // 2)
+            lost["missing"] = min(lost["missing"], 1, room)
+            lost["truncated"] = min(lost["truncated"], 1, room - lost["missing"])
+        return {"perturbations": content}
+
+    def at_path(self, path: Path | None) -> "OrtScenario":
+        """Return the scenario as the content of a file."""
+        copy = self.model_copy()
+        copy._path = path  # noqa: SLF001 - of the same class
+        return copy
+
+    @property
+    def epoch_utc(self) -> str:
+        """Time of the corrected states."""
+        return (
+            self.sequence()[-1].time if self.epoch is None else self.epoch.isoformat(timespec="milliseconds")
+        )
+
+    @property
+    def name(self) -> str:
+        """The file's stem."""
+        return "rehearsal" if self._path is None else self._path.stem
+
+    def source(self, named: str) -> str:
+        """Return a path that counts from the scenario's file as such, and a name as it is."""
+        folder = Path.cwd() if self._path is None else self._path.parent
+        beside = folder / named
+        return str(beside) if beside.exists() else named
+
+
+def ort_scenario_names() -> tuple[str, ...]:
+    """Return the names ``<mission>/<name>`` of the ready rehearsals, sorted.
+
+    Examples
+    --------
+    >>> "new_horizons/pluto_final_approach" in ort_scenario_names()
+    True
+    """
+    files = kernels_meta_dir().glob(f"*/{FOLDER}/*.yaml")
+    return tuple(sorted(f"{path.parents[1].name}/{path.stem}" for path in files))
+
+
+def load_ort_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> OrtScenario:
+    """Read and check a rehearsal scenario.
+
+    Parameters
+    ----------
+    source : str, path or mapping
+        Name of a ready scenario, YAML file, or its content.
+
+    Raises
+    ------
+    MissionError
+        The name is unknown (the message lists the known), or the file breaks the schema: the message names the line,
+        the field and what may stand there.
+
+    Examples
+    --------
+    >>> load_ort_scenario("new_horizons/pluto_final_approach").b_plane
+    'PLUTO BARYCENTER'
+    """
+    if isinstance(source, Mapping):
+        return check_model(source, OrtScenario, WHAT, MissionError)
+    path = _find(source)
+    return read_model(path, OrtScenario, WHAT, MissionError).at_path(path.resolve())
+
+
+def _find(source: str | PathLike[str]) -> Path:
+    names = ort_scenario_names()
+    if source in names:
+        mission, _, name = str(source).partition("/")
+        return kernels_meta_dir() / mission / FOLDER / f"{name}.yaml"
+    path = Path(source)
+    if path.is_file() or path.suffix:
+        return path
+    close = difflib.get_close_matches(str(source), names, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    raise MissionError(
+        f"no rehearsal scenario named {str(source)!r}, and no such file: {hint}names are {', '.join(names)}; "
+        "or give the path of a YAML file."
+    )

@@ -1,0 +1,41 @@
+"""A point far off its prediction: found if it is itself, and nothing else is taken for it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from opnav_workbench.headless import Policy, process_image
+from opnav_workbench.mission import load_mission
+from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate
+from opnav_workbench.spice import KernelSet
+
+
+@pytest.fixture
+def bennu(tmp_path):
+    """Simulate Figure 3 with Bennu displaced by an offset (km, J2000) and process it with the predicted kernels."""
+
+    def seen(offset_km):
+        content = load_picture_scenario("osiris_rex/bennu_approach").model_dump()
+        content["perturbations"]["bodies"] = [{"name": "BENNU", "offset_km": offset_km}]
+        (report,) = simulate(load_picture_scenario(content), tmp_path / "pictures")
+        policy = Policy(mission=load_mission("osiris_rex"), targets=("BENNU",))
+        with KernelSet("osiris_rex/bennu_approach"):
+            outcome = process_image(report.files[0], policy, tmp_path / "run")
+        result = json.loads((outcome.folder / "result.json").read_text())
+        return result["bodies"], read_truth(report.files[0]).bodies.get("BENNU")
+
+    return seen
+
+
+def test_a_point_ten_pixels_off_is_found(bennu):
+    (body,), true_px = bennu((0.0, 0.0, 80.0))
+    assert np.hypot(*np.subtract(true_px, body["predicted"])) > 9.0
+    assert body["status"] == "ok"
+    assert np.hypot(*np.subtract(true_px, body["observed"])) < 0.05
+
+
+def test_nothing_else_is_taken_for_it(bennu):
+    (body,), _ = bennu((0.0, 0.0, 2e4))
+    assert body["status"] == "not_detected"
+    assert body["observed"] is None
