@@ -1,11 +1,15 @@
 """Where files stand: those that travel with the package (wheel or checkout), and the user's cache."""
 
+import difflib
 import os
+from os import PathLike
 from pathlib import Path
 
 import platformdirs
 
-__all__ = ["CACHE_VARIABLE", "cache_root", "kernels_meta_dir", "notebooks_dir"]
+from opnav_workbench.errors import OpNavError
+
+__all__ = ["CACHE_VARIABLE", "cache_root", "kernels_meta_dir", "notebooks_dir", "ready_file", "ready_names"]
 
 CACHE_VARIABLE = "OPNAV_CACHE"
 
@@ -36,6 +40,51 @@ def notebooks_dir() -> Path:
     True
     """
     return _installed_or_checked_out("notebooks")
+
+
+def ready_names(folder: str) -> tuple[str, ...]:
+    """Return the names ``<mission>/<name>`` of the YAML files in a folder of each mission's ``kernels_meta``, sorted.
+
+    Examples
+    --------
+    >>> "new_horizons/pluto_limb" in ready_names("pictures")
+    True
+    """
+    files = kernels_meta_dir().glob(f"*/{folder}/*.yaml")
+    return tuple(sorted(f"{path.parents[1].name}/{path.stem}" for path in files))
+
+
+def ready_file(source: str | PathLike[str], folder: str, what: str, failure: type[OpNavError]) -> Path:
+    """Return the file that a ready name or a path means.
+
+    Parameters
+    ----------
+    source : str or path
+    folder : str
+        Where the ready files of this kind stand (`ready_names`).
+    what : str
+        Their kind, for the message.
+    failure : type
+        The error to raise.
+
+    Raises
+    ------
+    OpNavError
+        Of type `failure`: neither a known name nor a path; the message has the names.
+    """
+    names = ready_names(folder)
+    if source in names:
+        mission, _, name = str(source).partition("/")
+        return kernels_meta_dir() / mission / folder / f"{name}.yaml"
+    path = Path(source)
+    if path.is_file() or path.suffix:
+        return path
+    close = difflib.get_close_matches(str(source), names, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    raise failure(
+        f"no {what} named {str(source)!r}, and no such file: {hint}names are {', '.join(names)}; "
+        "or give the path of a YAML file."
+    )
 
 
 def _installed_or_checked_out(name: str) -> Path:

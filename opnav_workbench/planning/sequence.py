@@ -6,7 +6,6 @@ cameras. Ready ones stand in ``kernels_meta/<mission>/sequences`` and are called
 examples of the schema.
 """
 
-import difflib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -23,7 +22,7 @@ from opnav_workbench.planning.sequence_parts import (
     PointingField,
     SunRule,
 )
-from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation import DetectorEffects, PictureScenario
 from opnav_workbench.simulation.scenario_parts import Motion
 from opnav_workbench.simulation.scenario_surfaces import BodyOptions
@@ -139,8 +138,7 @@ def sequence_names() -> tuple[str, ...]:
     >>> "osiris_rex/bennu_approach" in sequence_names()
     True
     """
-    files = kernels_meta_dir().glob(f"*/{FOLDER}/*.yaml")
-    return tuple(sorted(f"{path.parents[1].name}/{path.stem}" for path in files))
+    return ready_names(FOLDER)
 
 
 def load_sequence(source: str | PathLike[str] | Mapping[str, Any]) -> PictureSequence:
@@ -165,21 +163,5 @@ def load_sequence(source: str | PathLike[str] | Mapping[str, Any]) -> PictureSeq
     """
     if isinstance(source, Mapping):
         return check_model(source, PictureSequence, WHAT, MissionError)
-    path = _find(source)
+    path = ready_file(source, FOLDER, WHAT, MissionError)
     return read_model(path, PictureSequence, WHAT, MissionError).at_path(path.resolve())
-
-
-def _find(source: str | PathLike[str]) -> Path:
-    names = sequence_names()
-    if source in names:
-        mission, _, name = str(source).partition("/")
-        return kernels_meta_dir() / mission / FOLDER / f"{name}.yaml"
-    path = Path(source)
-    if path.is_file() or path.suffix:
-        return path
-    close = difflib.get_close_matches(str(source), names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise MissionError(
-        f"no picture sequence named {str(source)!r}, and no such file: {hint}names are {', '.join(names)}; "
-        "or give the path of a YAML file."
-    )

@@ -6,7 +6,6 @@ team that has read the file still does not know its case. Ready ones stand in ``
 are called ``<mission>/<name>``; those files are examples of the schema.
 """
 
-import difflib
 from collections.abc import Mapping
 from datetime import timedelta
 from os import PathLike
@@ -19,7 +18,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_valid
 from opnav_workbench.errors import EstimationError, MissionError
 from opnav_workbench.estimation.parameters import parse_groups
 from opnav_workbench.rehearsal.ort_perturb_schema import OrtPerturbations
-from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_surfaces import BodyOptions
 from opnav_workbench.spice.scenario_parts import FileStem, Strict, Utc
@@ -216,8 +215,7 @@ def ort_scenario_names() -> tuple[str, ...]:
     >>> "new_horizons/pluto_final_approach" in ort_scenario_names()
     True
     """
-    files = kernels_meta_dir().glob(f"*/{FOLDER}/*.yaml")
-    return tuple(sorted(f"{path.parents[1].name}/{path.stem}" for path in files))
+    return ready_names(FOLDER)
 
 
 def load_ort_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> OrtScenario:
@@ -241,21 +239,5 @@ def load_ort_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> OrtSce
     """
     if isinstance(source, Mapping):
         return check_model(source, OrtScenario, WHAT, MissionError)
-    path = _find(source)
+    path = ready_file(source, FOLDER, WHAT, MissionError)
     return read_model(path, OrtScenario, WHAT, MissionError).at_path(path.resolve())
-
-
-def _find(source: str | PathLike[str]) -> Path:
-    names = ort_scenario_names()
-    if source in names:
-        mission, _, name = str(source).partition("/")
-        return kernels_meta_dir() / mission / FOLDER / f"{name}.yaml"
-    path = Path(source)
-    if path.is_file() or path.suffix:
-        return path
-    close = difflib.get_close_matches(str(source), names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise MissionError(
-        f"no rehearsal scenario named {str(source)!r}, and no such file: {hint}names are {', '.join(names)}; "
-        "or give the path of a YAML file."
-    )

@@ -5,7 +5,6 @@ differ from the predicted ones, what the detector does, and a list of pictures. 
 ``kernels_meta/<mission>/pictures`` and are called ``<mission>/<name>``; those files are examples of the schema.
 """
 
-import difflib
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 from pydantic import NonNegativeInt, PositiveFloat, PrivateAttr, field_validator
 
 from opnav_workbench.errors import MissionError
-from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_parts import (
     AttitudePlan,
@@ -115,8 +114,7 @@ def _require_distinct(names: Sequence[str]) -> None:
 
 def picture_scenario_names() -> tuple[str, ...]:
     """Return the names ``<mission>/<name>`` of the ready scenarios, sorted."""
-    files = kernels_meta_dir().glob(f"*/{FOLDER}/*.yaml")
-    return tuple(sorted(f"{path.parents[1].name}/{path.stem}" for path in files))
+    return ready_names(FOLDER)
 
 
 def load_picture_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> PictureScenario:
@@ -141,21 +139,5 @@ def load_picture_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> Pi
     """
     if isinstance(source, Mapping):
         return check_model(source, PictureScenario, WHAT, MissionError)
-    path = _find(source)
+    path = ready_file(source, FOLDER, WHAT, MissionError)
     return read_model(path, PictureScenario, WHAT, MissionError).at_path(path.resolve())
-
-
-def _find(source: str | PathLike[str]) -> Path:
-    names = picture_scenario_names()
-    if source in names:
-        mission, _, name = str(source).partition("/")
-        return kernels_meta_dir() / mission / FOLDER / f"{name}.yaml"
-    path = Path(source)
-    if path.is_file() or path.suffix:
-        return path
-    close = difflib.get_close_matches(str(source), names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise MissionError(
-        f"no picture scenario named {str(source)!r}, and no such file: {hint}names are {', '.join(names)}; "
-        "or give the path of a YAML file."
-    )
