@@ -4,11 +4,7 @@ A picture that is lost, damaged or cannot be solved is an outcome with its reaso
 """
 
 import json
-import multiprocessing
-import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from opnav_workbench.errors import SessionError
@@ -17,6 +13,7 @@ from opnav_workbench.headless.policy import Outcome, Policy, process_image
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal.ort_package import OrtPackage
 from opnav_workbench.session import RESULT_FILE
+from opnav_workbench.simulation.processes import in_processes
 from opnav_workbench.spice import KernelSet
 
 __all__ = ["process_package"]
@@ -86,7 +83,7 @@ def _processed(
     package: OrtPackage, paths: Sequence[Path], out: Path, jobs: int, done: Done
 ) -> tuple[Outcome, ...]:
     if jobs > 1:
-        return _in_parallel(package, paths, out, jobs, done)
+        return in_processes(paths, jobs, _start, (package, out), _work, done)
     if not paths:
         return ()
     policy = policy_of(package)
@@ -110,7 +107,6 @@ _WORKERS: list[tuple[KernelSet, Policy, Path]] = []  # of this process: one, onc
 
 
 def _start(package: OrtPackage, out: Path) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which lets this process finish
     kernels = KernelSet(package.metakernel)
     kernels.__enter__()  # for the life of the process
     _WORKERS.append((kernels, policy_of(package), out))
@@ -119,23 +115,3 @@ def _start(package: OrtPackage, out: Path) -> None:
 def _work(path: Path) -> Outcome:
     _, policy, out = _WORKERS[0]
     return process_image(path, policy, out)
-
-
-def _in_parallel(
-    package: OrtPackage, paths: Sequence[Path], out: Path, jobs: int, done: Done
-) -> tuple[Outcome, ...]:
-    # Spawned, not forked: SPICE's pool and numpy's threads do not survive a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, _start, (package, out)) as pool:
-        futures = [pool.submit(_work, path) for path in paths]
-        try:
-            for future in as_completed(futures):
-                done(future.result())
-        except BrokenProcessPool as error:
-            raise SessionError(
-                "a worker process died, perhaps for want of memory; finished pictures are kept. Use fewer --jobs."
-            ) from error
-        except KeyboardInterrupt:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return tuple(future.result() for future in futures)
