@@ -86,6 +86,17 @@ def test_pictures_around_that_day_have_stars_too(pictures):
         assert count >= 3 or any("star" in reason or "cover" in reason for reason in picture["reasons"])
 
 
+@pytest.mark.realdata
+def test_with_tycho2_every_picture_of_the_approach_has_enough_stars(data_dir, tmp_path):
+    catalog = f"npz:{data_dir / 'stars/tycho2.npz'}"
+    chosen = ("--only=figure_3", "--only=approach", "--no-exposures", "--catalog", catalog)
+    opnav("plan", "osiris_rex/bennu_approach", "--out", tmp_path, *chosen)
+    planned = json.loads((tmp_path / "plan.json").read_text())["pictures"]
+    usable = {p["name"]: sum(star["status"] == "usable" for star in p["stars"]) for p in planned}
+    assert len(usable) == 16
+    assert min(usable.values()) >= 8, usable
+
+
 def test_bennu_grows_brighter_and_better_known(pictures):
     approach = [p for name, p in sorted(pictures.items()) if name.startswith("approach")]
     for key in ("snr", "diameter_px"):
