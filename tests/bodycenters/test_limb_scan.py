@@ -70,14 +70,25 @@ def test_a_mottled_surface_does_not_move_the_center(body_stage):
     assert np.abs(errors).max() < 0.05
 
 
-@pytest.mark.parametrize(("law", "taken"), [(LommelSeeliger(), Lambert()), (Lambert(), LommelSeeliger())])
-def test_a_wrong_scattering_law_costs_little(body_stage, law, taken):
-    true = body_stage.body(100.0, 30.0, PLACE, law=law)
+@pytest.mark.parametrize(
+    ("law", "taken"),
+    [
+        (LommelSeeliger(), Lambert()),
+        (Lambert(), LommelSeeliger()),
+        (LunarLambert(0.5), Lambert()),
+        (Lambert(), LunarLambert(0.5)),
+    ],
+)
+@pytest.mark.parametrize(("diameter", "phase"), [(70.0, 60.0), (100.0, 30.0), (180.0, 15.0)])
+def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, taken, diameter, phase):
+    true = body_stage.body(diameter, phase, PLACE, law=law)
     picture = body_stage.picture(
         body_stage.light(true), [replace(true, law=taken)], np.random.default_rng(4), offset_px=(1.0, -1.0)
     )
     center = find_limb_scan(picture, "BODY")
-    assert np.abs(center.pixel_line - PLACE).max() < 0.06
+    error = center.pixel_line - PLACE
+    assert np.abs(error).max() < 0.07
+    assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
 
 
 @pytest.mark.parametrize("ratio", [0.99, 1.02, 1.3])

@@ -14,7 +14,7 @@ from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.version import __version__
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-COMMANDS = ("demo", "process", "lab", "nightly", "export", "simulate", "doctor")
+COMMANDS = ("demo", "process", "lab", "nightly", "export", "simulate", "plan", "doctor")
 
 
 def _invoke(*arguments: object):
