@@ -3,6 +3,7 @@
 ::
 
     {"schema": 1, "mission": "new_horizons", "kernels": "...", "catalog": "bundled",
+     "targets": ["PLUTO"],
      "images": [{"image": "/data/lor_0299.fit", "folder": "lor_0299", "status": "partial", "reasons": ["..."]}]}
 
 ``folder`` is relative to the file; it holds the session to go on with, where there is one.
@@ -52,12 +53,15 @@ class Queue:
     images : tuple of QueuedImage
     mission, kernels, catalog : str
         As the run had them; empty where unknown.
+    targets : tuple of str
+        Bodies that the run looked for; empty: the mission's own.
     """
 
     images: tuple[QueuedImage, ...] = ()
     mission: str = ""
     kernels: str = ""
     catalog: str = ""
+    targets: tuple[str, ...] = ()
     schema: int = field(default=SCHEMA, repr=False)
 
 
@@ -99,7 +103,7 @@ def read_queue(folder: str | Path) -> Queue:
         images = tuple(
             QueuedImage(**(item | {"reasons": tuple(item["reasons"])})) for item in data.pop("images")
         )
-        queue = Queue(images, **data)
+        queue = Queue(images, **(data | {"targets": tuple(data.get("targets", ()))}))
     except (OSError, UnicodeDecodeError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise SessionError(
             f"{path} cannot be read ({error!r}); run opnav nightly again, it writes it anew."

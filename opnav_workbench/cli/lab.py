@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from opnav_workbench.campaign.queue_file import read_queue
 from opnav_workbench.cli.lab_notebook import LabParameters, put_notebook
@@ -70,7 +71,7 @@ def lab(
     if sum([bool(images), queue is not None, demo]) != 1:
         raise SessionError("give pictures, or --queue DIR, or --demo: exactly one of them.")
     if queue is not None:
-        parameters = _queued(queue, mission, kernels, catalog)
+        parameters = _queued(queue, mission, kernels, catalog, console)
         folder = out or queue
     elif demo:
         folder = out or Path("opnav_lab")
@@ -95,18 +96,30 @@ def _given(
     return LabParameters(paths, _in_full(mission), _in_full(kernels or ""), catalog or "bundled")
 
 
-def _queued(folder: Path, mission: str | None, kernels: str | None, catalog: str | None) -> LabParameters:
+def _queued(
+    folder: Path, mission: str | None, kernels: str | None, catalog: str | None, console: Console
+) -> LabParameters:
     queue = read_queue(folder)
     if not queue.images:
         raise SessionError(f"nothing waits in {folder}: every picture of it was solved.")
+    there = [item for item in queue.images if Path(item.image).is_file()]
+    for item in queue.images:
+        if item not in there:
+            console.print(f"[yellow]left out[/] {escape(item.image)}: it is not there any more.")
+    if not there:
+        raise SessionError(
+            f"none of the pictures that wait in {folder} is there; bring them back, or run the night anew."
+        )
     mission = mission or queue.mission
     if not mission:
         raise SessionError(f"{folder} does not say which mission its pictures are of; give --mission.")
     return LabParameters(
-        tuple(item.image for item in queue.images),
+        tuple(item.image for item in there),
         _in_full(mission),
         _in_full(kernels or queue.kernels),
         catalog or queue.catalog or "bundled",
+        tuple(item.folder for item in there),
+        queue.targets,
     )
 
 

@@ -27,12 +27,18 @@ class LabParameters:
     kernels : str
         Empty: none.
     catalog : str
+    folders : tuple of str
+        Names of the pictures' folders; empty: named after the pictures.
+    targets : tuple of str
+        Empty: the mission's own.
     """
 
     images: tuple[str, ...]
     mission: str
     kernels: str
     catalog: str
+    folders: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
 
     def source(self) -> str:
         """Return the source of the parameters cell.
@@ -49,13 +55,19 @@ class LabParameters:
         catalog = "bundled"
         out = "."
         """
-        listed = "".join(f"    {json.dumps(image)},\n" for image in self.images)
         kernels = json.dumps(self.kernels) if self.kernels else "None"
         return (
-            f"# Set by opnav lab\nimages = [\n{listed}]\nmission = {json.dumps(self.mission)}\n"
-            f"kernels = {kernels}\ncatalog = {json.dumps(self.catalog)}\n"
+            f"# Set by opnav lab\n{_listed('images', self.images)}"
+            f"{_listed('folders', self.folders) if self.folders else ''}"
+            f"mission = {json.dumps(self.mission)}\nkernels = {kernels}\ncatalog = {json.dumps(self.catalog)}\n"
+            f"{_listed('targets', self.targets) if self.targets else ''}"
             'out = "."'
         )
+
+
+def _listed(name: str, values: tuple[str, ...]) -> str:
+    lines = "".join(f"    {json.dumps(value)},\n" for value in values)
+    return f"{name} = [\n{lines}]\n"
 
 
 def put_notebook(folder: Path, parameters: LabParameters) -> Path:

@@ -20,10 +20,11 @@ from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.night_pool import Pool
 from opnav_workbench.headless.night_record import Record, digest_of_session, fingerprint, read_record, settle
-from opnav_workbench.headless.night_spec import NightSpec, picture_names, pictures_of_night
+from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_worker import Job, Verdict
 from opnav_workbench.headless.picture_job import PictureJob
 from opnav_workbench.headless.policy import failed_result
+from opnav_workbench.image.picture_files import picture_names
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.session.folder_lock import FolderLock

@@ -12,21 +12,18 @@
     time_limit_s: 300
 """
 
-import glob
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.image.picture_files import picture_files
 from opnav_workbench.yaml_file import read_model
 
-__all__ = ["NightSpec", "load_night", "picture_names", "pictures_of_night"]
+__all__ = ["NightSpec", "load_night", "pictures_of_night"]
 
-PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vic", ".imq")
 MIN_MEMORY_MB = 300  # a notebook's kernel with this package and one small picture takes 250 MB
-WILDCARDS = "*?["
 
 
 class NightSpec(BaseModel):
@@ -101,56 +98,4 @@ def pictures_of_night(spec: NightSpec) -> tuple[Path, ...]:
     SessionError
         A file is not there; a folder or pattern stands for no picture.
     """
-    found: dict[Path, None] = {}
-    for image in spec.images:
-        found.update(dict.fromkeys(_expanded(image)))
-    return tuple(sorted(found))
-
-
-def _expanded(image: str) -> list[Path]:
-    path = Path(image).expanduser()
-    if path.is_file():
-        return [path.resolve()]
-    if path.is_dir():
-        inside = [
-            p.resolve() for p in path.iterdir() if p.name.lower().endswith(PICTURE_SUFFIXES) and p.is_file()
-        ]
-        return inside or _nothing(f"the folder {path} holds no picture ({', '.join(PICTURE_SUFFIXES)}).")
-    if not any(sign in image for sign in WILDCARDS):
-        return _nothing(f"the picture {path} is not there.")
-    # Path.glob takes no absolute patterns
-    matching = [Path(p).resolve() for p in glob.glob(str(path), recursive=True) if Path(p).is_file()]  # noqa: PTH207
-    return matching or _nothing(
-        f"no picture matches {image!r}; quote the pattern, and see that the folder is right."
-    )
-
-
-def _nothing(message: str) -> list[Path]:
-    raise SessionError(message)
-
-
-def picture_names(pictures: tuple[Path, ...]) -> dict[Path, str]:
-    """Return the name of each picture's folder: its stem, with the folder it lies in where stems are not unique.
-
-    Raises
-    ------
-    SessionError
-        Two pictures cannot be told apart this way.
-
-    Examples
-    --------
-    >>> list(picture_names((Path("a/x.fit"), Path("b/x.fit"), Path("b/y.fit"))).values())
-    ['a_x', 'b_x', 'y']
-    """
-    stems = Counter(path.stem for path in pictures)
-    names = {p: p.stem if stems[p.stem] == 1 else f"{p.parent.name}_{p.stem}" for p in pictures}
-    twice = [name for name, count in Counter(names.values()).items() if count > 1]
-    if twice:
-        raise SessionError(
-            f"more than one picture is named {', '.join(sorted(twice))}; process them in nights of their own, "
-            "each with its --out."
-        )
-    bad = [str(path) for path, name in names.items() if name.strip(".") == "" or name.startswith(".")]
-    if bad:
-        raise SessionError(f"{', '.join(bad)} gives no name for a folder; rename the picture.")
-    return names
+    return tuple(sorted(picture_files(spec.images)))

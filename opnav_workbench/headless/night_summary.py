@@ -50,7 +50,7 @@ def write_night(night: Night) -> dict[str, Any]:
         for row in summary["images"]
         if row["attention"] and row["state"] != "waiting"
     )
-    write_queue(out, Queue(waiting, spec.mission, spec.kernels or "", spec.catalog))
+    write_queue(out, Queue(waiting, spec.mission, spec.kernels or "", spec.catalog, spec.targets or ()))
     return summary
 
 

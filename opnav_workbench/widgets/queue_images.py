@@ -7,13 +7,13 @@ from typing import Any
 
 from opnav_workbench.errors import OpNavError, SelectionPending, SessionError
 from opnav_workbench.files import inside
+from opnav_workbench.image.picture_files import picture_files, picture_names
 from opnav_workbench.session import ImageSession
 from opnav_workbench.spice import KernelSet
 from opnav_workbench.widgets.workbench_html import text
 
-__all__ = ["IMAGE_SUFFIXES", "ImageQueue", "QueueItem", "pictures_of", "prepare", "session_status"]
+__all__ = ["ImageQueue", "QueueItem", "prepare", "session_status"]
 
-IMAGE_SUFFIXES = (".fit", ".fits", ".fit.gz", ".fits.gz", ".fts", ".img", ".vic", ".imq")
 # Sign and word of each status: neither color nor sign stands alone.
 SIGNS = {"new": "○", "open": "◔", "stars": "◑", "pointed": "◕", "done": "●", "failed": "✕"}
 WORDS = {
@@ -161,11 +161,12 @@ class ImageQueue:
         mission: Any,
         out: str | Path,
         *,
+        folders: Sequence[str] = (),
         targets: Sequence[str] | None = None,
         predict: bool = True,
         **options: Any,
     ) -> "ImageQueue":
-        """Make a list of picture files; each is resumed from ``OUT/<stem>`` where it was worked on before.
+        """Make a list of picture files; each is resumed from its folder in `out` where it was worked on before.
 
         Parameters
         ----------
@@ -174,12 +175,19 @@ class ImageQueue:
         mission : str, path or Mission
         out : path
             Folder of the sessions' folders.
+        folders : sequence of str
+            Names of the sessions' folders, one a picture; left out: as `picture_names` gives them.
         targets : sequence of str, optional
             Bodies expected in every picture; None: the mission's own, with kernels.
         predict : bool
             Predict stars and targets when a picture is opened for the first time.
         **options
             As for `ImageSession.open`.
+
+        Raises
+        ------
+        SessionError
+            A picture is not there, two would share a folder, or a folder lies outside `out`.
         """
 
         def opener(path: Path, folder: Path) -> Callable[[], ImageSession]:
@@ -191,9 +199,14 @@ class ImageQueue:
 
             return opened
 
+        paths = picture_files(images)
+        if folders and len(folders) != len(paths):
+            raise SessionError(
+                f"{len(folders)} folders were given for {len(paths)} pictures; give one each, or none."
+            )
         items = []
-        for path in pictures_of(images):
-            folder = inside(out, path.stem)
+        for path, name in zip(paths, folders or picture_names(paths).values(), strict=True):
+            folder = inside(out, name)
             items.append(QueueItem(path.name, opener(path, folder), folder))
         return cls(items)
 
@@ -237,25 +250,3 @@ def prepare(session: ImageSession, targets: Sequence[str] | None = None) -> None
             session.add_target(name)
         except OpNavError as error:
             session.skip_target(name, str(error))
-
-
-def pictures_of(images: Iterable[str | Path]) -> list[Path]:
-    """Return picture files, folders replaced by the pictures in them, sorted.
-
-    Raises
-    ------
-    SessionError
-        A path is not there, or a folder holds no picture.
-    """
-    found: list[Path] = []
-    for path in map(Path, images):
-        if path.is_dir():
-            inside_it = sorted(p for p in path.iterdir() if p.name.lower().endswith(IMAGE_SUFFIXES))
-            if not inside_it:
-                raise SessionError(f"no picture in the folder {path} ({', '.join(IMAGE_SUFFIXES)}).")
-            found += inside_it
-        elif path.is_file():
-            found.append(path)
-        else:
-            raise SessionError(f"the picture {path} is not there.")
-    return found

@@ -33,6 +33,8 @@ class WorkbenchJob(BaseModel):
     ----------
     images : tuple of str
         Pictures or folders of them, also comma-separated in one text; empty: two simulated pictures.
+    folders : tuple of str
+        Names of the images' folders in `out`, one each, also comma-separated; empty: named after the pictures.
     mission, kernels, catalog : str
         As ``opnav process`` takes them; without kernels, time, attitude and state come from the header.
     targets : tuple of str
@@ -50,6 +52,7 @@ class WorkbenchJob(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     images: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()
     mission: str = DEMO_MISSION
     kernels: str | None = None
     catalog: str = "bundled"
@@ -59,7 +62,7 @@ class WorkbenchJob(BaseModel):
     mode: Literal["interactive", "headless"] = "interactive"
     out: str = "workbench_run"
 
-    @field_validator("images", "targets", "require", mode="before")
+    @field_validator("images", "folders", "targets", "require", mode="before")
     @classmethod
     def _listed(cls, value: Any) -> Any:
         return (
@@ -96,6 +99,7 @@ class WorkbenchJob(BaseModel):
             images,
             load_mission(self.mission),
             self.out,
+            folders=self.folders,
             targets=self.targets or None,
             predict=self.interactive,
             catalog=DEMO_CATALOG if self.demo else self.catalog,

@@ -277,6 +277,11 @@ class Notebooks:
         self.opened.append(Notebook(self.lab, self.chromium.new_context(viewport=size), name))
         return self.opened[-1]
 
+    def visit(self, server: Any, name: str) -> Notebook:
+        """Open a notebook of another server (with `address`, `token` and `root`)."""
+        self.opened.append(Notebook(server, self.chromium.new_context(viewport=SIZE), name))
+        return self.opened[-1]
+
     def close(self) -> None:
         for one in self.opened:
             one.close()

@@ -6,16 +6,25 @@ The pictures are the demo's MVIC frame (15 stars) and a simulated LORRI frame wi
 import itertools
 import json
 import os
+import shutil
 import signal
 import statistics
+import subprocess
+import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from opnav_workbench.campaign.queue_file import read_queue
 from opnav_workbench.geometry import radec_from_unit
-from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.headless.night import Night, plan_night, run_night
+from opnav_workbench.headless.night_pool import LocalPool
+from opnav_workbench.headless.night_spec import NightSpec
+from opnav_workbench.headless.night_summary import write_night
+from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import load_picture_scenario, simulate
 from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc
@@ -25,6 +34,7 @@ UTC = "2015-07-12T08:46:57"
 RESOLVED_KERNELS = "new_horizons/pluto_approach"
 MAX_NOTEBOOK_BYTES = 100_000
 MAX_ACTIONS = 40
+NAMES = ["a_frame", "b_frame"]  # both pictures have one name: their folders must not be one
 # In the kernel: the analyst's scans and circle.
 CHOICE = "bench.session.state.scan_choices['PLUTO']"
 CIRCLE = "[*bench.session.state.circles['PLUTO'].center_px.tolist(), bench.session.state.circles['PLUTO'].radius_px]"
@@ -392,6 +402,91 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
         nb.python(CIRCLE),
         circle, rtol=0.0, atol=1e-9,
     )  # fmt: skip
+
+
+# -- from a night to the morning ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def spec(demo_truths, tmp_path):
+    """Two pictures of one name, and a target that no kernel knows: each waits for an analyst."""
+    for truth, name in zip(demo_truths, NAMES, strict=True):
+        place = tmp_path / "incoming" / name[0]
+        place.mkdir(parents=True)
+        shutil.copy(truth.picture, place / "frame.fit")
+    return NightSpec(
+        images=(str(tmp_path / "incoming" / "*" / "frame.fit"),), mission="new_horizons", kernels=DEMO_KERNELS,
+        catalog=DEMO_CATALOG, targets=("PLUTO", "VULCAN"),
+    )  # fmt: skip
+
+
+def night(spec, out):
+    done = Night(plan_night(spec, out))
+    run_night(done, LocalPool(2))
+    return {row["name"]: row for row in write_night(done)["images"]}
+
+
+@pytest.fixture
+def lab_queue(tmp_path):
+    """Start ``opnav lab --queue`` as a person does; what it serves is read off its first line."""
+    running = []
+
+    def start(folder):
+        config = tmp_path / "config"
+        config.mkdir()
+        (config / "jupyter_lab_config.json").write_text('{"LabApp": {"expose_app_in_browser": true}}')
+        folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name) for name in ("DATA", "RUNTIME")}
+        program = subprocess.Popen(
+            [sys.executable, "-m", "opnav_workbench", "lab", "--queue", str(folder), "--no-browser"],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            env=os.environ | folders | {"JUPYTER_CONFIG_DIR": str(config), "COLUMNS": "200"},
+        )  # fmt: skip
+        running.append(program)
+        words = program.stdout.readline()
+        assert words.startswith("JupyterLab is at "), words + program.stdout.read()
+        url = words.split()[-1]
+        return SimpleNamespace(address=url.split("/lab/")[0], token=url.split("token=")[1], root=folder)
+
+    yield start
+    for program in running:
+        try:
+            program.send_signal(signal.SIGINT)
+            program.communicate(timeout=20)
+        finally:
+            program.kill()
+            program.wait()
+
+
+def test_what_the_night_left_is_opened_and_decided(spec, lab_queue, notebook, tmp_path):
+    out = tmp_path / "night"
+    rows = night(spec, out)
+    assert all("VULCAN" in " ".join(rows[name]["attention"]) for name in NAMES)
+    assert [item.folder for item in read_queue(out).images] == NAMES
+    saved = {name: json.loads((out / name / "session.json").read_text())["journal"] for name in NAMES}
+
+    hand = Analyst(notebook.visit(lab_queue(out), "workbench.ipynb")).start()
+    in_lab = hand.notebook.python
+    assert in_lab("[item.folder.name for item in queue.items]") == NAMES
+    for number, name in enumerate(NAMES):  # each goes on where the night stopped
+        if number:
+            hand.press("PageDown")
+        hand.notebook.until(f"bench.session.folder.name == {name!r}")
+        assert in_lab("bench.session.state.pointing.n_stars") == rows[name]["pointing"]["n_stars"]
+        assert in_lab("[entry.step for entry in bench.session.journal]") == [e["step"] for e in saved[name]]
+    stars = in_lab("[box.id for box in bench.controller.stars.boxes]")
+    assert len(stars) == 15
+    hand.press("r")
+    hand.shown(".ow-panel .menu", "cosmic ray")
+    hand.press("1")
+    hand.said("undecided")
+    assert [why for _, why in hand.decisions().values()] == ["cosmic ray"]
+
+    # The analyst's steps stand after the night's, in the folder of this picture alone.
+    lines = {name: (out / name / "journal.jsonl").read_text().splitlines() for name in NAMES}
+    assert lines["a_frame"] == []
+    assert json.loads(lines["b_frame"][0])["n"] == len(saved["b_frame"])
+    assert [json.loads(line)["entry"]["step"] for line in lines["b_frame"]] == ["reject_stars", "repoint"]
+    assert plan_night(spec, out).pictures[1].state == "kept"  # the next night leaves the analyst's work alone
 
 
 @pytest.mark.realdata

@@ -20,14 +20,14 @@ from opnav_workbench.errors import SessionError
 PARAMETERS = LabParameters(("/data/a.fit",), "new_horizons", "", "bundled")
 
 
-def parameters_of(folder):
+def parameters_of(folder, *more):
     cells = json.loads((folder / "workbench.ipynb").read_text())["cells"]
     tagged = {tag: "".join(cell["source"]) for cell in cells for tag in cell["metadata"].get("tags", ())}
     assert [c["metadata"].get("tags") for c in cells].count(["injected-parameters"]) == 1
     values = {}
     exec(tagged["parameters"], values)
     exec(tagged["injected-parameters"], values)
-    return {name: values[name] for name in ("images", "mission", "kernels", "catalog", "out")}
+    return {name: values[name] for name in ("images", "mission", "kernels", "catalog", "out", *more)}
 
 
 def test_notebook_gets_its_parameters_and_keeps_the_analysts_cells(tmp_path):
@@ -79,13 +79,22 @@ def test_pictures_are_opened_from_anywhere(tmp_path, monkeypatch, served):
     assert parameters_of(tmp_path / "run")["kernels"] is None
 
 
-def test_queue_of_a_night(tmp_path, served):
-    waits = QueuedImage("/data/lor_1.fit", "lor_1", "partial", ("no stars",))
-    write_queue(tmp_path, Queue((waits,), "new_horizons", "new_horizons/pluto_opnav", "bundled"))
+def test_queue_of_a_night(tmp_path, served, capsys):
+    pictures = [tmp_path / place / "lor_1.fit" for place in ("b", "gone")]
+    pictures[0].parent.mkdir()
+    pictures[0].touch()
+    waiting = tuple(QueuedImage(str(p), f"{p.parent.name}_lor_1", "partial", ("no stars",)) for p in pictures)
+    kernels = "new_horizons/pluto_opnav"
+    write_queue(tmp_path, Queue(waiting, "new_horizons", kernels, "bundled", ("PLUTO", "CHARON")))
     run(queue=tmp_path)
-    found = parameters_of(tmp_path)
-    assert (found["images"], found["mission"]) == (["/data/lor_1.fit"], "new_horizons")
-    assert found["kernels"] == "new_horizons/pluto_opnav"
+    found = parameters_of(tmp_path, "folders", "targets")
+    assert (found["images"], found["mission"]) == ([str(pictures[0])], "new_horizons")
+    assert found["kernels"] == kernels
+    assert (found["folders"], found["targets"]) == (["b_lor_1"], ["PLUTO", "CHARON"])
+    assert "gone/lor_1.fit: it is not there any more" in capsys.readouterr().out.replace("\n", "")
+    pictures[0].unlink()
+    with pytest.raises(SessionError, match="none of the pictures that wait"):
+        run(queue=tmp_path)
 
 
 @pytest.mark.parametrize(

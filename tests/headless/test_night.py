@@ -18,8 +18,9 @@ from opnav_workbench.cli import app
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_pool import ClusterPool, LocalPool
-from opnav_workbench.headless.night_spec import NightSpec, load_night, picture_names, pictures_of_night
+from opnav_workbench.headless.night_spec import NightSpec, load_night, pictures_of_night
 from opnav_workbench.headless.night_summary import write_night
+from opnav_workbench.image.picture_files import picture_names
 
 NIGHT = """
 import sys

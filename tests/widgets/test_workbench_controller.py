@@ -1,6 +1,7 @@
 """The workbench around the tabs: images, undo, errors, long work, export."""
 
 import re
+import shutil
 import threading
 import time
 from html.parser import HTMLParser
@@ -9,7 +10,7 @@ import pytest
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
-from opnav_workbench.widgets.queue_images import ImageQueue, QueueItem, pictures_of
+from opnav_workbench.widgets.queue_images import ImageQueue, QueueItem
 from opnav_workbench.widgets.status import LOG_FILE, Status, plain_words
 from opnav_workbench.widgets.workbench_controller import WorkbenchController
 
@@ -102,10 +103,25 @@ def test_list_is_resumed_where_it_was_left(hands_on, demo_truths, tmp_path):
 def test_list_of_nothing(tmp_path):
     with pytest.raises(SessionError, match="at least one image"):
         ImageQueue([])
-    with pytest.raises(SessionError, match="no picture in the folder"):
-        pictures_of([tmp_path])
+    with pytest.raises(SessionError, match="holds no picture"):
+        ImageQueue.of_images([tmp_path], "new_horizons", tmp_path)
     with pytest.raises(SessionError, match="is not there"):
-        pictures_of([tmp_path / "x.fit"])
+        ImageQueue.of_images([tmp_path / "x.fit"], "new_horizons", tmp_path)
+
+
+def test_pictures_of_one_name_keep_their_decisions_apart(kernels, demo_truths, tmp_path):
+    pictures = [tmp_path / place / "a.fit" for place in ("x", "y")]
+    for path, truth in zip(pictures, demo_truths[:2], strict=True):
+        path.parent.mkdir()
+        shutil.copy(truth.picture, path)
+    queue = ImageQueue.of_images(pictures, "new_horizons", tmp_path / "run")
+    assert [item.folder.name for item in queue.items] == ["x_a", "y_a"]
+    named = ImageQueue.of_images(pictures[1:], "new_horizons", tmp_path / "run", folders=["y_a"])
+    assert named.session.folder == queue.items[1].folder
+    with pytest.raises(SessionError, match="2 folders were given for 1 pictures"):
+        ImageQueue.of_images(pictures[1:], "new_horizons", tmp_path / "run", folders=["x_a", "y_a"])
+    with pytest.raises(SessionError):
+        ImageQueue.of_images(pictures[1:], "new_horizons", tmp_path / "run", folders=["../y_a"])
 
 
 def test_an_exception_in_a_callback_is_told_and_logged(star_hands, monkeypatch, tmp_path):
