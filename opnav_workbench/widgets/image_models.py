@@ -109,8 +109,8 @@ class PictureModels:
                 ).glyph
                 for plot in self._plots(group)
             ]
-        self._add_text("grid_labels", "grid", "grid", x_offset=3, y_offset=-3)
-        self._add_text("body_labels", "bodies", "body", x_offset=9, y_offset="y_offset")
+        self._add_text("grid_labels", "grid", "grid")
+        self._add_text("body_labels", "bodies", "body")
 
     def _plots(self, group: str) -> tuple[Any, ...]:
         return (self.picture,) if group == "grid" else (self.picture, self.magnifier)
@@ -135,14 +135,14 @@ class PictureModels:
                 ).glyph
                 for plot in (self.picture, self.magnifier)
             ]  # fmt: skip
-        self._add_text("star_labels", "magnitudes", "predicted", x_offset=9, y_offset=-5)
+        self._add_text("star_labels", "magnitudes", "predicted")
 
-    def _add_text(self, name: str, group: str, kind: str, **offsets: int | str) -> None:
-        source = self.sources[name] = _source("pixel", "line", "text", "y_offset")
+    def _add_text(self, name: str, group: str, kind: str) -> None:
+        source = self.sources[name] = _source("pixel", "line", "text", "x_offset", "y_offset", "side")
         self.picture.text(
             "pixel", "line", "text", source=source, name=f"overlay:{group}", text_font_size="11px",
             text_color=THEMES[DEFAULT_THEME][kind].color, background_fill_color=LABEL_GROUND,
-            background_fill_alpha=0.55, padding=1, **offsets,
+            background_fill_alpha=0.75, padding=1, x_offset="x_offset", y_offset="y_offset", text_align="side",
         )  # fmt: skip
 
     def _add_tools(self) -> None:
@@ -150,7 +150,7 @@ class PictureModels:
         self.picture.segment(
             "x0", "y0", "x1", "y1", source=segments, line_color="color", line_dash="dash", line_width="width"
         )
-        self._add_text("tool_labels", "tools", "focus", x_offset=4, y_offset=-4)
+        self._add_text("tool_labels", "tools", "focus")
         for kind in ("circle", "focus"):
             source = self.sources[kind] = _source("pixel", "line", "radius")
             ring = self.picture.circle(

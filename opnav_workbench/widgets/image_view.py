@@ -164,13 +164,15 @@ class ImageView:
             stars = star_marks(session)
             for kind in ("predicted", "missing", "used", "rejected"):
                 self.models.fill(kind, getattr(stars, kind))
-            self.models.fill("star_labels", stars.labels | {"y_offset": np.zeros(len(stars.labels["text"]))})
+            places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
+            size = session.context.frame.image_dn.shape[::-1]
+            self.models.fill("star_labels", label_columns(places, stars.labels["text"], (9.0, -5.0), size))
             self._vectors = stars.vectors
             self._draw_vectors()
             self._draw_bodies(session)
             grid = sky_grid(camera, attitude)
             self.models.fill("grid", lines_columns(grid.lines_px))
-            self.models.fill("grid_labels", label_columns(grid.places_px, grid.labels))
+            self.models.fill("grid_labels", label_columns(grid.places_px, grid.labels, (3.0, -3.0)))
             self.images.outdate()
 
     def _draw_vectors(self) -> None:
@@ -189,7 +191,7 @@ class ImageView:
         places = [m.center_px for m in marks] + [m.pole_px[-1] for m in marks if len(m.pole_px)]
         names = [m.name for m in marks] + ["N" for m in marks if len(m.pole_px)]
         above = [-6.0 if number % 2 == 0 else 16.0 for number in range(len(names))]  # neighbours stay apart
-        self.models.fill("body_labels", label_columns(places, names, above))
+        self.models.fill("body_labels", label_columns(places, names, (9.0, above)))
         self.state.bodies = json.dumps([m.as_page_values() for m in marks])
         if self.state.body not in [m.name for m in marks]:
             self.state.body = marks[0].name if marks else ""

@@ -168,9 +168,7 @@ def test_stretch_blink_and_overlays(opened, demo_truths):
     nb.press("S", "c")
     wait_painted(nb, '"heat"')
     expect("zscale", "linear", "heat")
-    nb.settle()
-    state = "[view.state.stretch, view.state.limits, view.state.colormap]"
-    assert nb.python(state) == ["linear", "zscale", "heat"]
+    nb.until("[view.state.stretch, view.state.limits, view.state.colormap] == ['linear', 'zscale', 'heat']")
     # limits by number, contrast and bias by right drag
     nb.page.locator(".opnav-menu").nth(2).select_option("manual")
     nb.page.locator(".opnav-number").first.fill("-5")

@@ -115,13 +115,13 @@ class Page {
     }
     if (!this.queue.length || this.timer !== undefined) return;
     this.timer = setTimeout(() => this.guard(() => this.flush()), GATHER_MS);
-    this.root.dataset.pending = "queued";
+    this.status.count(true);
   }
 
   flush() {
     clearTimeout(this.timer);
     this.timer = undefined;
-    this.status.count();
+    this.status.count(false);
     const events = this.queue.splice(0);
     if (!events.length || !this.doc) return;
     const patch = this.doc.create_json_patch(events);

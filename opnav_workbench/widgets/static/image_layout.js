@@ -117,8 +117,8 @@ class ImageLayout {
     for (const [name, text] of [["home", "All"], ["zoom_in", "+"], ["zoom_out", "−"]])
       button(this.zoom, text, view.hint(name), () => view.do(name));
     this.side = make("div", "opnav-side", this.body);
-    this.magnifier = make("div", "opnav-figure", this.side);
-    this.panner = make("div", "opnav-figure", setup.strip ? null : this.side);
+    this.magnifier = make("div", "opnav-figure opnav-small", this.side);
+    this.panner = make("div", "opnav-figure opnav-small", setup.strip ? null : this.side);
     if (setup.strip) this.body.prepend(this.panner);
     this.readout = make("div", "opnav-readout", this.side);
     this.lines = ["place", "value", "ra", "dec", "degrees", "body", "scale"].map((name) => make("div", `opnav-read-${name}`, this.readout));

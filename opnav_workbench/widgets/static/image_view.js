@@ -3,11 +3,13 @@
 const SIDE_PX = 132; // magnifier and panner
 const SIDE_NARROW_PX = 112;
 const ZOOM_PX = 36; // the buttons beside the picture
-const MOST_PX = 620; // of the picture's frame
+const MOST_PX = 900; // of the picture's frame
+const NARROW_PX = 752; // of a view: below, the readout goes under the picture
 const AROUND_PX = 270; // JupyterLab's bars, and the view's own
 const STRIP_SHAPE = 3; // width over height of the frame for a strip
 const STRIP_MARGIN = 1.15; // lines shown, over the strip's own
 const AXES_PX = [52, 26]; // room for axis labels, left and below
+const READOUT_PX = 60; // the readout in three rows, under the picture
 
 class ImagePage extends ImageCursor {
   constructor(page, doc, state, host) {
@@ -151,14 +153,16 @@ class ImagePage extends ImageCursor {
     const outer = this.page.root.parentElement;
     const width = outer.clientWidth || this.width || 640; // none while it is out of the page
     this.width = width;
-    const narrow = width < MOST_PX + SIDE_PX;
+    const narrow = width < NARROW_PX;
     const square = narrow ? SIDE_NARROW_PX : SIDE_PX;
-    this.layout.box.classList.toggle("opnav-narrow", narrow);
+    const classes = this.layout.box.classList;
+    classes.toggle("opnav-narrow", narrow);
     const bars = this.layout.bar.offsetHeight + this.layout.switches.offsetHeight + 34;
     const room = this.page.root.closest(".opnav-workbench") ? outer.clientHeight - bars : Infinity;
     const [axis_x, axis_y] = AXES_PX;
     const most = Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
     const quiet_ = (name, values) => this.model(name).setv(values, { sync: false });
+    classes.remove("opnav-slim");
     if (this.setup.strip) {
       const frame = Math.round(Math.min(width - axis_x - ZOOM_PX - 10, 1200));
       const height = Math.round(Math.min(frame / STRIP_SHAPE, room - square - 60));
@@ -166,8 +170,12 @@ class ImagePage extends ImageCursor {
       const thin = Math.max(Math.round((frame * this.setup.size[1]) / this.setup.size[0]), 12);
       quiet_("opnav-panner", { frame_width: Math.max(frame, 200), frame_height: thin });
     } else {
-      const [side, below] = narrow ? [0, square + 8] : [SIDE_PX + 76, 0];
-      const frame = Math.round(Math.max(Math.min(width - axis_x - ZOOM_PX - side - 10, room - axis_y - below, most), 180));
+      // Where there is little room, everything stands under the picture, or the small pictures beside it: what shows more.
+      const tall = Math.min(width - axis_x - ZOOM_PX - 10, room - axis_y - square - 8);
+      const slim = Math.min(width - axis_x - square - 14, room - axis_y - READOUT_PX);
+      const wide = Math.min(width - axis_x - ZOOM_PX - SIDE_PX - 86, room - axis_y);
+      classes.toggle("opnav-slim", narrow && slim > tall);
+      const frame = Math.round(Math.max(Math.min(narrow ? Math.max(slim, tall) : wide, most), 180));
       quiet_("opnav-picture", { frame_width: frame, frame_height: frame });
       quiet_("opnav-panner", { frame_width: square, frame_height: square });
     }

@@ -17,6 +17,7 @@ class StatusLine {
     this.line.className = "opnav-status";
     this.line.setAttribute("role", "status");
     this.pending = new Set();
+    this.queued = false;
     this.dead = false;
   }
 
@@ -27,8 +28,9 @@ class StatusLine {
   }
 
   // What has not been answered, or, as "queued", not been sent.
-  count() {
-    this.root.dataset.pending = String(this.pending.size);
+  count(queued = this.queued) {
+    this.queued = queued;
+    this.root.dataset.pending = queued ? "queued" : String(this.pending.size);
   }
 
   sent(sequence) {
