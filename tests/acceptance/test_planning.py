@@ -206,6 +206,41 @@ def test_lorri_unresolved_is_as_predicted(tmp_path):
     check(plan, errors, ["PLUTO", "CHARON"])
 
 
+def test_a_disk_of_a_few_pixels_is_as_predicted(tmp_path):
+    """Pluto 5.5 px wide at an SNR of 900 on 2015-06-26, measured by the method that the session chooses."""
+    sequence = load_sequence(
+        LORRI
+        | {
+            "kernels": "new_horizons/pluto_approach",
+            "pictures": [
+                {"name": "few", "utc": "2015-06-26T08:00:00", "camera": "lorri_4x4", "exposure_s": 0.02}
+            ],
+        }
+    )
+    errors = []
+    with opened(sequence) as desk:
+        ((_, picture),) = desk.sequence.expanded()
+        target = plan_picture(desk, picture, exposures=False).prospect.target("PLUTO")
+        for number in range(TRIALS):
+            inputs = confirming_inputs(
+                desk, picture, number, shift_px=(0.37 * (number % 5), 0.21 * (number % 7))
+            )
+            image = expose_picture(inputs)
+            write_picture(image, desk.workshop.mission, tmp_path, stretches=())
+            path = tmp_path / f"{inputs.name}.fit"
+            session = ImageSession.open(path, desk.workshop.mission, opened_catalog=desk.workshop.catalog)
+            session.predict()
+            for name in ("PLUTO", "CHARON"):
+                session.add_target(name)
+            session.find_body("PLUTO")
+            found = session.state.bodies[-1]
+            errors.append(found.pixel_line - truth_of(image, desk.workshop.mission, path).bodies["PLUTO"])
+    assert found.method == "least_squares"
+    assert target.prediction.diameter_px == pytest.approx(5.5, abs=0.1)
+    assert 800.0 < target.snr < 1000.0
+    assert LOW < scatter_ratio(target.center_sigma_px, errors) < HIGH
+
+
 def test_lorri_resolved_is_as_predicted():
     """Pluto 76 px wide on 2015-07-09: noise realisations of its disk, each measured with its rendered model."""
     sequence = load_sequence(
