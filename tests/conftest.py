@@ -21,6 +21,12 @@ from opnav_workbench.spice import KernelSet
 DATA_VARIABLE = "OPNAV_DATA"
 
 
+def pytest_configure() -> None:
+    """One thread of linear algebra in each of xdist's processes, which inherit this: there is one a core already."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def _find_data() -> Path | None:
     named = os.environ.get(DATA_VARIABLE)
     candidates = [Path(named)] if named else [Path(__file__).parents[2] / "shared" / "data"]
