@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from opnav_workbench.cli.ort_output import picture_progress, plain_table
 from opnav_workbench.cli.ort_score import score
 from opnav_workbench.cli.ort_solve import solve
+from opnav_workbench.cli.terminal import picture_progress, plain_table
 from opnav_workbench.errors import MissionError
 from opnav_workbench.rehearsal.ort_package import OrtPackage, new_rehearsal
 from opnav_workbench.rehearsal.ort_scenario import load_ort_scenario, ort_scenario_names

@@ -1,52 +1,18 @@
-"""What ``opnav ort`` prints: tables of a solution and of a score, and progress over pictures."""
-
-from collections.abc import Sequence
+"""What ``opnav ort`` prints: tables of a solution and of a score."""
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
+from opnav_workbench.cli.terminal import plain_table
 from opnav_workbench.rehearsal.ort_score import OrtScore
 from opnav_workbench.rehearsal.ort_score_check import Check
 from opnav_workbench.rehearsal.ort_solution import OrtSolution
 
-__all__ = ["picture_progress", "plain_table", "print_score", "print_solution"]
+__all__ = ["print_score", "print_solution"]
 
 GOOD, POOR, WRONG = "green", "yellow", "bold red"
 STYLES = {"good": GOOD, "poor": POOR, "A": GOOD, "B": GOOD, "C": POOR}
-
-
-def picture_progress() -> Progress:
-    """Return a progress bar on standard error, shown on terminals only."""
-    console = Console(stderr=True, soft_wrap=True)
-    return Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-
-
-def plain_table(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Table:
-    """Return an empty table: columns of text, then of numbers; on a narrow terminal only the first folds."""
-    table = Table(title=title or None, title_justify="left", box=None, header_style="bold", pad_edge=False)
-    for i, name in enumerate(texts):
-        table.add_column(name, no_wrap=i > 0, overflow="fold")
-    for name in numbers:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
 
 
 def print_solution(console: Console, solution: OrtSolution) -> None:

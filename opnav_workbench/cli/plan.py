@@ -8,16 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 from opnav_workbench.cli.plan_output import print_plan, sequence_listing
+from opnav_workbench.cli.terminal import picture_progress
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path, make_folder
 from opnav_workbench.planning import Plan, load_sequence, plan_sequence, write_plan
@@ -99,15 +92,7 @@ def _charts(planned: Plan, folder: Path) -> dict[str, bytes]:
 @contextmanager
 def _progress(first: str) -> Iterator[Done]:
     """Show progress on standard error, where a person sees it."""
-    errors = Console(stderr=True, soft_wrap=True)
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
+    with picture_progress() as bar:
         task = bar.add_task(first, total=None)
 
         def done(number: int, total: int, name: str) -> None:

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from opnav_workbench.cli.terminal import plain_table
 from opnav_workbench.planning import (
     PicturePlan,
     Plan,
@@ -57,19 +58,12 @@ def print_plan(console: Console, plan: Plan) -> None:
     console.print(f"Pictures: {counts}", highlight=False)
 
 
-def _table(title: str, texts: Sequence[str], numbers: Sequence[str], name_width: int) -> Table:
-    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
-    for i, name in enumerate(texts):  # on a narrow terminal only the picture's name folds
-        table.add_column(name, no_wrap=i > 0, overflow="fold", min_width=name_width if i == 0 else None)
-    for name in numbers:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
-
-
 def _picture_table(pictures: Sequence[PicturePlan], wide: bool) -> Table:
     more = ("σ twist°", "mag", "limit", "Sun°", "RA°", "Dec°", "best s") if wide else ("σ twist°",)
     texts = ("picture", "UTC", "verdict")
-    table = _table("Pictures (stars and pointing)", texts, ("exp s", "stars", "σ pixel", "σ line", *more), 14)
+    table = plain_table(
+        "Pictures (stars and pointing)", texts, ("exp s", "stars", "σ pixel", "σ line", *more), first_width=14
+    )
     for plan in pictures:
         grade = plan.verdict.grade
         utc = (plan.utc[:16] if wide else plan.utc[5:16]).replace("T", " ")
@@ -95,7 +89,9 @@ def _picture_cells(plan: PicturePlan) -> list[str]:
 def _target_table(rows: Sequence[tuple[str, TargetPlan]], wide: bool) -> Table:
     more = ("pixel", "line", "phase°", "V", "σ center") if wide else ()
     numbers = ("size px", "SNR", "σ px", "σ ″", "σ km", *more)
-    table = _table("Targets (σ with pointing, larger axis)", ("picture", "target"), numbers, 14)
+    table = plain_table(
+        "Targets (σ with pointing, larger axis)", ("picture", "target"), numbers, first_width=14
+    )
     for name, target in rows:
         table.add_row(escape(name), escape(target.name), *_target_cells(target)[: len(numbers)])
     return table

@@ -9,16 +9,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
+from opnav_workbench.cli.terminal import error_console, picture_progress, plain_table
 from opnav_workbench.errors import MissionError
 from opnav_workbench.simulation import (
     PictureReport,
@@ -84,20 +77,10 @@ def simulate(
 def _run(
     scenario: PictureScenario, out: Path, jobs: int | None, only: Sequence[str]
 ) -> tuple[PictureReport, ...]:
-    errors = Console(stderr=True, soft_wrap=True)
+    errors = error_console()
     count = len(chosen_tasks(scenario, only))
     processes = jobs or (1 if count <= FEW_PICTURES else os.cpu_count() or 1)
-    progress = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=errors,
-        transient=True,
-        disable=not errors.is_terminal,
-    )
-    with progress:
+    with picture_progress(errors) as progress:
         task = progress.add_task("opening kernels and catalog", total=count)
         try:
             return simulate_pictures(
@@ -124,17 +107,8 @@ def _listing() -> Table:
     return table
 
 
-def _plain_table(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
-    for i, name in enumerate(texts):  # on a narrow terminal only the picture's name folds
-        table.add_column(name, no_wrap=i > 0, overflow="fold")
-    for name in numbers:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
-
-
 def _picture_table(reports: Sequence[PictureReport]) -> Table:
-    table = _plain_table("Pictures", ("picture", "UTC", "camera"), ("exposure s", "stars", "brightest mag"))
+    table = plain_table("Pictures", ("picture", "UTC", "camera"), ("exposure s", "stars", "brightest mag"))
     for report in reports:
         table.add_row(
             escape(report.name),
@@ -148,7 +122,7 @@ def _picture_table(reports: Sequence[PictureReport]) -> Table:
 
 
 def _body_table(reports: Sequence[PictureReport]) -> Table:
-    table = _plain_table(
+    table = plain_table(
         "Bodies", ("picture", "body", "drawn as"), ("pixel", "line", "diameter px", "SNR", "hidden")
     )
     for report in reports:

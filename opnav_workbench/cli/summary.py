@@ -7,16 +7,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
+from opnav_workbench.cli.terminal import error_console, picture_progress, plain_table
 from opnav_workbench.headless import Outcome
 
 __all__ = ["Reporter"]
@@ -30,17 +23,8 @@ class Reporter:
 
     def __init__(self, total: int) -> None:
         self._out = Console(soft_wrap=False)
-        self._err = Console(stderr=True, soft_wrap=True)
-        self._progress = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=self._err,
-            transient=True,
-            disable=not self._err.is_terminal,
-        )
+        self._err = error_console()
+        self._progress = picture_progress(self._err)
         self._task = self._progress.add_task("", total=total)
 
     def __enter__(self) -> "Reporter":
@@ -90,22 +74,12 @@ def _named(outcome: Outcome) -> str:
 
 
 def _pointing_table(outcomes: Sequence[Outcome], wide: bool) -> Table:
-    table = _table("Pointing", ("picture", "status"))
     names = ("stars", "Δpixel", "Δline", "Δtwist°", "rms px", *(("RA°", "Dec°", "twist°") if wide else ()))
-    for name in names:
-        table.add_column(name, justify="right", no_wrap=True)
+    table = plain_table("Pointing", ("picture", "status"), names)
     for outcome in outcomes:
         status = outcome.result["status"]
         row = [escape(outcome.image.stem), f"[{STYLES[status]}]{status}[/]"]
         table.add_row(*row, *_pointing_cells(outcome.result.get("pointing"))[: len(names)])
-    return table
-
-
-def _table(title: str, texts: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
-    # On a narrow terminal only the picture's name folds: a cut number would be a wrong one.
-    for number, name in enumerate(texts):
-        table.add_column(name, no_wrap=number > 0, overflow="fold")
     return table
 
 
@@ -125,10 +99,8 @@ def _pointing_cells(p: dict[str, Any] | None) -> list[str]:
 
 
 def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]], wide: bool) -> Table:
-    table = _table("Targets (O−C in px)", ("picture", "target", "status"))
     names = ("pixel", "line", "σ", "σ", "O−C", "O−C", *(("RA°", "Dec°", "method") if wide else ()))
-    for name in names:
-        table.add_column(name, justify="right", no_wrap=True)
+    table = plain_table("Targets (O−C in px)", ("picture", "target", "status"), names)
     for outcome, body in rows:
         cells = [escape(outcome.image.stem), escape(body["name"]), body["status"].replace("_", " ")]
         table.add_row(*cells, *_body_cells(body)[: len(names)])
