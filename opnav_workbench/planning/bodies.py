@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodycenters import choose_method
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import radec_from_unit, tangent_basis
+from opnav_workbench.camera.sky import sky_jacobian
 from opnav_workbench.observables import attitude_partials
 from opnav_workbench.photometry import SUN_B_V
 from opnav_workbench.planning.attitude import ARCSEC, PointingPlan
@@ -244,6 +244,5 @@ def _with_pointing(
         return None, None
     by_attitude = attitude_partials(prediction.direction, camera, attitude)
     covariance = center_px2 + by_attitude @ pointing.covariance_rad2 @ by_attitude.T
-    tangent = np.stack(tangent_basis(*radec_from_unit(prediction.direction)))
-    jacobian = tangent @ attitude.T @ camera.unproject_jacobian(prediction.pixel_line)
+    jacobian = sky_jacobian(camera, attitude, prediction.pixel_line)
     return covariance, jacobian @ covariance @ jacobian.T

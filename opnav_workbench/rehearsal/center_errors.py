@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodycenters import BodyCenter
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import radec_from_unit, tangent_basis
+from opnav_workbench.camera.sky import sky_jacobian
 
 __all__ = ["center_errors", "sky_per_pixel"]
 
@@ -28,10 +28,7 @@ def sky_per_pixel(camera: Camera, camera_from_j2000: ArrayLike, pixel_line: Arra
     >>> print(round(float(np.sqrt(abs(np.linalg.det(slope)))), 3))
     1.024
     """
-    rotation, place = np.asarray(camera_from_j2000, float), np.asarray(pixel_line, float)
-    direction = rotation.T @ camera.unproject(place)
-    east_north = np.stack(tangent_basis(*radec_from_unit(direction)))
-    return np.asarray(east_north @ rotation.T @ camera.unproject_jacobian(place) * ARCSEC_PER_RAD)
+    return sky_jacobian(camera, camera_from_j2000, pixel_line) * ARCSEC_PER_RAD
 
 
 def center_errors(
