@@ -17,6 +17,7 @@ from opnav_workbench.errors import DownloadError
 CONTENT = bytes(range(256)) * 1500  # 384 000 bytes: several chunks
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 HALF = len(CONTENT) // 2
+SILENCE_S = 20.0
 
 
 @dataclass
@@ -30,6 +31,7 @@ class Server:
     length: bool = True
     faults: list[str] = field(default_factory=list)  # one an answer; the last one stays
     asked: list[dict[str, str]] = field(default_factory=list)
+    closing: threading.Event = field(default_factory=threading.Event)
 
     def fault(self) -> str:
         if not self.faults:
@@ -55,7 +57,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
             self.end_headers()
             return
         if fault == "silent":
-            time.sleep(0.6)
+            state.closing.wait(SILENCE_S)
             return
         self._send(fault)
 
@@ -102,6 +104,7 @@ def server(monkeypatch):
     thread = threading.Thread(target=httpd.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
     yield state
+    state.closing.set()
     httpd.shutdown()
     thread.join()
     httpd.server_close()
@@ -237,7 +240,8 @@ def test_a_silent_server_is_given_up(server, tmp_path):
     begin = time.monotonic()
     with pytest.raises(DownloadError, match=r"no answer for 0\.2 s"):
         download(server.url, tmp_path / "file.bin", timeout_s=0.2, retries=1)
-    assert time.monotonic() - begin < 0.6
+    assert time.monotonic() - begin < SILENCE_S
+    assert len(server.asked) == 2
 
 
 def test_a_dripping_server_is_given_up_and_its_bytes_kept(server, tmp_path):

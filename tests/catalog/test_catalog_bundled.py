@@ -146,12 +146,12 @@ def test_names_and_unknown_motions(catalog) -> None:
 
 def test_a_warm_open_and_a_cone_take_no_time(catalog) -> None:
     first = open_catalog("bundled")  # the cache stands since the fixture
-    started = time.perf_counter()
+    started = time.process_time()
     open_catalog("bundled")
-    opened = time.perf_counter()
+    opened = time.process_time()
     for ra in np.linspace(0.0, 6.0, 20):
         first.cone(float(ra), 0.3, math.radians(0.3))
-    per_cone = (time.perf_counter() - opened) / 20
+    per_cone = (time.process_time() - opened) / 20
     # Measured 0.03 s and 0.3 ms; the limits are those that an analyst would notice.
     assert opened - started < 0.3
     assert per_cone < 0.005

