@@ -108,7 +108,7 @@ def picture_scenario(scenario: OrtScenario, case: OrtCase) -> PictureScenario:
         detector=scenario.detector,
         pictures=tuple(_entry(picture, scenario) for picture in scenario.sequence()),
     )
-    return content.at_path(scenario._path)  # noqa: SLF001 - maps and shapes count from the same file
+    return content.at_path(scenario.path)  # maps and shapes count from the same file
 
 
 def _drawn_bodies(scenario: OrtScenario) -> list[BodyOptions]:

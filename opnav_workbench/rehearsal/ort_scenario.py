@@ -9,25 +9,21 @@ are called ``<mission>/<name>``; those files are examples of the schema.
 from collections.abc import Mapping
 from datetime import timedelta
 from os import PathLike
-from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt, PrivateAttr, field_validator, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, field_validator, model_validator
 
 from opnav_workbench.errors import EstimationError, MissionError
 from opnav_workbench.estimation.parameters import parse_groups
 from opnav_workbench.rehearsal.ort_perturb_schema import OrtPerturbations
-from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
+from opnav_workbench.simulation.scenario_file import ScenarioFile, require_distinct
 from opnav_workbench.simulation.scenario_surfaces import BodyOptions
 from opnav_workbench.spice.scenario_parts import FileStem, Strict, Utc
-from opnav_workbench.yaml_file import check_model, read_model
+from opnav_workbench.yaml_file import check_model
 
 __all__ = ["OrtEntry", "OrtPointing", "OrtScenario", "load_ort_scenario", "ort_scenario_names"]
-
-FOLDER = "rehearsals"
-WHAT = "rehearsal scenario"
 
 Sigma = PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 
@@ -84,9 +80,12 @@ class OrtEntry(Strict):
         )
 
 
-class OrtScenario(Strict):
+class OrtScenario(ScenarioFile):
     """A whole rehearsal; see the files in ``kernels_meta/<mission>/rehearsals``."""
 
+    WHAT: ClassVar[str] = "rehearsal scenario"
+    FOLDER: ClassVar[str] = "rehearsals"
+    UNTITLED: ClassVar[str] = "rehearsal"
     title: str
     description: str  # what the team is told of the mission phase
     mission: str  # name or YAML file
@@ -103,7 +102,6 @@ class OrtScenario(Strict):
     detector: DetectorEffects = DetectorEffects()
     perturbations: OrtPerturbations = OrtPerturbations()
     pictures: Annotated[tuple[OrtEntry, ...], Field(min_length=1)]
-    _path: Path | None = PrivateAttr(default=None)
 
     @field_validator("parameters")
     @classmethod
@@ -117,19 +115,21 @@ class OrtScenario(Strict):
             raise ValueError(f"{', '.join(ranges)}: a rehearsal estimates positions and velocities only")
         return parameters
 
+    @field_validator("pictures")
+    @classmethod
+    def _pictures_once(cls, pictures: tuple[OrtEntry, ...]) -> tuple[OrtEntry, ...]:
+        require_distinct([picture.name for entry in pictures for picture in entry.expanded()])
+        return pictures
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        names = [picture.name for picture in self.sequence()]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"pictures: {', '.join(twice)} is given twice; give each its own name")
         hidden = [name for name in self.perturbations.moved() if name not in self.parameters]
         if hidden:
             raise ValueError(
                 f"parameters: the perturbations change {', '.join(hidden)}, which the team does not estimate; add it "
                 "with its a priori sigma"
             )
-        self._check_losses(names)
+        self._check_losses([picture.name for picture in self.sequence()])
         return self
 
     def _check_losses(self, names: list[str]) -> None:
@@ -167,9 +167,9 @@ class OrtScenario(Strict):
         return check_model(
             self.model_dump() | {"pictures": [p.model_dump() for p in kept]} | self._fewer(kept),
             OrtScenario,
-            WHAT,
+            self.WHAT,
             MissionError,
-        ).at_path(self._path)
+        ).at_path(self.path)
 
     def _fewer(self, kept: tuple[OrtEntry, ...]) -> dict[str, Any]:
         content = self.perturbations.model_dump()
@@ -182,29 +182,12 @@ class OrtScenario(Strict):
             lost["truncated"] = min(lost["truncated"], 1, room - lost["missing"])
         return {"perturbations": content}
 
-    def at_path(self, path: Path | None) -> "OrtScenario":
-        """Return the scenario as the content of a file."""
-        copy = self.model_copy()
-        copy._path = path  # noqa: SLF001 - of the same class
-        return copy
-
     @property
     def epoch_utc(self) -> str:
         """Time of the corrected states."""
         return (
             self.sequence()[-1].time if self.epoch is None else self.epoch.isoformat(timespec="milliseconds")
         )
-
-    @property
-    def name(self) -> str:
-        """The file's stem."""
-        return "rehearsal" if self._path is None else self._path.stem
-
-    def source(self, named: str) -> str:
-        """Return a path that counts from the scenario's file as such, and a name as it is."""
-        folder = Path.cwd() if self._path is None else self._path.parent
-        beside = folder / named
-        return str(beside) if beside.exists() else named
 
 
 def ort_scenario_names() -> tuple[str, ...]:
@@ -215,7 +198,7 @@ def ort_scenario_names() -> tuple[str, ...]:
     >>> "new_horizons/pluto_final_approach" in ort_scenario_names()
     True
     """
-    return ready_names(FOLDER)
+    return OrtScenario.ready_names()
 
 
 def load_ort_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> OrtScenario:
@@ -237,7 +220,4 @@ def load_ort_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> OrtSce
     >>> load_ort_scenario("new_horizons/pluto_final_approach").b_plane
     'PLUTO BARYCENTER'
     """
-    if isinstance(source, Mapping):
-        return check_model(source, OrtScenario, WHAT, MissionError)
-    path = ready_file(source, FOLDER, WHAT, MissionError)
-    return read_model(path, OrtScenario, WHAT, MissionError).at_path(path.resolve())
+    return OrtScenario.load(source)

@@ -6,6 +6,7 @@ starlight       stars and their trails         attitude_path   how the camera mo
 flight_header flight_fits flight_wcs           files that flight readers take for their own
 truth           what a picture really shows
 scenario, scenario_parts, scenario_surfaces    picture scenarios: YAML files and their schema
+scenario_file   what these share with sequences and rehearsals
 mottled, surfaces, true_attitude, true_targets what a scenario's bodies look like, and where all truly is
 workshop inputs picture output sequence processes  a scenario's pictures, one or many, in files
 preview variations                             for people: PNG previews, a scenario with a few things changed

@@ -16,6 +16,7 @@ from opnav_workbench.geometry import (
     unit_from_radec,
 )
 from opnav_workbench.simulation.randomness import picture_random
+from opnav_workbench.simulation.scenario_file import beside
 from opnav_workbench.simulation.scenario_parts import ActualAttitude, PredictedAttitude
 from opnav_workbench.spice import KernelSet, camera_attitude
 from opnav_workbench.spice.aiming import aim
@@ -72,13 +73,7 @@ def true_attitude(
 
 def flown_kernels(plan: ActualAttitude, folder: Path) -> AbstractContextManager[object]:
     """Return a context in which the kernels of the attitude as flown are open; nothing where the plan names none."""
-    return nullcontext() if plan.kernels is None else KernelSet(kernel_source(plan.kernels, folder))
-
-
-def kernel_source(named: str, folder: Path) -> str:
-    """Return a kernel-set name as it is, and a relative path as one that counts from `folder`."""
-    beside = folder / named
-    return str(beside) if beside.exists() else named
+    return nullcontext() if plan.kernels is None else KernelSet(beside(plan.kernels, folder))
 
 
 def misaligned(predicted: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:

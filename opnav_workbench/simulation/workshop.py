@@ -83,7 +83,7 @@ class Workshop:
             One of them is not there or not usable; the message names the line of the scenario.
         """
         with at(scenario, ("mission",)):
-            mission = load_mission(_beside(scenario, scenario.mission))
+            mission = load_mission(scenario.source(scenario.mission))
         with at(scenario, ("catalog",)):
             catalog = open_catalog(scenario.catalog)
         surfaces = {}
@@ -277,12 +277,6 @@ def _first(value: object) -> str | int | float:
     chosen = value[0] if isinstance(value, list | tuple) else value
     assert isinstance(chosen, str | int | float)
     return chosen
-
-
-def _beside(scenario: PictureScenario, named: str) -> str:
-    """Return a path beside the scenario file where there is one, else the name."""
-    path = scenario.folder / named
-    return str(path) if path.exists() else named
 
 
 @contextlib.contextmanager
