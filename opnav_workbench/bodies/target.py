@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.errors import CatalogError, KernelError
-from opnav_workbench.geometry import AU_KM, radec_from_unit, tangent_basis
+from opnav_workbench.geometry import ARCSEC_PER_RAD, AU_KM, radec_from_unit, tangent_basis
 
 __all__ = ["MIN_PARALLAX_RAD", "TargetState", "star_target"]
 
 # A star whose parallax is unknown or not positive is put at 1 Mpc (1 microarcsecond): its partials with respect
 # to the spacecraft's position then vanish, as they should, and stay finite.
-MIN_PARALLAX_RAD = 1e-6 / 206264.80624709636
+MIN_PARALLAX_RAD = 1e-6 / ARCSEC_PER_RAD
 ROTATION_TOLERANCE = 1e-6  # a matrix this far from orthonormal turns a limb by less than a microradian
 SYMMETRY_TOLERANCE = 1e-9  # relative; what is left of rounding when a covariance is propagated
 

@@ -19,14 +19,20 @@ from opnav_workbench.catalog import StarTable, open_catalog
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.triangulation_stars import star_positions
-from opnav_workbench.geometry import AU_KM, angle_between, radec_from_unit, tangent_basis, unit
+from opnav_workbench.geometry import (
+    ARCSEC_PER_RAD,
+    AU_KM,
+    angle_between,
+    radec_from_unit,
+    tangent_basis,
+    unit,
+)
 
 __all__ = ["NEAR_STAR_NAMES", "best_pairs", "nearest_stars"]
 
-RAD_PER_ARCSEC = np.pi / 648000.0
 NEAREST = 60
 SAME_STAR_RAD = (
-    60.0 * RAD_PER_ARCSEC
+    60.0 / ARCSEC_PER_RAD
 )  # a star of the list this near a catalog star, after motion, is the same
 # An unresolved companion moves the light by more than a camera's error: such stars are no landmarks.
 NOT_LANDMARKS = StarQuality.DOUBLE | StarQuality.BAD_ASTROMETRY
@@ -170,7 +176,7 @@ def best_pairs(
             f"{min_elongation_deg:g} deg from the Sun; two are needed: widen the limits."
         )
     chosen = stars.take(fit)
-    return _table(chosen, _ranked(chosen, et, place, error_arcsec * RAD_PER_ARCSEC, count), place, et)
+    return _table(chosen, _ranked(chosen, et, place, error_arcsec / ARCSEC_PER_RAD, count), place, et)
 
 
 def _visible(
@@ -219,7 +225,7 @@ def _table(stars: StarTable, ranked: _Ranked, place: FloatArray, et: float) -> Q
         table[f"star_{name}"] = stars.id[rows]
     for name, rows in pair.items():
         table[f"mag_{name}"] = stars.mag[rows] * u.mag
-        table[f"distance_{name}"] = 1.0 / (stars.parallax_rad[rows] / RAD_PER_ARCSEC) * u.pc
+        table[f"distance_{name}"] = 1.0 / (stars.parallax_rad[rows] * ARCSEC_PER_RAD) * u.pc
         table[f"elongation_{name}"] = elongation[rows] * u.deg
     table["separation"] = np.degrees(angle_between(direction[ranked.first], direction[ranked.second])) * u.deg
     sigma = np.sqrt(np.sum(ranked.semi_axes_km**2, axis=1))

@@ -14,12 +14,12 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.triangulation_input import Sightings
+from opnav_workbench.geometry import ARCSEC_PER_RAD
 
 __all__ = ["dilution_matrix", "start_position"]
 
 # Directions closer to parallel than this many of their sigmas do not cross anywhere in particular.
 PARALLEL_SIGMAS = 5.0
-ARCSEC_PER_RAD = 648000.0 / np.pi
 
 
 def start_position(given: Sightings) -> FloatArray:

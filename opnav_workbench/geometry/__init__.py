@@ -21,6 +21,7 @@ from opnav_workbench.geometry.conics import (
     terminator_points,
 )
 from opnav_workbench.geometry.rotations import (
+    ARCSEC_PER_RAD,
     angle_between,
     camera_from_j2000,
     checked_rotation,
@@ -46,6 +47,7 @@ from opnav_workbench.geometry.spacemotion import (
 )
 
 __all__ = [
+    "ARCSEC_PER_RAD",
     "AU_KM",
     "JULIAN_YEAR_S",
     "KM_S_PER_AU_YEAR",

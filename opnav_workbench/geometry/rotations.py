@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from opnav_workbench.arrays import FloatArray
 
 __all__ = [
+    "ARCSEC_PER_RAD",
     "angle_between",
     "camera_from_j2000",
     "checked_rotation",
@@ -26,6 +27,8 @@ __all__ = [
     "unit_from_radec",
     "vector_from_rotation",
 ]
+
+ARCSEC_PER_RAD = 648000.0 / np.pi
 
 # Largest |m m^T - 1|: lets matrices through that were printed with 7 digits, stops swapped or scaled axes.
 ORTHOGONALITY_TOLERANCE = 1e-6

@@ -12,6 +12,7 @@ from opnav_workbench.bodycenters import BodyCenter
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import (
+    ARCSEC_PER_RAD,
     apparent_direction,
     geometric_direction,
     radec_from_unit,
@@ -27,8 +28,6 @@ from opnav_workbench.observables.partials import (
 )
 
 __all__ = ["observe", "size_partials"]
-
-ARCSEC_PER_RAD = 206264.80624709636
 
 
 @dataclass(frozen=True, slots=True, eq=False)

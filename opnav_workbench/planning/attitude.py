@@ -12,7 +12,7 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import radec_from_unit, tangent_basis
+from opnav_workbench.geometry import ARCSEC_PER_RAD, radec_from_unit, tangent_basis
 from opnav_workbench.planning.stars import StarPlan
 from opnav_workbench.pointing import solve_pointing
 from opnav_workbench.pointing.excess import excess_sigma
@@ -21,7 +21,6 @@ from opnav_workbench.pointing.models import attitude_jacobian
 
 __all__ = ["PointingPlan", "plan_pointing"]
 
-ARCSEC = np.pi / 648000.0
 GUARD_DRAWS, GUARD_SEED = 250, 0  # its share of a sigma is then known to some 3 %
 
 
@@ -92,7 +91,7 @@ def plan_pointing(
         covariance_rad2=covariance,
         # A turn about the pixel axis moves the sky along lines, one about the line axis along pixels.
         sigma_px=about[1::-1] / camera.pixel_scale_rad,
-        sigma_arcsec=_on_sky(camera, attitude, covariance) / ARCSEC,
+        sigma_arcsec=_on_sky(camera, attitude, covariance) * ARCSEC_PER_RAD,
         twist_sigma_deg=float(np.degrees(about[2])),
         twist_solved=solution.twist_solved,
         n_stars=int(rows.sum()),

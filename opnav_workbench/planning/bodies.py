@@ -17,9 +17,10 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodycenters import choose_method
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.sky import sky_jacobian
+from opnav_workbench.geometry import ARCSEC_PER_RAD
 from opnav_workbench.observables import attitude_partials
 from opnav_workbench.photometry import SUN_B_V
-from opnav_workbench.planning.attitude import ARCSEC, PointingPlan
+from opnav_workbench.planning.attitude import PointingPlan
 from opnav_workbench.planning.light import ExpectedLight, star_psf
 from opnav_workbench.render import RenderedBody
 from opnav_workbench.render.bodies import render_moving
@@ -156,7 +157,7 @@ def plan_target(light: ExpectedLight, index: int, pointing: PointingPlan | None)
         occulted=body.occulted_fraction,
         center_covariance_px2=center,
         covariance_px2=covariance,
-        sigma_arcsec=np.full(2, np.nan) if sky is None else np.sqrt(np.diag(sky)) / ARCSEC,
+        sigma_arcsec=np.full(2, np.nan) if sky is None else np.sqrt(np.diag(sky)) * ARCSEC_PER_RAD,
         sigma_km=np.nan if sky is None else float(np.sqrt(np.linalg.eigvalsh(sky)[-1])) * prediction.range_km,
         km_per_px=inputs.camera.pixel_scale_rad * prediction.range_km,
     )

@@ -11,10 +11,9 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodycenters import BodyCenter
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.sky import sky_jacobian
+from opnav_workbench.geometry import ARCSEC_PER_RAD
 
 __all__ = ["center_errors", "sky_per_pixel"]
-
-ARCSEC_PER_RAD = 3600.0 * 180.0 / np.pi
 
 
 def sky_per_pixel(camera: Camera, camera_from_j2000: ArrayLike, pixel_line: ArrayLike) -> FloatArray:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.geometry import ARCSEC_PER_RAD
 from opnav_workbench.pointing import PointingSolution
 from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.widgets.actions import ActionRegistry
@@ -17,7 +18,6 @@ __all__ = ["PointingDesk", "pointing_html"]
 
 TURN_DEG = 0.05  # of one key press: a quarter of a wrong header twist
 FAR_PX = 10.0
-ARCSEC = np.degrees(1.0) * 3600.0
 LISTED_STARS = 60  # names offered while typing
 MODEL_WORDS = {"euler": "three angles", "image_plane": "image plane"}
 
@@ -188,7 +188,7 @@ def pointing_html(pointing: PointingSolution | None) -> str:
     """Return the solution and its iterations as a table (the paper's Table 2)."""
     if pointing is None:
         return '<p class="hint">No pointing is solved: the a priori one stands.</p>'
-    sigma = ARCSEC * np.sqrt(np.diag(pointing.covariance_rad2))
+    sigma = ARCSEC_PER_RAD * np.sqrt(np.diag(pointing.covariance_rad2))
     head = (
         f'<p class="solution">RA {np.degrees(pointing.ra_rad):.5f}°, Dec {np.degrees(pointing.dec_rad):+.5f}°, '
         f"twist {np.degrees(pointing.twist_rad):.4f}°; sigma about the camera's x, y, z "
