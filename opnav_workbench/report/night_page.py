@@ -3,20 +3,18 @@
 Every status has a sign and a word beside its color.
 """
 
-import base64
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from jinja2 import Environment
 from PIL import Image
+
+from opnav_workbench.report.page import figure_url, render_page
 
 __all__ = ["night_page"]
 
 THUMBNAIL_PX = 260
-THUMBNAIL_COLORS = 48  # a few kB each: a page of hundreds of pictures stays light
 FIGURE_FILE = "summary.png"
 SIGNS = {"ok": "✓", "partial": "!", "failed": "✕", "waiting": "…"}
 STATES = {
@@ -43,13 +41,15 @@ def night_page(summary: Mapping[str, Any], out: Path) -> str:
     str
         HTML without a reference to the network.
     """
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"signed": _signed, "plain": _plain, "linked": quote}
     pictures = {row["name"]: _thumbnail(out / row["name"] / FIGURE_FILE) for row in summary["images"]}
-    template = environment.from_string(
-        Path(__file__).with_name("night_page.html").read_text(encoding="utf-8")
+    return render_page(
+        "night_page.html",
+        {"signed": _signed, "plain": _plain, "linked": quote},
+        night=summary,
+        pictures=pictures,
+        signs=SIGNS,
+        states=STATES,
     )
-    return template.render(night=summary, pictures=pictures, signs=SIGNS, states=STATES)
 
 
 def _thumbnail(path: Path) -> str:
@@ -57,12 +57,9 @@ def _thumbnail(path: Path) -> str:
     try:
         with Image.open(path) as figure:
             figure.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
-            small = figure.convert("RGB").quantize(THUMBNAIL_COLORS)
+            return figure_url(figure)
     except OSError:
         return ""
-    stream = io.BytesIO()
-    small.save(stream, "png", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
 def _signed(value: float | None, digits: int = 2) -> str:

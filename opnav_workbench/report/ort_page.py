@@ -6,22 +6,19 @@ Every verdict has a word beside its color; figures come on a light and on a dark
 import base64
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from opnav_workbench.rehearsal.ort_score import OrtScore
 from opnav_workbench.rehearsal.ort_solution import OrtSolution
 from opnav_workbench.report.ort_figure import center_error_figure, flyby_figure, residual_figure
+from opnav_workbench.report.page import render_page
 from opnav_workbench.report.png import png_bytes
 
 __all__ = ["score_page", "solution_page"]
-
-TEMPLATE = "ort_page.html"
 
 
 def score_page(score: OrtScore) -> str:
@@ -65,10 +62,7 @@ def _both(draw: Callable[[bool], Figure]) -> Markup:
 
 
 def _render(**content: Any) -> str:
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"signed": _signed, "plain": _plain}
-    template = environment.from_string(Path(__file__).with_name(TEMPLATE).read_text(encoding="utf-8"))
-    return template.render(**content)
+    return render_page("ort_page.html", {"signed": _signed, "plain": _plain}, **content)
 
 
 def _signed(value: float | None, digits: int = 2) -> str:

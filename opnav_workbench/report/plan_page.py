@@ -3,17 +3,16 @@
 Every verdict has a sign and a word beside its color.
 """
 
-import base64
 import io
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment
 from PIL import Image
 
 from opnav_workbench.files import write_text
 from opnav_workbench.planning import PicturePlan, Plan, catalog_words
+from opnav_workbench.report.page import figure_url, render_page
 from opnav_workbench.report.plan_figure import field_chart, timeline_figure
 from opnav_workbench.report.plan_figure_search import exposure_figure, search_figure
 from opnav_workbench.report.png import png_bytes
@@ -22,7 +21,6 @@ __all__ = ["plan_page", "write_plan_page"]
 
 SIGNS = {"good": "✓", "marginal": "!", "bad": "✕"}
 MEANING = {"good": "as it stands", "marginal": "usable, with reservations", "bad": "not worth taking"}
-COLORS = 48  # enough for charts; a page of dozens of pictures stays light
 MOST_CURVES = 6
 
 
@@ -35,11 +33,10 @@ def plan_page(plan: Plan, charts: Mapping[str, bytes] | None = None) -> str:
     charts : mapping of str to bytes, optional
         Charts of the fields as PNG, by picture, where they are drawn already.
     """
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"number": _number}
-    template = environment.from_string(Path(__file__).with_name("plan_page.html").read_text(encoding="utf-8"))
     drawn = {p.name: png_bytes(field_chart(p)) for p in plan.pictures} if charts is None else charts
-    return template.render(
+    return render_page(
+        "plan_page.html",
+        {"number": _number},
         plan=plan,
         charts={name: _data_url(png) for name, png in drawn.items()},
         signs=SIGNS,
@@ -68,10 +65,7 @@ def _shown_curves(plan: Plan) -> list[PicturePlan]:
 
 def _data_url(png: bytes) -> str:
     with Image.open(io.BytesIO(png)) as picture:
-        small = picture.convert("RGB").quantize(COLORS)
-    stream = io.BytesIO()
-    small.save(stream, "png", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+        return figure_url(picture)
 
 
 def _number(value: float | None, pattern: str = "%.3g") -> str:
