@@ -22,8 +22,8 @@ from opnav_workbench.headless.night_pool import Pool
 from opnav_workbench.headless.night_record import Record, digest_of_session, fingerprint, read_record, settle
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_worker import Job, Verdict
+from opnav_workbench.headless.outcome import failed_result
 from opnav_workbench.headless.picture_job import PictureJob
-from opnav_workbench.headless.policy import failed_result
 from opnav_workbench.image.picture_files import picture_names
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE

@@ -22,7 +22,7 @@ import psutil
 
 from opnav_workbench import errors
 from opnav_workbench.files import write_json
-from opnav_workbench.headless.policy import failed_result
+from opnav_workbench.headless.outcome import failed_result
 from opnav_workbench.session import RESULT_FILE
 
 __all__ = ["EXECUTED_FILE", "HTML_FILE", "Job", "Verdict", "process_picture"]

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder, sha256_of
-from opnav_workbench.headless.policy import Outcome, Policy, process_image
+from opnav_workbench.headless.outcome import Outcome, process_image
+from opnav_workbench.headless.policy import Policy
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal.ort_package import OrtPackage
 from opnav_workbench.session import RESULT_FILE

@@ -5,34 +5,27 @@ the first, wider search missed), then every target, the largest first, and the o
 recorded is taken again as it was instead.  What is done is always saved.
 """
 
-import contextlib
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from opnav_workbench.bodycenters.subarray import search_radius
 from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.files import inside, sha256_of, write_json, write_text
+from opnav_workbench.files import sha256_of
 from opnav_workbench.headless.decisions import Decisions
 from opnav_workbench.headless.wider_search import search_wider
 from opnav_workbench.mission import Mission
 from opnav_workbench.pointing.models import MODELS
-from opnav_workbench.report import write_summary
 from opnav_workbench.scene import BodyPrediction
-from opnav_workbench.session import ATTITUDE_SOURCES, BODY_METHODS, RESULT_FILE, ImageSession, Settings
+from opnav_workbench.session import ATTITUDE_SOURCES, BODY_METHODS, ImageSession, Settings
 from opnav_workbench.spice import KernelSet
 
-__all__ = ["Outcome", "Policy", "failed_result", "open_picture", "process_image", "run_policy", "solve_stars"]
+__all__ = ["Policy", "Say", "open_picture", "quiet", "run_policy", "solve_stars"]
 
 Say = Callable[[str], None]
-
-FIGURE_FILE = "summary.png"
-TRACEBACK_FILE = "traceback.txt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,82 +81,8 @@ class Policy:
         object.__setattr__(self, "opened_catalog", open_catalog(self.catalog))
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one picture.
-
-    Attributes
-    ----------
-    image : Path
-    folder : Path
-        Where its files are.
-    result : mapping
-        The content of ``result.json``.
-    error : str
-        The one line that says why the picture failed; empty otherwise.
-    """
-
-    image: Path
-    folder: Path
-    result: dict[str, Any]
-    error: str = ""
-
-    @property
-    def failed(self) -> bool:
-        """Whether no pointing came out."""
-        return bool(self.result["status"] == "failed")
-
-
-def _quiet(_words: str) -> None:
+def quiet(_words: str) -> None:
     """Say nothing."""
-
-
-def process_image(image: str | Path, policy: Policy, out: str | Path, say: Say = _quiet) -> Outcome:
-    """Process one picture and write its folder ``OUT/<stem>``.
-
-    Parameters
-    ----------
-    image : path
-    policy : Policy
-    out : path
-        The folder of all pictures' folders.
-    say : callable
-        Called with a few words before each step, for progress.
-
-    Returns
-    -------
-    Outcome
-        Never raises an `OpNavError`: a picture that fails is an outcome with its one line.
-    """
-    path = Path(image)
-    try:
-        folder = _folder(out, path)
-    except OpNavError as error:
-        return Outcome(path, Path(out), failed_result(path, policy.mission.name, str(error)), str(error))
-    try:
-        say("reading")
-        session = open_picture(path, policy)
-        run_policy(session, policy, say)
-        say("writing")
-        session.save(folder)
-        write_summary(session, folder / FIGURE_FILE)
-    except OpNavError as error:
-        return _failure(path, folder, policy, str(error))
-    except Exception as error:  # a defect of ours must not cost the other pictures
-        return _defect(path, folder, policy, error)
-    result = session.result()
-    reason = (
-        "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
-    )
-    return Outcome(path, folder, result, reason)
-
-
-def _folder(out: str | Path, picture: Path) -> Path:
-    """Return the picture's own folder in `out`; a name such as ``...fit`` (stem ``..``) has none."""
-    folder = inside(out, picture.stem)
-    if folder == Path(out).resolve():
-        raise SessionError(f"{picture.name!r} gives no name for a folder in {out}; rename the picture.")
-    return folder
 
 
 def open_picture(image: str | Path, policy: Policy) -> ImageSession:
@@ -191,7 +110,7 @@ def open_picture(image: str | Path, policy: Policy) -> ImageSession:
 
 
 def run_policy(
-    session: ImageSession, policy: Policy, say: Say = _quiet, cancelled: Callable[[], bool] = lambda: False
+    session: ImageSession, policy: Policy, say: Say = quiet, cancelled: Callable[[], bool] = lambda: False
 ) -> bool:
     """Carry out the policy on an open session, as a night's run does; what the analyst decided in it stays decided.
 
@@ -302,27 +221,3 @@ def _find(session: ImageSession, policy: Policy, name: str) -> None:
         session.find_body(name, **options)
     if not decided and session.state.pointing is not None:
         search_wider(session, name, method)
-
-
-def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:
-    """Return the ``result.json`` of a picture that could not be processed, so that a night's summary can name it."""
-    result = {"image": image.name, "mission": mission, "status": "failed", "messages": [reason]}
-    with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
-        result["sha256"] = sha256_of(image)
-    return result
-
-
-def _failure(path: Path, folder: Path, policy: Policy, reason: str) -> Outcome:
-    """Record a picture that could not be processed."""
-    result = failed_result(path, policy.mission.name, reason)
-    with contextlib.suppress(SessionError):  # the folder cannot be written: the reason tells it already
-        write_json(folder / RESULT_FILE, result)
-    return Outcome(path, folder, result, reason)
-
-
-def _defect(path: Path, folder: Path, policy: Policy, error: Exception) -> Outcome:
-    """Keep the traceback of an unforeseen error beside the picture's results."""
-    with contextlib.suppress(SessionError):
-        write_text(folder / TRACEBACK_FILE, "".join(traceback.format_exception(error)))
-    reason = f"unforeseen {type(error).__name__}: {' '.join(str(error).split())}"
-    return _failure(path, folder, policy, f"{reason}; please report it with {folder / TRACEBACK_FILE}.")
