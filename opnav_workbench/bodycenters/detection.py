@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import norm
+from scipy.special import ndtr
 
 __all__ = ["FALSE_ALARM", "detection_snr"]
 
@@ -28,6 +28,6 @@ def detection_snr(search_radius_px: float, sigma_px: float) -> float:
         density = np.exp(-0.5 * level**2)
         area = np.pi * radius**2 * level * density / (2.0 * np.pi) ** 1.5
         rim = np.pi * radius * density / (2.0 * np.pi)
-        return float(area + rim + norm.sf(level) - FALSE_ALARM)
+        return float(area + rim + ndtr(-level) - FALSE_ALARM)
 
     return float(brentq(surplus, 1.0, 10.0))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq, minimize
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, symmetric
 
@@ -145,7 +145,7 @@ def _roughness(residual: FloatArray, sigma: FloatArray, columns: int) -> float:
     def surplus(rough: float) -> float:
         return float(np.sum(residual**2 / (sigma**2 + rough**2)) - freedom)
 
-    if freedom < 1 or surplus(0.0) + freedom <= chi2.ppf(1.0 - DOUBT, freedom):
+    if freedom < 1 or surplus(0.0) + freedom <= chdtri(freedom, DOUBT):
         return 0.0
     return float(brentq(surplus, 0.0, np.sqrt(np.sum(residual**2) / freedom) + 1e-12, xtol=1e-6))
 

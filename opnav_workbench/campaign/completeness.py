@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
-from scipy.special import expit
-from scipy.stats import beta
+from scipy.special import betainccinv, betaincinv, expit
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import SessionError
@@ -97,8 +96,8 @@ def completeness(mag: ArrayLike, detected: ArrayLike, bin_mag: float = BIN_MAG) 
         stars=stars,
         detected=seen,
         share=filled * seen / np.maximum(stars, 1),
-        low=filled * np.where(seen == 0, 0.0, beta.ppf(tail, a, b)),
-        high=filled * np.where(seen == stars, 1.0, beta.isf(tail, a, b)),
+        low=filled * np.where(seen == 0, 0.0, betaincinv(a, b, tail)),
+        high=filled * np.where(seen == stars, 1.0, betainccinv(a, b, tail)),
         half_mag=half,
         half_mag_sigma=sigma,
         width_mag=width,

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 
@@ -69,7 +68,7 @@ def threshold_sigmas(count: int, false_alarm: float = FALSE_ALARM) -> float:
     [9.5, 4.4, 4.9]
     """
     freedom = max(MAD_EFFICIENCY * count, 1.0)
-    return float(student.isf(_share(count, false_alarm), freedom))
+    return -float(stdtrit(freedom, _share(count, false_alarm)))
 
 
 def _share(count: int, false_alarm: float) -> float:
@@ -114,7 +113,7 @@ def screen(
     level[:] = fit.at(t)
     limit = threshold_sigmas(count, false_alarm)
     if sigmas is not None and fit.scatter == 1.0:  # the points' own sigmas explain all: nothing was estimated
-        limit = float(norm.isf(_share(count, false_alarm)))
+        limit = -float(ndtri(_share(count, false_alarm)))
     found = (np.abs(np.nan_to_num(deviation)) > limit) & (count >= MIN_POINTS)
     return Screened(level, deviation, fit.scatter, limit, found)
 

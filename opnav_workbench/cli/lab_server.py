@@ -14,8 +14,6 @@ from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Self
 
-from jupyterlab_server.workspaces_handler import WorkspacesManager
-
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder
 
@@ -138,6 +136,9 @@ class LabServer:
         )
 
     def _write_settings(self) -> None:
+        # Takes a second, which no other command of the program shall wait for.
+        from jupyterlab_server.workspaces_handler import WorkspacesManager  # noqa: PLC0415
+
         make_folder(self._private / "labconfig")
         path = self._private / "labconfig" / "default_setting_overrides.json"
         path.write_text(json.dumps(OVERRIDES, indent=1), encoding="utf-8")

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from opnav_workbench.arrays import BoolArray, FloatArray, symmetric
 from opnav_workbench.errors import EstimationError
@@ -262,7 +262,7 @@ def _estimate(problem: _Problem, solution: _Solution, left_out: tuple[str, ...])
         chi2_before=float(before @ before),
         chi2_after=total,
         degrees_of_freedom=freedom,
-        probability=float(chi2.sf(total, freedom)) if freedom > 0 else float("nan"),
+        probability=float(chdtrc(freedom, total)) if freedom > 0 else float("nan"),
         iterations=solution.iterations,
         converged=solution.converged,
         directions=_directions(problem, solution.correction, jacobian),

@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import vicar
-
 from opnav_workbench.image.frame import HeaderValue
 from opnav_workbench.image.source import Source, image_error, plain, truncated
 
@@ -31,6 +29,9 @@ def read_vicar(name: str, path: Path, data: bytes) -> Source:
     ImageError
         The file is truncated or malformed.
     """
+    # It brings the clients of cloud stores along, half a second that other formats shall not wait for.
+    import vicar  # noqa: PLC0415
+
     _check_length(name, data)
     try:
         picture: Any = vicar.VicarImage.from_file(path, strict=False)

@@ -19,7 +19,7 @@ Mandel 1982, J. Res. NBS 87, 377, doi:10.6028/jres.087.022).
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.pointing.fit import Linear
@@ -41,7 +41,7 @@ def probability(linear: Linear, excess_sigma_px: float = 0.0) -> float:
     """Return the probability of a chi-squared at least as large by chance; 1 without redundancy."""
     if linear.freedom <= 0:
         return 1.0
-    return float(chi2_distribution.sf(linear.chi2(excess_sigma_px), linear.freedom))
+    return float(chdtrc(linear.freedom, linear.chi2(excess_sigma_px)))
 
 
 def excess_sigma(linear: Linear) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from opnav_workbench.rehearsal.ort_score_check import GOOD_SIGMAS, WRONG_SIGMAS, Check
 from opnav_workbench.rehearsal.ort_score_pictures import PictureScore
@@ -211,7 +211,7 @@ def center_scatter(pictures: Sequence[PictureScore]) -> tuple[float, float]:
     if not errors:
         return float("nan"), float("nan")
     squares = np.concatenate(errors) ** 2
-    return float(np.sqrt(squares.mean())), float(chi2.sf(squares.sum(), len(squares)))
+    return float(np.sqrt(squares.mean())), float(chdtrc(len(squares), squares.sum()))
 
 
 def _solution_faults(solution: SolutionScore | None) -> list[Fault]:

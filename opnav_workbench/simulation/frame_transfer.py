@@ -17,7 +17,6 @@ then r = (1 - a) s + a T).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import CameraError
@@ -67,6 +66,8 @@ class Transfer:
 
     def remove(self, smeared: FloatArray) -> FloatArray:
         """Return the electrons (n_line, n_pixel) of the exposure, given those with smear: what calibration does."""
+        from scipy.signal import lfilter  # noqa: PLC0415  a third of a second, for unequal times only
+
         a, b = self._per_line(smeared)
         if a == b:
             total = smeared.sum(axis=0) / (1.0 - a + a * len(smeared))
