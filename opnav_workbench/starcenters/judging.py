@@ -52,9 +52,12 @@ class Identification:
 def judge(scene: Scene, limits: Limits, hypotheses: list[Hypothesis], evidence: FloatArray) -> Identification:
     """Choose the likeliest hypothesis; its confidence is its share, "another field" having evidence one."""
     order = np.argsort(-evidence, kind="stable")
+    pairs = [frozenset(map(tuple, h.pairs.tolist())) for h in hypotheses]
+    rotations = np.stack([h.rotation for h in hypotheses])
     distinct: list[int] = []
     for i in order:
-        if not any(_same(scene, limits, hypotheses[i], hypotheses[j]) for j in distinct):
+        near = _moved_px(scene, rotations[i], rotations[distinct]) <= SAME_TOLERANCES * limits.tolerance_px
+        if not (np.any(near) or any(2 * len(pairs[i] & pairs[j]) > len(pairs[i]) for j in distinct)):
             distinct.append(int(i))
     best = hypotheses[distinct[0]]
     total = float(logsumexp(np.append(evidence[distinct], 0.0)))
@@ -78,12 +81,11 @@ def answer(scene: Scene, best: Hypothesis, confidence: float) -> Identification:
     )
 
 
-def _same(scene: Scene, limits: Limits, one: Hypothesis, other: Hypothesis) -> bool:
-    """True for versions of the same place on the sky."""
-    between = vector_from_rotation(one.rotation @ other.rotation.T)
-    moved = scene.focal_px * np.hypot(*between[:2]) + scene.half_diagonal_px * abs(float(between[2]))
-    shared = len(np.intersect1d(one.pairs @ [1 << 32, 1], other.pairs @ [1 << 32, 1]))
-    return bool(moved <= SAME_TOLERANCES * limits.tolerance_px or shared > 0.5 * len(one.pairs))
+def _moved_px(scene: Scene, rotation: FloatArray, others: FloatArray) -> FloatArray:
+    """Return how far the detector's corners are apart (n,), px, by a rotation and by others (n, 3, 3)."""
+    between = vector_from_rotation(rotation @ np.swapaxes(others, -1, -2))
+    shift, twist = np.hypot(between[:, 0], between[:, 1]), np.abs(between[:, 2])
+    return np.asarray(scene.focal_px * shift + scene.half_diagonal_px * twist)
 
 
 def _message(scene: Scene, h: Hypothesis, confidence: float) -> str:
