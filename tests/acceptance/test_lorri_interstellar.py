@@ -26,10 +26,7 @@ from opnav_workbench.geometry import (
 from opnav_workbench.mission import load_mission
 from opnav_workbench.session import ImageSession
 
-pytestmark = [
-    pytest.mark.realdata,
-    pytest.mark.xdist_group("lorri_interstellar"),
-]  # one process: frames are processed once
+pytestmark = pytest.mark.realdata
 
 ARCSEC = np.pi / 648000.0
 CENTER_PIXEL = np.array([[127.5, 127.5]])

@@ -12,7 +12,6 @@ from opnav_workbench.rehearsal.center_errors import center_errors, sky_per_pixel
 
 PAPER = Path(__file__).parents[2] / "notebooks" / "paper"
 NOTEBOOKS = ("04_repointing", "05_target_centers", "06_observables")
-pytestmark = pytest.mark.xdist_group("paper_2")  # in one process, so that each notebook runs once
 
 
 def executed(name: str, folder: Path) -> Path:

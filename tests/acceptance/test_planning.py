@@ -28,7 +28,6 @@ from opnav_workbench.simulation import expose_picture, truth_of, write_picture
 from opnav_workbench.starcenters import ShapePrior, fit_gaussian
 
 LOW, HIGH = 0.8, 1.25  # predicted sigma over achieved scatter
-pytestmark = pytest.mark.xdist_group("planning")  # in one process, so that the case is planned once
 
 
 def opnav(*arguments, code=0) -> str:

@@ -301,10 +301,3 @@ def module_notebook(chromium: Any, lab: Lab) -> Iterator[Notebooks]:
     notebooks = Notebooks(chromium, lab)
     yield notebooks
     notebooks.close()
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep all browser tests in one process where the tests run in several: they share server and browser."""
-    for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.xdist_group("browser"))
