@@ -199,6 +199,7 @@ def test_ready_sequences_are_whole_and_documents_are_json():
         ({"sun": {"stray_light_dn_s": [[90, 1], [50, 2]]}}, "must increase"),
         ({"pointing": {"ra_deg": 3.0}}, "ra_deg and dec_deg together"),
         ({"pictures": BENNU["pictures"] * 2}, "a is given twice"),
+        ({"bodies": [{"name": "Bennu"}, {"name": "BENNU"}]}, "bodies: BENNU is given twice"),
     ],
 )
 def test_wrong_sequences_are_refused(change, words):
