@@ -17,7 +17,7 @@ from opnav_workbench.errors import DownloadError
 CONTENT = bytes(range(256)) * 1500  # 384 000 bytes: several chunks
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 HALF = len(CONTENT) // 2
-SILENCE_S = 20.0
+SILENCE_S = 3.0
 
 
 @dataclass
