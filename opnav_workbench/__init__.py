@@ -12,6 +12,73 @@ goes to orbit determination with its covariance and partials.
         session.repoint()
         session.find_body("PLUTO")
         table = session.observables()
+
+Enter by `ImageSession` for one picture; what an analyst touches is in ``workbench``, what a shell calls in ``cli``.
+
+``session``
+    One picture, step by step, with its journal, its files and its undo.
+``workbench``
+    The workbench in JupyterLab.
+``headless``
+    What runs without a person: the automatic policy, nights of pictures, recorded decisions.
+``cli``
+    The ``opnav`` program.
+``report_scan_run``
+    Figures and pages that a navigator shows.
+``campaign``
+    Many pictures: their archive, their trends and their stack.
+``planning``
+    What pictures will show, and which are worth taking.
+``rehearsal``
+    Simulated pictures whose truth is sealed, and the truth held beside the solution.
+``simulation``
+    What a flight camera would have sent.
+``estimation``
+    What many observables say of target and spacecraft; the B-plane; triangulation from stars.
+``observables``
+    O, C, O-C, covariances and partials of bodies' centers; their files.
+``calibration``
+    Optics, mounting and PSF of a camera from its own star frames.
+``stars``
+    Star centers, their identification, and the camera attitude from them.
+``bodies``
+    Centers of target bodies in a picture.
+``render``
+    Bodies as the camera sees them: light spread over pixels.
+``scene``
+    What the camera should see: predicted stars and bodies.
+``image``
+    Pictures read from files, with masks, time and header pointing; the sky's level and noise.
+``camera``
+    From directions to (pixel, line) and back, and what the camera makes of light.
+``catalog``
+    Star catalogs.
+``targets``
+    Targets as values: where a body is, how large, how turned, how lit.
+``kernels``
+    SPICE: kernels opened as a set or written; states, attitudes and times from them.
+``photometry``
+    From spectra and band passes to electrons and magnitudes.
+``psf``
+    Point spread functions.
+``geometry``
+    Directions, attitudes, aberration, space motion and conics; no state, no kernels.
+``downloads``
+    Files fetched over http and https, whole or not there.
+``mission``
+    A mission's spacecraft, cameras and header keywords.
+``yaml_file``
+    YAML files into validated models, with errors that name line and field.
+``files``
+    Files written whole or not at all.
+``resources``
+    Where the package's own files and the user's cache stand.
+``arrays``
+    Read-only arrays inside frozen results.
+``errors``
+    One root error, one leaf per thing that can be wrong.
+``version``
+    The package's version.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -34,9 +101,9 @@ if TYPE_CHECKING:
         SelectionPending,
         SessionError,
     )
+    from opnav_workbench.kernels import KernelSet
     from opnav_workbench.mission import Mission, load_mission
     from opnav_workbench.session import ImageSession, Settings
-    from opnav_workbench.spice import KernelSet
 
 # Loaded on first use, so that a layer below may import the package's version without importing the layers above it.
 _HOMES = {
@@ -47,7 +114,7 @@ _HOMES = {
     "load_mission": "mission",
     "ImageSession": "session",
     "Settings": "session",
-    "KernelSet": "spice",
+    "KernelSet": "kernels",
     "OpNavError": "errors",
     "KernelError": "errors",
     "CameraError": "errors",

@@ -15,14 +15,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
-from opnav_workbench.bodies import Photometry, TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.image.keywords import KeywordMap
+from opnav_workbench.image.header import KeywordMap
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.targets import Photometry, TargetState
 from opnav_workbench.yaml_file import read_model
 
-__all__ = ["CameraChoice", "Mission", "Photometry", "Surface", "load_mission", "mission_names"]
+__all__ = ["Mission", "TargetSurface", "load_mission", "mission_names"]
 
 FILE_NAME = "mission.yaml"
 
@@ -56,7 +56,7 @@ class AlbedoMapFile(_Strict):
     north_first: bool = True
 
 
-class Surface(_Strict):
+class TargetSurface(_Strict):
     """How a target's surface looks, where a mission knows more than its brightness.
 
     Attributes
@@ -95,7 +95,7 @@ class _MissionFile(_Strict):
     reference_body: str
     default_targets: tuple[str, ...] = ()
     target_photometry: dict[str, Photometry] = {}
-    target_surfaces: dict[str, Surface] = {}
+    target_surfaces: dict[str, TargetSurface] = {}
     target_stars: str | None = None
     cameras: Annotated[tuple[_CameraEntry, ...], Field(min_length=1)]
     keywords: Annotated[dict[str, Any], AfterValidator(_checked_keywords)]
@@ -154,7 +154,7 @@ class Mission:
     reference_body: str
     default_targets: tuple[str, ...]
     target_photometry: Mapping[str, Photometry]
-    target_surfaces: Mapping[str, Surface]
+    target_surfaces: Mapping[str, TargetSurface]
     target_stars: Path | None
     cameras: tuple[CameraChoice, ...]
     keywords: Mapping[str, Any]
@@ -221,7 +221,7 @@ class Mission:
         """
         required = self.keywords.get("required", {})
         for choice in self.cameras:
-            if _fits(header, {**required, **choice.match}):
+            if _header_matches(header, {**required, **choice.match}):
                 return Camera.from_yaml(choice.file)
         keywords = sorted({*required, *(keyword for choice in self.cameras for keyword in choice.match)})
         found = ", ".join(f"{k} = {header[k]!r}" if k in header else f"no {k}" for k in keywords)
@@ -256,11 +256,11 @@ def load_mission(name_or_path: str | PathLike[str]) -> Mission:
     >>> load_mission("osiris_rex").spacecraft_id
     -64
     """
-    path = _find(name_or_path)
+    path = _find_mission_file(name_or_path)
     return _mission(read_model(path, _MissionFile, "mission file", MissionError), path.resolve())
 
 
-def _find(name_or_path: str | PathLike[str]) -> Path:
+def _find_mission_file(name_or_path: str | PathLike[str]) -> Path:
     known = mission_names()
     if name_or_path in known:
         return kernels_meta_dir() / str(name_or_path) / FILE_NAME
@@ -288,14 +288,16 @@ def _mission(file: _MissionFile, path: Path) -> Mission:
         reference_body=file.reference_body,
         default_targets=file.default_targets,
         target_photometry=MappingProxyType(file.target_photometry),
-        target_surfaces=MappingProxyType({n: _beside(s, folder) for n, s in file.target_surfaces.items()}),
+        target_surfaces=MappingProxyType(
+            {n: _with_files_beside(s, folder) for n, s in file.target_surfaces.items()}
+        ),
         target_stars=None if file.target_stars is None else folder / file.target_stars,
         cameras=tuple(CameraChoice(folder / c.file, MappingProxyType(c.match)) for c in file.cameras),
         keywords=MappingProxyType(file.keywords),
     )
 
 
-def _beside(surface: Surface, folder: Path) -> Surface:
+def _with_files_beside(surface: TargetSurface, folder: Path) -> TargetSurface:
     """Return a surface whose files are relative to the mission file."""
     changes: dict[str, Any] = {}
     if surface.shape is not None:
@@ -307,16 +309,16 @@ def _beside(surface: Surface, folder: Path) -> Surface:
     return surface.model_copy(update=changes)
 
 
-def _fits(header: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
+def _header_matches(header: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
     """Tell whether every keyword has its value, or one of its values."""
     for keyword, value in wanted.items():
         choices = value if isinstance(value, list | tuple) else (value,)
-        if not any(_same(header.get(keyword), choice) for choice in choices):
+        if not any(_same_header_value(header.get(keyword), choice) for choice in choices):
             return False
     return True
 
 
-def _same(found: Any, wanted: Value) -> bool:
+def _same_header_value(found: Any, wanted: Value) -> bool:
     """Compare as headers are written: blanks and case do not count, and 1 is 1.0."""
     if isinstance(wanted, str) or isinstance(found, str):
         return str(found).strip().casefold() == str(wanted).strip().casefold()

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from opnav_workbench.catalog.ucac4 import UCAC4_RECORD
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
     DEMO_KERNELS,
     DEMO_MISSION,
     DEMO_PICTURES,
-    Truth,
     simulate_picture,
 )
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.simulation.truth import Truth
 
 DATA_VARIABLE = "OPNAV_DATA"
 

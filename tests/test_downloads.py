@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from opnav_workbench.downloads import download
-from opnav_workbench.downloads.addresses import _WebRedirects
+from opnav_workbench.downloads import _WebRedirects, download
 from opnav_workbench.errors import DownloadError
 
 CONTENT = bytes(range(256)) * 1500  # 384 000 bytes: several chunks
@@ -93,7 +92,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
 @pytest.fixture
 def server(monkeypatch):
-    monkeypatch.setattr("opnav_workbench.downloads.attempts.PAUSE_S", 0.0)
+    monkeypatch.setattr("opnav_workbench.downloads.PAUSE_S", 0.0)
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     handler = type("Handler", (_Handler,), {})
     httpd = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
@@ -254,7 +253,7 @@ def test_a_dripping_server_is_given_up_and_its_bytes_kept(server, tmp_path):
 
 
 def test_nobody_listens(tmp_path, monkeypatch):
-    monkeypatch.setattr("opnav_workbench.downloads.attempts.PAUSE_S", 0.0)
+    monkeypatch.setattr("opnav_workbench.downloads.PAUSE_S", 0.0)
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     with pytest.raises(DownloadError, match=r"the connection to 127\.0\.0\.1:1 failed"):
         download("http://127.0.0.1:1/file.bin", tmp_path / "file.bin", retries=1)
@@ -329,7 +328,7 @@ class _Full:
 
 def test_too_little_room_is_told_before_anything_is_written(server, tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1000})
-    monkeypatch.setattr("opnav_workbench.downloads.transfer.shutil.disk_usage", lambda _: usage)
+    monkeypatch.setattr("opnav_workbench.downloads.shutil.disk_usage", lambda _: usage)
     with pytest.raises(DownloadError, match=f"needs {len(CONTENT)} more bytes, .* has 1000 free"):
         download(server.url, tmp_path / "file.bin")
     assert _names(tmp_path) == []

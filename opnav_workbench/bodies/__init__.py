@@ -1,42 +1,97 @@
-"""Targets of navigation pictures as values: where a body is, how large, how turned, how lit.
+"""Centers of target bodies in a picture.
 
-target           a body's state as the spacecraft sees it; a star taken as a target is one without radii
-phase_functions  how its light falls with the phase angle
-photometry       how bright it is, and how far its light lies from its center
-brightness       what a mission file says of that
+Enter by a `BodyPicture` (or `picture_from_circle`, without kernels) and one of the centerfinders, which return a
+`BodyCenter`: `find_unresolved`, `find_unresolved_body`, `find_least_squares`, `find_jointly` (several bodies in one fit:
+`JointCenters`), `find_cross_correlation`, `find_ellipse`, `find_limb_scan`. `choose_method` says which suits a body.
+
+``results``
+    Centers, status, flags, and the details of each method.
+``picture``
+    The picture, its noise, camera and scene; bodies moved and rendered in it; an analyst's circle.
+``subarray``
+    The window that a body is looked for in, and which of its pixels count.
+``place_search``
+    A body's rendered picture correlated with the data over the whole search area.
+``detection``
+    Which bodies the picture shows, roughly where, and which of them have to be measured together.
+``silhouette``
+    Outlines of ellipsoids and plate models in the picture.
+``scene_fit``
+    Rendered bodies fitted to pixels.
+``residuals``
+    What residuals say of a center: albedo patterns, another size.
+``fit_report``
+    From such a fit to centers with covariance, flags, status and messages.
+``cross_correlation``
+    Full-disk method: the peak of the correlation with the rendered body.
+``least_squares``
+    Full-disk method: one body or several, their covariance joint.
+``unresolved``
+    Bodies (and stars taken as targets) smaller than the PSF.
+``method``
+    Which method "auto" means.
+``ellipse``
+    Limb method: sub-pixel limb points, and the outline of the body through them.
+``limb_scan``
+    Limb method: brightness along lines that radiate across the limb.
 """
 
-from opnav_workbench.bodies.brightness import EarthApparent, Photometry
-from opnav_workbench.bodies.phase_functions import (
-    hg_phase_function,
-    lambert_phase_function,
-    lommel_seeliger_phase_function,
+from opnav_workbench.bodies.cross_correlation import find_cross_correlation
+from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
+from opnav_workbench.bodies.ellipse.point_fits import horizon_position
+from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
+from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
+from opnav_workbench.bodies.method import choose_method
+from opnav_workbench.bodies.picture import (
+    BodyPicture,
+    Circle,
+    displaced_model,
+    model_picture,
+    picture_from_circle,
 )
-from opnav_workbench.bodies.photometry import (
-    absolute_magnitude,
-    center_of_light_radii,
-    diameter_km,
-    disk_magnitude,
-    distance_magnitude,
-    hg_magnitude,
-    linear_phase_magnitude,
+from opnav_workbench.bodies.results import (
+    BODY_STATUSES,
+    BodyCenter,
+    BodyFlag,
+    BodyPictures,
+    FreeEllipse,
+    JointCenters,
+    LimbEllipse,
+    LimbScans,
+    ModelFit,
+    describe_body_flags,
 )
-from opnav_workbench.bodies.target import MIN_PARALLAX_RAD, TargetState, star_target
+from opnav_workbench.bodies.silhouette import Outline, body_outline
+from opnav_workbench.bodies.subarray import SubArray, choose_subarray
+from opnav_workbench.bodies.unresolved import find_unresolved, find_unresolved_body
 
 __all__ = [
-    "MIN_PARALLAX_RAD",
-    "EarthApparent",
-    "Photometry",
-    "TargetState",
-    "absolute_magnitude",
-    "center_of_light_radii",
-    "diameter_km",
-    "disk_magnitude",
-    "distance_magnitude",
-    "hg_magnitude",
-    "hg_phase_function",
-    "lambert_phase_function",
-    "linear_phase_magnitude",
-    "lommel_seeliger_phase_function",
-    "star_target",
+    "BODY_STATUSES",
+    "BodyCenter",
+    "BodyFlag",
+    "BodyPicture",
+    "BodyPictures",
+    "Circle",
+    "FreeEllipse",
+    "JointCenters",
+    "LimbEllipse",
+    "LimbScans",
+    "ModelFit",
+    "Outline",
+    "SubArray",
+    "body_outline",
+    "choose_method",
+    "choose_subarray",
+    "describe_body_flags",
+    "displaced_model",
+    "find_cross_correlation",
+    "find_ellipse",
+    "find_jointly",
+    "find_least_squares",
+    "find_limb_scan",
+    "find_unresolved",
+    "find_unresolved_body",
+    "horizon_position",
+    "model_picture",
+    "picture_from_circle",
 ]

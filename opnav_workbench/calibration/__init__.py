@@ -1,19 +1,25 @@
 """Calibration of a camera from its own star frames: pure functions of arrays.
 
-frames       the stars of many frames                  parameters   what is solved for, by name
-design       the linearized problem, sparse            arrow        its solution, and what it leaves open
-camera_fit   `calibrate_camera`: optics and mounting   results      what comes out
-camera_file  a camera file with the new values         psf_stack    `stack_psf`: bright stars to an empirical PSF
-psf_frames   the pictures for it
+Enter by `calibrate_camera` with `StarFrames` for optics and mounting, by `stack_psf` with `PsfFrame` for the PSF, and by
+`write_camera_file` to put the result into a camera file.
+
+``camera_fit``
+    `calibrate_camera`: optics and mounting from many star frames, and what comes out.
+``bundle_adjustment``
+    The stars of many frames, the sparse rows they give, and their solution.
+``parameters``
+    What can be solved for, by name.
+``psf_stack``
+    `stack_psf`: bright stars of many frames to an empirical PSF.
+``camera_file``
+    A camera file with some values replaced, its comments kept.
 """
 
+from opnav_workbench.calibration.bundle_adjustment import MIN_STARS, StarFrames
 from opnav_workbench.calibration.camera_file import Edit, camera_edits, write_camera_file
-from opnav_workbench.calibration.camera_fit import calibrate_camera
-from opnav_workbench.calibration.frames import MIN_STARS, StarFrames
+from opnav_workbench.calibration.camera_fit import CameraCalibration, calibrate_camera
 from opnav_workbench.calibration.parameters import MOUNTING, CameraParameters, solvable, with_distortion
-from opnav_workbench.calibration.psf_frames import PsfFrame
-from opnav_workbench.calibration.psf_stack import stack_psf
-from opnav_workbench.calibration.results import CameraCalibration, PsfCalibration
+from opnav_workbench.calibration.psf_stack import PsfCalibration, PsfFrame, stack_psf
 
 __all__ = [
     "MIN_STARS",

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import yaml
 
-from opnav_workbench.calibration.results import CameraCalibration
+from opnav_workbench.calibration.camera_fit import CameraCalibration
 from opnav_workbench.camera import BrownDistortion, Camera, Distortion, OwenDistortion
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import atomic_path
 
 __all__ = ["Edit", "camera_edits", "edited", "write_camera_file"]
 
-Place = tuple[str, ...]
+FieldPath = tuple[str, ...]
 DIGITS = 12  # significant digits of a number: far beyond any sigma
 
 
@@ -27,7 +27,7 @@ class Edit:
     comment: str = ""
 
 
-def write_camera_file(source: Path, target: Path, edits: Mapping[Place, Edit], heading: str) -> Camera:
+def write_camera_file(source: Path, target: Path, edits: Mapping[FieldPath, Edit], heading: str) -> Camera:
     """Write a copy of a camera file with some values replaced, and return the camera that it describes.
 
     Parameters
@@ -54,7 +54,7 @@ def write_camera_file(source: Path, target: Path, edits: Mapping[Place, Edit], h
         return Camera.from_yaml(temporary)
 
 
-def camera_edits(result: CameraCalibration, distortion: str = "keep") -> dict[Place, Edit]:
+def camera_edits(result: CameraCalibration, distortion: str = "keep") -> dict[FieldPath, Edit]:
     """Return the edits that put a calibration into the file of the camera it started from.
 
     Parameters
@@ -67,7 +67,7 @@ def camera_edits(result: CameraCalibration, distortion: str = "keep") -> dict[Pl
         name: "not determined" if np.isinf(sigma) else f"sigma {sigma:.2g}"
         for name, sigma in zip(result.names, result.sigmas, strict=True)
     }
-    camera, edits = result.camera, dict[Place, Edit]()
+    camera, edits = result.camera, dict[FieldPath, Edit]()
     if "focal_length_mm" in comments:
         edits["optics", "focal_length_mm"] = Edit(camera.focal_length_mm, comments["focal_length_mm"])
     if {"center_pixel", "center_line"} & set(comments):
@@ -95,7 +95,7 @@ def _terms(distortion: Distortion) -> dict[str, float]:
     return {name: value for name, value in values.items() if value != 0.0 and name != "focal_mm"}
 
 
-def edited(text: str, place: Place, edit: Edit) -> str:
+def edited(text: str, place: FieldPath, edit: Edit) -> str:
     r"""Return YAML text with one field replaced, added or removed.
 
     Raises
@@ -125,7 +125,7 @@ def edited(text: str, place: Place, edit: Edit) -> str:
     return text if edit.value is None else _added(text, parent, place[-1], edit)
 
 
-def _node(text: str, place: Place) -> yaml.Node | None:
+def _node(text: str, place: FieldPath) -> yaml.Node | None:
     node: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
     for name in place:
         children = node.value if isinstance(node, yaml.MappingNode) else []

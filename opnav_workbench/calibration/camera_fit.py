@@ -3,6 +3,10 @@
 Flow   centers of identified stars on many frames -> here -> a camera with other values, and their covariance
 Units  px, mm, rad; see `opnav_workbench.calibration.parameters` for the names
 
+Gauss-Newton with the linear problem of `opnav_workbench.calibration.bundle_adjustment`; outliers are rejected, and the
+scatter beyond the given covariances becomes one centering error for all stars. `CameraCalibration` holds what comes out,
+also which combinations of parameters these frames do not determine.
+
 References
 ----------
 Owen, "Methods of optical navigation", AAS 11-215 (2011), section on camera calibration; Owen and O'Connell, JPL
@@ -16,17 +20,128 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.calibration.arrow import ArrowSolution, solve_arrow
-from opnav_workbench.calibration.design import linearize, residuals
-from opnav_workbench.calibration.frames import MIN_STARS, StarFrames
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.calibration.bundle_adjustment import (
+    MIN_STARS,
+    ArrowheadSolution,
+    StarFrames,
+    linearize,
+    residuals,
+    solve_arrowhead,
+)
 from opnav_workbench.calibration.parameters import CameraParameters
-from opnav_workbench.calibration.results import NAMED_PART, CameraCalibration, open_message
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import rotation_from_vector
 
-__all__ = ["calibrate_camera"]
+__all__ = ["CameraCalibration", "calibrate_camera"]
+
+
+# ---- What calibrations hold; arrays are read-only.
+
+STRONG_CORRELATION = (
+    0.9  # a correlation above this is worth naming: one parameter is hardly known without the other
+)
+NAMED_PART = 0.2  # of an open direction, for a parameter to be named
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """A calibrated camera and how far it can be trusted.
+
+    Attributes
+    ----------
+    camera : Camera
+        With the solved values; mounting angles turn its ``focal_from_camera``.
+    names : tuple of str
+        The q parameters; values in the unit of their name.
+    initial, values : (q,) arrays
+        Before and after; mounting angles start from 0.
+    sigmas : (q,) array
+        1 sigma; infinite where a parameter belongs to a combination that is not determined.
+    covariance : (q, q) array
+        Determined combinations only.
+    open_directions : (k, q) array
+        Combinations that are not determined: unit vectors in units of one pixel's effect of each parameter.
+    attitudes : (m, 3, 3) array
+        camera_from_j2000 of the frames, for directions in the frame of the uncalibrated camera.
+    used : (n,) array of bool
+        Stars that were not rejected as outliers.
+    residual_before_px, residual_after_px : (n, 2) arrays
+        Observed minus computed, every frame's attitude fitted, with the old and with the new camera.
+    excess_sigma_px : float
+        Centering error beyond the given covariances that the remaining scatter asks for.
+    chi2_reduced : float
+        Per degree of freedom, with the given covariances.
+    iterations : int
+    messages : tuple of str
+        What is not determined, and what else the analyst should know.
+    """
+
+    camera: Camera
+    names: tuple[str, ...]
+    initial: FloatArray
+    values: FloatArray
+    sigmas: FloatArray
+    covariance: FloatArray
+    open_directions: FloatArray
+    attitudes: FloatArray
+    used: BoolArray
+    residual_before_px: FloatArray
+    residual_after_px: FloatArray
+    excess_sigma_px: float
+    chi2_reduced: float
+    iterations: int
+    messages: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def rms_before_px(self) -> float:
+        """Root mean square of the residuals of the used stars, per coordinate, with the old camera."""
+        return float(np.sqrt(np.mean(self.residual_before_px[self.used] ** 2)))
+
+    @property
+    def rms_after_px(self) -> float:
+        """The same with the new camera."""
+        return float(np.sqrt(np.mean(self.residual_after_px[self.used] ** 2)))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Correlation matrix (q, q) of the parameters; nan for those that are not determined."""
+        sigma = np.where(np.isfinite(self.sigmas) & (self.sigmas > 0.0), self.sigmas, np.nan)
+        return np.asarray(self.covariance / np.outer(sigma, sigma))
+
+    @property
+    def strong_correlations(self) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters that are hardly known one without the other, the strongest first."""
+        matrix = self.correlation
+        pairs = [
+            (self.names[i], self.names[j], float(matrix[i, j]))
+            for i in range(len(self.names))
+            for j in range(i)
+            if abs(matrix[i, j]) > STRONG_CORRELATION
+        ]
+        return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
+
+
+def undetermined_message(direction: FloatArray, names: tuple[str, ...]) -> str:
+    """Say which parameters a direction that is not determined binds together."""
+    order = np.argsort(-np.abs(direction))
+    parts = [f"{direction[i]:+.2f} {names[i]}" for i in order if abs(direction[i]) > NAMED_PART]
+    if len(parts) == 1:
+        return (
+            f"{names[order[0]]} is not determined by these frames (their own attitudes take up what it does): it keeps "
+            "its value; leave it out, or give frames that tell it"
+        )
+    return (
+        f"the combination {' '.join(parts)} (each in units of one pixel's effect) is not determined by these frames: "
+        "its value stays; leave one of these parameters out, or give frames that tell them apart"
+    )
+
+
+# ---- Camera calibration: optics and mounting angles shared by many star frames, each with its own attitude.
 
 CONVERGED_PX = (
     1e-4  # no star moves more in the last step: a hundredth of what the best mean over a field is worth
@@ -129,7 +244,7 @@ def _iterate(
     excess: float,
     prior: FloatArray,
     used: BoolArray,
-) -> tuple[_State, ArrowSolution, int]:
+) -> tuple[_State, ArrowheadSolution, int]:
     covariance = stars.covariance_px2 + excess**2 * np.eye(2)
     mounting = prior if parameters.mounting else None
     for count in range(1, MAX_ITERATIONS + 1):
@@ -145,9 +260,9 @@ def _iterate(
         )
         if not np.isfinite(design.residual).all():
             break
-        step = solve_arrow(design)
-        before, state = state, _stepped(stars, parameters, state, step)
-        if _moved(stars, parameters, before, state) < CONVERGED_PX:
+        step = solve_arrowhead(design)
+        before, state = state, _take_step(stars, parameters, state, step)
+        if _largest_motion(stars, parameters, before, state) < CONVERGED_PX:
             return state, step, count
     raise CameraError(
         f"the calibration of {parameters.camera.name} does not converge in {MAX_ITERATIONS} iterations; "
@@ -155,7 +270,9 @@ def _iterate(
     )
 
 
-def _stepped(stars: StarFrames, parameters: CameraParameters, state: _State, step: ArrowSolution) -> _State:
+def _take_step(
+    stars: StarFrames, parameters: CameraParameters, state: _State, step: ArrowheadSolution
+) -> _State:
     """Take the step, or half of it, or a quarter, until it is a camera that sees all stars."""
     p = len(parameters.optical)
     turn = np.zeros(3)
@@ -176,14 +293,14 @@ def _stepped(stars: StarFrames, parameters: CameraParameters, state: _State, ste
     )
 
 
-def _moved(stars: StarFrames, parameters: CameraParameters, before: _State, after: _State) -> float:
+def _largest_motion(stars: StarFrames, parameters: CameraParameters, before: _State, after: _State) -> float:
     """Largest motion of a star, and of the mounting, px."""
     places = [residuals(stars, parameters.camera_with(s.values), s.attitudes) for s in (before, after)]
     mounting = np.abs(after.mounting_rad - before.mounting_rad).max() / parameters.camera.pixel_scale_rad
     return float(max(np.abs(places[1] - places[0]).max(), mounting))
 
 
-def _squared(stars: StarFrames, residual: FloatArray, excess: float) -> FloatArray:
+def _squared_sigmas(stars: StarFrames, residual: FloatArray, excess: float) -> FloatArray:
     inverse = np.linalg.inv(stars.covariance_px2 + excess**2 * np.eye(2))
     return np.asarray(np.einsum("ni,nij,nj->n", residual, inverse, residual))
 
@@ -197,7 +314,7 @@ def _excess(stars: StarFrames, residual: FloatArray, used: BoolArray, parameters
     freedom = _freedom(stars, parameters, used)
 
     def surplus(sigma_px: float) -> float:
-        return float(_squared(stars, residual, sigma_px)[used].sum()) - freedom
+        return float(_squared_sigmas(stars, residual, sigma_px)[used].sum()) - freedom
 
     if surplus(0.0) <= 0.0:
         return 0.0
@@ -208,14 +325,14 @@ def _excess(stars: StarFrames, residual: FloatArray, used: BoolArray, parameters
 
 
 def _accepted(stars: StarFrames, residual: FloatArray, excess: float) -> BoolArray:
-    return np.asarray(_squared(stars, residual, excess) <= REJECT_SIGMA**2)
+    return np.asarray(_squared_sigmas(stars, residual, excess) <= REJECT_SIGMA**2)
 
 
 def _result(
     stars: StarFrames,
     parameters: CameraParameters,
     state: _State,
-    last: ArrowSolution,
+    last: ArrowheadSolution,
     excess: float,
     used: BoolArray,
     steps: int,
@@ -235,10 +352,10 @@ def _result(
         open_directions=last.open_directions,
         attitudes=state.attitudes,
         used=used,
-        residual_before_px=_before(stars, parameters, excess, used),
+        residual_before_px=_residuals_before(stars, parameters, excess, used),
         residual_after_px=after,
         excess_sigma_px=excess,
-        chi2_reduced=float(_squared(stars, after, 0.0)[used].sum()) / free,
+        chi2_reduced=float(_squared_sigmas(stars, after, 0.0)[used].sum()) / free,
         iterations=steps,
         messages=_messages(parameters, last, used, excess),
     )
@@ -250,7 +367,9 @@ def _mounted(camera: Camera, mounting_rad: FloatArray) -> Camera:
     return replace(camera, focal_from_camera=axes @ rotation_from_vector(mounting_rad @ axes))
 
 
-def _before(stars: StarFrames, parameters: CameraParameters, excess: float, used: BoolArray) -> FloatArray:
+def _residuals_before(
+    stars: StarFrames, parameters: CameraParameters, excess: float, used: BoolArray
+) -> FloatArray:
     """Residuals with the old camera, every frame's attitude fitted to the same stars."""
     nothing = CameraParameters(parameters.camera, ())
     start = _State(np.zeros(0), np.zeros(3), np.array(stars.attitudes))
@@ -259,9 +378,9 @@ def _before(stars: StarFrames, parameters: CameraParameters, excess: float, used
 
 
 def _messages(
-    parameters: CameraParameters, last: ArrowSolution, used: BoolArray, excess: float
+    parameters: CameraParameters, last: ArrowheadSolution, used: BoolArray, excess: float
 ) -> tuple[str, ...]:
-    messages = [open_message(direction, parameters.ordered) for direction in last.open_directions]
+    messages = [undetermined_message(direction, parameters.ordered) for direction in last.open_directions]
     rejected = int(np.sum(~used))
     if rejected:
         messages.append(f"{rejected} of {len(used)} stars rejected as outliers")

@@ -7,7 +7,8 @@ The cells are the difference from the mean Gaussian, so that few or noisy stars 
 must be is what explains stars best that were not in the stack. Gaussian centers of an undersampled PSF err with the
 sub-pixel phase, and cells stacked on them are blurred by it. The cells themselves give better centers, whose common
 shift is taken out: the PSF's own origin stays where Gaussian fits put it in the mean over all phases, so that both
-methods measure the same point. Idea: Anderson & King (2000), doi 10.1086/316632.
+methods measure the same point. Frames whose stars have another shape (smear, focus) are left out: a stack of both would
+fit neither to better than the Gaussian does. Idea: Anderson & King (2000), doi 10.1086/316632.
 """
 
 from collections.abc import Sequence
@@ -15,15 +16,130 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.calibration.psf_frames import PsfFrame, gaussian_of, moments, same_shape
-from opnav_workbench.calibration.results import PsfCalibration
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import EmpiricalPsf, GaussianPsf, Psf
-from opnav_workbench.psf.extraction import cells_from_stars
-from opnav_workbench.starcenters import ShapePrior, StarCenters, default_box_px, fit_gaussian, fit_psf
+from opnav_workbench.psf.empirical import cells_from_stars
+from opnav_workbench.stars import NoiseModel, ShapePrior, StarCenters, default_box_px, fit_gaussian, fit_psf
 
-__all__ = ["stack_psf"]
+__all__ = ["PsfCalibration", "PsfFrame", "stack_psf"]
+
+
+# ---- Frames for a PSF stack, and which of them show stars of one shape.
+
+# Second moments, pixel included, that differ by more than this part are those of another smear or focus: a stack of both
+# would fit neither to better than the Gaussian does.
+SHAPE_TOLERANCE = 0.2
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+MIN_SIGMA_PX = 0.15  # below this a Gaussian is one pixel, whatever its sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PsfFrame:
+    """One frame and its bright, isolated stars; arrays are read-only.
+
+    Attributes
+    ----------
+    name : str
+    signal_dn, noise_dn : (n_line, n_pixel) arrays
+        Picture without background, and its 1-sigma noise without the stars' own.
+    bad : (n_line, n_pixel) array of bool
+        Pixels to leave out, also saturated ones.
+    pixel_line : (n, 2) array
+        First centers, good to a pixel.
+    noise_model : NoiseModel or None
+        For the stars' shot noise.
+    """
+
+    name: str
+    signal_dn: FloatArray
+    noise_dn: FloatArray
+    bad: BoolArray
+    pixel_line: FloatArray
+    noise_model: NoiseModel | None = None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def shape_moments(fit: StarCenters) -> FloatArray:
+    """Return second moments (n, 3) px^2 of fitted shapes: along pixel, mixed, along line; usable stars only."""
+    major2, minor2, angle = fit.shape[:, 0] ** 2, fit.shape[:, 1] ** 2, fit.shape[:, 2]
+    mean, half = 0.5 * (major2 + minor2), 0.5 * (major2 - minor2)
+    even, odd = half * np.cos(2.0 * angle), half * np.sin(2.0 * angle)
+    return np.stack([mean + even, odd, mean - even], axis=1)[fit.usable]
+
+
+def gaussian_of_moments(second_moments: FloatArray) -> GaussianPsf:
+    """Return the Gaussian of second moments (3,)."""
+    along, mixed, across = second_moments
+    values, axes = np.linalg.eigh(np.array([[along, mixed], [mixed, across]]))
+    minor, major = np.sqrt(np.maximum(values, MIN_SIGMA_PX**2))
+    return GaussianPsf(float(major), float(minor), float(np.arctan2(axes[1, 1], axes[0, 1])))
+
+
+def frames_of_one_shape(
+    frames: Sequence[PsfFrame], fits: Sequence[StarCenters]
+) -> tuple[BoolArray, tuple[str, ...]]:
+    """Return which frames (m,) have stars of the commonest shape, and a word on each of the others."""
+    of_frame = [shape_moments(fit) for fit in fits]
+    common = np.median(np.concatenate(of_frame), axis=0) if sum(map(len, of_frame)) else np.zeros(3)
+    size = 0.5 * (common[0] + common[2]) + PIXEL_VARIANCE_PX2
+    used, words = np.zeros(len(frames), dtype=bool), []
+    for i, (frame, own) in enumerate(zip(frames, of_frame, strict=True)):
+        if not len(own):
+            words.append(f"{frame.name}: no bright star, left out")
+            continue
+        shape = np.median(own, axis=0)
+        used[i] = bool(np.abs(shape - common).max() <= SHAPE_TOLERANCE * size)
+        if not used[i]:
+            mine = gaussian_of_moments(shape)
+            words.append(
+                f"{frame.name}: its stars are of another shape ({mine.sigma_major_px:.2f} x {mine.sigma_minor_px:.2f} px), "
+                "smeared perhaps; left out"
+            )
+    return used, tuple(words)
+
+
+# ---- What calibrations hold; arrays are read-only.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PsfCalibration:
+    """An empirical PSF and how much better than a Gaussian it explains its stars.
+
+    Attributes
+    ----------
+    psf : EmpiricalPsf
+    n_stars : int
+    smoothness : float
+        Weight of the cells' second differences that explained other stars best.
+    gaussian_chi2, empirical_chi2 : (n_stars,) arrays
+        Reduced chi-squared of the stars' images, fitted with their mean Gaussian and with the new PSF.
+    held_out_chi2 : float
+        Median of the latter for stars that were left out of the stack.
+    moved_px : float
+        Root mean square shift between Gaussian and empirical centers, per coordinate.
+    used_frames : (m,) array of bool
+        False for frames whose stars have another shape.
+    messages : tuple of str
+    """
+
+    psf: EmpiricalPsf
+    n_stars: int
+    smoothness: float
+    gaussian_chi2: FloatArray
+    empirical_chi2: FloatArray
+    held_out_chi2: float
+    moved_px: float
+    used_frames: BoolArray
+    messages: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+# ---- An empirical PSF stacked from the bright stars of many frames.
 
 CELLS_PER_FWHM = 4.0  # keep shares good to 4e-4 (see `EmpiricalPsf`)
 FWHM_PER_SIGMA = 2.3548
@@ -62,11 +178,11 @@ def stack_psf(
     CameraError
         Too few stars to fill the cells.
     """
-    gaussian = [_gaussian(frame, prior) for frame in frames]
-    used, messages = same_shape(frames, gaussian)
+    gaussian = [_gaussian_fit(frame, prior) for frame in frames]
+    used, messages = frames_of_one_shape(frames, gaussian)
     chosen = [frame for frame, take in zip(frames, used, strict=True) if take]
     fits = [fit for fit, take in zip(gaussian, used, strict=True) if take]
-    starts = [_Stars(fit.pixel_line, _trusted_flux(fit)) for fit in fits]
+    starts = [_FrameStars(fit.pixel_line, _trusted_flux(fit)) for fit in fits]
     n_stars = sum(stars.count for stars in starts)
     cells, note = _oversampling(n_stars, prior.sigma_px, oversampling)
     half = _half_size(prior.sigma_px) if half_size_px is None else half_size_px
@@ -77,7 +193,7 @@ def stack_psf(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Stars:
+class _FrameStars:
     """Centers (n, 2) of one frame's stars, and fluxes (n,), nan for those that do not count."""
 
     pixel_line: FloatArray
@@ -87,8 +203,8 @@ class _Stars:
     def count(self) -> int:
         return int(np.isfinite(self.flux_dn).sum())
 
-    def only(self, keep: BoolArray) -> "_Stars":
-        return _Stars(self.pixel_line, np.where(keep, self.flux_dn, np.nan))
+    def only(self, keep: BoolArray) -> "_FrameStars":
+        return _FrameStars(self.pixel_line, np.where(keep, self.flux_dn, np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +230,7 @@ class _Stack:
     def _gap(self) -> int:
         return int(np.ceil(self.half_size_px)) + 2
 
-    def cells(self, stars: Sequence[_Stars], smoothness: float) -> EmpiricalPsf:
+    def cells(self, stars: Sequence[_FrameStars], smoothness: float) -> EmpiricalPsf:
         """Return the PSF of stars whose centers and fluxes are known."""
         lines = np.cumsum([0, *(len(frame.signal_dn) + self._gap for frame in self.frames[:-1])])
         base = EmpiricalPsf(self.base.kernel(self.oversampling), self.oversampling)
@@ -132,12 +248,12 @@ class _Stack:
         )
         return EmpiricalPsf(samples, self.oversampling)
 
-    def _weights(self, stars: Sequence[_Stars]) -> list[FloatArray]:
+    def _weights(self, stars: Sequence[_FrameStars]) -> list[FloatArray]:
         """Inverse errors of the pixels of stars: noise, and a part of their light, so that no star outweighs many."""
         noise = [float(np.median(frame.noise_dn)) for frame in self.frames]
         return [1.0 / np.hypot(sigma, LIGHT_ERROR * s.flux_dn) for sigma, s in zip(noise, stars, strict=True)]
 
-    def fit(self, psf: Psf, stars: Sequence[_Stars]) -> list[StarCenters]:
+    def fit(self, psf: Psf, stars: Sequence[_FrameStars]) -> list[StarCenters]:
         """Fit the stars with a PSF; a PSF still wrong leaves residuals at bright stars that are no hits."""
         return [
             fit_psf(
@@ -155,8 +271,8 @@ class _Stack:
         ]
 
     def iterate(
-        self, stars: Sequence[_Stars], smoothness: float, passes: int = PASSES
-    ) -> tuple[EmpiricalPsf, list[_Stars]]:
+        self, stars: Sequence[_FrameStars], smoothness: float, passes: int = PASSES
+    ) -> tuple[EmpiricalPsf, list[_FrameStars]]:
         """Return the PSF after improving centers with it, and the stars as they then are."""
         now = list(stars)
         for _ in range(passes):
@@ -165,14 +281,14 @@ class _Stack:
         return self.cells(now, smoothness), now
 
 
-def _improved(before: Sequence[_Stars], fits: Sequence[StarCenters]) -> list[_Stars]:
+def _improved(before: Sequence[_FrameStars], fits: Sequence[StarCenters]) -> list[_FrameStars]:
     """New centers without their common shift, new fluxes; stars unlike the others no longer count."""
     known = [np.isfinite(s.flux_dn) & fit.usable for s, fit in zip(before, fits, strict=True)]
     shifts = [(fit.pixel_line - s.pixel_line)[ok] for s, fit, ok in zip(before, fits, known, strict=True)]
     shift = np.median(np.concatenate(shifts), axis=0)
     odd = _unlike_others(fits, known)
     return [
-        _Stars(
+        _FrameStars(
             np.where(ok[:, None], fit.pixel_line - shift, s.pixel_line),
             np.where(ok & ~strange, fit.flux_dn, np.nan),
         )
@@ -183,13 +299,13 @@ def _improved(before: Sequence[_Stars], fits: Sequence[StarCenters]) -> list[_St
 def _unlike_others(fits: Sequence[StarCenters], known: Sequence[BoolArray]) -> list[BoolArray]:
     """Stars that fit worse than others by noise and by share of their light: either alone tells bright from faint."""
     measures = []
-    for of_star in (_chi2, _share):
+    for of_star in (_chi2, _residual_share):
         median = np.median(np.concatenate([of_star(f)[ok] for f, ok in zip(fits, known, strict=True)]))
         measures.append([of_star(fit) > MAX_MISFIT * median for fit in fits])
     return [worse & larger for worse, larger in zip(*measures, strict=True)]
 
 
-def _best_smoothness(stack: _Stack, stars: Sequence[_Stars]) -> tuple[float, float]:
+def _best_smoothness(stack: _Stack, stars: Sequence[_FrameStars]) -> tuple[float, float]:
     """Smoothness of least median chi-squared of stars that were left out, and that median."""
     rated = []
     for smoothness in SMOOTHNESS:
@@ -211,7 +327,7 @@ def _result(
     stack: _Stack,
     psf: EmpiricalPsf,
     gaussian: Sequence[StarCenters],
-    stars: Sequence[_Stars],
+    stars: Sequence[_FrameStars],
     smoothness: float,
     held_out: float,
     used: BoolArray,
@@ -257,7 +373,7 @@ def _half_size(sigma_px: float) -> float:
     return float(np.clip(HALF_SIZE_SIGMAS * sigma_px, MIN_HALF_SIZE_PX, MAX_HALF_SIZE_PX))
 
 
-def _gaussian(frame: PsfFrame, prior: ShapePrior) -> StarCenters:
+def _gaussian_fit(frame: PsfFrame, prior: ShapePrior) -> StarCenters:
     return fit_gaussian(
         frame.signal_dn,
         frame.noise_dn,
@@ -276,14 +392,14 @@ def _trusted_flux(fit: StarCenters) -> FloatArray:
 
 def _mean_gaussian(fits: Sequence[StarCenters]) -> GaussianPsf:
     """The Gaussian of the median second moments of all stars."""
-    return gaussian_of(np.median(np.concatenate([moments(fit) for fit in fits]), axis=0))
+    return gaussian_of_moments(np.median(np.concatenate([shape_moments(fit) for fit in fits]), axis=0))
 
 
 def _chi2(fit: StarCenters) -> FloatArray:
     return np.where(np.isfinite(fit.chi2_reduced), fit.chi2_reduced, np.inf)
 
 
-def _share(fit: StarCenters) -> FloatArray:
+def _residual_share(fit: StarCenters) -> FloatArray:
     """Root of the summed squares of a star's residual image over its flux."""
     if fit.images is None:
         return np.full(len(fit), np.inf)

@@ -1,14 +1,32 @@
-"""Camera models: what a frame camera does to a direction, and what is known about the camera beforehand."""
+"""Camera models: what a frame camera does to a direction, and what is known about the camera beforehand.
+
+Enter by `Camera`: `Camera.from_yaml` for a camera file, `Camera.from_ik` for a SPICE instrument kernel.
+
+``model``
+    `Camera`: direction to (pixel, line) and back, with Jacobians; place on the detector to the sky.
+``distortion``
+    The distortion models, one direction as published, the other by Newton's method, and how far each holds.
+``response``
+    `CameraResponse`: what a camera makes of light; magnitudes to electrons.
+``priors``
+    What is believed of PSF, attitude and exposures before pictures are measured.
+``camera_file``
+    The schema of camera files, and reading one.
+``instrument_kernel``
+    Cameras from the ``INS<id>_*`` variables of SPICE instrument kernels.
+"""
 
 from opnav_workbench.camera.distortion import (
     BrownDistortion,
     Distortion,
+    ForwardSipDistortion,
+    LegendreDistortion,
     NoDistortion,
     OwenDistortion,
+    SipDistortion,
     undistort,
 )
 from opnav_workbench.camera.model import Camera
-from opnav_workbench.camera.polynomial import ForwardSipDistortion, LegendreDistortion, SipDistortion
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
 from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
 

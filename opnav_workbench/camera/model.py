@@ -6,6 +6,8 @@ Axes   rows of ``focal_from_camera``: unit vectors, in the camera's SPICE frame,
        -X, OCAMS along +Z, and a determinant of -1 (detector read out mirrored) changes nothing else.
 Units  mm on the focal plane, px on the detector, rad on the sky
 
+`sky_jacobian` goes from a place on the detector on to right ascension and declination.
+
 Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
 """
 
@@ -18,16 +20,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, readonly
-from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2
+from opnav_workbench.camera.camera_file import camera_fields
+from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2, reach_mm
 from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
-from opnav_workbench.camera.loading import camera_fields
 from opnav_workbench.camera.priors import AttitudeSigma
-from opnav_workbench.camera.reach import reach_mm
 from opnav_workbench.camera.response import CameraResponse
 from opnav_workbench.errors import CameraError
+from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.geometry.rotations import checked_rotation, unit
 
-__all__ = ["Camera"]
+__all__ = ["Camera", "sky_jacobian"]
+
+
+# ---- The camera: from a direction in the instrument's SPICE frame to (pixel, line), and back.
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -129,7 +134,7 @@ class Camera(CameraResponse):
 
     @classmethod
     def from_yaml(cls, path: str | PathLike[str]) -> Self:
-        """Read a camera file; see `opnav_workbench.camera.loading` for its schema.
+        """Read a camera file; see `opnav_workbench.camera.camera_file` for its schema.
 
         Raises
         ------
@@ -254,3 +259,24 @@ class Camera(CameraResponse):
     def _corners(self) -> FloatArray:
         right, bottom = self.n_pixel - 0.5, self.n_line - 0.5
         return np.array([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+
+
+# ---- From a place on the detector to the sky around it.
+
+
+def sky_jacobian(camera: Camera, camera_from_j2000: ArrayLike, pixel_line: ArrayLike) -> FloatArray:
+    """Return d(RA cos Dec, Dec)/d(pixel, line) at a place (2,), a (2, 2) array in rad/px.
+
+    Examples
+    --------
+    >>> from opnav_workbench.camera import Camera
+    >>> from opnav_workbench.resources import kernels_meta_dir
+    >>> camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/lorri_1x1.yaml")
+    >>> slope = sky_jacobian(camera, np.eye(3), [511.5, 511.5])
+    >>> print(round(float(np.sqrt(abs(np.linalg.det(slope)))) * 1e6, 2))
+    4.96
+    """
+    rotation, place = np.asarray(camera_from_j2000, float), np.asarray(pixel_line, float)
+    direction = rotation.T @ camera.unproject(place)
+    east_north = np.stack(tangent_basis(*radec_from_unit(direction)))
+    return np.asarray(east_north @ rotation.T @ camera.unproject_jacobian(place))

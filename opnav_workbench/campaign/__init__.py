@@ -1,18 +1,37 @@
 """Many pictures: their archive, their trends, and their stack.
 
-archive     `Campaign`: one SQLite file of images, stars, pointings, bodies, observables, decisions and provenance
-            (columns, schema, database, migrations, run_folder, observable_rows, ingest, queries, dump, attention, export)
-trends      O-C, pointing error, star residuals and detections against time and magnitude (outliers, completeness)
-queue_file  pictures that wait for an analyst
-stacking    many pictures of a faint target as one
+Enter by `Campaign`: one SQLite file of images, stars, pointings, bodies, observables, decisions and provenance, filled from
+run folders; then `trends` over it, `export_observables` from it, and ``stacking`` for faint targets.
+
+``archive``
+    `Campaign`: open, ingest, ask, export.
+``schema``
+    Tables and columns of the archive, with units.
+``database``
+    The SQLite file: transactions of many processes, older schemas brought to the present one.
+``run_folder``
+    A run folder read and checked, as rows.
+``ingest``
+    Runs into the archive, each content once.
+``queries``
+    Questions answered as tables with units.
+``analyst_queue``
+    Pictures that need an analyst: why, and the file ``queue.json``.
+``trend_series``
+    O-C, pointing error, star residuals and detections over time.
+``detection_curve``
+    Completeness: detections against magnitude.
+``outliers``
+    Robust outliers of a series, with a stated rate of false alarms.
+``stacking``
+    Many pictures of a faint target as one.
 """
 
-from opnav_workbench.campaign.archive import ARCHIVE_FILE, Campaign, ImageEntry
-from opnav_workbench.campaign.completeness import Completeness, completeness
-from opnav_workbench.campaign.export import export_observables
+from opnav_workbench.campaign.archive import ARCHIVE_FILE, Campaign, ImageEntry, export_observables
+from opnav_workbench.campaign.detection_curve import Completeness, completeness
 from opnav_workbench.campaign.ingest import Ingested, IngestReport
 from opnav_workbench.campaign.outliers import screen
-from opnav_workbench.campaign.trends import Series, Trends, trends
+from opnav_workbench.campaign.trend_series import Series, Trends, trends
 
 __all__ = [
     "ARCHIVE_FILE",

@@ -1,6 +1,12 @@
-"""The campaign archive as users hold it: open, ingest runs, ask."""
+"""The campaign archive as users hold it: open, ingest runs, ask, export.
 
-from collections.abc import Callable, Iterable
+Its digest is free of everything that depends on when, where and in what order it was filled.  Exported observables are one
+file: ECSV with every column that the runs' own files have, CSV, JSON or TDM.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -10,15 +16,61 @@ import sqlalchemy as sa
 from astropy.table import QTable, Table
 
 from opnav_workbench.campaign.database import Database
-from opnav_workbench.campaign.dump import content_digest, content_of
 from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
-from opnav_workbench.campaign.queries import ask, ask_observables, ask_plain
-from opnav_workbench.campaign.run_folder import find_runs, read_run
-from opnav_workbench.campaign.schema import tables
+from opnav_workbench.campaign.queries import query_observables, query_plain, query_table
+from opnav_workbench.campaign.run_folder import find_runs, read_run, without_times
+from opnav_workbench.campaign.schema import PARTS, tables
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import atomic_path
+from opnav_workbench.observables import (
+    Observable,
+    table_observables,
+    write_csv,
+    write_observables_json,
+    write_tdm,
+)
 from opnav_workbench.session.storage import SESSION_FILE
 
-__all__ = ["ARCHIVE_FILE", "Campaign", "ImageEntry"]
+__all__ = ["ARCHIVE_FILE", "EXPORT_FORMATS", "Campaign", "ImageEntry", "export_observables"]
+
+
+# ---- The archive's content as plain values, free of everything that depends on when, where and in what order ...
+
+# Where the files were, and when: not what came out.
+PLACES_AND_TIMES = ("id", "image_id", "folder", "path", "processed_utc", "ingested_utc")
+
+
+def content_of(connection: sa.Connection) -> dict[str, list[dict[str, Any]]]:
+    """Return every row of every table, in the order of pictures' keys."""
+    images = tables["images"]
+    content = {"images": _rows(connection, sa.select(images).order_by(images.c.key))}
+    for name in PARTS:
+        table = tables[name]
+        order = (table.c.position,) if "position" in table.c else ()
+        query = sa.select(images.c.key.label("picture"), table).join(images).order_by(images.c.key, *order)
+        content[name] = _rows(connection, query)
+    history, columns = tables["history"], tables["observable_columns"]
+    content["history"] = _rows(
+        connection, sa.select(history).order_by(history.c.key, history.c.content_sha256)
+    )
+    content["observable_columns"] = _rows(
+        connection, sa.select(columns.c.name, columns.c.unit, columns.c.description).order_by(columns.c.name)
+    )
+    return content
+
+
+def content_digest(connection: sa.Connection) -> str:
+    """Return the SHA-256 of `content_of`."""
+    text = json.dumps(content_of(connection), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _rows(connection: sa.Connection, query: "sa.Select[Any]") -> list[dict[str, Any]]:
+    rows = connection.execute(query).mappings()
+    return [without_times({k: v for k, v in row.items() if k not in PLACES_AND_TIMES}) for row in rows]
+
+
+# ---- The campaign archive as users hold it: open, ingest runs, ask.
 
 ARCHIVE_FILE = "campaign.sqlite"
 
@@ -154,9 +206,9 @@ class Campaign:
     # -- out ---------------------------------------------------------------------------------------------------
 
     def query(self, what: str, **filters: str | None) -> Table:
-        """Return ``images``, ``pointings``, ``stars`` or ``bodies``; see `opnav_workbench.campaign.queries.ask`."""
+        """Return ``images``, ``pointings``, ``stars`` or ``bodies``; see `opnav_workbench.campaign.queries.query_table`."""
         with self._database.read() as connection:
-            return ask(connection, what, filters)
+            return query_table(connection, what, filters)
 
     def images(self, **filters: str | None) -> Table:
         """Return one row a picture; filters ``status, since, until, image, mission, camera``."""
@@ -177,7 +229,7 @@ class Campaign:
     def observables(self, **filters: str | None) -> QTable:
         """Return all observables, with the units and descriptions of their files."""
         with self._database.read() as connection:
-            return ask_observables(connection, filters)
+            return query_observables(connection, filters)
 
     def decisions(self) -> list[dict[str, Any]]:
         """Return what analysts decided: picture, subject, verdict, reason."""
@@ -197,7 +249,7 @@ class Campaign:
 
     def _plain(self, what: str) -> list[dict[str, Any]]:
         with self._database.read() as connection:
-            return ask_plain(connection, what)
+            return query_plain(connection, what)
 
     def entries(self) -> tuple[ImageEntry, ...]:
         """Return the pictures in the order of time, for a list to choose from."""
@@ -232,3 +284,50 @@ class Campaign:
         """Return the SHA-256 of `dump`: equal for archives that hold the same."""
         with self._database.read() as connection:
             return content_digest(connection)
+
+
+# ---- All observables of a campaign as one file.
+
+WRITERS: dict[str, Callable[[Sequence[Observable], Path], None]] = {
+    "csv": write_csv,
+    "json": write_observables_json,
+    "tdm": write_tdm,
+}
+EXPORT_FORMATS = ("ecsv", *WRITERS)
+
+
+def export_observables(
+    campaign: Campaign, path: str | Path, format_name: str | None = None, **filters: str | None
+) -> int:
+    """Write the observables of a campaign, whole or not at all; return how many.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    path : path
+    format_name : {"ecsv", "csv", "json", "tdm"}, optional
+        By default the ending of `path`. ECSV holds every column that the runs' own files have.
+    filters
+        As of `Campaign.observables`.
+
+    Raises
+    ------
+    SessionError
+        An unknown format or filter, nothing to export, or the file cannot be written.
+    """
+    target = Path(path)
+    name = (format_name or target.suffix.removeprefix(".")).lower()
+    if name not in EXPORT_FORMATS:
+        what = f"unknown format {name!r}" if name else "no format given"
+        raise SessionError(
+            f"{what}; choose --format {' | '.join(EXPORT_FORMATS)}, or a file name that ends so."
+        )
+    table = campaign.observables(**filters)
+    if not len(table):
+        raise SessionError("no observable to export; `opnav campaign query bodies` shows what there is.")
+    if name == "ecsv":
+        with atomic_path(target) as temporary:
+            table.write(temporary, format="ascii.ecsv", overwrite=True)
+    else:
+        WRITERS[name](table_observables(table), target)
+    return len(table)

@@ -1,8 +1,12 @@
 """The archive's file: opened by many processes at once, brought to the present schema, never half-written.
 
 Write-ahead logging lets readers read while one process writes; a writer takes the lock before it reads what it will
-change (``BEGIN IMMEDIATE``), waits its turn, and tries again where SQLite will not wait. A process that dies leaves the
-last complete transaction.
+change (``BEGIN IMMEDIATE``), waits its turn, and tries again where SQLite will not wait.  A process that dies leaves the
+last complete transaction.  Any older schema is brought to the present one, step by step, in the transaction that opens
+the archive:
+
+version 1   the first archives: no journal, and no reasons for an analyst to look
+version 2   ``journal``; ``images.attention``
 
 Reference: https://sqlite.org/wal.html, https://sqlite.org/lang_transaction.html
 """
@@ -17,10 +21,68 @@ from typing import Any, TypeAlias, TypeVar
 
 import sqlalchemy as sa
 
-from opnav_workbench.campaign.migrations import migrate
+from opnav_workbench.campaign.analyst_queue import attention_reasons
+from opnav_workbench.campaign.schema import APPLICATION_ID, SCHEMA_VERSION, metadata, tables
 from opnav_workbench.errors import SessionError
 
 __all__ = ["Database"]
+
+
+# ---- From any older schema to the present one, step by step, in the transaction that opens the archive.
+
+
+def migrate(connection: sa.Connection, path: Path) -> None:
+    """Bring the archive to the present schema; a new file gets all of it.
+
+    Raises
+    ------
+    SessionError
+        The file is another program's, or of a newer version of this one.
+    """
+    version = _pragma(connection, "user_version")
+    owner = _pragma(connection, "application_id")
+    empty = not sa.inspect(connection).get_table_names()
+    if (not empty and owner != APPLICATION_ID) or (empty and version != 0):
+        raise SessionError(f"{path} is a database of another program; give another name.")
+    if version > SCHEMA_VERSION:
+        raise SessionError(
+            f"{path} has schema {version}, this program knows {SCHEMA_VERSION} at most; use the newer opnav_workbench "
+            "that wrote it (nothing has been changed)."
+        )
+    if version == SCHEMA_VERSION:
+        return
+    if empty:
+        metadata.create_all(connection)
+    else:
+        for step in range(version, SCHEMA_VERSION):
+            MIGRATIONS[step](connection)
+    connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
+    connection.exec_driver_sql(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
+def _pragma(connection: sa.Connection, name: str) -> int:
+    return int(connection.exec_driver_sql(f"PRAGMA {name}").scalar_one())
+
+
+def _from_1(connection: sa.Connection) -> None:
+    """Add the journal, and why an analyst should look at a picture, as its status and messages tell it."""
+    tables["journal"].create(connection)
+    connection.exec_driver_sql("ALTER TABLE images ADD COLUMN attention JSON NOT NULL DEFAULT '[]'")
+    images, bodies = tables["images"], tables["bodies"]
+    for row in connection.execute(sa.select(images.c.id, images.c.status, images.c.messages)).all():
+        found = connection.execute(
+            sa.select(bodies.c.body, bodies.c.status)
+            .where(bodies.c.image_id == row.id)
+            .order_by(bodies.c.position)
+        )
+        reasons = attention_reasons(row.status, row.messages or (), [(b.body, b.status) for b in found])
+        connection.execute(images.update().where(images.c.id == row.id).values(attention=list(reasons)))
+
+
+MIGRATIONS: dict[int, Callable[[sa.Connection], None]] = {1: _from_1}
+
+
+# ---- The archive's file: opened by many processes at once, brought to the present schema, never half-written.
 
 BUSY_TIMEOUT_S = 60.0  # a picture is ingested in milliseconds: a minute is a queue of thousands
 ATTEMPTS = 20  # of a transaction that SQLite refuses at once (lock of a recovery, change of journal mode)
@@ -28,7 +90,7 @@ PAUSE_S = 0.05
 SQLITE_MAGIC = b"SQLite format 3\x00"
 WRITE = {"opnav_write": True}
 
-T = TypeVar("T")
+Answer = TypeVar("Answer")
 DatabaseError: TypeAlias = sa.exc.DBAPIError | sqlite3.Error
 
 
@@ -64,7 +126,7 @@ class Database:
         """Close the file; the last process to do so folds the write-ahead log into it."""
         self._engine.dispose()
 
-    def write(self, work: Callable[[sa.Connection], T]) -> T:
+    def write(self, work: Callable[[sa.Connection], Answer]) -> Answer:
         """Return what `work` returns, all that it writes committed together, or nothing of it.
 
         Raises
@@ -74,7 +136,7 @@ class Database:
         """
         return self._retried(lambda: self._written(work))
 
-    def _written(self, work: Callable[[sa.Connection], T]) -> T:
+    def _written(self, work: Callable[[sa.Connection], Answer]) -> Answer:
         with self._engine.connect().execution_options(**WRITE) as connection, connection.begin():
             return work(connection)
 
@@ -87,7 +149,7 @@ class Database:
         except sa.exc.DBAPIError as error:
             raise self._named(error) from error
 
-    def _retried(self, work: Callable[[], T]) -> T:
+    def _retried(self, work: Callable[[], Answer]) -> Answer:
         for attempt in range(ATTEMPTS):
             try:
                 return work()

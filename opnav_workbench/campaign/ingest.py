@@ -13,12 +13,12 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy.dialects.sqlite import insert
 
-from opnav_workbench.campaign.run_folder import Run
+from opnav_workbench.campaign.run_folder import RunRows
 from opnav_workbench.campaign.schema import PARTS, tables
 
 __all__ = ["IngestReport", "Ingested", "changes_nothing", "put_run"]
 
-What = Literal["new", "unchanged", "replaced", "older", "skipped"]
+IngestResult = Literal["new", "unchanged", "replaced", "older", "skipped"]
 IMAGES, HISTORY, COLUMNS = tables["images"], tables["history"], tables["observable_columns"]
 
 
@@ -39,7 +39,7 @@ class Ingested:
 
     folder: Path
     image: str
-    what: What
+    what: IngestResult
     reason: str = ""
 
 
@@ -49,7 +49,7 @@ class IngestReport:
 
     items: tuple[Ingested, ...]
 
-    def count(self, what: What) -> int:
+    def count(self, what: IngestResult) -> int:
         """Return how many folders it became so of."""
         return sum(item.what == what for item in self.items)
 
@@ -59,20 +59,20 @@ class IngestReport:
         return tuple(item for item in self.items if item.what == "skipped")
 
 
-def changes_nothing(connection: sa.Connection, run: Run) -> bool:
+def changes_nothing(connection: sa.Connection, run: RunRows) -> bool:
     """Tell whether exactly this run stands already; asked before the lock is taken."""
     standing = _standing(connection, run.key)
     same = standing is not None and standing.content_sha256 == run.content_sha256
     return same and standing.folder == str(run.folder)
 
 
-def put_run(connection: sa.Connection, run: Run) -> What:
+def put_run(connection: sa.Connection, run: RunRows) -> IngestResult:
     """Put a run into its place; call it in a transaction."""
     for row in connection.execute(
         sa.select(IMAGES).where(IMAGES.c.folder == str(run.folder), IMAGES.c.key != run.key)
     ).all():
-        _retire(connection, row)
-    if _named_late(connection, run):
+        _move_to_history(connection, row)
+    if _older_than_named(connection, run):
         return "older"
     standing = _standing(connection, run.key)
     if standing is None:
@@ -84,14 +84,14 @@ def put_run(connection: sa.Connection, run: Run) -> What:
             _move(connection, standing.id, run)
         return "unchanged"
     if standing.folder != str(run.folder) and order[0] < order[1]:
-        _remember(connection, _entry_of(run))
+        _add_to_history(connection, _entry_of(run))
         return "older"
-    _retire(connection, standing)
+    _move_to_history(connection, standing)
     _insert(connection, run)
     return "replaced"
 
 
-def _named_late(connection: sa.Connection, run: Run) -> bool:
+def _older_than_named(connection: sa.Connection, run: RunRows) -> bool:
     """Settle a run that could not even read its picture with one that could; True where the other came later.
 
     The first knows the picture by its name alone. Whichever was made last tells what became of it.
@@ -102,10 +102,10 @@ def _named_late(connection: sa.Connection, run: Run) -> bool:
     query = sa.select(IMAGES).where(same, ~others if named else others)
     for row in connection.execute(query).all():
         if named and row.processed_utc > run.processed_utc:
-            _remember(connection, _entry_of(run))
+            _add_to_history(connection, _entry_of(run))
             return True
         if not named and row.processed_utc < run.processed_utc:
-            _retire(connection, row)
+            _move_to_history(connection, row)
     return False
 
 
@@ -113,7 +113,7 @@ def _standing(connection: sa.Connection, key: str) -> Any:
     return connection.execute(sa.select(IMAGES).where(IMAGES.c.key == key)).one_or_none()
 
 
-def _insert(connection: sa.Connection, run: Run) -> None:
+def _insert(connection: sa.Connection, run: RunRows) -> None:
     place = {
         "key": run.key,
         "content_sha256": run.content_sha256,
@@ -142,22 +142,22 @@ def _insert_rows(connection: sa.Connection, table: sa.Table, number: int, rows: 
         connection.execute(table.insert(), own)
 
 
-def _move(connection: sa.Connection, number: int, run: Run) -> None:
+def _move(connection: sa.Connection, number: int, run: RunRows) -> None:
     place = {"folder": str(run.folder), "path": run.image["path"], "processed_utc": run.processed_utc}
     connection.execute(IMAGES.update().where(IMAGES.c.id == number).values(**place))
 
 
-def _retire(connection: sa.Connection, row: Any) -> None:
+def _move_to_history(connection: sa.Connection, row: Any) -> None:
     """Take a picture's rows out and keep in the history what they said."""
     values = row._mapping  # noqa: SLF001 - the documented way to a row's mapping
     entry = {
         name: values[name] for name in ("key", "content_sha256", "image", "status", "folder", "processed_utc")
     }
-    _remember(connection, entry | {"summary": _summary(connection, row.id, values["messages"])})
+    _add_to_history(connection, entry | {"summary": _summary(connection, row.id, values["messages"])})
     connection.execute(IMAGES.delete().where(IMAGES.c.id == row.id))
 
 
-def _remember(connection: sa.Connection, entry: Mapping[str, Any]) -> None:
+def _add_to_history(connection: sa.Connection, entry: Mapping[str, Any]) -> None:
     connection.execute(insert(HISTORY).values(**entry, ingested_utc=_now()).on_conflict_do_nothing())
 
 
@@ -170,7 +170,7 @@ def _summary(connection: sa.Connection, number: int, messages: Any) -> dict[str,
     return parts
 
 
-def _entry_of(run: Run) -> dict[str, Any]:
+def _entry_of(run: RunRows) -> dict[str, Any]:
     return {
         "key": run.key,
         "content_sha256": run.content_sha256,

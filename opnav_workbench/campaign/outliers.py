@@ -16,7 +16,7 @@ from scipy.special import ndtri, stdtrit
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 
-__all__ = ["FALSE_ALARM", "Screened", "screen", "threshold_sigmas"]
+__all__ = ["Screened", "screen"]
 
 FALSE_ALARM = 0.01  # of a series without outliers: one in a hundred shows one nevertheless
 MIN_POINTS = 6  # of fewer, half may be wrong without anybody knowing which half

@@ -9,26 +9,25 @@ from astropy import units as u
 from astropy.table import Column as AstropyColumn
 from astropy.table import MaskedColumn, QTable, Table
 
-from opnav_workbench.campaign.columns import BODIES, IMAGES, POINTINGS, STARS, Column
-from opnav_workbench.campaign.observable_rows import ObservableColumn, observables_of
-from opnav_workbench.campaign.schema import tables
+from opnav_workbench.campaign.run_folder import ObservableColumn, observables_from_rows
+from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, STARS, Column, tables
 from opnav_workbench.errors import SessionError
 
-__all__ = ["QUESTIONS", "ask", "ask_observables", "ask_plain"]
+__all__ = ["QUESTIONS", "query_observables", "query_plain", "query_table"]
 
 QUESTIONS = ("images", "pointings", "stars", "bodies")
-PARTS: dict[str, tuple[Column, ...]] = {"pointings": POINTINGS, "stars": STARS, "bodies": BODIES}
+PART_COLUMNS: dict[str, tuple[Column, ...]] = {"pointings": POINTINGS, "stars": STARS, "bodies": BODIES}
 # Of the picture, beside the rows of its parts.
-OF_IMAGE = ("image", "utc", "et")
-AFTER_IMAGE = (
+IMAGE_COLUMNS = ("image", "utc", "et")
+ARCHIVE_COLUMNS = (
     Column("attention", "json", "", "why an analyst should look; empty: need not"),
     Column("folder", "text", "", "where the run is"),
 )
 EMPTY: dict[str, Any] = {"number": np.nan, "whole": 0, "flag": False, "text": "", "json": ""}
-LAST = "\uffff"  # after every text that begins alike: 2015-04-09 as an end holds the whole day
+AFTER_ALL_TEXT = "\uffff"  # after every text that begins alike: 2015-04-09 as an end holds the whole day
 
 
-def ask(connection: sa.Connection, what: str, filters: Mapping[str, str | None]) -> Table:
+def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str | None]) -> Table:
     """Return the rows of a part of the archive.
 
     Parameters
@@ -48,18 +47,20 @@ def ask(connection: sa.Connection, what: str, filters: Mapping[str, str | None])
         raise SessionError(f"unknown table {what!r}; choose one of {', '.join(QUESTIONS)}.")
     images = tables["images"]
     if what == "images":
-        columns: tuple[Column, ...] = (*IMAGES, *AFTER_IMAGE)
+        columns: tuple[Column, ...] = (*IMAGES, *ARCHIVE_COLUMNS)
         chosen = sa.select(*[images.c[c.name] for c in columns], images.c.extra)
     else:
         table = tables[what]
-        columns = (*[c for c in IMAGES if c.name in OF_IMAGE], *PARTS[what])
-        own = [table.c[c.name] for c in PARTS[what]]
-        chosen = sa.select(*[images.c[n] for n in OF_IMAGE], *own, table.c.extra).join_from(images, table)
+        columns = (*[c for c in IMAGES if c.name in IMAGE_COLUMNS], *PART_COLUMNS[what])
+        own = [table.c[c.name] for c in PART_COLUMNS[what]]
+        chosen = sa.select(*[images.c[n] for n in IMAGE_COLUMNS], *own, table.c.extra).join_from(
+            images, table
+        )
     rows = connection.execute(_filtered(chosen, what, filters)).mappings().all()
     return _table(rows, columns)
 
 
-def ask_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:
+def query_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:
     """Return all rows of ``decisions, journal, provenance`` (each with its picture) or ``history`` as plain values."""
     images, table = tables["images"], tables[what]
     if what == "history":
@@ -70,7 +71,7 @@ def ask_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:
     return [dict(row) for row in connection.execute(_ordered(query, table)).mappings()]
 
 
-def ask_observables(connection: sa.Connection, filters: Mapping[str, str | None]) -> QTable:
+def query_observables(connection: sa.Connection, filters: Mapping[str, str | None]) -> QTable:
     """Return the observables with the units and descriptions of their files; filters as in `ask`."""
     images, table, columns = tables["images"], tables["observables"], tables["observable_columns"]
     known = connection.execute(sa.select(columns).order_by(columns.c.position, columns.c.name)).all()
@@ -80,7 +81,7 @@ def ask_observables(connection: sa.Connection, filters: Mapping[str, str | None]
     if status:
         wanted = {s.strip().casefold() for s in status.split(",")}
         rows = [cells for cells in rows if str(cells.get("status", "")).casefold() in wanted]
-    return observables_of([ObservableColumn(c.name, c.unit, c.description) for c in known], rows)
+    return observables_from_rows([ObservableColumn(c.name, c.unit, c.description) for c in known], rows)
 
 
 def _ordered(query: "sa.Select[Any]", table: sa.Table) -> "sa.Select[Any]":
@@ -96,7 +97,7 @@ def _filtered(query: "sa.Select[Any]", what: str, filters: Mapping[str, str | No
             continue
         if name in ("since", "until"):
             begins = value.strip().replace(" ", "T").removesuffix("Z")
-            limit = images.c.utc >= begins if name == "since" else images.c.utc <= begins + LAST
+            limit = images.c.utc >= begins if name == "since" else images.c.utc <= begins + AFTER_ALL_TEXT
             query = query.where(limit)
             continue
         owner = table if name in table.c else images
@@ -114,9 +115,9 @@ def _table(rows: Sequence[Mapping[Any, Any]], columns: Sequence[Column]) -> Tabl
         if column.kind == "json" and column.name not in ("messages", "attention"):
             continue
         table[column.name] = _cells([row[column.name] for row in rows], column)
-    for name in _more(rows, set(table.colnames)):
+    for name in _extra_names(rows, set(table.colnames)):
         values = [(row["extra"] or {}).get(name) for row in rows]
-        table[name] = _cells(values, _guessed(name, values))
+        table[name] = _cells(values, _guessed_column(name, values))
     return table
 
 
@@ -132,7 +133,7 @@ def _cells(values: Sequence[Any], column: Column) -> Any:
     return AstropyColumn(filled, unit=unit, **common)
 
 
-def _more(rows: Iterable[Mapping[Any, Any]], taken: set[str]) -> list[str]:
+def _extra_names(rows: Iterable[Mapping[Any, Any]], taken: set[str]) -> list[str]:
     """Names of plain values that no column stands for: a newer version's results are not hidden."""
     names: dict[str, None] = {}
     for row in rows:
@@ -142,7 +143,7 @@ def _more(rows: Iterable[Mapping[Any, Any]], taken: set[str]) -> list[str]:
     return list(names)
 
 
-def _guessed(name: str, values: Sequence[Any]) -> Column:
+def _guessed_column(name: str, values: Sequence[Any]) -> Column:
     known = [value for value in values if value is not None]
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
         return Column(name, "number")

@@ -2,24 +2,115 @@
 
 A folder that holds less, or files that do not belong together (a program killed between two of them), is damaged: it is
 named and skipped, never half taken.
+
+No column of an observables file is lost on its way into rows and back into a table with units.  The runs of a night share
+its header, and reading that (YAML) takes longer than all else: it is read once for all of them.
 """
 
+import csv
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench.campaign.attention import attention_of
-from opnav_workbench.campaign.columns import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
-from opnav_workbench.campaign.observable_rows import ObservableColumn, read_observables
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable, Table
+
+from opnav_workbench.campaign.analyst_queue import attention_reasons
+from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
-__all__ = ["Run", "find_runs", "read_run", "without_times"]
+__all__ = ["ObservableColumn", "RunRows", "find_runs", "observables_from_rows", "read_run", "without_times"]
+
+
+# ---- Observables between their ECSV file, the archive's rows, and a table with units again; no column is ...
+
+HEADERS_KEPT = 16  # kept: as many versions of the program as one is likely to meet at once
+NO_TEXT = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class ObservableColumn:
+    """A column of an observables file: its name, unit and description; `unit` None for text."""
+
+    name: str
+    unit: str | None
+    description: str
+
+
+def read_observables(path: Path) -> tuple[tuple[ObservableColumn, ...], list[dict[str, Any]]]:
+    """Read an observables file as its columns and one mapping a row; unknown numbers are None.
+
+    Raises
+    ------
+    SessionError
+        The file is no ECSV table of observables.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        head = list(takewhile(lambda line: line.startswith("#"), lines))
+        body = lines[len(head) :]
+        columns, delimiter = _header("\n".join([*head, body[0]]))
+        rows = list(csv.reader(body[1:], delimiter=delimiter, strict=True))
+        convert = [_text_cell if column.unit is None else _number_cell for column in columns]
+        cells = [_cells(columns, convert, row) for row in rows]
+        assert all(isinstance(cell[name], str) for cell in cells for name in ("body", "method"))
+    except Exception as error:  # a damaged file leads astropy's reader to whatever it may
+        raise SessionError(f"{path.name} is damaged ({error!r:.120}); process the picture again") from error
+    return columns, cells
+
+
+@lru_cache(maxsize=HEADERS_KEPT)
+def _header(text: str) -> tuple[tuple[ObservableColumn, ...], str]:
+    table = Table.read(text, format="ascii.ecsv")
+    return tuple(_column(table, name) for name in table.colnames), "," if "delimiter: ','" in text else " "
+
+
+def _column(table: Table, name: str) -> ObservableColumn:
+    column = table[name]
+    text = column.dtype.kind in "US"
+    unit = None if text else ("" if column.unit is None else column.unit.to_string())
+    return ObservableColumn(name, unit, column.info.description or "")
+
+
+def _cells(
+    columns: Sequence[ObservableColumn], convert: Sequence[Callable[[str], Any]], row: Sequence[str]
+) -> dict[str, Any]:
+    return {column.name: read(value) for column, read, value in zip(columns, convert, row, strict=True)}
+
+
+def _text_cell(value: str) -> str:
+    return value or NO_TEXT
+
+
+def _number_cell(value: str) -> float | None:
+    number = float(value or "nan")
+    return number if np.isfinite(number) else None
+
+
+def observables_from_rows(columns: Sequence[ObservableColumn], cells: Sequence[Mapping[str, Any]]) -> QTable:
+    """Return rows as the table that `opnav_workbench.observables.observables_table` makes."""
+    table = QTable()
+    for column in columns:
+        values = [cell.get(column.name) for cell in cells]
+        if column.unit is None:
+            table[column.name] = np.array([NO_TEXT if v is None else str(v) for v in values], dtype=str)
+        else:
+            numbers = np.array([np.nan if v is None else v for v in values], dtype=float)
+            table[column.name] = u.Quantity(numbers, u.Unit(column.unit))
+        table[column.name].info.description = column.description
+    return table
+
+
+# ---- A run folder read: ``result.json``, ``observables.ecsv`` and ``session.json`` of one picture, checked, ...
 
 IMAGE_STATUSES = ("ok", "partial", "failed")
 # Keys whose values tell when something was done, not what came out: two runs that differ in them alone are one.
@@ -38,7 +129,7 @@ PARTS_OF_RESULT = ("pointing", "stars", "bodies", "provenance", "attention")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class RunRows:
     """One picture's run as rows of the archive.
 
     Attributes
@@ -88,7 +179,7 @@ def find_runs(path: str | Path) -> Iterator[Path]:
     yield from found
 
 
-def read_run(folder: str | Path) -> Run:
+def read_run(folder: str | Path) -> RunRows:
     """Read a run folder.
 
     Raises
@@ -107,14 +198,14 @@ def read_run(folder: str | Path) -> Run:
         raise SessionError(f"{RESULT_FILE} is damaged ({error}); process the picture again") from error
 
 
-def _run(place: Path, result: Mapping[str, Any], session: Mapping[str, Any] | None) -> Run:
+def _run(place: Path, result: Mapping[str, Any], session: Mapping[str, Any] | None) -> RunRows:
     if result.get("status") not in IMAGE_STATUSES:
         raise ValueError(f"status {result.get('status')!r} is none of {', '.join(IMAGE_STATUSES)}")
     if session is not None and result.get("sha256", session["sha256"]) != session["sha256"]:
         raise SessionError(f"{RESULT_FILE} and {SESSION_FILE} are of different pictures; process it again")
     name_key = f"name:{result.get('mission')}/{result['image']}"
     columns, cells = _observables(place, result)
-    parts = _parts(result, session, cells)
+    parts = _part_rows(result, session, cells)
     content = {
         "result": without_times(result),
         "observables": cells,
@@ -122,12 +213,12 @@ def _run(place: Path, result: Mapping[str, Any], session: Mapping[str, Any] | No
     }
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     image = row_of(result, IMAGES, PARTS_OF_RESULT)
-    return Run(
+    return RunRows(
         folder=place,
         key=result.get("sha256") or name_key,
         name_key=name_key,
         content_sha256=digest,
-        processed_utc=_processed(place, parts["journal"]),
+        processed_utc=_processed_utc(place, parts["journal"]),
         image=image
         | {"attention": list(_attention(result)), "path": None if session is None else session["image"]},
         parts=parts,
@@ -135,7 +226,7 @@ def _run(place: Path, result: Mapping[str, Any], session: Mapping[str, Any] | No
     )
 
 
-def _parts(
+def _part_rows(
     result: Mapping[str, Any], session: Mapping[str, Any] | None, cells: Sequence[Mapping[str, Any]]
 ) -> dict[str, list[dict[str, Any]]]:
     pointing, origin = result.get("pointing"), result.get("provenance") or {}
@@ -178,7 +269,7 @@ def _attention(result: Mapping[str, Any]) -> tuple[str, ...]:
         said = result["attention"] or ()
         return (said,) if isinstance(said, str) else tuple(str(reason) for reason in said)
     bodies = [(body.get("name"), body.get("status")) for body in result.get("bodies") or ()]
-    return attention_of(result["status"], result.get("messages") or (), bodies)
+    return attention_reasons(result["status"], result.get("messages") or (), bodies)
 
 
 def _observables(
@@ -201,7 +292,7 @@ def _observables(
     return columns, cells
 
 
-def _processed(place: Path, journal: Sequence[Mapping[str, Any]]) -> str:
+def _processed_utc(place: Path, journal: Sequence[Mapping[str, Any]]) -> str:
     """When the run was made: its last step, else when its result was written."""
     last = journal[-1].get("time_utc") if journal else None
     if isinstance(last, str) and re.match(r"\d{4}-\d\d-\d\dT", last):

@@ -1,25 +1,60 @@
 """Star catalogs: opened by a one-line spec, asked for the stars within a cone or a polygon.
 
-table, quality  the stars themselves, with sigmas, Johnson V and B-V, and flags
-specs           spec -> catalog
-indexed         the one search; `region` says where, a `store` holds the stars: in memory, as mapped `records` of a
-                `cache` file, or in `zones`; `sky` orders them
-bands           V and B-V from the catalogs' passbands
-bundled         Hipparcos and Gaia DR3 from two data packages, merged by `merge`
-tycho2, hip2    text catalogs of the CDS, converted once into a cache file
-ucac2, ucac4    binary zone files, read where they stand
-npz             a file of the user's own arrays
-astrometry_net  index files
-status          what is available here
+Enter by `open_catalog`, which returns a `Catalog`; a star list of one's own is read by `read_star_list`.
+
+Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigmas, Johnson V and B-V, and
+`StarQuality` flags.
+
+``specs``
+    Spec to catalog, and what is available here.
+``interface``
+    `Catalog`, and what all of them do alike with a question.
+``region``
+    Cones and convex polygons on the sky.
+``star_table``
+    The stars themselves.
+``quality``
+    Flags of what may be wrong with a star.
+``johnson``
+    V and B-V from the catalogs' passbands.
+``proper_motion``
+    Motions and parallaxes that a catalog does not give.
+``star_store``
+    The one search, the stores that it asks, and the index of the sky.
+``cache``
+    Converted catalogs as memory-mapped records.
+``cds_text``
+    Text files with fixed columns.
+``zones``
+    Binary zone files, and what UCAC2 and UCAC4 have in common.
+``bundled``
+    Hipparcos merged with Gaia DR3, from two data packages.
+``hipparcos``
+    The new reduction of Hipparcos: hip2.dat.
+``tycho2``
+    Tycho-2 of the CDS.
+``ucac2``
+    UCAC2 zone files.
+``ucac4``
+    UCAC4 zone files.
+``astrometry_net``
+    Index files of Astrometry.net.
+``user_files``
+    An npz file of the user's own arrays, and star lists.
+``vizier``
+    Cones of the VizieR service, kept on disk.
+``vizier_tables``
+    VizieR's tables and how their rows become stars.
+``combined``
+    Several catalogs asked as one.
 """
 
 from opnav_workbench.catalog.interface import Catalog
-from opnav_workbench.catalog.priors import UNKNOWN_MOTION_MAS_YR
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.specs import open_catalog
-from opnav_workbench.catalog.star_list import read_star_list
-from opnav_workbench.catalog.status import CatalogStatus, catalog_status
-from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.catalog.specs import CatalogStatus, catalog_status, open_catalog
+from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.catalog.user_files import read_star_list
 from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
 
 __all__ = [

@@ -1,7 +1,11 @@
 """Index files of Astrometry.net as a star catalog, as Debian's packages astrometry-data-* install them.
 
-`index_files` reads the directions out of the star tree. Magnitudes, and in the Gaia series also motions, stand in a
-table row by row beside it; columns are known by their names, whatever else is there:
+An index file is a FITS file. Its star tree stores unit vectors as opaque bytes in the byte order that the header
+card ENDIAN tells: the table ``kdtree_data_stars`` has n rows of three numbers, and ``kdtree_range_stars`` seven
+doubles: lower corner (3), upper corner (3) and the number of tree units per data unit. Integer rows decode as
+``lower + row / scale``; ``KDT_DATA`` names the type (double, float, u32, u16). The FITS table of AN_FILE 'TAGALONG'
+has one row a star, in the order of the tree: magnitudes, and in the Gaia series also motions; columns are known by
+their names, whatever else is there:
 
 ======================================  ======================================================================
 column                                  meaning
@@ -14,14 +18,15 @@ source_id, ref_epoch                    Gaia's number of the star, Julian year
 ======================================  ======================================================================
 
 Series 4100 and the Debian packages hold Tycho-2 (epoch J2000.0, no motions); series 5000 and 5200-HEAVY hold all
-columns of Gaia DR2 (J2015.5), 5200-LITE neither magnitudes nor motions. A star that several files share (neighboring
-tiles, scales) counts once.
+columns of Gaia DR2 (J2015.5), 5200-LITE neither magnitudes nor motions. A star that several files share
+(neighboring tiles, scales) counts once.
 
 Source: the README of series 5000 and the file headers themselves (program build-astrometry-index).
 """
 
 import glob
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -29,32 +34,95 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from astropy.io import fits
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
-from opnav_workbench.catalog.bands import (
-    johnson_from_bands,
-    johnson_from_gaia,
-    johnson_from_tycho,
-)
-from opnav_workbench.catalog.index_files import read_index
-from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
-from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.priors import (
+from opnav_workbench.catalog.johnson import Johnson, johnson_from_bands, johnson_from_gaia, johnson_from_tycho
+from opnav_workbench.catalog.proper_motion import (
     RAD_PER_DEG,
     RAD_PER_MAS,
     UNKNOWN_MOTION_MAS_YR,
     unknown_parallax_sigma_mas,
 )
-from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
+from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
 
 __all__ = ["open_astrometry_net"]
 
 
+# ---- Index files of Astrometry.net: the directions of their stars and the columns beside them.
+
+TREE_TYPES = {"double": "f8", "float": "f4", "u32": "u4", "u16": "u2"}
+BYTE_ORDERS = {"04:03:02:01": "<", "01:02:03:04": ">"}
+UNIT_TOLERANCE = 1e-3  # a direction decoded from 16 bit integers has a length within 3e-5 of one
+RANGE_DOUBLES = 7
+
+FitsHeader = Mapping[str, Any]
+
+
+def read_index(file: Path) -> tuple[FloatArray, float, dict[str, NDArray[Any]]]:
+    """Return unit vectors (n, 3), the step of their storage in mas, and the columns beside them by name.
+
+    Raises
+    ------
+    CatalogError
+        The file is no whole index file.
+    """
+    try:
+        with warnings.catch_warnings(), fits.open(file, memmap=True) as hdus:
+            warnings.simplefilter("ignore")  # a shortened file warns first and is refused below
+            tables = {hdu.header.get("TTYPE1", hdu.name): hdu for hdu in hdus[1:]}
+            tags = [hdu for hdu in hdus[1:] if hdu.header.get("AN_FILE") == "TAGALONG"]
+            xyz, quantum_mas = _directions(file, hdus[0].header, tables)
+            columns = {} if not tags else {c.name: np.asarray(tags[0].data[c.name]) for c in tags[0].columns}
+    except (OSError, TypeError, ValueError, KeyError, IndexError) as error:
+        reason = " ".join(str(error).split())
+        raise CatalogError(
+            f"{file} is not a whole Astrometry.net index file ({reason}); copy it again or narrow the glob."
+        ) from error
+    return xyz, quantum_mas, columns
+
+
+def _directions(file: Path, primary: FitsHeader, tables: Mapping[str, Any]) -> tuple[FloatArray, float]:
+    """Return the stars' unit vectors (n, 3) and the step of their storage in mas."""
+    data, limits = tables["kdtree_data_stars"], tables["kdtree_range_stars"]
+    tree = tables["kdtree_header_stars"].header if "kdtree_header_stars" in tables else {}
+    order = BYTE_ORDERS[str(tree.get("ENDIAN", primary.get("ENDIAN", "04:03:02:01"))).strip()]
+    kind = str(tree.get("KDT_DATA", "")).strip() or {24: "double", 12: "u32", 6: "u16"}[data.header["NAXIS1"]]
+    rows = _bytes_as(file, data, order + TREE_TYPES[kind]).reshape(-1, 3)
+    box = _bytes_as(file, limits, order + "f8")
+    if box.size != RANGE_DOUBLES:
+        raise ValueError(f"kdtree_range_stars holds {box.size} numbers, not {RANGE_DOUBLES}")
+    integers = rows.dtype.kind == "u"
+    xyz = box[:3] + rows / box[6] if integers else rows.astype(np.float64)
+    length = np.linalg.norm(xyz, axis=1)
+    if not np.all(np.abs(length - 1.0) < UNIT_TOLERANCE):
+        raise ValueError(
+            f"its star vectors have lengths from {length.min():.4g} to {length.max():.4g}, not 1"
+        )
+    step = 1.0 / float(box[6]) if integers else float(np.finfo(rows.dtype).eps)
+    return xyz / length[:, None], step / RAD_PER_MAS
+
+
+def _bytes_as(file: Path, hdu: Any, dtype: str) -> NDArray[Any]:
+    """Return the bytes of a one-column table as numbers; astropy would take them for text."""
+    size = int(hdu.header["NAXIS1"]) * int(hdu.header["NAXIS2"])
+    with file.open("rb") as stream:
+        stream.seek(hdu.fileinfo()["datLoc"])
+        content = stream.read(size)
+    if len(content) != size or size == 0:
+        raise ValueError(f"{hdu.header['TTYPE1']} has {len(content)} of {size} bytes")
+    return np.frombuffer(content, dtype=dtype)
+
+
+# ---- Index files of Astrometry.net as a star catalog, as Debian's packages astrometry-data-* install them.
+
+
 @dataclass(frozen=True, slots=True)
-class Band:
+class MagnitudeColumn:
     """What a magnitude column says of the catalog that an index was made from."""
 
     name: str
@@ -64,12 +132,12 @@ class Band:
 
 # Columns in order of preference. Tycho-2: 60 mas over all stars (Hog et al. 2000, A&A 355, L27); Gaia DR2:
 # below 0.1 mas at G < 17 (Lindegren et al. 2018, A&A 616, A2). Any other column says nothing of its catalog.
-BANDS = {
-    "phot_g_mean_mag": Band("G", 2015.5, 0.1),
-    "MAG_VT": Band("VT", 2000.0, 60.0),
-    "MAG_BT": Band("BT", 2000.0, 60.0),
+MAGNITUDE_COLUMNS = {
+    "phot_g_mean_mag": MagnitudeColumn("G", 2015.5, 0.1),
+    "MAG_VT": MagnitudeColumn("VT", 2000.0, 60.0),
+    "MAG_BT": MagnitudeColumn("BT", 2000.0, 60.0),
 }
-OTHER_BAND = Band("", 2000.0, 100.0)
+OTHER_MAGNITUDE = MagnitudeColumn("", 2000.0, 100.0)
 RELEASES = {2015.0: "Gaia DR1", 2015.5: "Gaia DR2", 2016.0: "Gaia DR3"}  # by reference epoch
 TYCHO_MAG_SIGMA = 0.1  # not in the files; Tycho-2 has 0.013 to magnitude 9, 0.1 over all (Hog et al. 2000)
 MOTION_COLUMNS = ("pmra", "pmra_error", "pmdec", "pmdec_error", "parallax", "parallax_error")
@@ -79,7 +147,7 @@ OPTION = re.compile(r"\?(\w+)=([^?]*)$")
 
 
 @dataclass(frozen=True, slots=True)
-class _Stars:
+class _IndexStars:
     """The stars of index files; arrays of n rows, astrometry in mas, nan where unknown."""
 
     xyz: FloatArray
@@ -114,7 +182,7 @@ def open_astrometry_net(argument: str) -> IndexedCatalog:
             f"no file matches {pattern}; give index files, such as those that Debian's package "
             "astrometry-data-tycho2-07 puts into /usr/share/astrometry."
         )
-    stars = _distinct([_read(file, epoch) for file in files])
+    stars = _distinct([_read_stars(file, epoch) for file in files])
     ra, dec = radec_from_unit(stars.xyz)
     known = _motion_known(stars)
     speed = np.where(known, np.hypot(stars.astrometry[:, 0], stars.astrometry[:, 2]), 0.0)
@@ -128,7 +196,7 @@ def open_astrometry_net(argument: str) -> IndexedCatalog:
         ra_rad=ra,
         dec_rad=dec,
         mag=stars.mag,
-        build=partial(_rows, stars, ra, dec),
+        build=partial(_table_of_rows, stars, ra, dec),
         motion=MotionBound(
             float(speed.max()) * RAD_PER_MAS, float(stars.epoch_jyear.min()), float(stars.epoch_jyear.max())
         ),
@@ -151,24 +219,24 @@ def _options(argument: str) -> tuple[str, float | None]:
     return argument[: found.start()], epoch
 
 
-def _read(file: Path, epoch: float | None) -> _Stars:
-    return _tagged(file, *read_index(file), epoch)
+def _read_stars(file: Path, epoch: float | None) -> _IndexStars:
+    return _stars_of_columns(file, *read_index(file), epoch)
 
 
-def _tagged(
+def _stars_of_columns(
     file: Path, xyz: FloatArray, quantum_mas: float, columns: Mapping[str, NDArray[Any]], epoch: float | None
-) -> _Stars:
+) -> _IndexStars:
     name = _magnitude_column(file, columns)
     if len(columns[name]) != len(xyz):
         raise CatalogError(
             f"{file} has {len(xyz)} stars but {len(columns[name])} magnitudes; copy the file again."
         )
-    n, band = len(xyz), BANDS.get(name, OTHER_BAND)
+    n, band = len(xyz), MAGNITUDE_COLUMNS.get(name, OTHER_MAGNITUDE)
     epochs = np.asarray(columns.get("ref_epoch", np.full(n, band.epoch_jyear)), dtype=np.float64)
     astrometry = [np.asarray(columns.get(c, np.full(n, np.nan)), dtype=np.float64) for c in MOTION_COLUMNS]
-    xyz, quantum_mas = _exact(file, xyz, quantum_mas, columns)
+    xyz, quantum_mas = _exact_directions(file, xyz, quantum_mas, columns)
     colors = [np.asarray(columns.get(c, np.full(n, np.nan)), dtype=np.float64) for c in COLOR_COLUMNS]
-    return _Stars(
+    return _IndexStars(
         xyz=xyz,
         mag=columns[name].astype(np.float64),
         band=np.full(n, band.name or name),
@@ -181,7 +249,7 @@ def _tagged(
     )
 
 
-def _exact(
+def _exact_directions(
     file: Path, xyz: FloatArray, quantum_mas: float, columns: Mapping[str, NDArray[Any]]
 ) -> tuple[FloatArray, float]:
     """Return the directions of the columns ra and dec, where they are there and agree with the tree."""
@@ -199,7 +267,7 @@ def _exact(
 
 def _magnitude_column(file: Path, columns: Mapping[str, NDArray[Any]]) -> str:
     """Return the first known magnitude column, or else the first that is named like one."""
-    for name in (*BANDS, *(name for name in columns if "mag" in name.lower())):
+    for name in (*MAGNITUDE_COLUMNS, *(name for name in columns if "mag" in name.lower())):
         if name in columns:
             return name
     raise CatalogError(
@@ -208,9 +276,9 @@ def _magnitude_column(file: Path, columns: Mapping[str, NDArray[Any]]) -> str:
     )
 
 
-def _distinct(parts: list[_Stars]) -> _Stars:
+def _distinct(parts: list[_IndexStars]) -> _IndexStars:
     """Join files and drop the copies of a star: one catalog entry has the same coordinates to the bit."""
-    whole = _Stars(*(np.concatenate([getattr(p, f) for p in parts]) for f in _Stars.__slots__))
+    whole = _IndexStars(*(np.concatenate([getattr(p, f) for p in parts]) for f in _IndexStars.__slots__))
     keep = np.isfinite(whole.mag)
     if len(parts) > 1:
         order = np.lexsort(whole.xyz.T)
@@ -218,16 +286,16 @@ def _distinct(parts: list[_Stars]) -> _Stars:
         keep[order[1:][copies]] = False
     if not np.any(keep):
         raise CatalogError("the index files hold no star with a magnitude; choose other files.")
-    return whole if np.all(keep) else _Stars(*(getattr(whole, f)[keep] for f in _Stars.__slots__))
+    return whole if np.all(keep) else _IndexStars(*(getattr(whole, f)[keep] for f in _IndexStars.__slots__))
 
 
-def _motion_known(stars: _Stars) -> NDArray[np.bool_]:
+def _motion_known(stars: _IndexStars) -> NDArray[np.bool_]:
     motion = stars.astrometry[:, :4]
     return np.asarray(np.all(np.isfinite(motion), axis=1) & np.all(motion[:, 1::2] > 0.0, axis=1))
 
 
-def _rows(stars: _Stars, ra: FloatArray, dec: FloatArray, rows: IntArray) -> StarTable:
-    part = _Stars(*(getattr(stars, f)[rows] for f in _Stars.__slots__))
+def _table_of_rows(stars: _IndexStars, ra: FloatArray, dec: FloatArray, rows: IntArray) -> StarTable:
+    part = _IndexStars(*(getattr(stars, f)[rows] for f in _IndexStars.__slots__))
     pmra, pmra_sigma, pmdec, pmdec_sigma, parallax, parallax_sigma = part.astrometry.T
     moving = _motion_known(part)
     near = np.isfinite(parallax) & (parallax_sigma > 0.0)
@@ -255,7 +323,7 @@ def _rows(stars: _Stars, ra: FloatArray, dec: FloatArray, rows: IntArray) -> Sta
     )
 
 
-def _johnson(part: _Stars) -> Johnson:
+def _johnson(part: _IndexStars) -> Johnson:
     blue, red, bt = part.colors.T
     g, vt = (np.where(part.band == band, part.mag, np.nan) for band in ("G", "VT"))
     of_gaia = johnson_from_gaia(g, blue, red)
@@ -263,7 +331,7 @@ def _johnson(part: _Stars) -> Johnson:
     return of_gaia.or_else(of_tycho).or_else(johnson_from_bands(part.mag, part.band))
 
 
-def _names(part: _Stars, rows: IntArray) -> list[str]:
+def _names(part: _IndexStars, rows: IntArray) -> list[str]:
     releases = [RELEASES.get(epoch, "Gaia") for epoch in part.epoch_jyear.tolist()]
     named = zip(part.source.tolist(), releases, rows.tolist(), strict=True)
     return [f"{release} {source}" if source > 0 else f"row:{row}" for source, release, row in named]

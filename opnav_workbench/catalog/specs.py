@@ -1,26 +1,35 @@
-"""Catalog specs: one line of text that says which star catalog to use."""
+"""Catalog specs: one line of text that says which star catalog to use, and which of them can be opened here.
 
+Specs joined by ``+`` are one catalog (`combined`).
+"""
+
+import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from opnav_workbench.catalog.astrometry_net import open_astrometry_net
-from opnav_workbench.catalog.bundled import open_bundled
+from opnav_workbench.catalog.bundled import bundled_cache_path, bundled_versions, open_bundled
 from opnav_workbench.catalog.cache import Progress
 from opnav_workbench.catalog.combined import CombinedCatalog, split_specs
-from opnav_workbench.catalog.hip2 import open_hip2
+from opnav_workbench.catalog.hipparcos import open_hip2
 from opnav_workbench.catalog.interface import Catalog
-from opnav_workbench.catalog.npz import open_npz
 from opnav_workbench.catalog.tycho2 import open_tycho2
 from opnav_workbench.catalog.ucac2 import open_ucac2
 from opnav_workbench.catalog.ucac4 import open_ucac4
-from opnav_workbench.catalog.vizier import open_vizier
+from opnav_workbench.catalog.user_files import open_npz
+from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
+from opnav_workbench.catalog.vizier_tables import TABLES
 from opnav_workbench.errors import CatalogError
 
-__all__ = ["READERS", "Reader", "open_catalog"]
+__all__ = ["CatalogStatus", "catalog_status", "open_catalog"]
+
+
+# ---- Catalog specs: one line of text that says which star catalog to use.
 
 
 @dataclass(frozen=True, slots=True)
-class Reader:
+class SpecKind:
     """How one kind of spec is written and opened."""
 
     form: str  # as shown to the user; "KIND:ARGUMENT" where it takes an argument
@@ -28,15 +37,15 @@ class Reader:
 
 
 # A new catalog is one more line here.
-READERS: Mapping[str, Reader] = {
-    "bundled": Reader("bundled", lambda _argument, progress: open_bundled(progress)),
-    "tycho2": Reader("tycho2:DIR", open_tycho2),
-    "ucac2": Reader("ucac2:DIR", lambda argument, _progress: open_ucac2(argument)),
-    "ucac4": Reader("ucac4:DIR", lambda argument, _progress: open_ucac4(argument)),
-    "hip2": Reader("hip2:DIR", open_hip2),
-    "npz": Reader("npz:FILE", lambda argument, _progress: open_npz(argument)),
-    "vizier": Reader("vizier:NAME", lambda argument, _progress: open_vizier(argument)),
-    "astrometry-net": Reader(
+SPEC_KINDS: Mapping[str, SpecKind] = {
+    "bundled": SpecKind("bundled", lambda _argument, progress: open_bundled(progress)),
+    "tycho2": SpecKind("tycho2:DIR", open_tycho2),
+    "ucac2": SpecKind("ucac2:DIR", lambda argument, _progress: open_ucac2(argument)),
+    "ucac4": SpecKind("ucac4:DIR", lambda argument, _progress: open_ucac4(argument)),
+    "hip2": SpecKind("hip2:DIR", open_hip2),
+    "npz": SpecKind("npz:FILE", lambda argument, _progress: open_npz(argument)),
+    "vizier": SpecKind("vizier:NAME", lambda argument, _progress: open_vizier(argument)),
+    "astrometry-net": SpecKind(
         "astrometry-net:GLOB", lambda argument, _progress: open_astrometry_net(argument)
     ),
 }
@@ -73,19 +82,85 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     opnav_workbench.errors.CatalogError: unknown catalog 'sao'; use bundled, tycho2:DIR,
     ucac2:DIR, ucac4:DIR, hip2:DIR, npz:FILE, vizier:NAME or astrometry-net:GLOB.
     """
-    parts = split_specs(spec, tuple(READERS))
+    parts = split_specs(spec, tuple(SPEC_KINDS))
     if len(parts) > 1:
         return CombinedCatalog([open_catalog(part, progress) for part in parts])
     kind, colon, argument = spec.strip().partition(":")
-    reader = READERS.get(kind)
+    reader = SPEC_KINDS.get(kind)
     if reader is None:
-        raise CatalogError(f"unknown catalog {spec!r}; use {_forms()}.")
+        raise CatalogError(f"unknown catalog {spec!r}; use {_known_forms()}.")
     takes_argument = ":" in reader.form
     if takes_argument != bool(argument) or (colon and not takes_argument):
-        raise CatalogError(f"catalog {spec!r} is not of the form {reader.form}; use {_forms()}.")
+        raise CatalogError(f"catalog {spec!r} is not of the form {reader.form}; use {_known_forms()}.")
     return reader.open(argument, progress)
 
 
-def _forms() -> str:
-    *others, last = (reader.form for reader in READERS.values())
+def _known_forms() -> str:
+    *others, last = (reader.form for reader in SPEC_KINDS.values())
     return f"{', '.join(others)} or {last}"
+
+
+# ---- Which star catalogs this installation can open, for ``opnav doctor``.
+
+INDEX_FOLDER = Path("/usr/share/astrometry")  # where Debian's packages astrometry-data-* put them
+
+
+@dataclass(frozen=True, slots=True)
+class CatalogStatus:
+    """One kind of catalog: whether it can be opened here, and what there is to know."""
+
+    form: str  # how its spec is written
+    available: bool
+    detail: str
+    versions: tuple[tuple[str, str], ...] = ()  # (data package, version)
+    cache_path: Path | None = None
+    cache_built: bool = False
+
+
+def catalog_status() -> tuple[CatalogStatus, ...]:
+    """Return the state of every kind of catalog, without opening any.
+
+    Examples
+    --------
+    >>> [status.form for status in catalog_status()][:3]
+    ['bundled', 'tycho2:DIR', 'ucac2:DIR']
+    """
+    special = {"bundled": _bundled_status, "astrometry-net": _astrometry_net_status, "vizier": _vizier_status}
+    plain = "needs files of yours"
+    return tuple(
+        special[kind]() if kind in special else CatalogStatus(reader.form, available=True, detail=plain)
+        for kind, reader in SPEC_KINDS.items()
+    )
+
+
+def _bundled_status() -> CatalogStatus:
+    try:
+        versions, path = bundled_versions(), bundled_cache_path()
+    except CatalogError as error:
+        return CatalogStatus("bundled", available=False, detail=str(error))
+    built = path.is_file()
+    return CatalogStatus(
+        form="bundled",
+        available=True,
+        detail=f"cache {'at' if built else 'will be built at first use:'} {path}",
+        versions=tuple(versions.items()),
+        cache_path=path,
+        cache_built=built,
+    )
+
+
+def _astrometry_net_status() -> CatalogStatus:
+    files = list(INDEX_FOLDER.glob("index-*.fits"))
+    return CatalogStatus(
+        form="astrometry-net:GLOB",
+        available=True,
+        detail=f"{len(files)} index files in {INDEX_FOLDER}; give a GLOB for other folders",
+    )
+
+
+def _vizier_status() -> CatalogStatus:
+    kept = sum(1 for kind in TABLES for _ in VizierCatalog(kind).folder.glob("*.npz"))
+    online = importlib.util.find_spec("astroquery") is not None
+    ask = "" if online else '; to ask the service: pip install "opnav_workbench[online]"'
+    names = ", ".join(TABLES)
+    return CatalogStatus("vizier:NAME", available=True, detail=f"{names}; {kept} cones on disk{ask}")

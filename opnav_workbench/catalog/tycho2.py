@@ -23,19 +23,26 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
-from opnav_workbench.catalog.bands import johnson_from_hipparcos, johnson_from_tycho
-from opnav_workbench.catalog.cache import Progress, cache_name, cache_path, cached_stars, source_identity
-from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
-from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.priors import (
+from opnav_workbench.catalog.cache import (
+    Progress,
+    Records,
+    RecordStore,
+    cache_name,
+    cache_path,
+    cached_stars,
+    source_identity,
+    star_records,
+)
+from opnav_workbench.catalog.cds_text import TextRows, read_rows, source_files
+from opnav_workbench.catalog.johnson import Johnson, johnson_from_hipparcos, johnson_from_tycho
+from opnav_workbench.catalog.proper_motion import (
     RAD_PER_DEG,
     RAD_PER_MAS,
     UNKNOWN_MOTION_MAS_YR,
     unknown_parallax_sigma_mas,
 )
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
-from opnav_workbench.catalog.records import Records, RecordStore, star_records
-from opnav_workbench.catalog.text import TextRows, read_rows, source_files
+from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["open_tycho2"]

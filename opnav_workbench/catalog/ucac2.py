@@ -11,13 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
-from opnav_workbench.catalog.bands import johnson_from_ucac
-from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
-from opnav_workbench.catalog.priors import RAD_PER_MAS
+from opnav_workbench.catalog.johnson import johnson_from_ucac
+from opnav_workbench.catalog.proper_motion import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
-from opnav_workbench.catalog.table import StarTable
-from opnav_workbench.catalog.ucac import UCAC_BAND, astrometry_columns
-from opnav_workbench.catalog.zones import FASTEST_RAD_YR, ZoneLayout, ZoneStore, open_zones
+from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
+from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.catalog.zones import (
+    FASTEST_RAD_YR,
+    UCAC_BAND,
+    ZoneLayout,
+    ZoneStore,
+    astrometry_columns,
+    open_zones,
+)
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["UCAC2_RECORD", "open_ucac2"]
@@ -65,12 +71,12 @@ def open_ucac2(argument: str) -> StoredCatalog:
             "folder": str(folder),
             "bands": [UCAC_BAND],
         },
-        store=ZoneStore(folder, files, LAYOUT, None if index is None else _index_counts(index)),
+        store=ZoneStore(folder, files, LAYOUT, None if index is None else _zone_counts(index)),
         motion=MotionBound(FASTEST_RAD_YR, 2000.0, 2000.0),
     )
 
 
-def _index_counts(path: Path) -> IntArray:
+def _zone_counts(path: Path) -> IntArray:
     """Return how many records each zone has: the index tells the running number of the last star of each bin."""
     content = np.fromfile(path, dtype="<i4")
     if content.size != LAYOUT.n_zones * INDEX_BINS:

@@ -14,19 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
-from opnav_workbench.catalog.bands import (
+from opnav_workbench.catalog.johnson import (
+    Johnson,
     johnson_from_2mass_color,
     johnson_from_standard,
     johnson_from_tycho,
     johnson_from_ucac,
 )
-from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
-from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.priors import RAD_PER_MAS
+from opnav_workbench.catalog.proper_motion import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
-from opnav_workbench.catalog.table import StarTable
-from opnav_workbench.catalog.ucac import UCAC_BAND, astrometry_columns
-from opnav_workbench.catalog.zones import FASTEST_RAD_YR, ZoneLayout, ZoneStore, open_zones
+from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
+from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.catalog.zones import (
+    FASTEST_RAD_YR,
+    UCAC_BAND,
+    ZoneLayout,
+    ZoneStore,
+    astrometry_columns,
+    open_zones,
+)
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["UCAC4_RECORD", "open_ucac4"]
@@ -72,7 +78,7 @@ def open_ucac4(argument: str) -> StoredCatalog:
     """
     given = Path(argument).expanduser()
     folder = given / "u4b" if (given / "u4b").is_dir() else given
-    fast, index = (_beside(given, name) for name in ("u4hpm.dat", "u4index.unf"))
+    fast, index = (_index_file(given, name) for name in ("u4hpm.dat", "u4index.unf"))
     layout = _layout(_fast_motions(fast) if fast else {})
     files = open_zones(folder, layout)
     return StoredCatalog(
@@ -83,7 +89,7 @@ def open_ucac4(argument: str) -> StoredCatalog:
             "bands": [UCAC_BAND],
             "high_motion_file": None if fast is None else str(fast),
         },
-        store=ZoneStore(folder, files, layout, _index_counts(index) if index else None),
+        store=ZoneStore(folder, files, layout, _zone_counts(index) if index else None),
         motion=MotionBound(FASTEST_RAD_YR, 1998.0, 2004.0),
     )
 
@@ -105,7 +111,7 @@ def _layout(fast: dict[int, tuple[float, float]]) -> ZoneLayout:
     )
 
 
-def _beside(given: Path, name: str) -> Path | None:
+def _index_file(given: Path, name: str) -> Path | None:
     """Return a file of ``u4i``, wherever that stands beside the zone files."""
     places = (given / "u4i", given.parent / "u4i", given)
     return next((place / name for place in places if (place / name).is_file()), None)
@@ -120,7 +126,7 @@ def _fast_motions(path: Path) -> dict[int, tuple[float, float]]:
         raise CatalogError(f"{path} is not the file of high motions of UCAC4 ({error}); {REMEDY}") from error
 
 
-def _index_counts(path: Path) -> IntArray:
+def _zone_counts(path: Path) -> IntArray:
     """Return how many records each zone has: n0(zone, bin), then nn(zone, bin), the zone running fastest."""
     content = np.fromfile(path, dtype="<i4")
     if content.size != 2 * 900 * INDEX_BINS:

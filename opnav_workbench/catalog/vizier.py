@@ -17,19 +17,18 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from opnav_workbench.catalog.interface import Catalog
-from opnav_workbench.catalog.mean_motion import with_mean_motion
+from opnav_workbench.catalog.interface import Catalog, check_cone, select
+from opnav_workbench.catalog.proper_motion import with_mean_motion
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.region import Region
-from opnav_workbench.catalog.selection import check_cone, select
-from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.catalog.vizier_tables import TABLES, VizierTable, plain_columns, stars_from_rows
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.geometry import angle_between, jyear_from_et, radec_from_unit, unit_from_radec
 from opnav_workbench.resources import cache_root
 
-__all__ = ["FetchedCone", "VizierCatalog", "open_vizier"]
+__all__ = ["VizierCatalog", "open_vizier"]
 
 FASTEST_RAD_YR = math.radians(10.4 / 3600.0)  # Barnard's star
 # Added to a cone that is fetched, so that the next pictures of a sequence are served by it too.
@@ -38,9 +37,9 @@ TIMEOUT_S = 120.0
 REASON_CHARS = 120  # of what went wrong in the network, in a message
 CONE_MEMBER = "__cone__"
 # What reading a damaged file may raise; it counts as none, and its cone will be fetched again.
-DAMAGED = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError)
+DAMAGED_FILE_ERRORS = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError)
 
-Ask = Callable[[VizierTable, "FetchedCone"], Table]
+AskService = Callable[[VizierTable, "FetchedCone"], Table]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +122,7 @@ class VizierCatalog(Catalog):
 
     __slots__ = ("_ask", "_kind", "_layout")
 
-    def __init__(self, kind: str, ask: Ask = ask_vizier) -> None:
+    def __init__(self, kind: str, ask: AskService = ask_vizier) -> None:
         self._kind, self._layout, self._ask = kind, TABLES[kind], ask
         self.name = f"vizier:{kind}"
 
@@ -241,7 +240,7 @@ def _write(path: Path, cone: FetchedCone, rows: Mapping[str, NDArray[Any]]) -> N
         raise CatalogError(
             f"cannot make {path.parent}: {error.strerror or error}; name another cache folder."
         ) from error
-    members: dict[str, Any] = {_safe(name): column for name, column in rows.items()}
+    members: dict[str, Any] = {_member_name(name): column for name, column in rows.items()}
     members[CONE_MEMBER] = json.dumps(asdict(cone))
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, **members)
@@ -252,7 +251,7 @@ def _cone_of(path: Path) -> FetchedCone | None:
         # numpy leaves a file open that turns out to be no archive
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
             return FetchedCone(**json.loads(str(content[CONE_MEMBER])))
-    except DAMAGED:
+    except DAMAGED_FILE_ERRORS:
         return None
 
 
@@ -260,15 +259,15 @@ def _rows_of(path: Path) -> dict[str, NDArray[Any]] | None:
     try:
         # numpy leaves a file open that turns out to be no archive
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
-            return {_original(k): content[k] for k in content.files if k != CONE_MEMBER}
-    except DAMAGED:
+            return {_column_name(k): content[k] for k in content.files if k != CONE_MEMBER}
+    except DAMAGED_FILE_ERRORS:
         return None
 
 
-def _safe(column: str) -> str:
+def _member_name(column: str) -> str:
     """Return a column name without characters that a member of an archive should not have."""
     return re.sub(r"[^A-Za-z0-9_]", lambda found: f"%{ord(found[0]):02x}", column)
 
 
-def _original(member: str) -> str:
+def _column_name(member: str) -> str:
     return re.sub(r"%([0-9a-f]{2})", lambda found: chr(int(found[1], 16)), member)

@@ -22,17 +22,21 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.catalog.bands import (
+from opnav_workbench.catalog.johnson import (
+    Johnson,
     johnson_from_gaia,
     johnson_from_hipparcos,
     johnson_from_standard,
     johnson_from_tycho,
     johnson_from_ucac,
 )
-from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.priors import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.proper_motion import (
+    RAD_PER_MAS,
+    UNKNOWN_MOTION_MAS_YR,
+    unknown_parallax_sigma_mas,
+)
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["TABLES", "VizierTable", "stars_from_rows"]

@@ -2,8 +2,17 @@
 
 A zone is a strip of declination, one file of fixed records that ascend in right ascension. That order is the sky
 index: a cone reads the records between two right ascensions of the few zones it meets, found by bisection on the
-memory-mapped file. The index files of the distributions are not needed for that; where they stand they tell how many
-records each zone must have.
+memory-mapped file. The index files of the distributions are not needed for that; where they stand they tell how
+many records each zone must have.
+
+Both UCAC catalogs give positions at J2000.0 (moved there by the motion given), but sigmas at central epochs of
+observation of their own in RA and dec. With c the years from there to J2000:
+
+    sigma(J2000)^2 = sigma^2 + c^2 sigma_motion^2,    cov(position, motion) = c sigma_motion^2
+
+so that the propagated sigma is smallest at the central epoch, as it is. Stars without a motion were not moved:
+their position is that of the central epoch, which then is the epoch of the row (RA and dec apart by months at most:
+their mean).
 """
 
 from bisect import bisect_left, bisect_right
@@ -15,14 +24,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from opnav_workbench.arrays import FloatArray, IntArray
-from opnav_workbench.catalog.priors import RAD_PER_DEG, RAD_PER_MAS
-from opnav_workbench.catalog.sky import GUARD_RAD, ra_spans
-from opnav_workbench.catalog.store import Candidates
-from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.catalog.proper_motion import (
+    RAD_PER_DEG,
+    RAD_PER_MAS,
+    UNKNOWN_MOTION_MAS_YR,
+    unknown_parallax_sigma_mas,
+)
+from opnav_workbench.catalog.star_store import GUARD_RAD, Candidates, ra_spans
+from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError
 
-__all__ = ["FASTEST_RAD_YR", "ZoneLayout", "ZoneStore", "open_zones", "zone_names"]
+__all__ = ["FASTEST_RAD_YR", "UCAC_BAND", "ZoneLayout", "ZoneStore", "astrometry_columns", "open_zones"]
+
+
+# ---- Catalogs of binary zone files, as UCAC2 and UCAC4 are: read where they stand, nothing converted or held ...
 
 ROW_BITS = 24  # row number = zone * 2**24 + record; the largest zone has 0.3 million records
 THREE_DIGITS = np.array([f"{value:03d}" for value in range(1000)])
@@ -207,3 +223,51 @@ def zone_names(catalog: str, zones: IntArray, numbers: IntArray) -> NDArray[np.s
 def _records(found: Candidates) -> NDArray[np.void]:
     assert found.records is not None  # candidates of this store have their records
     return found.records
+
+
+# ---- What UCAC2 and UCAC4 rows have in common: positions carried to J2000 from their mean epochs, motions ...
+
+UCAC_BAND = "UCAC"  # 579-642 nm, between V and R
+
+
+def astrometry_columns(
+    motion: FloatArray,
+    motion_sigma: FloatArray,
+    place_sigma: FloatArray,
+    central_jyear: FloatArray,
+    known: BoolArray,
+    mag: FloatArray,
+) -> dict[str, Any]:
+    """Return the columns of motion, sigma and epoch of a `StarTable`.
+
+    Parameters
+    ----------
+    motion, motion_sigma : (n, 2) array
+        RA cos(dec) and dec, mas/yr.
+    place_sigma, central_jyear : (n, 2) array
+        Sigma in mas at the central epochs, RA cos(dec) and dec.
+    known : (n,) array of bool
+        Whether the star has a motion.
+    mag : (n,) array
+        For the parallax, which neither catalog gives.
+    """
+    moving, spread, years = motion * RAD_PER_MAS, motion_sigma, 2000.0 - central_jyear
+    epoch = np.full(len(mag), 2000.0)
+    if not known.all():
+        still = ~known
+        moving, spread = moving.copy(), spread.copy()
+        moving[still], spread[still], years[still] = 0.0, UNKNOWN_MOTION_MAS_YR, 0.0
+        epoch[still] = central_jyear[still].mean(axis=1)
+    sigma = np.empty((len(mag), 5))
+    sigma[:, :2] = np.sqrt(place_sigma**2 + (years * spread) ** 2)
+    sigma[:, 2], sigma[:, 3:] = unknown_parallax_sigma_mas(mag), spread
+    return {
+        "pmra_rad_yr": moving[:, 0],
+        "pmdec_rad_yr": moving[:, 1],
+        "parallax_rad": np.zeros(len(mag)),
+        "rv_km_s": np.full(len(mag), np.nan),
+        "epoch_jyear": epoch,
+        "sigma": sigma * RAD_PER_MAS,
+        "position_motion": years * spread**2 * RAD_PER_MAS**2,
+        "motion_known": known,
+    }

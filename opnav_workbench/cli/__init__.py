@@ -1,5 +1,43 @@
-"""The ``opnav`` program."""
+"""The ``opnav`` program. Enter by `main`; `app` is its Typer application.
 
-from opnav_workbench.cli.app import app, main
+One module a command or group of commands; nothing else in the package imports them.
+
+``program``
+    The commands together, and how errors end the program.
+``terminal``
+    Consoles, progress, tables and exit statuses that several commands share.
+``process``
+    Pictures to pointing and observables; also runs pictures for demo and ort.
+``demo``
+    Simulated approach pictures, solved and held against their truth.
+``lab``
+    JupyterLab with the workbench open on pictures, and its notebook.
+``lab_server``
+    A JupyterLab of its own, started, watched and stopped.
+``nightly``
+    Hundreds of pictures headless, continued at will.
+``export``
+    Observables of many pictures as one file.
+``simulate``
+    Pictures with known truth from a scenario.
+``plan``
+    What the pictures of a sequence will show, and a verdict on each.
+``ort``
+    Operational readiness tests: new, solve, score.
+``campaign``
+    The archive of many runs: ingest, query, export, plot, stack.
+``kernels``
+    SPICE kernels: list, check, fetch, make, brief, geometry, make-ck.
+``kernel_tables``
+    What the kernels commands print.
+``catalog``
+    Star catalogs: list, info, build, fetch, cone.
+``calibrate``
+    Camera and PSF from star frames.
+``doctor``
+    What is installed and what is missing.
+"""
+
+from opnav_workbench.cli.program import app, main
 
 __all__ = ["app", "main"]

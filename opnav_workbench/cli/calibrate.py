@@ -1,4 +1,8 @@
-"""``opnav calibrate camera`` and ``opnav calibrate psf``: a camera file from the camera's own star frames."""
+"""``opnav calibrate camera`` and ``opnav calibrate psf``: a camera file from the camera's own star frames.
+
+Writes a copy of the camera's file with the new values, a report as JSON and a figure; what the stars do not
+determine is null in the report and "not determined" in the table.
+"""
 
 import shutil
 from collections.abc import Sequence
@@ -11,6 +15,7 @@ import typer
 import yaml
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
 from opnav_workbench.calibration import (
     CameraCalibration,
@@ -25,18 +30,118 @@ from opnav_workbench.calibration import (
     write_camera_file,
 )
 from opnav_workbench.camera import BrownDistortion, Camera, OwenDistortion
-from opnav_workbench.cli.calibrate_output import calibration_json, camera_table, progress_of, psf_json
+from opnav_workbench.cli.terminal import named_progress
 from opnav_workbench.files import atomic_path, make_folder, write_json
-from opnav_workbench.headless import Decisions, Policy, load_decisions
+from opnav_workbench.headless import Policy
 from opnav_workbench.headless.star_frames import SolvedFrames, psf_frames, solve_frames, star_frames
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.report.calibration_figure import camera_figure, psf_figure
-from opnav_workbench.report.png import write_png
+from opnav_workbench.report.calibration import camera_figure, psf_figure
+from opnav_workbench.report.drawing import write_png
 from opnav_workbench.session import ATTITUDE_SOURCES
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.session.decisions import Decisions, load_decisions
+from opnav_workbench.version import __version__
 
 __all__ = ["calibrate"]
+
+
+# ---- What ``opnav calibrate`` prints and writes: progress, a table of parameters, reports as plain values.
+
+
+def camera_table(result: CameraCalibration, name: str) -> Table:
+    """Return the table of parameters: before, after, sigma, and the change in sigmas."""
+    table = Table(title=name, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    for heading in ("before", "after", "σ", "change/σ"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for parameter, before, after, sigma in zip(
+        result.names, result.initial, result.values, result.sigmas, strict=True
+    ):
+        if np.isinf(sigma):
+            table.add_row(parameter, f"{before:.9g}", f"{after:.9g}", "not determined", "–")
+        else:
+            change = (after - before) / sigma
+            table.add_row(parameter, f"{before:.9g}", f"{after:.9g}", f"{sigma:.2g}", f"{change:+.1f}")
+    for first, second, value in result.strong_correlations:
+        table.add_row(f"[dim]correlation {first}, {second}: {value:+.3f}[/]")
+    return table
+
+
+def calibration_json(
+    stars: StarFrames,
+    result: CameraCalibration,
+    start: Camera,
+    failed: Sequence[tuple[str, str]],
+    catalog: str,
+) -> dict[str, Any]:
+    """Return the report of a camera calibration; what is not determined is null."""
+    return {
+        "version": __version__,
+        "camera": start.name,
+        "catalog": catalog,
+        "parameters": [
+            {"name": name, "before": before, "after": after, "sigma": sigma}
+            for name, before, after, sigma in zip(
+                result.names, result.initial, result.values, result.sigmas, strict=True
+            )
+        ],
+        "covariance": result.covariance,
+        "correlation": result.correlation,
+        "strong_correlations": [list(pair) for pair in result.strong_correlations],
+        "not_determined": [
+            dict(zip(result.names, direction, strict=True)) for direction in result.open_directions
+        ],
+        "rms_before_px": result.rms_before_px,
+        "rms_after_px": result.rms_after_px,
+        "excess_sigma_px": result.excess_sigma_px,
+        "chi2_reduced": result.chi2_reduced,
+        "iterations": result.iterations,
+        "n_stars": int(result.used.sum()),
+        "n_rejected": int((~result.used).sum()),
+        "frames": [_picture_report(stars, result, i) for i in range(stars.n_frames)],
+        "left_out": [{"image": name, "reason": reason} for name, reason in failed],
+        "messages": list(result.messages),
+    }
+
+
+def _picture_report(stars: StarFrames, result: CameraCalibration, index: int) -> dict[str, Any]:
+    own = (stars.frame == index) & result.used
+    return {
+        "image": stars.names[index],
+        "n_stars": int(own.sum()),
+        "rms_before_px": np.sqrt(np.mean(result.residual_before_px[own] ** 2)),
+        "rms_after_px": np.sqrt(np.mean(result.residual_after_px[own] ** 2)),
+        "camera_from_j2000": result.attitudes[index],
+    }
+
+
+def psf_json(
+    result: PsfCalibration, names: Sequence[str], failed: Sequence[tuple[str, str]]
+) -> dict[str, Any]:
+    """Return the report of a PSF calibration."""
+    return {
+        "version": __version__,
+        "n_stars": result.n_stars,
+        "oversampling": result.psf.oversampling,
+        "half_size_px": result.psf.half_size_px,
+        "sigma_px": result.psf.sigma_px,
+        "smoothness": result.smoothness,
+        "chi2_reduced_median": {
+            "gaussian": np.median(result.gaussian_chi2),
+            "empirical": np.median(result.empirical_chi2),
+            "empirical_other_stars": result.held_out_chi2,
+        },
+        "centers_moved_rms_px": result.moved_px,
+        "frames": [
+            {"image": name, "used": bool(used)} for name, used in zip(names, result.used_frames, strict=True)
+        ],
+        "left_out": [{"image": name, "reason": reason} for name, reason in failed],
+        "messages": list(result.messages),
+    }
+
+
+# ---- ``opnav calibrate camera`` and ``opnav calibrate psf``: a camera file from the camera's own star frames.
 
 calibrate = typer.Typer(
     name="calibrate",
@@ -54,24 +159,24 @@ DEFAULT_TERMS: dict[type, tuple[str, ...]] = {
     BrownDistortion: ("k1", "k2", "p1", "p2"),
 }
 
-Images = Annotated[list[Path], typer.Argument(help="Pictures of one camera.", show_default=False)]
+ImagesArgument = Annotated[list[Path], typer.Argument(help="Pictures of one camera.", show_default=False)]
 MissionOption = Annotated[
     str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
 ]
-Kernels = Annotated[
+KernelsOption = Annotated[
     str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
 ]
 CatalogOption = Annotated[str, typer.Option(help="bundled | npz:FILE | tycho2:DIR | ucac4:DIR | ...")]
 DecisionsOption = Annotated[
     Path | None, typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False)
 ]
-Attitude = Annotated[str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))]
-Out = Annotated[Path, typer.Option(help="Folder for the new camera file and the report.")]
+AttitudeOption = Annotated[str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))]
+OutOption = Annotated[Path, typer.Option(help="Folder for the new camera file and the report.")]
 
 
 @calibrate.command()
 def camera(
-    images: Images,
+    images: ImagesArgument,
     mission: MissionOption,
     solve: Annotated[
         str | None,
@@ -81,11 +186,11 @@ def camera(
         ),
     ] = None,
     distortion: Annotated[str, typer.Option(help="Distortion model: keep | none | owen | brown")] = "keep",
-    kernels: Kernels = None,
+    kernels: KernelsOption = None,
     catalog: CatalogOption = "bundled",
-    attitude: Attitude = "auto",
+    attitude: AttitudeOption = "auto",
     decisions: DecisionsOption = None,
-    out: Out = Path("calibration"),
+    out: OutOption = Path("calibration"),
 ) -> None:
     """Solve focal length, distortion and mounting angles over many star frames.
 
@@ -101,7 +206,7 @@ def camera(
     with ExitStack() as stack:
         if kernels is not None:
             stack.enter_context(KernelSet(kernels))
-        solved = _solved(images, policy)
+        solved = _solve_frames(images, policy)
     start = with_distortion(solved.sessions[0].context.camera, distortion)
     names = (
         _default_names(start) if solve is None else tuple(n.strip() for n in solve.split(",") if n.strip())
@@ -113,18 +218,18 @@ def camera(
 
 @calibrate.command()
 def psf(
-    images: Images,
+    images: ImagesArgument,
     mission: MissionOption,
-    kernels: Kernels = None,
+    kernels: KernelsOption = None,
     catalog: CatalogOption = "bundled",
-    attitude: Attitude = "auto",
+    attitude: AttitudeOption = "auto",
     min_snr: Annotated[
         float, typer.Option(help="Least signal-to-noise ratio of a star in the stack.")
     ] = 50.0,
     oversampling: Annotated[
         int | None, typer.Option(help="Cells a pixel; default four to the PSF's width.", show_default=False)
     ] = None,
-    out: Out = Path("calibration"),
+    out: OutOption = Path("calibration"),
 ) -> None:
     """Stack bright stars of solved frames to an empirical PSF.
 
@@ -139,7 +244,7 @@ def psf(
     with ExitStack() as stack:
         if kernels is not None:
             stack.enter_context(KernelSet(kernels))
-        solved = _solved(images, policy, least_stars=1)
+        solved = _solve_frames(images, policy, least_stars=1)
     context = solved.sessions[0].context
     isolation = max(ISOLATION_PX, ISOLATION_SIGMAS * context.camera.psf.sigma_px)
     frames = psf_frames(solved.sessions, min_snr, isolation)
@@ -157,9 +262,9 @@ def _policy(mission: str, catalog: str, attitude: str, decisions: Path | None) -
     )
 
 
-def _solved(images: Sequence[Path], policy: Policy, **options: Any) -> SolvedFrames:
+def _solve_frames(images: Sequence[Path], policy: Policy, **options: Any) -> SolvedFrames:
     console = Console(stderr=True, soft_wrap=True)
-    with progress_of(console, len(images)) as say:
+    with named_progress(console, len(images)) as say:
         solved = solve_frames(images, policy, say, **options)
     for name, reason in solved.failed:
         console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}", highlight=False)
@@ -197,7 +302,7 @@ def _write_camera(
     console = Console()
     console.print(camera_table(result, start.name))
     rms = f"residuals {result.rms_before_px:.3f} px rms before, {result.rms_after_px:.3f} px after"
-    _finish(console, rms, result.messages, (target, report, picture))
+    _print_files(console, rms, result.messages, (target, report, picture))
 
 
 def _write_psf(
@@ -223,7 +328,7 @@ def _write_psf(
         f"{result.n_stars} stars, {result.psf.oversampling} cells a pixel; reduced chi-squared of a star (median) "
         f"{median[0]:.2f} with one Gaussian, {median[1]:.2f} with the PSF"
     )
-    _finish(Console(), words, result.messages, (target, template, report, picture))
+    _print_files(Console(), words, result.messages, (target, template, report, picture))
 
 
 def _copy_psf(source: Path, target: Path) -> None:
@@ -234,7 +339,7 @@ def _copy_psf(source: Path, target: Path) -> None:
             shutil.copyfile(source.parent / model["file"], temporary)
 
 
-def _finish(console: Console, words: str, messages: Sequence[str], files: Sequence[Path]) -> None:
+def _print_files(console: Console, words: str, messages: Sequence[str], files: Sequence[Path]) -> None:
     console.print(words, highlight=False, soft_wrap=True)
     for message in messages:
         console.print(f"[yellow]note[/] {escape(message)}", highlight=False, soft_wrap=True)

@@ -1,28 +1,359 @@
-"""``opnav campaign``: many runs in one archive, questions to it, its observables, its trends, and stacks of its pictures."""
+"""``opnav campaign``: many runs in one archive, questions to it, its observables, its trends, and stacks of its pictures.
 
+ingest  takes runs into the archive; damaged ones are named and skipped (exit status 3)
+query   pictures, pointings, bodies or stars as a table, CSV or JSON
+export  observables as one file
+plot    trends, with outliers named
+stack   many solved pictures of a faint target as one
+"""
+
+import csv
+import io
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from astropy.table import Table
 from rich.console import Console
 from rich.markup import escape
+from rich.progress import Progress, SpinnerColumn, TextColumn
+from rich.table import Table as Printed
 
-from opnav_workbench.campaign import ARCHIVE_FILE, Campaign, Ingested, trends
-from opnav_workbench.campaign.export import EXPORT_FORMATS, export_observables
+from opnav_workbench.bodies import BodyCenter
+from opnav_workbench.campaign import ARCHIVE_FILE, Campaign, Ingested, IngestReport, Trends, trends
+from opnav_workbench.campaign.archive import EXPORT_FORMATS, export_observables
 from opnav_workbench.campaign.queries import QUESTIONS
-from opnav_workbench.cli.campaign_output import (
-    OUTPUT_FORMATS,
-    ingest_progress,
-    print_answer,
-    print_ingested,
-    print_outliers,
+from opnav_workbench.campaign.run_folder import find_runs
+from opnav_workbench.campaign.stacking import (
+    Growth,
+    Stacked,
+    StackProducts,
+    find_in_stack,
+    frames_of_runs,
+    snr_growth,
+    stack_frames,
+    write_stack,
 )
-from opnav_workbench.cli.campaign_stack import stack
+from opnav_workbench.cli.terminal import named_progress
 from opnav_workbench.errors import SessionError
-from opnav_workbench.report.campaign_figure import trends_figure
-from opnav_workbench.report.png import write_png
+from opnav_workbench.files import json_text, write_text
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.report.campaign import stack_figure, trends_figure
+from opnav_workbench.report.drawing import write_png
 
-__all__ = ["EXIT_SOME_SKIPPED", "campaign_app"]
+__all__ = ["campaign_app", "stack"]
+
+
+# ---- What ``opnav campaign`` prints and writes: progress of an ingest, answers as tables, CSV or JSON, ...
+
+OUTPUT_FORMATS = ("table", "csv", "json")
+STATUS_STYLES = {
+    "ok": "green",
+    "used": "green",
+    "partial": "yellow",
+    "uncertain": "yellow",
+    "failed": "bold red",
+}
+# What a terminal has room for: heading, column, format.
+SHOWN_COLUMNS: dict[str, tuple[tuple[str, str, str], ...]] = {
+    "images": (
+        ("picture", "image", ""),
+        ("time (UTC)", "utc", ""),
+        ("status", "status", ""),
+        ("camera", "camera", ""),
+        ("needs an analyst", "attention", ""),
+    ),
+    "pointings": (
+        ("picture", "image", ""),
+        ("time (UTC)", "utc", ""),
+        ("stars", "n_stars", "d"),
+        ("Δpixel", "delta_pixel", "+.2f"),
+        ("Δline", "delta_line", "+.2f"),
+        ("Δtwist°", "delta_twist_deg", "+.4f"),
+        ("rms px", "rms_px", ".3f"),
+    ),
+    "bodies": (
+        ("picture", "image", ""),
+        ("target", "body", ""),
+        ("method", "method", ""),
+        ("status", "status", ""),
+        ("pixel", "observed_pixel", ".3f"),
+        ("line", "observed_line", ".3f"),
+        ("O−C", "residual_pixel", "+.3f"),
+        ("O−C", "residual_line", "+.3f"),
+    ),
+    "stars": (
+        ("picture", "image", ""),
+        ("star", "star", ""),
+        ("mag", "mag", ".2f"),
+        ("status", "status", ""),
+        ("pixel", "observed_pixel", ".3f"),
+        ("line", "observed_line", ".3f"),
+        ("O−C", "residual_pixel", "+.3f"),
+        ("O−C", "residual_line", "+.3f"),
+    ),
+}
+
+
+@contextmanager
+def ingest_progress(runs: Sequence[Path]) -> Iterator[Callable[[Ingested], None]]:
+    """Show which run is read, and name at once the ones that are skipped."""
+    console = Console(stderr=True, soft_wrap=True)
+    columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} runs  {task.description}"))
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(", ".join(escape(str(run)) for run in runs), total=None)
+
+        def advance(item: Ingested) -> None:
+            progress.update(task, advance=1, description=escape(item.folder.name))
+            if item.what == "skipped":
+                console.print(
+                    f"[bold red]skipped:[/] {escape(str(item.folder))}: {escape(item.reason)}",
+                    highlight=False,
+                )
+
+        yield advance
+
+
+def print_ingested(console: Console, report: IngestReport, archive: Path) -> None:
+    """Print what became of the runs, in one line."""
+    words = {
+        "new": "new",
+        "replaced": "replaced an older run",
+        "unchanged": "unchanged",
+        "older": "older than what stands",
+        "skipped": "skipped",
+    }
+    counts = [f"{report.count(what)} {said}" for what, said in words.items() if report.count(what)]  # type: ignore[arg-type]
+    number = "1 run" if len(report.items) == 1 else f"{len(report.items)} runs"
+    console.print(f"{number}: {', '.join(counts)}", highlight=False)
+    console.print(f"Archive: {escape(str(archive))}", highlight=False)
+
+
+def print_answer(what: str, table: Table, format_: str, out: Path | None) -> None:
+    """Print an answer, or write it.
+
+    Raises
+    ------
+    SessionError
+        An unknown format, or a table for people asked into a file.
+    """
+    if format_ not in OUTPUT_FORMATS:
+        raise SessionError(f"unknown format {format_!r}; choose one of {', '.join(OUTPUT_FORMATS)}.")
+    if format_ == "table":
+        if out is not None:
+            raise SessionError("a table is for the terminal; write a file with --format csv or json.")
+        _print_table(what, table)
+        return
+    text = _csv(table) if format_ == "csv" else json_text({what: _rows(table)}) + "\n"
+    if out is None:
+        sys.stdout.write(text)
+    else:
+        write_text(out, text)
+        Console(soft_wrap=True).print(f"{len(table)} {what} in {escape(str(out))}", highlight=False)
+
+
+def print_outliers(console: Console, found: Trends) -> None:
+    """Name the pictures that are off a trend."""
+    for image, series, deviation in found.outliers():
+        console.print(
+            f"[yellow]outlier[/] {escape(image)}: {escape(series)} is {deviation:+.1f} robust sigmas off",
+            highlight=False,
+        )
+
+
+def _print_table(what: str, table: Table) -> None:
+    console = Console(soft_wrap=False)
+    shown = SHOWN_COLUMNS[what]
+    printed = Printed(box=None, header_style="bold", pad_edge=False)
+    for position, (heading, _, form) in enumerate(shown):
+        last_words = heading == "needs an analyst"
+        printed.add_column(
+            heading,
+            justify="right" if form else "left",
+            no_wrap=not (position == 0 or last_words),
+            overflow="fold",
+        )
+    for row in _rows(table):
+        printed.add_row(*[_cell(row[name], form) for _, name, form in shown])
+    console.print(printed)
+    console.print(f"{len(table)} {what}", highlight=False)
+
+
+def _cell(value: Any, form: str) -> str:
+    if value is None or value == "":
+        return "–" if form else ""
+    if form:
+        return format(value, form)
+    text = str(value).partition(".")[0].replace("T", " ") if _is_time(value) else str(value)
+    style = STATUS_STYLES.get(text)
+    return (
+        f"[{style}]{escape(text)}[/]"
+        if style
+        else escape(text.replace("_", " ") if text in STATUS_STYLES else text)
+    )
+
+
+def _is_time(value: Any) -> bool:
+    text = str(value)
+    return len(text) >= 19 and text[4:5] == "-" and text[10:11] == "T"
+
+
+def _rows(table: Table) -> list[dict[str, Any]]:
+    """Rows as plain values; what is not known is None."""
+    columns = {name: _plain_values(table[name]) for name in table.colnames}
+    return [{name: columns[name][row] for name in table.colnames} for row in range(len(table))]
+
+
+def _plain_values(column: Any) -> list[Any]:
+    masked = np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(column), bool)
+    values = np.ma.getdata(column).tolist()
+    return [
+        None if hidden or (isinstance(value, float) and not np.isfinite(value)) else value
+        for value, hidden in zip(values, masked, strict=True)
+    ]
+
+
+def _csv(table: Table) -> str:
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, table.colnames, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(_rows(table))
+    return stream.getvalue()
+
+
+# ---- ``opnav campaign stack``: many solved pictures of a faint target as one.
+
+CENTER_STYLES = {"ok": "green", "uncertain": "yellow"}
+
+
+def stack(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(help="Run folders of solved pictures, or folders of them.", show_default=False),
+    ],
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target", "-t", help="Body whose motion is followed; none: the stars.", show_default=False
+        ),
+    ] = None,
+    kernels: Annotated[
+        str | None,
+        typer.Option(help="Kernels, for a target that the runs have not met.", show_default=False),
+    ] = None,
+    subtract_stars: Annotated[
+        bool,
+        typer.Option("--subtract-stars", help="Take the star field away, as the other pictures show it."),
+    ] = False,
+    search_radius: Annotated[
+        float, typer.Option(min=1.0, help="How far from its prediction the target may be, px.")
+    ] = 3.0,
+    window: Annotated[
+        int | None,
+        typer.Option(
+            min=16,
+            help="Side of the stacked part, px; default 64 about a target, else all.",
+            show_default=False,
+        ),
+    ] = None,
+    keep_hits: Annotated[
+        bool, typer.Option("--keep-hits", help="Do not mask what is in one picture only.")
+    ] = False,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the stack's own folder.")] = Path(
+        "stacks"
+    ),
+) -> None:
+    """Stack pictures for a target too faint for each of them.
+
+    [bold]Example[/]
+
+      opnav campaign stack run/c* --target CHARON --kernels new_horizons/pluto_opnav --out stacks
+
+    Pictures are brought onto one grid by their solved pointings, distortion honoured, hits masked. Writes
+    OUT/stack_.../ with the stack as FITS (picture, noise, pictures in each pixel), result.json, observables.ecsv and a
+    figure; `opnav campaign ingest` takes that folder as it takes a picture's.
+    """
+    folders = list(dict.fromkeys(folder for run in runs for folder in find_runs(run)))
+    console = Console(stderr=True, soft_wrap=True)
+    with ExitStack() as opened:
+        if kernels is not None:
+            opened.enter_context(KernelSet(kernels))
+        with named_progress(console, len(folders)) as say:
+            pictures = frames_of_runs(folders, target, lambda name: say(name, "taking up its session"))
+        for run, reason in pictures.left_out:
+            console.print(f"[yellow]left out[/] {escape(run)}: {escape(reason)}", highlight=False)
+        with console.status("stacking") if console.is_terminal else ExitStack():
+            stacked = stack_frames(
+                pictures.frames,
+                "stars" if target is None else "target",
+                window_px=window,
+                reject_hits=not keep_hits,
+                subtract=subtract_stars,
+            )
+            center = (
+                None if target is None else find_in_stack(stacked, target, search_radius_px=search_radius)
+            )
+        products = write_stack(
+            stacked,
+            center,
+            out,
+            mission=pictures.mission,
+            reference_body=pictures.reference_body,
+            left_out=pictures.left_out,
+        )
+    _write_figure(stacked, center, products)
+    _print_stack(Console(soft_wrap=True), stacked, center, products)
+
+
+def _write_figure(stacked: Stacked, center: BodyCenter | None, products: StackProducts) -> None:
+    growth: Growth | None = None
+    if center is not None and center.pixel_line is not None and stacked.subtractions is None:
+        growth = snr_growth(stacked, center.pixel_line)
+    figure = stack_figure(stacked, center, growth, products.folder.name)
+    write_png(figure, products.picture.with_suffix(".png"))
+
+
+def _print_stack(
+    console: Console, stacked: Stacked, center: BodyCenter | None, products: StackProducts
+) -> None:
+    names = [frame.name for frame in stacked.frames]
+    console.print(
+        f"{len(names)} pictures, {escape(names[0])} to {escape(names[-1])}, mean epoch "
+        f"{products.result['utc']} UTC; {sum(stacked.hits)} pixels masked",
+        highlight=False,
+    )
+    if center is not None:
+        console.print(_center_words(center, products), highlight=False)
+        _print_notes(console, center.messages)
+    _print_notes(console, stacked.messages)
+    console.print(f"Stack in {escape(str(products.folder))}/", highlight=False)
+
+
+def _center_words(center: BodyCenter, products: StackProducts) -> str:
+    status = f"[{CENTER_STYLES.get(center.status, 'bold red')}]{center.status.replace('_', ' ')}[/]"
+    seen = products.observable
+    if center.pixel_line is None or seen is None or seen.residual_px is None:
+        return f"{escape(center.name)}: {status}"
+    sigma = [seen.total_covariance_px2[i, i] ** 0.5 for i in (0, 1)]
+    offsets = " and ".join(
+        f"{value:+.3f} ± {error:.3f} px" for value, error in zip(seen.residual_px, sigma, strict=True)
+    )
+    return (
+        f"{escape(center.name)}: {status}, SNR {center.snr:.1f}, pixel {center.pixel_line[0]:.3f}, line "
+        f"{center.pixel_line[1]:.3f}, O−C {offsets}"
+    )
+
+
+def _print_notes(console: Console, messages: Sequence[str]) -> None:
+    for message in messages:
+        console.print(f"[yellow]note[/] {escape(message)}", highlight=False)
+
+
+# ---- ``opnav campaign``: many runs in one archive, questions to it, its observables, its trends, and stacks ...
 
 EXIT_SOME_SKIPPED = 3
 
@@ -33,23 +364,27 @@ campaign_app = typer.Typer(
     rich_markup_mode="rich",
 )
 
-Archive = Annotated[Path, typer.Option("--archive", "-a", help="Archive file, or the folder it is in.")]
-Since = Annotated[str | None, typer.Option(help="From this UTC on, such as 2015-04-09.", show_default=False)]
-Until = Annotated[
+ArchiveOption = Annotated[Path, typer.Option("--archive", "-a", help="Archive file, or the folder it is in.")]
+SinceOption = Annotated[
+    str | None, typer.Option(help="From this UTC on, such as 2015-04-09.", show_default=False)
+]
+UntilOption = Annotated[
     str | None, typer.Option(help="Up to this UTC; a date holds its whole day.", show_default=False)
 ]
-Mission = Annotated[str | None, typer.Option(help="Only of this mission.", show_default=False)]
-Camera = Annotated[str | None, typer.Option(help="Only of this camera.", show_default=False)]
-Body = Annotated[str | None, typer.Option(help="Only of these bodies, comma-separated.", show_default=False)]
-Method = Annotated[str | None, typer.Option(help="Only by these methods.", show_default=False)]
-Status = Annotated[str | None, typer.Option(help="Only with these statuses.", show_default=False)]
+MissionOption = Annotated[str | None, typer.Option(help="Only of this mission.", show_default=False)]
+CameraOption = Annotated[str | None, typer.Option(help="Only of this camera.", show_default=False)]
+BodyOption = Annotated[
+    str | None, typer.Option(help="Only of these bodies, comma-separated.", show_default=False)
+]
+MethodOption = Annotated[str | None, typer.Option(help="Only by these methods.", show_default=False)]
+StatusOption = Annotated[str | None, typer.Option(help="Only with these statuses.", show_default=False)]
 DEFAULT_ARCHIVE = Path(ARCHIVE_FILE)
 
 
 @campaign_app.command()
 def ingest(
     runs: Annotated[list[Path], typer.Argument(help="Run folders, or folders of them.", show_default=False)],
-    archive: Archive = DEFAULT_ARCHIVE,
+    archive: ArchiveOption = DEFAULT_ARCHIVE,
 ) -> None:
     """Take runs into the archive; the same run twice changes nothing, a reprocessed picture replaces its older run.
 
@@ -74,15 +409,15 @@ def ingest(
 @campaign_app.command()
 def query(
     what: Annotated[str, typer.Argument(help=" | ".join(QUESTIONS))] = "images",
-    archive: Archive = DEFAULT_ARCHIVE,
-    status: Status = None,
-    body: Body = None,
-    method: Method = None,
+    archive: ArchiveOption = DEFAULT_ARCHIVE,
+    status: StatusOption = None,
+    body: BodyOption = None,
+    method: MethodOption = None,
     image: Annotated[str | None, typer.Option(help="Only of these pictures.", show_default=False)] = None,
-    since: Since = None,
-    until: Until = None,
-    mission: Mission = None,
-    camera: Camera = None,
+    since: SinceOption = None,
+    until: UntilOption = None,
+    mission: MissionOption = None,
+    camera: CameraOption = None,
     attention: Annotated[
         bool, typer.Option("--attention", help="Only pictures that need an analyst.")
     ] = False,
@@ -113,12 +448,12 @@ def query(
 @campaign_app.command()
 def export(
     out: Annotated[Path, typer.Argument(help="File to write.", show_default=False)],
-    archive: Archive = DEFAULT_ARCHIVE,
-    body: Body = None,
-    method: Method = None,
-    status: Status = None,
-    since: Since = None,
-    until: Until = None,
+    archive: ArchiveOption = DEFAULT_ARCHIVE,
+    body: BodyOption = None,
+    method: MethodOption = None,
+    status: StatusOption = None,
+    since: SinceOption = None,
+    until: UntilOption = None,
     format_: Annotated[
         str | None,
         typer.Option("--format", "-f", help=" | ".join(EXPORT_FORMATS) + "; default by the file's name."),
@@ -138,14 +473,14 @@ def export(
 
 @campaign_app.command()
 def plot(
-    archive: Archive = DEFAULT_ARCHIVE,
+    archive: ArchiveOption = DEFAULT_ARCHIVE,
     out: Annotated[Path, typer.Option("--out", "-o", help="PNG to write.")] = Path("campaign.png"),
-    body: Body = None,
-    method: Method = None,
-    since: Since = None,
-    until: Until = None,
-    mission: Mission = None,
-    camera: Camera = None,
+    body: BodyOption = None,
+    method: MethodOption = None,
+    since: SinceOption = None,
+    until: UntilOption = None,
+    mission: MissionOption = None,
+    camera: CameraOption = None,
 ) -> None:
     """Plot trends: O-C of each body, pointing error, star residuals and detections; outliers are named.
 

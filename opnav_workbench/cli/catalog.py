@@ -15,8 +15,8 @@ from rich.table import Table
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog, StarQuality, StarTable, catalog_status, open_catalog, open_vizier
-from opnav_workbench.catalog.priors import RAD_PER_DEG, RAD_PER_MAS
-from opnav_workbench.cli.kernels_output import plain_table
+from opnav_workbench.catalog.proper_motion import RAD_PER_DEG, RAD_PER_MAS
+from opnav_workbench.cli.terminal import folding_table
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path, json_text
 from opnav_workbench.geometry import et_from_jyear, radec_from_unit
@@ -24,7 +24,7 @@ from opnav_workbench.report.star_chart import write_star_chart
 
 __all__ = ["catalog_app"]
 
-SHOWN = 25  # stars in the printed table; --all shows every one
+SHOWN_STARS = 25  # stars in the printed table; --all shows every one
 EPOCHS = (1000.0, 3000.0)
 WIDE_COLUMNS = 105  # a terminal this wide has room for colors, motions and flags
 WIDE_NAMES = ("B−V", "μα* mas/yr", "μδ mas/yr", "flags")
@@ -36,7 +36,7 @@ catalog_app = typer.Typer(
     rich_markup_mode="rich",
 )
 
-Spec = Annotated[
+SpecArgument = Annotated[
     str, typer.Argument(help="Catalog spec, such as bundled, tycho2:DIR or ucac4:DIR.", show_default=False)
 ]
 
@@ -49,7 +49,7 @@ def list_catalogs() -> None:
 
       opnav catalog list
     """
-    table = plain_table(("spec", "", "detail"))
+    table = folding_table(("spec", "", "detail"))
     for status in catalog_status():
         mark = "[green]ok[/]" if status.available else "[yellow]missing[/]"
         table.add_row(escape(status.form), mark, escape(status.detail))
@@ -59,25 +59,25 @@ def list_catalogs() -> None:
 
 
 @catalog_app.command()
-def info(spec: Spec) -> None:
+def info(spec: SpecArgument) -> None:
     """Show what a catalog is: source, stars, magnitudes, epochs.
 
     [bold]Example[/]
 
       opnav catalog info bundled
     """
-    _print_facts(_opened(spec))
+    _print_facts(_open_with_progress(spec))
 
 
 @catalog_app.command()
-def build(spec: Spec) -> None:
+def build(spec: SpecArgument) -> None:
     """Convert a text catalog into its cache file now, not at its first use.
 
     [bold]Example[/]
 
       opnav catalog build tycho2:catalogs/tycho2
     """
-    _print_facts(_opened(spec))
+    _print_facts(_open_with_progress(spec))
 
 
 @catalog_app.command()
@@ -108,7 +108,7 @@ def fetch(
     context_settings={"ignore_unknown_options": True}
 )  # negative declinations are no options
 def cone(
-    spec: Spec,
+    spec: SpecArgument,
     ra: Annotated[float, typer.Argument(help="Degrees, J2000.", show_default=False)],
     dec: Annotated[float, typer.Argument(help="Degrees, J2000.", show_default=False)],
     radius: Annotated[float, typer.Argument(help="Degrees.", show_default=False)],
@@ -137,7 +137,7 @@ def cone(
     """
     et_s = _et(epoch)
     center = ra * RAD_PER_DEG, dec * RAD_PER_DEG, radius * RAD_PER_DEG
-    stars = _opened(spec).cone(*center, mag, et_s, _flags(exclude))
+    stars = _open_with_progress(spec).cone(*center, mag, et_s, _flags(exclude))
     if plot is not None:
         write_star_chart(plot, stars, *center, et_s)
     if out is not None:
@@ -151,13 +151,13 @@ def cone(
                 Console().print(f"Written: {escape(str(path))}", highlight=False, soft_wrap=True)
 
 
-def _opened(spec: str) -> Catalog:
-    with _progress(spec) as tell:
+def _open_with_progress(spec: str) -> Catalog:
+    with _conversion_progress(spec) as tell:
         return open_catalog(spec, tell)
 
 
 @contextmanager
-def _progress(spec: str) -> Iterator[Any]:
+def _conversion_progress(spec: str) -> Iterator[Any]:
     """Show a bar as soon as a conversion reports; opening a ready catalog shows nothing."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
@@ -192,21 +192,21 @@ def _print_facts(catalog: Catalog) -> None:
         table.add_column(style="bold")
         table.add_column(overflow="fold")
         for key, value in told.items():
-            table.add_row(key.replace("_", " "), escape(_plain(value)))
+            table.add_row(key.replace("_", " "), escape(_fact_words(value)))
         if number:
             console.print()
         console.print(table)
 
 
-def _plain(value: Any) -> str:
+def _fact_words(value: Any) -> str:
     if value is None:
         return "none"
     if isinstance(value, float):
         return "unknown" if math.isnan(value) else f"{value:.2f}".rstrip("0").rstrip(".")
     if isinstance(value, dict):
-        return ", ".join(f"{k} {_plain(v)}" for k, v in value.items())
+        return ", ".join(f"{k} {_fact_words(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):
-        return "; ".join(_plain(v) for v in value) or "none"
+        return "; ".join(_fact_words(v) for v in value) or "none"
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
@@ -255,7 +255,7 @@ def _flag_names(flags: int) -> list[str]:
 
 def _print_stars(stars: StarTable, et_s: float | None, *, every: bool) -> None:
     console = Console()
-    shown = len(stars) if every else min(len(stars), SHOWN)
+    shown = len(stars) if every else min(len(stars), SHOWN_STARS)
     table = Table(box=None, header_style="bold", pad_edge=False)
     wide = console.width >= WIDE_COLUMNS
     for name in ("star", "RA deg", "Dec deg", "mag", "σ mas", *(WIDE_NAMES if wide else ())):

@@ -8,8 +8,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from opnav_workbench.cli.process import EXIT_SOME_FAILED, run_images
+from opnav_workbench.cli.process import run_images
+from opnav_workbench.cli.terminal import EXIT_SOME_FAILED
 from opnav_workbench.headless import Policy
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
@@ -18,11 +20,10 @@ from opnav_workbench.rehearsal import (
     DEMO_PICTURES,
     DEMO_TARGETS,
     Comparison,
-    Truth,
     compare,
     simulate_picture,
 )
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.simulation.truth import Truth
 
 __all__ = ["demo"]
 
@@ -57,7 +58,7 @@ def demo(
     ok = True
     for request, truth, outcome in zip(DEMO_PICTURES, truths, outcomes, strict=True):
         rows = compare(truth, outcome.result, mission.camera_for(request.header))
-        console.print(_table(truth, rows))
+        console.print(_comparison_table(truth, rows))
         ok &= bool(rows) and all(abs(row.sigmas) <= AGREES_SIGMAS for row in rows)
     console.print(
         f"[green]Every solved quantity is within {AGREES_SIGMAS:g} of its own sigmas of the truth.[/]"
@@ -70,7 +71,7 @@ def demo(
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-def _table(truth: Truth, rows: Sequence[Comparison]) -> Table:
+def _comparison_table(truth: Truth, rows: Sequence[Comparison]) -> Table:
     table = Table(
         title=f"Truth beside solution: {truth.picture.stem}",
         title_justify="left",

@@ -14,18 +14,18 @@ from rich.table import Table
 
 from opnav_workbench.catalog import catalog_status
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.kernels import known_names, toolkit_version
 from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.resources import cache_root, kernels_meta_dir
-from opnav_workbench.spice import known_names, toolkit_version
 from opnav_workbench.version import __version__
 
-__all__ = ["Finding", "doctor", "findings"]
+__all__ = ["doctor"]
 
 EXIT_PROBLEM = 2
 LIBRARIES = ("numpy", "scipy", "astropy", "spiceypy", "scikit-image", "matplotlib")
 NOTEBOOK = ("jupyterlab", "ipywidgets", "bokeh", "papermill", "ipykernel")
 MIN_FREE_MB = 200  # the bundled catalog's cache takes 30 MB, a picture's results a few
-MARKS = {"ok": "[green]ok[/]", "note": "[yellow]note[/]", "missing": "[bold red]missing[/]"}
+STATE_MARKS = {"ok": "[green]ok[/]", "note": "[yellow]note[/]", "missing": "[bold red]missing[/]"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,10 @@ def doctor() -> None:
     last = ""
     for row in rows:
         table.add_row(
-            "" if row.topic == last else row.topic, escape(row.what), MARKS[row.state], escape(row.detail)
+            "" if row.topic == last else row.topic,
+            escape(row.what),
+            STATE_MARKS[row.state],
+            escape(row.detail),
         )
         last = row.topic
     console.print(table)

@@ -24,7 +24,7 @@ from opnav_workbench.observables import (
     write_observables_json,
     write_tdm,
 )
-from opnav_workbench.observables.result_file import observables_of_result, read_result
+from opnav_workbench.observables.files import observables_of_result, read_result
 
 __all__ = ["FORMATS", "export"]
 
@@ -36,39 +36,41 @@ READERS: dict[str, Callable[[Path], tuple[Observable, ...]]] = {
     ".json": read_json,
 }
 
-Sources = Annotated[
+SourcesArgument = Annotated[
     list[Path],
     typer.Argument(help="Folders that opnav process wrote, or their result.json files.", show_default=False),
 ]
-Format = Annotated[
+FormatOption = Annotated[
     str | None,
     typer.Option("--format", "-f", help=" | ".join(FORMATS) + "; default from --out.", show_default=False),
 ]
-Out = Annotated[
+OutOption = Annotated[
     Path | None, typer.Option("--out", "-o", help="File; default observables.FORMAT.", show_default=False)
 ]
-Targets = Annotated[str | None, typer.Option(help="Only these targets, comma-separated.", show_default=False)]
-Methods = Annotated[
+TargetsOption = Annotated[
+    str | None, typer.Option(help="Only these targets, comma-separated.", show_default=False)
+]
+MethodsOption = Annotated[
     str | None, typer.Option(help="Only these center methods, comma-separated.", show_default=False)
 ]
-Aberration = Annotated[str, typer.Option(help="TDM: stellar aberration of the angles, removed | kept.")]
-Frame = Annotated[str, typer.Option(help="TDM: name of the reference frame, ICRF | EME2000.")]
-Originator = Annotated[str, typer.Option(help="TDM: agency, as registered with SANA.")]
-Spacecraft = Annotated[
+AberrationOption = Annotated[str, typer.Option(help="TDM: stellar aberration of the angles, removed | kept.")]
+FrameOption = Annotated[str, typer.Option(help="TDM: name of the reference frame, ICRF | EME2000.")]
+OriginatorOption = Annotated[str, typer.Option(help="TDM: agency, as registered with SANA.")]
+SpacecraftOption = Annotated[
     str | None, typer.Option(help="Its name, where the results do not tell it.", show_default=False)
 ]
 
 
 def export(
-    sources: Sources,
-    format_: Format = None,
-    out: Out = None,
-    targets: Targets = None,
-    methods: Methods = None,
-    aberration: Aberration = "removed",
-    frame: Frame = "ICRF",
-    originator: Originator = "OPNAV_WORKBENCH",
-    spacecraft: Spacecraft = None,
+    sources: SourcesArgument,
+    format_: FormatOption = None,
+    out: OutOption = None,
+    targets: TargetsOption = None,
+    methods: MethodsOption = None,
+    aberration: AberrationOption = "removed",
+    frame: FrameOption = "ICRF",
+    originator: OriginatorOption = "OPNAV_WORKBENCH",
+    spacecraft: SpacecraftOption = None,
 ) -> None:
     """Export observables of many pictures to one file.
 
@@ -84,8 +86,8 @@ def export(
     """
     format_ = _format(format_, out)
     path = out or Path(f"observables.{format_}")
-    found = [o for source in sources for o in _observables(source)]
-    chosen = sorted(_chosen(found, targets, methods), key=lambda o: (o.et, o.image))
+    found = [o for source in sources for o in _read_observables(source)]
+    chosen = sorted(_select(found, targets, methods), key=lambda o: (o.et, o.image))
     if spacecraft is not None:
         chosen = [replace(o, observer=spacecraft) for o in chosen]
     options = TdmOptions(aberration=aberration, frame=frame, originator=originator)
@@ -107,7 +109,7 @@ def _format(wanted: str | None, out: Path | None) -> str:
     return name
 
 
-def _observables(source: Path) -> tuple[Observable, ...]:
+def _read_observables(source: Path) -> tuple[Observable, ...]:
     """Observables of a folder of results (or folders of folders), or of one file."""
     if source.is_dir():
         tables = sorted(source.rglob(TABLE))
@@ -138,8 +140,8 @@ def _with_spacecraft(observables: tuple[Observable, ...], folder: Path) -> tuple
     return tuple(o if o.observer else replace(o, observer=name) for o in observables)
 
 
-def _chosen(observables: Sequence[Observable], targets: str | None, methods: str | None) -> list[Observable]:
-    names, ways = (_list(words) for words in (targets, methods))
+def _select(observables: Sequence[Observable], targets: str | None, methods: str | None) -> list[Observable]:
+    names, ways = (_name_set(words) for words in (targets, methods))
     chosen = [
         o
         for o in observables
@@ -151,7 +153,7 @@ def _chosen(observables: Sequence[Observable], targets: str | None, methods: str
     return chosen
 
 
-def _list(words: str | None) -> set[str] | None:
+def _name_set(words: str | None) -> set[str] | None:
     return None if words is None else {word.strip().casefold() for word in words.split(",") if word.strip()}
 
 

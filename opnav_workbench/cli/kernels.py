@@ -1,7 +1,15 @@
-"""``opnav kernels``: what there is, what it covers, and kernels fetched, made and told about."""
+"""``opnav kernels``: what there is, what it covers, kernels fetched, made and told about, and used.
 
+list, check, fetch, brief  about kernels; check exits with 3 where something is missing or does not cover the time
+make                       kernels of a scenario, or the DSK of a shape model
+make-ck                    solved pointings of a run as a reconstructed CK
+geometry                   times, states, attitude and targets at an epoch
+"""
+
+import json
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -15,28 +23,264 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
-from opnav_workbench.cli.kernels_check import print_check
-from opnav_workbench.cli.kernels_make import made_from_scenario, made_from_shape
-from opnav_workbench.cli.kernels_output import print_brief, print_fetched, print_kernel_sets, print_made
-from opnav_workbench.cli.kernels_solutions import geometry, make_ck
+from opnav_workbench.camera import Camera
+from opnav_workbench.cli.kernel_tables import (
+    print_brief,
+    print_check,
+    print_fetched,
+    print_kernel_sets,
+    print_made,
+)
 from opnav_workbench.downloads import Progress as DownloadProgress
-from opnav_workbench.errors import KernelError
-from opnav_workbench.mission import load_mission
-from opnav_workbench.report import write_coverage
-from opnav_workbench.spice import (
+from opnav_workbench.errors import KernelError, SessionError
+from opnav_workbench.files import json_text
+from opnav_workbench.kernels import (
     FetchedKernels,
     KernelKind,
     KernelSet,
     ManifestKernel,
+    body_id,
     brief,
     check_kernels,
+    et_from_utc,
     fetch_kernels,
     kernel_sets,
+    known_names,
+    make_kernels,
     match_kinds,
     packaged_leap_seconds,
 )
+from opnav_workbench.kernels.dsk_files import write_dsk
+from opnav_workbench.kernels.kernel_set import unknown_name
+from opnav_workbench.kernels.shape_files import read_shape
+from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.report import write_coverage
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.scene import GeometryReport, geometry_report
+from opnav_workbench.session import RESULT_FILE, Reconstruction, write_reconstructed_ck
 
-__all__ = ["EXIT_GAP", "kernels_app"]
+__all__ = ["EXIT_GAP", "geometry", "kernels_app", "make_ck"]
+
+
+# ---- What ``opnav kernels make`` does: kernels of a scenario, or the DSK of a shape model.
+
+
+def make_from_scenario(source: str, out: Path | None, *, actual: bool) -> tuple[list[Path], list[Path]]:
+    """Make the kernels of a scenario file or of a kernel set by name; return them and the metakernels.
+
+    Raises
+    ------
+    MissionError, KernelError
+        See `opnav_workbench.kernels.make_kernels`.
+    """
+    named = kernels_meta_dir() / f"{source}.yaml"
+    scenario = named if source in known_names() and named.is_file() else Path(source)
+    if not scenario.exists() and not scenario.suffix:
+        raise KernelError(unknown_name(source))
+    folder = out or Path("kernels") / scenario.stem
+    metakernel = make_kernels(scenario, folder, actual=actual)
+    metakernels = [metakernel, *([metakernel.with_stem(f"{metakernel.stem}_actual")] if actual else [])]
+    files = dict.fromkeys(f.path for m in metakernels for f in KernelSet(m).kernels() if f.kind != "META")
+    return list(files), metakernels
+
+
+def make_from_shape(
+    shape: Path,
+    out: Path | None,
+    body: str | None,
+    number: int | None,
+    frame: str,
+    unit: str,
+    kernels: str | None,
+) -> Path:
+    """Write the DSK of a shape model and return its path.
+
+    Raises
+    ------
+    KernelError
+        The file is no shape model, body or frame are unknown, or the DSK cannot be written.
+    """
+    path = out or shape.with_suffix(".bds")
+    vertices_km, plates = read_shape(shape, unit)
+    with ExitStack() as stack:
+        stack.enter_context(KernelSet(kernels or stack.enter_context(packaged_leap_seconds())))
+        target = number if number is not None else body_id(str(body))
+        write_dsk(path, vertices_km, plates, target, frame)
+    return path
+
+
+# ---- ``opnav kernels make-ck`` and ``opnav kernels geometry``: solved pointings as a CK, and the geometry of ...
+
+CK_FILE = "reconstructed.bc"
+YAML_SUFFIXES = (".yaml", ".yml")
+
+
+def make_ck(
+    run_dir: Annotated[Path, typer.Argument(help="Folder that opnav process wrote.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option(help=f"The CK; default RUN_DIR/{CK_FILE}.", show_default=False)
+    ] = None,
+    kernels: Annotated[
+        str | None,
+        typer.Option(
+            help="Metakernel, kernel folder or kernel-set name: LSK, SCLK and FK.", show_default=False
+        ),
+    ] = None,
+    mission: Annotated[
+        str | None,
+        typer.Option(
+            "--mission", "-m", help="Mission name or YAML; default the results' own.", show_default=False
+        ),
+    ] = None,
+    without_twist: Annotated[
+        bool,
+        typer.Option("--without-twist", help="Take pictures whose stars left the twist open, too."),
+    ] = False,
+) -> None:
+    """Write the solved pointings of a run as a reconstructed CK.
+
+    [bold]Example[/]
+
+      opnav kernels make-ck run --kernels new_horizons/pluto_approach --out pluto_reconstructed.bc
+
+    Takes RUN_DIR/*/result.json. Each picture becomes an interval of its own that spans its exposure; the CK's comment
+    lists the pictures with their sigmas. Load it after the predicted CK, so that it takes precedence.
+    """
+    results = _results_of_run(run_dir)
+    with ExitStack() as stack:
+        if kernels is not None:
+            stack.enter_context(KernelSet(kernels))
+        written = write_reconstructed_ck(
+            results,
+            out or run_dir / CK_FILE,
+            None if mission is None else load_mission(mission),
+            without_twist=without_twist,
+        )
+    _print_reconstruction(written)
+
+
+def _results_of_run(run_dir: Path) -> list[dict[str, Any]]:
+    """Read the results of a run, or of one picture.
+
+    Raises
+    ------
+    SessionError
+        There are none, or one of them cannot be read.
+    """
+    files = sorted(run_dir.glob(f"*/{RESULT_FILE}")) or sorted(run_dir.glob(RESULT_FILE))
+    if not files:
+        raise SessionError(
+            f"no {RESULT_FILE} in the folders of {run_dir}; give a folder that opnav process wrote."
+        )
+    return [_read_result(path) for path in files]
+
+
+def _read_result(path: Path) -> dict[str, Any]:
+    try:
+        result = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SessionError(f"{path} cannot be read ({error}); process the picture again.") from error
+    if not isinstance(result, dict) or not {"image", "mission", "camera"} <= set(result):
+        raise SessionError(f"{path} is not the result of a picture; process the picture again.")
+    return result
+
+
+def _print_reconstruction(written: Reconstruction) -> None:
+    console = Console(soft_wrap=True)
+    count = len(written.pictures)
+    console.print(
+        f"[green]{escape(str(written.path))}[/]: attitude of {escape(written.frame)} ({written.structure_id}) from "
+        f"{count} picture{'' if count == 1 else 's'}",
+        highlight=False,
+    )
+    for name, why in written.skipped:
+        console.print(f"[yellow]left out[/] {escape(name)}: {escape(why)}", highlight=False)
+    if written.note:
+        console.print(f"[yellow]note[/] {escape(written.note)}", highlight=False)
+
+
+def geometry(
+    kernels: Annotated[
+        str, typer.Argument(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
+    ],
+    mission: Annotated[
+        str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
+    ],
+    time: Annotated[str, typer.Option(help="UTC, such as 2015-07-09T04:29:00.", show_default=False)],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="Camera of the mission, such as lorri_1x1, or a YAML; none: no attitude.", show_default=False
+        ),
+    ] = None,
+    targets: Annotated[
+        str | None,
+        typer.Option(help="Bodies, comma-separated; default the mission's.", show_default=False),
+    ] = None,
+    center: Annotated[
+        str | None,
+        typer.Option(
+            help="Body that states refer to; default the mission's reference body.", show_default=False
+        ),
+    ] = None,
+    frame: Annotated[str, typer.Option(help="SPICE frame of the states.")] = "J2000",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show the geometry of an epoch: times, states, attitude, and each target as the camera sees it.
+
+    [bold]Example[/]
+
+      opnav kernels geometry new_horizons/pluto_approach -m new_horizons --camera lorri_1x1 --time 2015-07-09T04:29:00
+    """
+    known = load_mission(mission)
+    seen_by = None if camera is None else _named_camera(known, camera)
+    with KernelSet(kernels) as opened:
+        et = et_from_utc(time)
+        report = geometry_report(
+            et,
+            known.spacecraft_id,
+            _target_names(targets) if targets is not None else _covered_targets(known, opened, et),
+            seen_by,
+            clock_id=known.clock_id,
+            center=center or known.reference_body,
+            frame=frame,
+        )
+    _print_geometry(report, as_json)
+
+
+def _named_camera(mission: Mission, name: str) -> Camera:
+    return Camera.from_yaml(name) if Path(name).suffix in YAML_SUFFIXES else mission.camera_named(name)
+
+
+def _target_names(targets: str) -> list[str]:
+    return [name.strip() for name in targets.split(",") if name.strip()]
+
+
+def _covered_targets(mission: Mission, kernels: KernelSet, et: float) -> list[str]:
+    """Return those of the mission's targets that the kernels know at that time."""
+    return [
+        name for name in mission.default_targets if _covers_target(kernels, name, mission.spacecraft_id, et)
+    ]
+
+
+def _covers_target(kernels: KernelSet, name: str, spacecraft: int, et: float) -> bool:
+    try:
+        return kernels.covers_state(name, spacecraft, et, "CN")
+    except KernelError:  # nobody knows the name
+        return False
+
+
+def _print_geometry(report: GeometryReport, as_json: bool) -> None:
+    console = Console(soft_wrap=True)
+    if as_json:
+        console.print(json_text(report.as_dict()), markup=False, highlight=False)
+        return
+    for line in report.text().splitlines():
+        heading = bool(line) and not line.startswith((" ", "note:"))
+        console.print(f"[bold]{escape(line)}[/]" if heading else escape(line), highlight=False)
+
+
+# ---- ``opnav kernels``: what there is, what it covers, and kernels fetched, made and told about.
 
 EXIT_GAP = 3
 SHAPE_SUFFIXES = (".obj", ".cmod")
@@ -47,7 +291,7 @@ kernels_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-Source = Annotated[
+KernelsArgument = Annotated[
     list[str],
     typer.Argument(help="Metakernel, kernel folder, kernel files or kernel-set name.", show_default=False),
 ]
@@ -66,7 +310,7 @@ def list_() -> None:
 
 @kernels_app.command()
 def check(
-    kernels: Source,
+    kernels: KernelsArgument,
     time: Annotated[
         str | None,
         typer.Option(help="UTC, clock reading (3/0299171897:00000) or TDB s past J2000.", show_default=False),
@@ -141,13 +385,13 @@ def fetch(
     """
     kinds = tuple(kind for word in only.split(",") for kind in match_kinds(word)) if only else ()
     console = Console()
-    fetched = _fetched(mission, into, kinds)
+    fetched = _fetch_with_progress(mission, into, kinds)
     print_fetched(console, fetched)
     name = f"{fetched.manifest.mission}/flight" if into is None else str(fetched.metakernel)
     console.print(f"Look at them: opnav kernels check {name}", highlight=False, soft_wrap=True)
 
 
-def _fetched(mission: str, into: Path | None, kinds: tuple[KernelKind, ...]) -> FetchedKernels:
+def _fetch_with_progress(mission: str, into: Path | None, kinds: tuple[KernelKind, ...]) -> FetchedKernels:
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn()
@@ -207,9 +451,9 @@ def make(
             raise KernelError(
                 f"{source} is a shape model: say --body (or --body-id) and --frame, such as IAU_BENNU."
             )
-        print_made(console, [made_from_shape(Path(source), out, body, body_id, frame, unit, kernels)], [])
+        print_made(console, [make_from_shape(Path(source), out, body, body_id, frame, unit, kernels)], [])
         return
-    files, metakernels = made_from_scenario(source, out, actual=actual)
+    files, metakernels = make_from_scenario(source, out, actual=actual)
     print_made(console, files, metakernels)
 
 

@@ -1,17 +1,24 @@
-"""``opnav lab``: JupyterLab with the workbench open on pictures."""
+"""``opnav lab``: JupyterLab with the workbench open on pictures, given, simulated, or left over from a night.
 
+The workbench's notebook is put into the analyst's folder with its parameters set in a cell after its own, as
+papermill does; cells that the analyst added to an older one are kept.
+"""
+
+import json
 import webbrowser
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
-from opnav_workbench.campaign.queue_file import read_queue
-from opnav_workbench.cli.lab_notebook import LabParameters, put_notebook
+from opnav_workbench.campaign.analyst_queue import read_queue
 from opnav_workbench.cli.lab_server import LabServer
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import make_folder, write_text
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
@@ -20,9 +27,110 @@ from opnav_workbench.rehearsal import (
     DEMO_PICTURES,
     simulate_picture,
 )
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.resources import notebooks_dir
 
-__all__ = ["lab"]
+__all__ = ["LabParameters", "lab", "put_notebook"]
+
+
+# ---- The workbench's notebook in the analyst's folder, with its parameters set.
+
+NOTEBOOK = "workbench.ipynb"
+PARAMETERS_TAG, SET_TAG = "parameters", "injected-parameters"  # papermill's words
+
+
+@dataclass(frozen=True, slots=True)
+class LabParameters:
+    """What the notebook opens.
+
+    Attributes
+    ----------
+    images : tuple of str
+        Picture files or folders, in full.
+    mission : str
+    kernels : str
+        Empty: none.
+    catalog : str
+    folders : tuple of str
+        Names of the pictures' folders; empty: named after the pictures.
+    targets : tuple of str
+        Empty: the mission's own.
+    """
+
+    images: tuple[str, ...]
+    mission: str
+    kernels: str
+    catalog: str
+    folders: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+
+    def source(self) -> str:
+        """Return the source of the parameters cell.
+
+        Examples
+        --------
+        >>> print(LabParameters(("/data/a.fit",), "new_horizons", "", "bundled").source())
+        # Set by opnav lab
+        images = [
+            "/data/a.fit",
+        ]
+        mission = "new_horizons"
+        kernels = None
+        catalog = "bundled"
+        out = "."
+        """
+        kernels = json.dumps(self.kernels) if self.kernels else "None"
+        return (
+            f"# Set by opnav lab\n{_list_source('images', self.images)}"
+            f"{_list_source('folders', self.folders) if self.folders else ''}"
+            f"mission = {json.dumps(self.mission)}\nkernels = {kernels}\ncatalog = {json.dumps(self.catalog)}\n"
+            f"{_list_source('targets', self.targets) if self.targets else ''}"
+            'out = "."'
+        )
+
+
+def _list_source(name: str, values: tuple[str, ...]) -> str:
+    lines = "".join(f"    {json.dumps(value)},\n" for value in values)
+    return f"{name} = [\n{lines}]\n"
+
+
+def put_notebook(folder: Path, parameters: LabParameters) -> Path:
+    """Write the workbench's notebook into `folder`; cells that the analyst added to an older one are kept.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written, or the notebook in it has lost its parameters cell.
+    """
+    make_folder(folder)
+    path = folder / NOTEBOOK
+    source = path if path.is_file() else notebooks_dir() / NOTEBOOK
+    try:
+        notebook: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
+        _set_parameters(notebook["cells"], parameters)
+    except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
+        raise SessionError(
+            f"{source} cannot be read, or has no cell tagged {PARAMETERS_TAG!r}; move it away, and it is made anew."
+        ) from error
+    write_text(path, json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
+    return path.resolve()
+
+
+def _set_parameters(cells: list[dict[str, Any]], parameters: LabParameters) -> None:
+    """Put the parameters into the cell after the notebook's own, as papermill does."""
+    tags = [cell["metadata"].get("tags", ()) for cell in cells]
+    after = next(number for number, tag in enumerate(tags) if PARAMETERS_TAG in tag) + 1
+    if after == len(cells) or SET_TAG not in tags[after]:
+        cell: dict[str, Any] = {
+            "cell_type": "code",
+            "execution_count": None,
+            "id": "set-by-opnav-lab",
+            "outputs": [],
+        }
+        cells.insert(after, cell | {"metadata": {"tags": [SET_TAG]}})
+    cells[after]["source"] = parameters.source().splitlines(keepends=True)
+
+
+# ---- ``opnav lab``: JupyterLab with the workbench open on pictures.
 
 
 def lab(
@@ -71,19 +179,19 @@ def lab(
     if sum([bool(images), queue is not None, demo]) != 1:
         raise SessionError("give pictures, or --queue DIR, or --demo: exactly one of them.")
     if queue is not None:
-        parameters = _queued(queue, mission, kernels, catalog, console)
+        parameters = _queued_pictures(queue, mission, kernels, catalog, console)
         folder = out or queue
     elif demo:
         folder = out or Path("opnav_lab")
-        parameters = _demo(folder, console)
+        parameters = _demo_pictures(folder, console)
     else:
         folder = out or Path("opnav_lab")
-        parameters = _given(images or [], mission, kernels, catalog)
+        parameters = _given_pictures(images or [], mission, kernels, catalog)
     notebook = put_notebook(folder, parameters)
     _serve(notebook, console, browser=browser, port=port)
 
 
-def _given(
+def _given_pictures(
     images: list[Path], mission: str | None, kernels: str | None, catalog: str | None
 ) -> LabParameters:
     if mission is None:
@@ -93,10 +201,10 @@ def _given(
     if missing:
         raise SessionError(f"there is no picture {missing[0]}; check the path.")
     paths = tuple(str(image.resolve()) for image in images)
-    return LabParameters(paths, _in_full(mission), _in_full(kernels or ""), catalog or "bundled")
+    return LabParameters(paths, _absolute(mission), _absolute(kernels or ""), catalog or "bundled")
 
 
-def _queued(
+def _queued_pictures(
     folder: Path, mission: str | None, kernels: str | None, catalog: str | None, console: Console
 ) -> LabParameters:
     queue = read_queue(folder)
@@ -115,15 +223,15 @@ def _queued(
         raise SessionError(f"{folder} does not say which mission its pictures are of; give --mission.")
     return LabParameters(
         tuple(item.image for item in there),
-        _in_full(mission),
-        _in_full(kernels or queue.kernels),
+        _absolute(mission),
+        _absolute(kernels or queue.kernels),
         catalog or queue.catalog or "bundled",
         tuple(item.folder for item in there),
         queue.targets,
     )
 
 
-def _demo(folder: Path, console: Console) -> LabParameters:
+def _demo_pictures(folder: Path, console: Console) -> LabParameters:
     pictures = folder / "pictures"
     paths = [pictures / f"{request.name}.fit" for request in DEMO_PICTURES]
     if not all(path.is_file() for path in paths):
@@ -136,7 +244,7 @@ def _demo(folder: Path, console: Console) -> LabParameters:
     )
 
 
-def _in_full(name: str) -> str:
+def _absolute(name: str) -> str:
     """Return a path in full, because the notebook runs in another folder; a name of something as it is."""
     return str(Path(name).resolve()) if name and Path(name).exists() else name
 

@@ -103,7 +103,7 @@ class LabServer:
 
     def wait(self) -> None:
         """Return when the server has ended, by itself or because of Ctrl-C or SIGTERM."""
-        previous = signal.signal(signal.SIGTERM, _interrupt)
+        previous = signal.signal(signal.SIGTERM, _raise_interrupt)
         try:
             self._process.wait()
         except KeyboardInterrupt:
@@ -190,5 +190,5 @@ def _free_port(wanted: int) -> int:
         return int(probe.getsockname()[1])
 
 
-def _interrupt(*_: object) -> None:
+def _raise_interrupt(*_: object) -> None:
     raise KeyboardInterrupt

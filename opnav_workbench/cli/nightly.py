@@ -17,13 +17,12 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from opnav_workbench.cli.process import EXIT_SOME_FAILED
+from opnav_workbench.cli.terminal import EXIT_SOME_FAILED
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
-from opnav_workbench.headless.night_pool import ClusterPool, LocalPool, Pool
 from opnav_workbench.headless.night_spec import NightSpec, load_night
-from opnav_workbench.headless.night_summary import SUMMARY_PAGE, write_night
-from opnav_workbench.headless.night_worker import Verdict
+from opnav_workbench.headless.night_summary import SUMMARY_PAGE, write_night_summary
+from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
 from opnav_workbench.yaml_file import check_model
 
 __all__ = ["nightly"]
@@ -92,20 +91,20 @@ def nightly(
         "targets": None if targets is None else tuple(t.strip() for t in targets.split(",") if t.strip()),
         "decisions": None if decisions is None else str(decisions.resolve()),
     }
-    spec = _spec(sources, {name: value for name, value in given.items() if value is not None})
+    spec = _night_spec(sources, {name: value for name, value in given.items() if value is not None})
     console = Console(stderr=True, soft_wrap=True)
     plan = plan_night(spec, out, only_new=only_new)
-    _announce(console, plan)
-    pool: Pool = (
+    _print_plan(console, plan)
+    pool: NightPool = (
         ClusterPool(scheduler) if scheduler else LocalPool(os.cpu_count() or 1 if jobs is None else jobs)
     )
-    summary = _carried_out(console, plan, pool, archive)
-    _print(Console(soft_wrap=True), summary, out)
+    summary = _run_plan(console, plan, pool, archive)
+    _print_summary(Console(soft_wrap=True), summary, out)
     if summary["counts"].get("failed"):
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-def _spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:
+def _night_spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:
     """Build the night from its file, or from pictures; options outrank the file."""
     files = [source for source in sources if source.lower().endswith(YAML_SUFFIXES)]
     if not files:
@@ -121,7 +120,7 @@ def _spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:
     return load_night(files[0]).model_copy(update=dict(given))
 
 
-def _announce(console: Console, plan: NightPlan) -> None:
+def _print_plan(console: Console, plan: NightPlan) -> None:
     states = [picture.state for picture in plan.pictures]
     told = [
         f"{states.count(state)} {words}"
@@ -136,7 +135,7 @@ def _announce(console: Console, plan: NightPlan) -> None:
     console.print(f"{len(plan.todo)} of {len(plan.pictures)} pictures to process{aside}.", highlight=False)
 
 
-def _carried_out(console: Console, plan: NightPlan, pool: Pool, archive: Path | None) -> dict[str, Any]:
+def _run_plan(console: Console, plan: NightPlan, pool: NightPool, archive: Path | None) -> dict[str, Any]:
     """Process with progress; the summary is written whatever ends it."""
     columns = (
         TextColumn("{task.description}"),
@@ -149,7 +148,7 @@ def _carried_out(console: Console, plan: NightPlan, pool: Pool, archive: Path | 
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pictures", total=len(plan.todo))
 
-        def say(verdict: Verdict) -> None:
+        def say(verdict: NotebookOutcome) -> None:
             progress.advance(task)
             if verdict.fault:
                 console.print(
@@ -159,11 +158,11 @@ def _carried_out(console: Console, plan: NightPlan, pool: Pool, archive: Path | 
         try:
             run_night(night, pool, archive=archive, say=say)
         finally:
-            summary = write_night(night)
+            summary = write_night_summary(night)
     return summary
 
 
-def _print(console: Console, summary: Mapping[str, Any], out: Path) -> None:
+def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> None:
     counts = summary["counts"]
     words = (("ok", "green"), ("partial", "yellow"), ("failed", "bold red"))
     console.print(

@@ -1,4 +1,9 @@
-"""``opnav ort``: operational readiness tests, from the blinded package to the score."""
+"""``opnav ort``: operational readiness tests, from the blinded package to the score.
+
+new    makes the package: pictures, predicted kernels, a briefing, and the truth under seal
+solve  the automatic blind run
+score  writes down what was delivered, opens the truth, and holds the one against the other
+"""
 
 import os
 from pathlib import Path
@@ -9,14 +14,235 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from opnav_workbench.cli.ort_score import score
-from opnav_workbench.cli.ort_solve import solve
+from opnav_workbench.cli.process import Reporter
 from opnav_workbench.cli.terminal import picture_progress, plain_table
 from opnav_workbench.errors import MissionError
-from opnav_workbench.rehearsal.ort_package import OrtPackage, new_rehearsal
-from opnav_workbench.rehearsal.ort_scenario import load_ort_scenario, ort_scenario_names
+from opnav_workbench.files import write_json, write_text
+from opnav_workbench.headless.rehearsal_run import process_package
+from opnav_workbench.rehearsal.making import new_rehearsal
+from opnav_workbench.rehearsal.package import OrtPackage, open_rehearsal
+from opnav_workbench.rehearsal.results import picture_results
+from opnav_workbench.rehearsal.scenario import load_ort_scenario, ort_scenario_names
+from opnav_workbench.rehearsal.score import OrtScore, score_rehearsal
+from opnav_workbench.rehearsal.sealed_truth import log_path, logged_delivery, reveal
+from opnav_workbench.rehearsal.solution import DISK_SIGMA_PX, SOLUTION_FILE, OrtSolution, solve_rehearsal
+from opnav_workbench.rehearsal.truth_checks import TruthCheck
+from opnav_workbench.report.rehearsal import score_page, solution_page
 
-__all__ = ["new", "ort"]
+__all__ = ["new", "ort", "solve"]
+
+
+# ---- What ``opnav ort`` prints: tables of a solution and of a score.
+
+GOOD, POOR, WRONG = "green", "yellow", "bold red"
+STYLES = {"good": GOOD, "poor": POOR, "A": GOOD, "B": GOOD, "C": POOR}
+
+
+def print_solution(console: Console, solution: OrtSolution) -> None:
+    """Print corrections and flyby, each with what was known before, and what is to be known of the fit."""
+    table = plain_table(
+        "Estimated, true minus predicted", ("quantity",), ("value", "sigma", "before", "unit")
+    )
+    rows = zip(
+        solution.labels,
+        solution.correction,
+        solution.sigma,
+        solution.sigma_before,
+        solution.units,
+        strict=True,
+    )
+    for label, *numbers, unit in rows:
+        table.add_row(label.replace("_", " "), *(_number(n) for n in numbers), unit)
+    flight = zip(
+        ("B·T", "B·R", "time of flight"),
+        solution.b_plane_shift,
+        solution.b_plane_sigma,
+        solution.b_plane_sigma_before,
+        ("km", "km", "s"),
+        strict=True,
+    )
+    for label, *numbers, unit in flight:
+        table.add_row(label, *(_number(n) for n in numbers), unit)
+    console.print(table)
+    console.print(
+        f"chi-squared {solution.chi2_after:.1f} for {solution.degrees_of_freedom} degrees of freedom, probability "
+        f"{solution.probability:.2g}",
+        highlight=False,
+    )
+    for words in solution.messages:
+        console.print(f"[yellow]note[/] {escape(words)}", highlight=False, soft_wrap=True)
+    for words in solution.left_out:
+        console.print(f"left out: {escape(words)}", highlight=False, soft_wrap=True, style="dim")
+
+
+def print_score(console: Console, score: OrtScore) -> None:
+    """Print what was wrong, how the solution compares, the points, and the grade."""
+    for words in score.perturbed:
+        console.print(f"wrong on purpose: {escape(words)}", highlight=False, soft_wrap=True)
+    if score.solution is not None:
+        table = plain_table(
+            "Solution against truth", ("quantity",), ("solved", "true", "error", "sigma", "error / σ", "unit")
+        )
+        for check in (score.solution.b_plane, score.solution.arrival, *score.solution.parameters):
+            _add_check_rows(table, check)
+        console.print(table)
+    points = plain_table("Points", ("section",), ("points", "of"))
+    points.add_column("lost by")
+    for section in score.grade.sections:
+        points.add_row(
+            section.name,
+            f"{section.earned:.1f}",
+            f"{section.possible:.0f}",
+            escape("; ".join(section.losses)),
+        )
+    console.print(points)
+    for fault in score.grade.faults:
+        console.print(
+            f"[bold red]at most {fault.letter}:[/] {escape(fault.words)}", highlight=False, soft_wrap=True
+        )
+    letter = score.grade.letter
+    console.print(
+        f"Grade [{STYLES.get(letter, WRONG)}]{letter}[/], {score.grade.points:.0f} of 100 points",
+        highlight=False,
+    )
+
+
+def _add_check_rows(table: Table, check: TruthCheck) -> None:
+    style = STYLES.get(check.verdict, WRONG)
+    rows = zip(
+        check.labels,
+        check.solved,
+        check.truth,
+        check.error,
+        check.sigma,
+        check.component_sigmas,
+        check.units,
+        strict=True,
+    )
+    for label, *numbers, sigmas, unit in rows:
+        name = f"{check.name.replace('_', ' ')} {label}".strip()
+        table.add_row(name, *(_number(n) for n in numbers), f"[{style}]{sigmas:+.2f}[/]", unit)
+
+
+def _number(value: float) -> str:
+    return f"{value:,.3f}" if abs(value) >= 0.1 else f"{value:.3g}"
+
+
+# ---- ``opnav ort score``: what was delivered is written down, the truth is opened, and the one is held ...
+
+EXIT_NOT_PASSED = 3
+SCORE_PAGE_FILE = "score.html"
+
+
+def score(
+    folder: Annotated[Path, typer.Argument(help="Package of the rehearsal.", show_default=False)],
+    solutions: Annotated[
+        Path, typer.Option(help="The team's folder, as opnav ort solve writes it.", show_default=False)
+    ],
+    key: Annotated[
+        Path | None, typer.Option(help="The director's key; default FOLDER.key.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The report; default SOLUTIONS/score.html.", show_default=False)
+    ] = None,
+) -> None:
+    """Open the truth of a rehearsal, grade what the team delivered, and write the report.
+
+    [bold]Example[/]
+
+      opnav ort score ort_1 --solutions run_1
+
+    Before the truth is opened, the SHA-256 of every delivered file is written to
+    KEY.reveals.jsonl: a later edit shows.
+
+    Exit status: 0 passed (C or better), 2 bad input or no key, 3 not passed.
+    """
+    package = open_rehearsal(folder)
+    names = [picture.name for picture in package.pictures]
+    path = solutions / SOLUTION_FILE
+    picture_results(names, solutions)  # what cannot be read must not cost the seal
+    solution = OrtSolution.read(path) if path.is_file() else None
+    key_file = key or package.key_path
+    with logged_delivery(key_file, package.name, solutions, names, path) as delivery:
+        truth = reveal(package, key_file)
+    result = score_rehearsal(package, truth, solutions, solution, delivery=delivery)
+    page = out or solutions / SCORE_PAGE_FILE
+    write_text(page, score_page(result))
+    write_json(page.with_suffix(".json"), result.to_dict())
+    console = Console(soft_wrap=False)
+    print_score(console, result)
+    console.print(
+        f"Report in {escape(str(page))}; reveal logged in {escape(str(log_path(key_file)))}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if not result.grade.passed:
+        raise typer.Exit(EXIT_NOT_PASSED)
+
+
+# ---- ``opnav ort solve``: the automatic blind run of a rehearsal.
+
+FEW_PICTURES = 3  # starting a process costs about as much as a picture
+SOLUTION_PAGE_FILE = "solution.html"
+
+
+def solve(
+    folder: Annotated[Path, typer.Argument(help="Package of the rehearsal.", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ort_run"),
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=1, help="Processes; default: all cores.", show_default=False),
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="Process pictures anew that have a result already.")
+    ] = False,
+    only_estimate: Annotated[
+        bool, typer.Option("--only-estimate", help="Keep the pictures' results as they are; estimate again.")
+    ] = False,
+    disk_sigma: Annotated[
+        float,
+        typer.Option(min=0.0, help="Pixels added (in squares) to the sigmas of disks, for unknown surfaces."),
+    ] = DISK_SIGMA_PX,
+) -> None:
+    """Process every picture of a rehearsal blind, and estimate what its briefing asks for.
+
+    [bold]Examples[/]
+
+      opnav ort solve ort_1 --out run_1
+
+      opnav ort solve ort_1 --out run_1 --only-estimate
+
+    Writes RUN/<picture>/ as opnav process does, RUN/solution.json and RUN/solution.html.
+    A picture that is lost is a named failure, not a stop.
+
+    Run again, it keeps what has a result: an analyst may do any picture over in between
+    (opnav lab with --out RUN), and the estimate is made anew.
+    """
+    package = open_rehearsal(folder)
+    if not only_estimate:
+        _process_pictures(package, out, jobs, again)
+    solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma)
+    solution.write(out / SOLUTION_FILE)
+    write_text(out / SOLUTION_PAGE_FILE, solution_page(solution, package.title))
+    console = Console(soft_wrap=False)
+    print_solution(console, solution)
+    console.print(
+        f"Solution in {escape(str(out / SOLUTION_FILE))}, to look at in {SOLUTION_PAGE_FILE}",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _process_pictures(package: OrtPackage, out: Path, jobs: int | None, again: bool) -> None:
+    count = len(package.pictures)
+    processes = jobs or (1 if count <= FEW_PICTURES else os.cpu_count() or 1)
+    with Reporter(count) as reporter:
+        reporter.say(package.name, f"{count} pictures")
+        outcomes = process_package(package, out, jobs=processes, again=again, done=reporter.done)
+    reporter.table(outcomes, out)
+
+
+# ---- ``opnav ort``: operational readiness tests, from the blinded package to the score.
 
 ort = typer.Typer(
     name="ort",
@@ -62,7 +288,7 @@ def new(
             raise MissionError(
                 "give a scenario and --out FOLDER; opnav ort new --list shows the ready scenarios."
             )
-        console.print(_listing())
+        console.print(_scenario_table())
         return
     with picture_progress() as progress:
         task = progress.add_task("opening kernels and catalog", total=None)
@@ -76,10 +302,10 @@ def new(
                 task, completed=done, total=total, description=escape(words)
             ),
         )
-    _tell(console, package)
+    _print_package(console, package)
 
 
-def _listing() -> Table:
+def _scenario_table() -> Table:
     table = plain_table("", ("scenario",), ("pictures",))
     table.add_column("what is rehearsed")
     for name in ort_scenario_names():
@@ -88,7 +314,7 @@ def _listing() -> Table:
     return table
 
 
-def _tell(console: Console, package: OrtPackage) -> None:
+def _print_package(console: Console, package: OrtPackage) -> None:
     console.print(f"[bold]{escape(package.title)}[/]", highlight=False)
     table = plain_table("Pictures", ("picture", "UTC", "camera"), ("exposure s",))
     for picture in package.pictures:

@@ -1,6 +1,10 @@
-"""``opnav plan``: what the pictures of a sequence will show, how well they navigate, and which are worth taking."""
+"""``opnav plan``: what the pictures of a sequence will show, how well they navigate, and which are worth taking.
 
-from collections.abc import Callable, Iterator
+Prints verdicts with reasons, stars and pointing, targets and first detections; writes table, page and charts.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -8,19 +12,155 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.markup import escape
+from rich.table import Table
 
-from opnav_workbench.cli.plan_output import print_plan, sequence_listing
-from opnav_workbench.cli.terminal import picture_progress
+from opnav_workbench.cli.terminal import picture_progress, plain_table
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path, make_folder
-from opnav_workbench.planning import Plan, load_sequence, plan_sequence, write_plan
-from opnav_workbench.report.plan_figure import field_chart, timeline_figure
-from opnav_workbench.report.plan_page import write_plan_page
-from opnav_workbench.report.png import png_bytes, write_png
+from opnav_workbench.planning import (
+    PicturePlan,
+    Plan,
+    TargetPlan,
+    catalog_words,
+    load_sequence,
+    plan_sequence,
+    sequence_names,
+    write_plan,
+)
+from opnav_workbench.report.drawing import png_bytes, write_png
+from opnav_workbench.report.planning import field_chart, timeline_figure, write_plan_page
 
 __all__ = ["plan"]
 
-Done = Callable[[int, int, str], None]
+
+# ---- What ``opnav plan`` prints: verdicts with reasons, stars and pointing, targets, first detections.
+
+GRADE_STYLES = {"good": "green", "marginal": "yellow", "bad": "bold red"}
+WIDE_COLUMNS = 120  # a terminal this wide has room for directions beside sigmas
+
+
+def sequence_listing() -> Table:
+    """Return the table of ready sequences."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("sequence", no_wrap=True)
+    table.add_column("pictures", justify="right")
+    table.add_column("searches", justify="right")
+    table.add_column("what it plans")
+    for name in sequence_names():
+        content = load_sequence(name)
+        words = " ".join(content.description.split())
+        table.add_row(name, str(len(content.expanded())), str(len(content.search)), words)
+    return table
+
+
+def print_plan(console: Console, plan: Plan) -> None:
+    """Print a plan as tables, and what stands out in words."""
+    wide = console.width >= WIDE_COLUMNS
+    if plan.pictures:
+        console.print(_picture_table(plan.pictures, wide))
+        rows = [(p.name, target) for p in plan.pictures if p.prospect for target in p.prospect.targets]
+        if rows:
+            console.print(_target_table(rows, wide))
+            _print_limb_note(console, rows)
+        _print_reasons(console, plan.pictures)
+    for approach in plan.searches:
+        search = approach.search
+        head = f"[bold]{escape(search.name)}[/] ({escape(search.camera)}, {search.exposure_s:g} s)"
+        lines = [approach.problem] if approach.problem else [d.words for d in approach.detections]
+        for line in lines:
+            console.print(f"{head}: {escape(line)}", highlight=False, soft_wrap=True)
+    console.print(f"Catalog: {escape(catalog_words(plan))}", highlight=False, soft_wrap=True)
+    counts = ", ".join(f"[{GRADE_STYLES[grade]}]{plan.count(grade)} {grade}[/]" for grade in GRADE_STYLES)
+    console.print(f"Pictures: {counts}", highlight=False)
+
+
+def _picture_table(pictures: Sequence[PicturePlan], wide: bool) -> Table:
+    more = ("σ twist°", "mag", "limit", "Sun°", "RA°", "Dec°", "best s") if wide else ("σ twist°",)
+    texts = ("picture", "UTC", "verdict")
+    table = plain_table(
+        "Pictures (stars and pointing)", texts, ("exp s", "stars", "σ pixel", "σ line", *more), first_width=14
+    )
+    for plan in pictures:
+        grade = plan.verdict.grade
+        utc = (plan.utc[:16] if wide else plan.utc[5:16]).replace("T", " ")
+        head = (escape(plan.name), utc, f"[{GRADE_STYLES[grade]}]{grade}[/]")
+        table.add_row(*head, f"{plan.picture.exposure_s:g}", *_picture_cells(plan)[: 3 + len(more)])
+    return table
+
+
+def _picture_cells(plan: PicturePlan) -> list[str]:
+    p = plan.prospect
+    if p is None:
+        return ["–"] * 10
+    usable, pointing = p.stars.mag[p.stars.usable], p.pointing
+    mags = f"{usable.min():.1f}–{usable.max():.1f}" if len(usable) else "–"
+    sigmas = ["–"] * 3
+    if pointing is not None:
+        sigmas = [*(_three_digits(s) for s in pointing.sigma_px), f"{pointing.twist_sigma_deg:.4f}"]
+    best = "–" if p.best is None else _three_digits(p.best.best_s)
+    sky = [f"{p.limit_mag:.1f}", f"{p.elongation_deg:.0f}", f"{p.ra_deg:.3f}", f"{p.dec_deg:+.3f}"]
+    return [f"{len(usable)}/{len(p.stars)}", *sigmas, mags, *sky, best]
+
+
+def _target_table(rows: Sequence[tuple[str, TargetPlan]], wide: bool) -> Table:
+    more = ("pixel", "line", "phase°", "V", "σ center") if wide else ()
+    numbers = ("size px", "SNR", "σ px", "σ ″", "σ km", *more)
+    table = plain_table(
+        "Targets (σ with pointing, larger axis)", ("picture", "target"), numbers, first_width=14
+    )
+    for name, target in rows:
+        table.add_row(escape(name), escape(target.name), *_target_cells(target)[: len(numbers)])
+    return table
+
+
+def _target_cells(t: TargetPlan) -> list[str]:
+    seen = t.prediction
+    return [
+        _three_digits(seen.diameter_px),
+        f"{t.snr:.0f}",
+        _three_digits(float(max(t.sigma_px))),
+        _three_digits(float(max(t.sigma_arcsec))),
+        _three_digits(t.sigma_km),
+        *(f"{value:.1f}" if math.isfinite(value) else "–" for value in seen.pixel_line),
+        f"{math.degrees(seen.phase_rad):.1f}",
+        f"{t.mag:.1f}" if math.isfinite(t.mag) else "–",
+        _three_digits(float(max(t.center_sigma_px))),
+    ]
+
+
+def _three_digits(value: float) -> str:
+    """Three significant digits, without an exponent where a person reads it at a glance."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0 or 1e-4 <= abs(value) < 1e5:
+        return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value) or 1.0)))}f}"
+    return f"{value:.2e}"
+
+
+def _print_limb_note(console: Console, rows: Sequence[tuple[str, TargetPlan]]) -> None:
+    """Say where the bound is not what an unknown surface lets through."""
+    limbs = list(
+        dict.fromkeys(f"{target.name} in {name}" for name, target in rows if target.method == "limb_scan")
+    )
+    if limbs:
+        words = f"The σ of {', '.join(limbs)} hold for a known albedo; a limb scan without it is some times worse."
+        console.print(f"[yellow]note[/] {escape(words)}", highlight=False, soft_wrap=True)
+
+
+def _print_reasons(console: Console, pictures: Sequence[PicturePlan]) -> None:
+    for plan in pictures:
+        grade = plan.verdict.grade
+        if plan.verdict.reasons:
+            words = f"[{GRADE_STYLES[grade]}]{grade}[/] {escape(plan.name)}: {escape(plan.verdict.words)}"
+            console.print(words, highlight=False, soft_wrap=True)
+        if plan.prospect is not None and plan.prospect.visitors:
+            names = ", ".join(v.name for v in plan.prospect.visitors)
+            console.print(f"[dim]also in the field[/] {escape(plan.name)}: {escape(names)}", highlight=False)
+
+
+# ---- ``opnav plan``: what the pictures of a sequence will show, how well they navigate, and which are worth ...
+
+ProgressCall = Callable[[int, int, str], None]
 
 
 def plan(
@@ -63,21 +203,21 @@ def plan(
         planned = plan_sequence(content, only=only or (), exposures=exposures, done=done)
     print_plan(console, planned)
     if out is not None:
-        names = _written(planned, make_folder(out))
+        names = _write_files(planned, make_folder(out))
         console.print(f"Written to {escape(str(out))}/: {', '.join(names)}", highlight=False, soft_wrap=True)
 
 
-def _written(planned: Plan, folder: Path) -> list[str]:
+def _write_files(planned: Plan, folder: Path) -> list[str]:
     """Write all files of a plan and return their names."""
     tables = [path.name for path in write_plan(planned, folder)]
-    write_plan_page(planned, folder / "plan.html", _charts(planned, folder))
+    write_plan_page(planned, folder / "plan.html", _draw_charts(planned, folder))
     if not planned.pictures:
         return ["plan.html", *tables]
     write_png(timeline_figure(planned.pictures, planned.sequence.description), folder / "timeline.png")
     return ["plan.html", *tables, "timeline.png", "charts/"]
 
 
-def _charts(planned: Plan, folder: Path) -> dict[str, bytes]:
+def _draw_charts(planned: Plan, folder: Path) -> dict[str, bytes]:
     """Draw the chart of each field, as a file and for the page."""
     drawn = {}
     with _progress("drawing") as done:
@@ -90,7 +230,7 @@ def _charts(planned: Plan, folder: Path) -> dict[str, bytes]:
 
 
 @contextmanager
-def _progress(first: str) -> Iterator[Done]:
+def _progress(first: str) -> Iterator[ProgressCall]:
     """Show progress on standard error, where a person sees it."""
     with picture_progress() as bar:
         task = bar.add_task(first, total=None)

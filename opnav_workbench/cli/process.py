@@ -1,27 +1,145 @@
-"""``opnav process``: pictures in, pointing and observables out."""
+"""``opnav process``: pictures in, pointing and observables out; with progress, then tables of results.
+
+`run_images` and `Reporter` serve ``opnav demo`` and ``opnav ort solve`` as well. A picture that fails is named at
+once, and the others are kept.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from types import TracebackType
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from opnav_workbench.cli.summary import Reporter
+from opnav_workbench.cli.terminal import EXIT_SOME_FAILED, error_console, picture_progress, plain_table
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder
-from opnav_workbench.headless import Decisions, Outcome, Policy, load_decisions, process_image
+from opnav_workbench.headless import Outcome, Policy, process_image
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
-from opnav_workbench.pointing.models import MODELS
 from opnav_workbench.session import ATTITUDE_SOURCES, BODY_METHODS
-from opnav_workbench.session.steps_stars import FINAL_METHODS
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.session.decisions import Decisions, load_decisions
+from opnav_workbench.session.star_measurement import FINAL_METHODS
+from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 
-__all__ = ["EXIT_SOME_FAILED", "named_targets", "process", "run_images"]
+__all__ = ["Reporter", "process", "run_images"]
 
-EXIT_SOME_FAILED = 3
+
+# ---- What the command line prints: progress on standard error, results as tables on standard output.
+
+WIDE_COLUMNS = 120  # a terminal this wide has room for directions beside places
+STATUS_STYLES = {"ok": "green", "partial": "yellow", "failed": "bold red"}
+
+
+class Reporter:
+    """Progress while pictures are processed, then their table."""
+
+    def __init__(self, total: int) -> None:
+        self._out = Console(soft_wrap=False)
+        self._err = error_console()
+        self._progress = picture_progress(self._err)
+        self._task = self._progress.add_task("", total=total)
+
+    def __enter__(self) -> "Reporter":
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def say(self, name: str, words: str) -> None:
+        """Show what is being done."""
+        self._progress.update(self._task, description=f"{escape(name)}: {escape(words)}")
+
+    def done(self, outcome: Outcome) -> None:
+        """Count a picture; one that failed is named at once, with its reason."""
+        self._progress.advance(self._task)
+        if outcome.failed:
+            self._err.print(f"[bold red]failed:[/] {escape(_named_error(outcome))}", highlight=False)
+
+    def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
+        """Print one row a picture, one row a target, and where the files are."""
+        wide = self._out.width >= WIDE_COLUMNS
+        self._out.print(_pointing_table(outcomes, wide))
+        bodies = [(o, body) for o in outcomes for body in o.result.get("bodies", ())]
+        if bodies:
+            self._out.print(_body_table(bodies, wide))
+        for outcome in outcomes:
+            if outcome.result["status"] == "partial":
+                for message in outcome.result["messages"]:
+                    self._note(outcome, message)
+        self._out.print(f"Results in {escape(str(out))}/", highlight=False, soft_wrap=True)
+
+    def _note(self, outcome: Outcome, message: str) -> None:
+        self._out.print(
+            f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+def _named_error(outcome: Outcome) -> str:
+    """The reason, led by the picture's name once."""
+    name = outcome.image.name
+    return outcome.error if name in outcome.error else f"{name}: {outcome.error}"
+
+
+def _pointing_table(outcomes: Sequence[Outcome], wide: bool) -> Table:
+    names = ("stars", "Δpixel", "Δline", "Δtwist°", "rms px", *(("RA°", "Dec°", "twist°") if wide else ()))
+    table = plain_table("Pointing", ("picture", "status"), names)
+    for outcome in outcomes:
+        status = outcome.result["status"]
+        row = [escape(outcome.image.stem), f"[{STATUS_STYLES[status]}]{status}[/]"]
+        table.add_row(*row, *_pointing_cells(outcome.result.get("pointing"))[: len(names)])
+    return table
+
+
+def _pointing_cells(p: dict[str, Any] | None) -> list[str]:
+    if p is None:
+        return ["–"] * 8
+    return [
+        str(p["n_stars"]),
+        f"{p['delta_pixel']:+.2f}",
+        f"{p['delta_line']:+.2f}",
+        f"{p['delta_twist_deg']:+.4f}",
+        f"{p['rms_px']:.3f}",
+        f"{p['ra_deg']:.5f}",
+        f"{p['dec_deg']:+.5f}",
+        f"{p['twist_deg']:.3f}",
+    ]
+
+
+def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]], wide: bool) -> Table:
+    names = ("pixel", "line", "σ", "σ", "O−C", "O−C", *(("RA°", "Dec°", "method") if wide else ()))
+    table = plain_table("Targets (O−C in px)", ("picture", "target", "status"), names)
+    for outcome, body in rows:
+        cells = [escape(outcome.image.stem), escape(body["name"]), body["status"].replace("_", " ")]
+        table.add_row(*cells, *_body_cells(body)[: len(names)])
+    return table
+
+
+def _body_cells(body: dict[str, Any]) -> list[str]:
+    if body["observed"] is None:
+        return [*["–"] * 8, body["method"]]
+    return [
+        *(f"{value:.3f}" for value in body["observed"]),
+        *(f"{body['covariance_px2'][i][i] ** 0.5:.3f}" for i in (0, 1)),
+        *(f"{value:+.3f}" for value in body["residual_px"]),
+        f"{body['ra_deg']:.6f}",
+        f"{body['dec_deg']:+.6f}",
+        body["method"],
+    ]
+
+
+# ---- ``opnav process``: pictures in, pointing and observables out.
 
 
 def process(
@@ -55,7 +173,7 @@ def process(
     centers: Annotated[
         str, typer.Option(help="Star centers: " + " | ".join(FINAL_METHODS))
     ] = "least_squares",
-    model: Annotated[str, typer.Option(help="Pointing model: " + " | ".join(MODELS))] = "euler",
+    model: Annotated[str, typer.Option(help="Pointing model: " + " | ".join(POINTING_MODELS))] = "euler",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
 ) -> None:
     """Solve pointing and target centers of pictures.

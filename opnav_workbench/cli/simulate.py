@@ -16,7 +16,7 @@ from opnav_workbench.errors import MissionError
 from opnav_workbench.simulation import (
     PictureReport,
     PictureScenario,
-    chosen_tasks,
+    chosen_pictures,
     load_picture_scenario,
     picture_scenario_names,
 )
@@ -64,7 +64,7 @@ def simulate(
             raise MissionError(
                 "no scenario given; give a YAML file, or a name that opnav simulate --list shows."
             )
-        console.print(_listing())
+        console.print(_scenario_table())
         return
     content = load_picture_scenario(scenario).with_options(seed=seed, kernels=kernels, catalog=catalog)
     reports = _run(content, out, jobs, only or ())
@@ -78,7 +78,7 @@ def _run(
     scenario: PictureScenario, out: Path, jobs: int | None, only: Sequence[str]
 ) -> tuple[PictureReport, ...]:
     errors = error_console()
-    count = len(chosen_tasks(scenario, only))
+    count = len(chosen_pictures(scenario, only))
     processes = jobs or (1 if count <= FEW_PICTURES else os.cpu_count() or 1)
     with picture_progress(errors) as progress:
         task = progress.add_task("opening kernels and catalog", total=count)
@@ -95,7 +95,7 @@ def _run(
             raise
 
 
-def _listing() -> Table:
+def _scenario_table() -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("scenario", no_wrap=True)
     table.add_column("pictures", justify="right")

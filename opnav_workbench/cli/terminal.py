@@ -1,8 +1,14 @@
-"""What several commands show on a terminal: progress over pictures, and plain tables."""
+"""What several commands show on a terminal: consoles, progress bars, plain tables, exit statuses.
 
-from collections.abc import Sequence
+Results go to standard output, progress and complaints to standard error; a bar is shown on terminals only. Exit
+status: 0 all well, 2 bad input, 3 some pictures failed (the others are kept).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -13,7 +19,18 @@ from rich.progress import (
 )
 from rich.table import Table
 
-__all__ = ["error_console", "picture_progress", "plain_table"]
+__all__ = [
+    "EXIT_BAD_INPUT",
+    "EXIT_SOME_FAILED",
+    "error_console",
+    "folding_table",
+    "named_progress",
+    "picture_progress",
+    "plain_table",
+]
+
+
+# ---- What several commands show on a terminal: progress over pictures, and plain tables.
 
 
 def error_console() -> Console:
@@ -46,3 +63,42 @@ def plain_table(
     for name in numbers:
         table.add_column(name, justify="right", no_wrap=True)
     return table
+
+
+# ---- Tables of the ``opnav kernels`` commands.
+
+
+def folding_table(columns: Sequence[str], title: str | None = None) -> Table:
+    """Return an empty table in the house style: no lines; words fold, times and numbers do not."""
+    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for name in columns:
+        table.add_column(name, overflow="fold", no_wrap=name.endswith("(UTC)") or name == "cover")
+    return table
+
+
+# ---- What ``opnav calibrate`` prints and writes: progress, a table of parameters, reports as plain values.
+
+
+@contextmanager
+def named_progress(console: Console, total: int) -> Iterator[Callable[[str, str], None]]:
+    """Show how far the pictures are; the yielded function tells of the next one."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=total)
+        begun = [0]
+
+        def say(name: str, words: str) -> None:
+            progress.update(task, description=f"{escape(name)}: {escape(words)}", completed=begun[0])
+            begun[0] += 1
+
+        yield say
+
+
+# ---- ``opnav process``: pictures in, pointing and observables out.
+
+EXIT_SOME_FAILED = 3
+
+
+# ---- The ``opnav`` program: its commands, and how errors reach a person (one line, no traceback).
+
+EXIT_BAD_INPUT = 2

@@ -1,8 +1,12 @@
-"""Batch least squares over many observables: corrections of target and spacecraft states.
+"""Batch least squares over many observables: corrections of target and spacecraft states, outliers, and what comes out.
 
 Gauss-Newton on whitened residuals with a priori knowledge as further rows:
 
     minimise |L^-1 r(x)|^2 + |L0^-1 x|^2,   R = L L' (bodies of a picture share its pointing error),  P0 = L0 L0'
+
+Outliers are told by what remains of a measurement after the fit, over the scatter that the fit predicts for it. A
+measurement in use pulls the solution toward itself, so its residual scatters less than the measurement, by R - H P H'; one
+that is not in use scatters more, by R + H P H'.
 
 It closes rehearsals and shows what pictures determine. It is no orbit determination program: no dynamics but the state
 transition that is given, no stochastic accelerations, no radio data.
@@ -14,19 +18,243 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri
 
-from opnav_workbench.arrays import BoolArray, FloatArray, symmetric
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, symmetric
 from opnav_workbench.errors import EstimationError
-from opnav_workbench.estimation.editing import Scatter, scatter_of, worst
+from opnav_workbench.estimation.directions import ParameterDirection, directions_of, is_determined, scales_of
 from opnav_workbench.estimation.measurements import Dynamics, Measurements, measurements_of
-from opnav_workbench.estimation.observability import Direction, directions_of, is_determined, scales_of
-from opnav_workbench.estimation.parameters import APriori, Group, parse_groups, prior_rows
-from opnav_workbench.estimation.results import Estimate, Residual
-from opnav_workbench.estimation.transition import Transition, straight_line
+from opnav_workbench.estimation.parameters import APriori, ParameterGroup, parse_groups, prior_rows
+from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.observables import Observable
 
-__all__ = ["REJECT_SIGMAS", "estimate", "observability"]
+__all__ = ["Estimate", "Residual", "equal_sigmas", "estimate", "observability"]
+
+
+# ---- Outliers: what remains of a measurement after the fit, over the scatter that the fit predicts for it.
+
+# A measurement that alone determines a parameter has no residual left to judge it by.
+LEAST_FREEDOM = 1e-6  # of the measurement's own variance
+LARGEST_SIGMAS = 37.0  # beyond, the probability of a normal error is no double
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PostfitResidual:
+    """What remains of one center (two rows) or range (one row)."""
+
+    kind: str
+    number: int
+    rows: IntArray
+    used: bool
+    residual: FloatArray
+    sigmas: float
+    reason: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def postfit_residual(
+    kind: str,
+    number: int,
+    rows: IntArray,
+    used: bool,
+    residuals: FloatArray,
+    covariance: FloatArray,
+    mapped: FloatArray,
+) -> PostfitResidual:
+    """Judge one measurement.
+
+    Parameters
+    ----------
+    kind, number, rows, used
+        Copied into the result; `rows` of the following.
+    residuals : (k,) array
+    covariance, mapped : (k, k) arrays
+        Of the measurements, R; and of their computed values by the solution, H P H'.
+    """
+    block = np.ix_(rows, rows)
+    residual, own = residuals[rows], covariance[block]
+    predicted = symmetric(own - mapped[block] if used else own + mapped[block])
+    size = _normal_sigmas(residual, predicted, own)
+    unit = "px" if kind == "center" else "km"
+    words = ", ".join(f"{r:.3g}" for r in residual)
+    return PostfitResidual(
+        kind, number, rows, used, residual, size, f"{size:.1f} sigma off after the fit ({words} {unit})"
+    )
+
+
+def _normal_sigmas(residual: FloatArray, predicted: FloatArray, own: FloatArray) -> float:
+    """Return the sigmas of a normal error that is as improbable; zero where no freedom is left."""
+    values, vectors = np.linalg.eigh(predicted)
+    free = values > LEAST_FREEDOM * float(np.trace(own))
+    if not free.any():
+        return 0.0
+    return equal_sigmas(float(np.sum((vectors.T @ residual)[free] ** 2 / values[free])), int(free.sum()))
+
+
+def equal_sigmas(square: float, freedom: int) -> float:
+    """Return the sigmas of a normal error that is as improbable as a chi-squared.
+
+    Examples
+    --------
+    >>> round(equal_sigmas(9.0, 1), 6), round(equal_sigmas(11.829, 2), 3)
+    (3.0, 3.0)
+    """
+    improbable = float(chdtrc(freedom, square))
+    return (
+        float(-ndtri(0.5 * improbable)) if improbable > 0.0 else max(LARGEST_SIGMAS, float(np.sqrt(square)))
+    )
+
+
+def worst_outlier(scatters: Sequence[PostfitResidual], reject_sigmas: float) -> PostfitResidual | None:
+    """Return the measurement in use that is farthest off, if that is too far."""
+    used = [scatter for scatter in scatters if scatter.used]
+    farthest = max(used, key=lambda s: s.sigmas, default=None)
+    return farthest if farthest is not None and farthest.sigmas > reject_sigmas else None
+
+
+# ---- What a batch estimate says; arrays are read-only.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """One measured center or range, before and after.
+
+    Attributes
+    ----------
+    image, body, kind : str
+        `kind` is "center" or "range".
+    et : float
+    before, after : (2,) or (1,) array
+        Observed minus computed, px or km.
+    covariance : (2, 2) or (1, 1) array
+        Of the measurement, pointing included, px^2 or km^2.
+    sigmas : float
+        Size of what remains over its predicted scatter: of a center the sigma of equal probability.
+    used : bool
+    reason : str
+        Why it was not used.
+    """
+
+    image: str
+    body: str
+    kind: str
+    et: float
+    before: FloatArray
+    after: FloatArray
+    covariance: FloatArray
+    sigmas: float
+    used: bool
+    reason: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """A batch least-squares estimate.
+
+    Attributes
+    ----------
+    groups : tuple of Group
+    epoch_et : float
+        Time of the corrected states, TDB seconds past J2000.
+    correction : (n,) array
+        True minus ephemeris, km, km/s or dimensionless; J2000. A range scale is measured over true range, minus one.
+    covariance : (n, n) array
+        Its covariance, by the measurements' own (a priori included).
+    a_priori_rows : (k, n) array
+        A priori knowledge, whitened.
+    residuals : tuple of Residual
+        Of every observable with a center, in their order; ranges last.
+    left_out : tuple of str
+        Observables without a usable center, with their status.
+    chi2_before, chi2_after : float
+        Of the used measurements; after with the a priori's share.
+    degrees_of_freedom : int
+    iterations : tuple of (n,) arrays
+        Corrections after each pass.
+    converged : bool
+    directions : tuple of Direction
+        What the measurements alone determine, best first.
+    messages : tuple of str
+    """
+
+    groups: tuple[ParameterGroup, ...]
+    epoch_et: float
+    correction: FloatArray
+    covariance: FloatArray
+    a_priori_rows: FloatArray
+    residuals: tuple[Residual, ...]
+    left_out: tuple[str, ...]
+    chi2_before: float
+    chi2_after: float
+    degrees_of_freedom: int
+    probability: float
+    iterations: tuple[FloatArray, ...]
+    converged: bool
+    directions: tuple[ParameterDirection, ...]
+    messages: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+        return tuple(label for group in self.groups for label in group.labels)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Return the units of the parameters."""
+        return tuple(group.unit for group in self.groups for _ in range(group.size))
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Return the standard deviations (n,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Return the correlation coefficients (n, n)."""
+        return np.asarray(self.covariance / np.outer(self.sigma, self.sigma))
+
+    def group(self, name: str) -> tuple[FloatArray, FloatArray]:
+        """Return the correction (k,) and covariance (k, k) of one group.
+
+        Raises
+        ------
+        EstimationError
+            It was not estimated.
+        """
+        for group in self.groups:
+            if group.name == name:
+                c = group.columns
+                return self.correction[c], self.covariance[c, c]
+        raise EstimationError(
+            f"{name!r} was not estimated; there are {', '.join(g.name for g in self.groups)}."
+        )
+
+    def relative_state(self, body: str = "") -> tuple[FloatArray, FloatArray]:
+        """Return the correction (6,) of the spacecraft's state relative to a body at the epoch, and its covariance (6, 6).
+
+        Parameters
+        ----------
+        body : str
+            An observed body; empty for the system as a whole.
+        """
+        matrix = np.zeros((6, len(self.correction)))
+        for group in self.groups:
+            mover, _, quantity = group.kind.partition("_")
+            if quantity in ("position", "velocity") and group.moves(body):
+                rows = slice(0, 3) if quantity == "position" else slice(3, 6)
+                matrix[rows, group.columns] += np.eye(3) * (1.0 if mover == "spacecraft" else -1.0)
+        return matrix @ self.correction, symmetric(matrix @ self.covariance @ matrix.T)
+
+
+# ---- Batch least squares over many observables: corrections of target and spacecraft states.
 
 REJECT_SIGMAS = 4.5  # one good center in 150 000 is lost
 MAX_ITERATIONS = 20
@@ -41,7 +269,7 @@ class _Problem:
     """The whole batch: measurements, what is known before, and which measurements are in use."""
 
     observables: Sequence[Observable]
-    groups: tuple[Group, ...]
+    groups: tuple[ParameterGroup, ...]
     dynamics: Dynamics
     measured: Measurements
     prior: FloatArray  # (k, n) whitened
@@ -109,7 +337,7 @@ def estimate(
     transitions = target_transition, spacecraft_transition
     problem, left_out = _problem(observables, parameters, epoch_et, a_priori, transitions, statuses)
     solution = _solve(problem)
-    while (outlier := worst(_scatter(problem, solution), reject_sigmas)) is not None:
+    while (outlier := worst_outlier(_postfit_residuals(problem, solution), reject_sigmas)) is not None:
         _reject(problem, outlier, reject_sigmas)
         solution = _solve(problem)
     return _estimate(problem, solution, left_out)
@@ -124,7 +352,7 @@ def observability(
     target_transition: Transition = straight_line,
     spacecraft_transition: Transition = straight_line,
     statuses: Sequence[str] = ("ok",),
-) -> tuple[Direction, ...]:
+) -> tuple[ParameterDirection, ...]:
     """Return what the pictures alone determine of the parameters, best first; arguments as `estimate`.
 
     The a priori sigmas serve as units only. Directions that nothing determines are no error here.
@@ -165,7 +393,7 @@ def _problem(
     return _Problem(usable, groups, dynamics, measured, prior_rows(groups, a_priori), *everything), left_out
 
 
-def _whitened(problem: _Problem, correction: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _whitened_measurements(problem: _Problem, correction: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Whitened residuals and Jacobian of the measurements in use."""
     residual, jacobian = problem.measured.evaluate(correction)
     rows = problem.measured.rows_of(problem.centers, problem.ranges)
@@ -180,7 +408,7 @@ def _solve(problem: _Problem) -> _Solution:
     iterations: list[FloatArray] = []
     covariance, converged = np.full((n, n), np.nan), False
     while not converged and len(iterations) < MAX_ITERATIONS:
-        residual, jacobian = _whitened(problem, correction)
+        residual, jacobian = _whitened_measurements(problem, correction)
         rows = np.concatenate([jacobian, problem.prior])
         right = np.concatenate([residual, -problem.prior @ correction])
         scale = np.linalg.norm(rows, axis=0)
@@ -197,7 +425,7 @@ def _solve(problem: _Problem) -> _Solution:
 
 def _require_determined(problem: _Problem, rows: FloatArray, correction: FloatArray) -> None:
     """Refuse parameters that neither measurements nor a priori sigmas determine."""
-    if is_determined(rows * _scales(problem)):
+    if is_determined(rows * _parameter_scales(problem)):
         return
     loose = [d for d in _directions(problem, correction, rows) if not d.determined]
     raise EstimationError(
@@ -206,32 +434,32 @@ def _require_determined(problem: _Problem, rows: FloatArray, correction: FloatAr
     )
 
 
-def _scales(problem: _Problem) -> FloatArray:
+def _parameter_scales(problem: _Problem) -> FloatArray:
     times = [o.et for o in problem.observables] + [problem.dynamics.epoch_et]
     return scales_of(problem.groups, max(times) - min(times), problem.prior)
 
 
 def _directions(
     problem: _Problem, correction: FloatArray, rows: FloatArray | None = None
-) -> tuple[Direction, ...]:
+) -> tuple[ParameterDirection, ...]:
     sight = problem.measured.observed.mean(axis=0)
-    whitened = _whitened(problem, correction)[1] if rows is None else rows
-    return directions_of(whitened, problem.groups, _scales(problem), sight / np.linalg.norm(sight))
+    whitened = _whitened_measurements(problem, correction)[1] if rows is None else rows
+    return directions_of(whitened, problem.groups, _parameter_scales(problem), sight / np.linalg.norm(sight))
 
 
-def _scatter(problem: _Problem, solution: _Solution) -> tuple[Scatter, ...]:
+def _postfit_residuals(problem: _Problem, solution: _Solution) -> tuple[PostfitResidual, ...]:
     residual, jacobian = problem.measured.evaluate(solution.correction)
     mapped = jacobian @ solution.covariance @ jacobian.T
     units = [("center", i, np.array([2 * i, 2 * i + 1]), bool(u)) for i, u in enumerate(problem.centers)]
     first = 2 * len(problem.centers)
     units += [("range", j, np.array([first + j]), bool(u)) for j, u in enumerate(problem.ranges)]
     return tuple(
-        scatter_of(kind, number, rows, used, residual, problem.measured.covariance, mapped)
+        postfit_residual(kind, number, rows, used, residual, problem.measured.covariance, mapped)
         for kind, number, rows, used in units
     )
 
 
-def _reject(problem: _Problem, outlier: Scatter, reject_sigmas: float) -> None:
+def _reject(problem: _Problem, outlier: PostfitResidual, reject_sigmas: float) -> None:
     mask = problem.centers if outlier.kind == "center" else problem.ranges
     mask[outlier.number] = False
     rejected = int((~problem.centers).sum() + (~problem.ranges).sum())
@@ -245,8 +473,8 @@ def _reject(problem: _Problem, outlier: Scatter, reject_sigmas: float) -> None:
 
 
 def _estimate(problem: _Problem, solution: _Solution, left_out: tuple[str, ...]) -> Estimate:
-    before = _whitened(problem, np.zeros_like(solution.correction))[0]
-    after, jacobian = _whitened(problem, solution.correction)
+    before = _whitened_measurements(problem, np.zeros_like(solution.correction))[0]
+    after, jacobian = _whitened_measurements(problem, solution.correction)
     known = problem.prior @ solution.correction
     total = float(after @ after + known @ known)
     freedom = len(after) + len(problem.prior) - len(solution.correction)
@@ -273,7 +501,7 @@ def _estimate(problem: _Problem, solution: _Solution, left_out: tuple[str, ...])
 def _residuals(problem: _Problem, solution: _Solution) -> tuple[Residual, ...]:
     before = problem.measured.residuals(np.zeros_like(solution.correction))
     made = []
-    for scatter in _scatter(problem, solution):
+    for scatter in _postfit_residuals(problem, solution):
         of = scatter.number if scatter.kind == "center" else int(problem.measured.range_of[scatter.number])
         o, rows = problem.observables[of], scatter.rows
         made.append(

@@ -1,4 +1,4 @@
-"""The B-plane of a flyby: where the incoming asymptote would pierce the plane through the body across it.
+"""The B-plane of a flyby: where the incoming asymptote would pierce the plane through the body across it; an estimate there.
 
 S  unit vector along the incoming asymptote
 T  S x pole / |S x pole|, in the B-plane and in the plane that the pole stands on
@@ -11,7 +11,7 @@ B-plane had it moved on along the asymptote. On a hyperbola a = GM / v_inf^2, e 
     linearised = periapsis - (GM / v_inf^3) ln e,
 
 so that, unlike the time of periapsis, it does not depend on the miss distance. Without gravity (GM = 0) the flyby is a
-straight line, and both times are -(r.S) / v.
+straight line, and both times are -(r.S) / v. `map_to_b_plane` says where an estimate puts the flyby, when, and how sure.
 
 Reference: Kizner (1961), Planetary and Space Science 7, 125, doi:10.1016/0032-0633(61)90293-8.
 """
@@ -22,18 +22,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.errors import EstimationError
+from opnav_workbench.estimation.batch import Estimate
 from opnav_workbench.observables.differences import jacobian_by_differences
 
-__all__ = ["POLES", "BPlane", "b_plane", "b_plane_partials"]
+__all__ = [
+    "BPlane",
+    "BPlaneSolution",
+    "ErrorEllipse",
+    "b_plane",
+    "b_plane_partials",
+    "error_ellipse",
+    "map_to_b_plane",
+]
+
+
+# ---- The B-plane of a flyby: where the incoming asymptote would pierce the plane through the body across it.
 
 OBLIQUITY_RAD = np.radians(84381.448 / 3600.0)  # IAU 1976, as SPICE's ECLIPJ2000
 POLES = {
     "ecliptic": (0.0, -np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)),
     "j2000": (0.0, 0.0, 1.0),
 }
-PARALLEL = 1e-8  # sine of the angle between asymptote and pole below which T has no direction
+PARALLEL_SINE = 1e-8  # sine of the angle between asymptote and pole below which T has no direction
 STEP_SHARE = 1e-4  # longest step of the differences, as a share of distance and speed
 
 
@@ -118,9 +130,13 @@ def b_plane(
     (0, -5000, 100000.0)
     """
     position, velocity = np.asarray(position_km, float), np.asarray(velocity_km_s, float)
-    _check(position, velocity, gm_km3_s2)
-    found = _line(position, velocity) if gm_km3_s2 == 0.0 else _hyperbola(position, velocity, gm_km3_s2)
-    t, r = _axes(found["s"], pole)
+    _check_flyby(position, velocity, gm_km3_s2)
+    found = (
+        _straight_flyby(position, velocity)
+        if gm_km3_s2 == 0.0
+        else _hyperbolic_flyby(position, velocity, gm_km3_s2)
+    )
+    t, r = _t_and_r_axes(found["s"], pole)
     return BPlane(t=t, r=r, **found)
 
 
@@ -146,7 +162,7 @@ def b_plane_partials(
     )
 
 
-def _check(position: FloatArray, velocity: FloatArray, gm_km3_s2: float) -> None:
+def _check_flyby(position: FloatArray, velocity: FloatArray, gm_km3_s2: float) -> None:
     values = np.concatenate([position, velocity])
     if values.shape != (6,) or not np.isfinite(values).all() or not velocity.any() or not gm_km3_s2 >= 0.0:
         raise EstimationError(
@@ -155,7 +171,7 @@ def _check(position: FloatArray, velocity: FloatArray, gm_km3_s2: float) -> None
         )
 
 
-def _line(position: FloatArray, velocity: FloatArray) -> dict[str, Any]:
+def _straight_flyby(position: FloatArray, velocity: FloatArray) -> dict[str, Any]:
     speed = float(np.linalg.norm(velocity))
     s = velocity / speed
     along = float(position @ s)
@@ -171,7 +187,7 @@ def _line(position: FloatArray, velocity: FloatArray) -> dict[str, Any]:
     }
 
 
-def _hyperbola(position: FloatArray, velocity: FloatArray, gm: float) -> dict[str, Any]:
+def _hyperbolic_flyby(position: FloatArray, velocity: FloatArray, gm: float) -> dict[str, Any]:
     distance, momentum = float(np.linalg.norm(position)), np.cross(position, velocity)
     energy = float(velocity @ velocity) - 2.0 * gm / distance  # v_inf^2
     h = float(np.linalg.norm(momentum))
@@ -201,15 +217,128 @@ def _hyperbola(position: FloatArray, velocity: FloatArray, gm: float) -> dict[st
     }
 
 
-def _axes(s: FloatArray, pole: str | ArrayLike) -> tuple[FloatArray, FloatArray]:
+def _t_and_r_axes(s: FloatArray, pole: str | ArrayLike) -> tuple[FloatArray, FloatArray]:
     if isinstance(pole, str) and pole not in POLES:
         raise EstimationError(f"unknown pole {pole!r}; choose one of {', '.join(POLES)}, or give a vector.")
     vector = np.asarray(POLES[pole] if isinstance(pole, str) else pole, float)
     t = np.cross(s, vector)
     length = float(np.linalg.norm(t))
-    if vector.shape != (3,) or not length > PARALLEL * float(np.linalg.norm(vector)):
+    if vector.shape != (3,) or not length > PARALLEL_SINE * float(np.linalg.norm(vector)):
         raise EstimationError(
             f"the asymptote {s.round(6).tolist()} lies along the pole {vector.tolist()}; choose another pole."
         )
     t = t / length
     return t, np.cross(s, t)
+
+
+# ---- An estimate in the B-plane: where the flyby goes, when, and how sure that is.
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorEllipse:
+    """One-sigma ellipse of (B.T, B.R).
+
+    Attributes
+    ----------
+    semi_major_km, semi_minor_km : float
+    angle_rad : float
+        Of the major axis, from T toward R, 0 to pi.
+    """
+
+    semi_major_km: float
+    semi_minor_km: float
+    angle_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BPlaneSolution:
+    """An estimate mapped to the B-plane; arrays are read-only.
+
+    Attributes
+    ----------
+    a_priori, corrected : BPlane
+        Of the trajectory before and after the correction.
+    values_before, values_after : (3,) arrays
+        B.T, B.R (km) and linearised time of flight (s after the epoch), both with the axes of `a_priori`.
+    covariance : (3, 3) array
+        Of `values_after`: km^2, km s, s^2.
+    """
+
+    a_priori: BPlane
+    corrected: BPlane
+    values_before: FloatArray
+    values_after: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def shift(self) -> FloatArray:
+        """Return what the correction moved: (B.T, B.R, time), km and s."""
+        return np.asarray(self.values_after - self.values_before)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Return the standard deviations of B.T, B.R (km) and time (s)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def ellipse(self) -> ErrorEllipse:
+        """Return the one-sigma ellipse of (B.T, B.R)."""
+        return error_ellipse(self.covariance[:2, :2])
+
+
+def error_ellipse(covariance_km2: ArrayLike) -> ErrorEllipse:
+    """Return the one-sigma ellipse of a covariance (2, 2) km^2 of (B.T, B.R).
+
+    Examples
+    --------
+    >>> ellipse = error_ellipse([[4.0, 0.0], [0.0, 9.0]])
+    >>> ellipse.semi_major_km, ellipse.semi_minor_km, round(float(np.degrees(ellipse.angle_rad)), 6)
+    (3.0, 2.0, 90.0)
+    """
+    values, vectors = np.linalg.eigh(symmetric(np.asarray(covariance_km2, float)))
+    minor, major = (float(np.sqrt(max(v, 0.0))) for v in values)
+    return ErrorEllipse(major, minor, float(np.arctan2(vectors[1, 1], vectors[0, 1]) % np.pi))
+
+
+def map_to_b_plane(
+    estimate: Estimate,
+    position_km: ArrayLike,
+    velocity_km_s: ArrayLike,
+    gm_km3_s2: float = 0.0,
+    *,
+    pole: str | ArrayLike = "ecliptic",
+    body: str = "",
+) -> BPlaneSolution:
+    """Map an estimate's correction to the B-plane.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    position_km, velocity_km_s : (3,) array_like
+        A priori spacecraft relative to the body at the estimate's epoch, J2000, geometric.
+    gm_km3_s2, pole
+        As in `b_plane`.
+    body : str
+        The body that the state is relative to, where the estimate corrects bodies one by one; empty for the system.
+
+    Raises
+    ------
+    EstimationError
+        See `b_plane`.
+    """
+    state = np.concatenate([np.asarray(position_km, float), np.asarray(velocity_km_s, float)])
+    correction, covariance = estimate.relative_state(body)
+    moved = state + correction
+    before = b_plane(state[:3], state[3:], gm_km3_s2, pole)
+    after = b_plane(moved[:3], moved[3:], gm_km3_s2, pole)
+    partials = b_plane_partials(moved[:3], moved[3:], gm_km3_s2, pole)
+    return BPlaneSolution(
+        a_priori=before,
+        corrected=after,
+        values_before=before.in_axes_of(before),
+        values_after=after.in_axes_of(before),
+        covariance=symmetric(partials @ covariance @ partials.T),
+    )

@@ -21,8 +21,8 @@ from scipy.linalg import block_diag
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import EstimationError
-from opnav_workbench.estimation.parameters import Group, size_of
-from opnav_workbench.estimation.transition import Transition
+from opnav_workbench.estimation.parameters import ParameterGroup, parameter_count
+from opnav_workbench.estimation.state_transition import Transition
 from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, tangent_basis, unit, unit_from_radec
 from opnav_workbench.observables import Observable, joint_covariance_px2
 
@@ -30,7 +30,7 @@ __all__ = ["Dynamics", "Measurements", "measurements_of"]
 
 LIGHT_TIME_PASSES = 4  # each is better by v/c
 # Partials that older tables do not hold; without them nothing can be weighted or recomputed.
-NEEDED = ("position_km", "sky_partials_px_per_rad")
+NEEDED_FIELDS = ("position_km", "sky_partials_px_per_rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class Measurements:
 
 
 def measurements_of(
-    observables: Sequence[Observable], groups: Sequence[Group], dynamics: Dynamics
+    observables: Sequence[Observable], groups: Sequence[ParameterGroup], dynamics: Dynamics
 ) -> Measurements:
     """Prepare observables that have a center.
 
@@ -139,7 +139,7 @@ def measurements_of(
     EstimationError
         An observable without the partials that this needs, or a body twice in one picture.
     """
-    _check(observables)
+    _check_observables(observables)
     directions = unit_from_radec(
         np.radians([o.ra_deg for o in observables]), np.radians([o.dec_deg for o in observables])
     )
@@ -148,7 +148,7 @@ def measurements_of(
     )
     ranged = [i for i, o in enumerate(observables) if _has_range(o)]
     sigma = np.array([observables[i].range_sigma_km for i in ranged])
-    by_target, by_spacecraft, by_velocity = _maps(observables, groups, dynamics)
+    by_target, by_spacecraft, by_velocity = _state_maps(observables, groups, dynamics)
     return Measurements(
         position_km=np.array([o.position_km for o in observables]),
         velocity_km_s=np.array([_or_zero(o.target_velocity_km_s) for o in observables]),
@@ -161,16 +161,16 @@ def measurements_of(
         range_of=np.array(ranged, dtype=np.int64),
         range_km=np.array([observables[i].measured_range_km for i in ranged]),
         range_scale=np.reshape(
-            [_scales(observables[i], groups) for i in ranged], (len(ranged), size_of(groups))
+            [_range_scale_row(observables[i], groups) for i in ranged], (len(ranged), parameter_count(groups))
         ),
         covariance=np.asarray(block_diag(joint_covariance_px2(observables), np.diag(sigma**2))),
     )
 
 
-def _check(observables: Sequence[Observable]) -> None:
+def _check_observables(observables: Sequence[Observable]) -> None:
     seen = set()
     for o in observables:
-        lacking = [name for name in NEEDED if getattr(o, name) is None]
+        lacking = [name for name in NEEDED_FIELDS if getattr(o, name) is None]
         if lacking:
             raise EstimationError(
                 f"{o.name} in {o.image} has no {', '.join(lacking)}; process the picture again with this version."
@@ -190,19 +190,19 @@ def _or_zero(velocity: FloatArray | None) -> FloatArray:
     return np.zeros(3) if velocity is None else velocity
 
 
-def _scales(o: Observable, groups: Sequence[Group]) -> FloatArray:
-    row = np.zeros(size_of(groups))
+def _range_scale_row(o: Observable, groups: Sequence[ParameterGroup]) -> FloatArray:
+    row = np.zeros(parameter_count(groups))
     for group in groups:
         if group.kind == "range_scale" and group.moves(o.name):
             row[group.columns] = 1.0
     return row
 
 
-def _maps(
-    observables: Sequence[Observable], groups: Sequence[Group], dynamics: Dynamics
+def _state_maps(
+    observables: Sequence[Observable], groups: Sequence[ParameterGroup], dynamics: Dynamics
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """d(target place, spacecraft place, spacecraft velocity)/d(parameters), (m, 3, n) each."""
-    maps = np.zeros((3, len(observables), 3, size_of(groups)))
+    maps = np.zeros((3, len(observables), 3, parameter_count(groups)))
     for i, o in enumerate(observables):
         light_time_s = float(np.linalg.norm(o.position_km)) / SPEED_OF_LIGHT_KM_S  # type: ignore[arg-type]
         target = dynamics.target(dynamics.epoch_et, o.et - light_time_s)

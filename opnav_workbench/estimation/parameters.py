@@ -9,24 +9,24 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import EstimationError
 
-__all__ = ["KINDS", "APriori", "Group", "parse_groups", "prior_rows", "size_of"]
+__all__ = ["APriori", "ParameterGroup", "parameter_count", "parse_groups", "prior_rows"]
 
-UNITS = {
+PARAMETER_UNITS = {
     "target_position": "km",
     "target_velocity": "km/s",
     "spacecraft_position": "km",
     "spacecraft_velocity": "km/s",
     "range_scale": "",
 }
-KINDS = tuple(UNITS)
+PARAMETER_KINDS = tuple(PARAMETER_UNITS)
 OF_A_BODY = ("target_position", "target_velocity", "range_scale")
-SINGLE = "range_scale"
+SINGLE_PARAMETER = "range_scale"
 
 APriori = Mapping[str, ArrayLike] | FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class ParameterGroup:
     """Parameters that belong together.
 
     Attributes
@@ -52,7 +52,7 @@ class Group:
     @property
     def unit(self) -> str:
         """Return the unit of its parameters."""
-        return UNITS[self.kind]
+        return PARAMETER_UNITS[self.kind]
 
     @property
     def columns(self) -> slice:
@@ -69,7 +69,7 @@ class Group:
         return not self.body or self.body.casefold() == body.casefold()
 
 
-def parse_groups(names: Sequence[str]) -> tuple[Group, ...]:
+def parse_groups(names: Sequence[str]) -> tuple[ParameterGroup, ...]:
     """Return the groups of names such as ``target_position`` or ``target_position:CHARON``.
 
     Raises
@@ -85,28 +85,28 @@ def parse_groups(names: Sequence[str]) -> tuple[Group, ...]:
     if isinstance(names, str):
         names = (names,)
     if not names:
-        raise EstimationError(f"no parameters to estimate; choose among {', '.join(KINDS)}.")
+        raise EstimationError(f"no parameters to estimate; choose among {', '.join(PARAMETER_KINDS)}.")
     if len(set(names)) < len(names):
         raise EstimationError(f"parameters {', '.join(names)}: one is given twice.")
     groups, start = [], 0
     for name in names:
         kind, _, body = name.partition(":")
-        if kind not in KINDS or (body and kind not in OF_A_BODY):
+        if kind not in PARAMETER_KINDS or (body and kind not in OF_A_BODY):
             raise EstimationError(
-                f"unknown parameter {name!r}; choose among {', '.join(KINDS)}; "
+                f"unknown parameter {name!r}; choose among {', '.join(PARAMETER_KINDS)}; "
                 f"{', '.join(OF_A_BODY)} also of one body, as target_position:CHARON."
             )
-        groups.append(Group(kind, body, start, 1 if kind == SINGLE else 3))
+        groups.append(ParameterGroup(kind, body, start, 1 if kind == SINGLE_PARAMETER else 3))
         start += groups[-1].size
     return tuple(groups)
 
 
-def size_of(groups: Sequence[Group]) -> int:
+def parameter_count(groups: Sequence[ParameterGroup]) -> int:
     """Return the number of parameters."""
     return sum(group.size for group in groups)
 
 
-def prior_rows(groups: Sequence[Group], a_priori: APriori | None) -> FloatArray:
+def prior_rows(groups: Sequence[ParameterGroup], a_priori: APriori | None) -> FloatArray:
     """Return the a priori knowledge as whitened rows (k, n): ``rows @ correction`` are k numbers of sigma 1.
 
     Parameters
@@ -121,11 +121,11 @@ def prior_rows(groups: Sequence[Group], a_priori: APriori | None) -> FloatArray:
     EstimationError
         A group that is not estimated, a value of the wrong shape, or a matrix that is no covariance.
     """
-    n = size_of(groups)
+    n = parameter_count(groups)
     if a_priori is None:
         return np.empty((0, n))
     if not isinstance(a_priori, Mapping):
-        return _whitened(np.asarray(a_priori, float), np.arange(n), n, "a priori covariance")
+        return _whitened_rows(np.asarray(a_priori, float), np.arange(n), n, "a priori covariance")
     unknown = [name for name in a_priori if name not in {group.name for group in groups}]
     if unknown:
         raise EstimationError(
@@ -136,13 +136,13 @@ def prior_rows(groups: Sequence[Group], a_priori: APriori | None) -> FloatArray:
     return np.concatenate([np.empty((0, n)), *rows])
 
 
-def _group_rows(group: Group, value: ArrayLike, n: int) -> FloatArray:
+def _group_rows(group: ParameterGroup, value: ArrayLike, n: int) -> FloatArray:
     given = np.asarray(value, float)
     covariance = given if given.ndim == 2 else np.diag(np.broadcast_to(given, group.size).astype(float) ** 2)
-    return _whitened(covariance, np.arange(n)[group.columns], n, f"a priori covariance of {group.name}")
+    return _whitened_rows(covariance, np.arange(n)[group.columns], n, f"a priori covariance of {group.name}")
 
 
-def _whitened(covariance: FloatArray, columns: IntArray, n: int, what: str) -> FloatArray:
+def _whitened_rows(covariance: FloatArray, columns: IntArray, n: int, what: str) -> FloatArray:
     size = len(columns)
     rows = np.zeros((size, n))
     if covariance.shape != (size, size):

@@ -1,9 +1,15 @@
 """Vector geometry of a camera in space: pure functions of arrays, without state and without kernels.
 
-rotations     directions, attitudes, RA/Dec/twist, quaternions, rotation vectors
-aberration    stellar aberration and its exact inverse
-spacemotion   a star's direction at an epoch and from a place, with its covariance
-conics        limb and terminator of a triaxial ellipsoid, and the ellipse that a limb draws
+Come in by the functions that the package exports, such as `apparent_direction`, `propagate` and `pointing_angles`.
+
+``aberration``
+    Stellar aberration and its exact inverse.
+``conics``
+    Limb and terminator of a triaxial ellipsoid, and the ellipse that a limb draws.
+``rotations``
+    Directions, attitudes, RA/Dec/twist, quaternions, rotation vectors.
+``spacemotion``
+    A star's direction at an epoch and from a place, with its covariance.
 """
 
 from opnav_workbench.geometry.aberration import (

@@ -6,39 +6,131 @@ Files  OUT/<picture>/ {result.json, observables.ecsv, session.json, notebook.ipy
        OUT/{campaign.sqlite, summary.html, summary.json, queue.json}; OUT/.work is the night's own
 
 Killed anywhere, the same command goes on: a picture's folder is whole or not there, and the archive takes whole pictures.
+``night.json`` says what was done, so that it is done once; it moves into place together with the results, in one rename.
 """
 
+import hashlib
+import json
 import shutil
-from collections.abc import Callable, Iterator
+import uuid
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.files import inside, make_folder, sha256_of, write_json
-from opnav_workbench.headless.night_pool import Pool
-from opnav_workbench.headless.night_record import Record, digest_of_session, fingerprint, read_record, settle
+from opnav_workbench.files import inside, json_text, make_folder, sha256_of, write_json
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
-from opnav_workbench.headless.night_worker import Job, Verdict
-from opnav_workbench.headless.outcome import failed_result
+from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
 from opnav_workbench.headless.picture_job import PictureJob
+from opnav_workbench.headless.picture_run import failed_result
 from opnav_workbench.image.picture_files import picture_names
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.session.folder_lock import FolderLock
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.session.history import JOURNAL_FILE
+from opnav_workbench.session.storage import SESSION_FILE
 from opnav_workbench.version import __version__
 
-__all__ = ["Night", "NightPlan", "Picture", "plan_night", "run_night"]
+__all__ = ["Night", "NightPicture", "NightPlan", "fingerprint", "plan_night", "read_record", "run_night"]
+
+
+# ---- What a night leaves beside a picture's results: what was done, so that it is done once (``night.json``).
+
+RECORD_FILE = "night.json"
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class NightRecord:
+    """How a picture was processed.
+
+    Attributes
+    ----------
+    image : str
+    fingerprint : str
+        Of everything that the result depends on; empty where another try may come to another result.
+    session : str
+        Digest of the session as the night left it; another one tells of an analyst's work since.
+    fault, reason : str
+        As in `night_worker.Verdict`.
+    seconds, peak_mb : float
+    tries : int
+    """
+
+    image: str
+    fingerprint: str
+    session: str
+    fault: str = ""
+    reason: str = ""
+    seconds: float = 0.0
+    peak_mb: float = 0.0
+    tries: int = 1
+
+
+def fingerprint(image: Path, inputs: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a picture and of what it is processed with."""
+    text = json_text({"image": sha256_of(image), **inputs})
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def session_digest(folder: Path) -> str:
+    """Return the SHA-256 of a folder's session and journal; empty where there is none."""
+    found = [folder / name for name in (SESSION_FILE, JOURNAL_FILE) if (folder / name).is_file()]
+    if not found:
+        return ""
+    return hashlib.sha256("".join(sha256_of(path) for path in found).encode()).hexdigest()
+
+
+def read_record(folder: Path) -> NightRecord | None:
+    """Return the record of a picture's folder; None where there is none that can be read."""
+    try:
+        data = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
+        return NightRecord(**data["record"]) if data["schema"] == SCHEMA else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def move_into_place(work: Path, final: Path, record: NightRecord, attic: Path) -> None:
+    """Move a working folder to its place, with its record; what stood there goes.
+
+    Parameters
+    ----------
+    work, final : path
+    record : Record
+    attic : path
+        Folder on the same file system for what is about to be deleted.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written.
+    """
+    write_json(work / RECORD_FILE, {"schema": SCHEMA, "record": asdict(record)})
+    attic.mkdir(parents=True, exist_ok=True)
+    old = attic / f"{final.name}-{uuid.uuid4().hex[:8]}"
+    try:
+        if final.exists():
+            final.rename(old)
+        work.rename(final)
+    except OSError as error:
+        raise SessionError(
+            f"cannot move results to {final}: {error.strerror}; what is finished is kept, run the same command again."
+        ) from error
+    shutil.rmtree(old, ignore_errors=True)
+
+
+# ---- A night: the same notebook for many pictures, each on its own, nothing done twice and nothing lost.
 
 NOTEBOOK = "process_image.ipynb"
 WORK_FOLDER = ".work"
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class NightPicture:
     """A picture of the night.
 
     Attributes
@@ -71,17 +163,17 @@ class NightPlan:
 
     spec: NightSpec
     out: Path
-    pictures: tuple[Picture, ...]
+    pictures: tuple[NightPicture, ...]
 
     @property
-    def todo(self) -> tuple[Picture, ...]:
+    def todo(self) -> tuple[NightPicture, ...]:
         """Pictures to process."""
         return tuple(picture for picture in self.pictures if picture.state == "new")
 
-    def job(self, picture: Picture) -> Job:
+    def job(self, picture: NightPicture) -> NotebookRequest:
         """Return the work on one picture."""
         spec = self.spec
-        return Job(
+        return NotebookRequest(
             image=str(picture.image),
             name=picture.name,
             folder=str(self.out / WORK_FOLDER),
@@ -108,7 +200,7 @@ class Night:
     """
 
     plan: NightPlan
-    verdicts: list[Verdict] = field(default_factory=list)
+    verdicts: list[NotebookOutcome] = field(default_factory=list)
     unarchived: list[str] = field(default_factory=list)
 
 
@@ -128,21 +220,21 @@ def plan_night(spec: NightSpec, out: str | Path, *, only_new: bool = False) -> N
     OpNavError
         A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures.
     """
-    _check(spec)
+    _check_spec(spec)
     folder = make_folder(out).resolve()
-    inputs = _inputs(spec)
+    inputs = _processing_inputs(spec)
     pictures = []
     for image, name in picture_names(pictures_of_night(spec)).items():
         mark = fingerprint(image, inputs)
-        pictures.append(Picture(image, name, mark, _state_of(inside(folder, name), mark, only_new)))
+        pictures.append(NightPicture(image, name, mark, _state_of(inside(folder, name), mark, only_new)))
     return NightPlan(spec, folder, tuple(pictures))
 
 
 def _state_of(folder: Path, mark: str, only_new: bool) -> str:
     record = read_record(folder)
     if record is None:
-        return "kept" if digest_of_session(folder) else "new"  # a session of its own: an analyst's
-    if record.session != digest_of_session(folder):
+        return "kept" if session_digest(folder) else "new"  # a session of its own: an analyst's
+    if record.session != session_digest(folder):
         return "kept"
     if record.fingerprint == mark:
         return "done"
@@ -150,7 +242,11 @@ def _state_of(folder: Path, mark: str, only_new: bool) -> str:
 
 
 def run_night(
-    night: Night, pool: Pool, *, archive: Path | None = None, say: Callable[[Verdict], None] = lambda _: None
+    night: Night,
+    pool: NightPool,
+    *,
+    archive: Path | None = None,
+    say: Callable[[NotebookOutcome], None] = lambda _: None,
 ) -> None:
     """Process what is to be done; every picture that is finished is in its place, and in the archive, at once.
 
@@ -170,21 +266,21 @@ def run_night(
         Another night writes into the folder, or it cannot be written any more; what is finished is kept.
     """
     plan = night.plan
-    with _sole_night(plan.out), Campaign(archive or plan.out / "campaign.sqlite") as campaign:
+    with _night_lock(plan.out), Campaign(archive or plan.out / "campaign.sqlite") as campaign:
         for picture in plan.pictures:
             if picture.state != "new":
                 _archive(night, campaign, picture.name)
         by_name = {picture.name: picture for picture in plan.todo}
         with closing(pool.run([plan.job(picture) for picture in plan.todo])) as verdicts:
             for verdict in verdicts:
-                _finish(plan, by_name[verdict.name], verdict)
+                _move_results(plan, by_name[verdict.name], verdict)
                 _archive(night, campaign, verdict.name)
                 night.verdicts.append(verdict)
                 say(verdict)
 
 
 @contextmanager
-def _sole_night(out: Path) -> Iterator[None]:
+def _night_lock(out: Path) -> Iterator[None]:
     work = make_folder(out / WORK_FOLDER)
     try:
         lock = FolderLock(work)
@@ -202,22 +298,22 @@ def _sole_night(out: Path) -> Iterator[None]:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _finish(plan: NightPlan, picture: Picture, verdict: Verdict) -> None:
+def _move_results(plan: NightPlan, picture: NightPicture, verdict: NotebookOutcome) -> None:
     work = Path(verdict.folder) if verdict.folder else make_folder(plan.out / WORK_FOLDER / picture.name)
     if not (work / RESULT_FILE).is_file():
         reason = verdict.reason or "the notebook wrote no result"
         write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, reason))
-    record = Record(
+    record = NightRecord(
         image=str(picture.image),
         fingerprint="" if verdict.fault == "machine" else picture.fingerprint,
-        session=digest_of_session(work),
+        session=session_digest(work),
         fault=verdict.fault,
         reason=verdict.reason,
         seconds=verdict.seconds,
         peak_mb=verdict.peak_mb,
         tries=verdict.tries,
     )
-    settle(work, inside(plan.out, picture.name), record, plan.out / WORK_FOLDER / "old")
+    move_into_place(work, inside(plan.out, picture.name), record, plan.out / WORK_FOLDER / "old")
 
 
 def _archive(night: Night, campaign: Campaign, name: str) -> None:
@@ -230,7 +326,7 @@ def _archive(night: Night, campaign: Campaign, name: str) -> None:
         night.unarchived.append(f"{name}: {taken.reason}")
 
 
-def _check(spec: NightSpec) -> None:
+def _check_spec(spec: NightSpec) -> None:
     _ = PictureJob(**_parameters(spec, Path("picture"))).policy  # mission, catalog, methods, decisions
     with KernelSet(spec.kernels) if spec.kernels else nullcontext():
         pass
@@ -274,7 +370,7 @@ def _parameters(spec: NightSpec, image: Path) -> dict[str, Any]:
     }
 
 
-def _inputs(spec: NightSpec) -> dict[str, Any]:
+def _processing_inputs(spec: NightSpec) -> dict[str, Any]:
     """What a result depends on, besides the picture: contents of files, not their places."""
     files = {
         name: sha256_of(value)

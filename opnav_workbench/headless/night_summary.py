@@ -7,22 +7,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench.campaign.attention import attention_of
-from opnav_workbench.campaign.queue_file import Queue, QueuedImage, write_queue
+from opnav_workbench.campaign.analyst_queue import AnalystQueue, QueuedImage, attention_reasons, write_queue
 from opnav_workbench.files import inside, write_json, write_text
-from opnav_workbench.headless.night import Night, Picture
-from opnav_workbench.headless.night_record import read_record
-from opnav_workbench.headless.night_worker import EXECUTED_FILE, HTML_FILE
+from opnav_workbench.headless.night import Night, NightPicture, read_record
+from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
 from opnav_workbench.report import night_page
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
-__all__ = ["SUMMARY_FILE", "SUMMARY_PAGE", "summary_of", "write_night"]
+__all__ = ["SUMMARY_PAGE", "write_night_summary"]
 
 SUMMARY_FILE, SUMMARY_PAGE = "summary.json", "summary.html"
 FIGURE_FILE = "summary.png"
-OF_POINTING = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
-OF_BODY = (
+POINTING_KEYS = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
+BODY_KEYS = (
     "name",
     "method",
     "status",
@@ -34,7 +32,7 @@ OF_BODY = (
 NOT_PROCESSED = "not processed yet; run the same command again"
 
 
-def write_night(night: Night) -> dict[str, Any]:
+def write_night_summary(night: Night) -> dict[str, Any]:
     """Write ``summary.json``, ``summary.html`` and ``queue.json`` of a night's folder, and return the summary.
 
     Raises
@@ -42,7 +40,7 @@ def write_night(night: Night) -> dict[str, Any]:
     SessionError
         The folder cannot be written.
     """
-    summary, out, spec = summary_of(night), night.plan.out, night.plan.spec
+    summary, out, spec = night_summary_dict(night), night.plan.out, night.plan.spec
     write_json(out / SUMMARY_FILE, summary)
     write_text(out / SUMMARY_PAGE, night_page(summary, out))
     waiting = tuple(
@@ -50,11 +48,13 @@ def write_night(night: Night) -> dict[str, Any]:
         for row in summary["images"]
         if row["attention"] and row["state"] != "waiting"
     )
-    write_queue(out, Queue(waiting, spec.mission, spec.kernels or "", spec.catalog, spec.targets or ()))
+    write_queue(
+        out, AnalystQueue(waiting, spec.mission, spec.kernels or "", spec.catalog, spec.targets or ())
+    )
     return summary
 
 
-def summary_of(night: Night) -> dict[str, Any]:
+def night_summary_dict(night: Night) -> dict[str, Any]:
     """Return what came out of a night, read from its folders.
 
     Returns
@@ -65,7 +65,7 @@ def summary_of(night: Night) -> dict[str, Any]:
     """
     spec = night.plan.spec
     now = {verdict.name for verdict in night.verdicts}
-    images = [_row(night.plan.out, picture, picture.name in now) for picture in night.plan.pictures]
+    images = [_image_row(night.plan.out, picture, picture.name in now) for picture in night.plan.pictures]
     images.sort(key=lambda row: (row["utc"] is None, row["utc"] or "", row["name"]))
     return {
         "version": __version__,
@@ -81,14 +81,16 @@ def summary_of(night: Night) -> dict[str, Any]:
     }
 
 
-def _row(out: Path, picture: Picture, processed_now: bool) -> dict[str, Any]:
+def _image_row(out: Path, picture: NightPicture, processed_now: bool) -> dict[str, Any]:
     folder = inside(out, picture.name)
-    result, record = _result(folder), read_record(folder)
+    result, record = _read_result(folder), read_record(folder)
     if not processed_now and picture.state == "new":
         result = {"status": "waiting", "messages": [NOT_PROCESSED]}
     bodies = result.get("bodies") or []
     pointing = result.get("pointing")
-    attention = attention_of(result["status"], result["messages"], [(b["name"], b["status"]) for b in bodies])
+    attention = attention_reasons(
+        result["status"], result["messages"], [(b["name"], b["status"]) for b in bodies]
+    )
     return {
         "name": picture.name,
         "path": str(picture.image),
@@ -97,8 +99,8 @@ def _row(out: Path, picture: Picture, processed_now: bool) -> dict[str, Any]:
         "utc": result.get("utc"),
         "messages": result["messages"],
         "attention": list(attention),
-        "pointing": None if pointing is None else {key: pointing[key] for key in OF_POINTING},
-        "bodies": [_body(body) for body in bodies],
+        "pointing": None if pointing is None else {key: pointing[key] for key in POINTING_KEYS},
+        "bodies": [_body_row(body) for body in bodies],
         "seconds": None if record is None else record.seconds,
         "peak_mb": None if record is None else record.peak_mb,
         "tries": None if record is None else record.tries,
@@ -106,14 +108,14 @@ def _row(out: Path, picture: Picture, processed_now: bool) -> dict[str, Any]:
     }
 
 
-def _body(body: Mapping[str, Any]) -> dict[str, Any]:
+def _body_row(body: Mapping[str, Any]) -> dict[str, Any]:
     covariance = body.get("covariance_with_pointing_px2")
     known = covariance is not None and None not in (covariance[0][0], covariance[1][1])
     sigma = [covariance[0][0] ** 0.5, covariance[1][1] ** 0.5] if known else None  # type: ignore[index]
-    return {key: body.get(key) for key in OF_BODY} | {"sigma_px": sigma, "observed": body.get("observed")}
+    return {key: body.get(key) for key in BODY_KEYS} | {"sigma_px": sigma, "observed": body.get("observed")}
 
 
-def _result(folder: Path) -> dict[str, Any]:
+def _read_result(folder: Path) -> dict[str, Any]:
     try:
         result: dict[str, Any] = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
         return {"status": result["status"], "messages": list(result["messages"])} | result

@@ -9,18 +9,19 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.headless.decisions import Decisions, load_decisions
-from opnav_workbench.headless.policy import Policy, Say, open_picture, run_policy
+from opnav_workbench.headless.picture_run import Progress, open_picture, run_policy
+from opnav_workbench.headless.policy import Policy
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.decisions import Decisions, load_decisions
 from opnav_workbench.session.storage import SESSION_FILE
-from opnav_workbench.spice import KernelSet
 from opnav_workbench.yaml_file import check_model
 
 __all__ = ["PictureJob", "picture_job"]
 
 # What a fresh notebook's namespace holds besides its parameters.
-OF_THE_NOTEBOOK = frozenset({"In", "Out", "exit", "quit", "open", "get_ipython", "picture_job"})
+NOTEBOOK_NAMES = frozenset({"In", "Out", "exit", "quit", "open", "get_ipython", "picture_job"})
 
 
 class PictureJob(BaseModel):
@@ -110,7 +111,7 @@ class PictureJob(BaseModel):
         session.autosave(self.folder)
         return session
 
-    def process(self, session: ImageSession, say: Say = print) -> None:
+    def process(self, session: ImageSession, say: Progress = print) -> None:
         """Carry out the decisions, else the automatic policy; a session that was worked on before stays as it is.
 
         Raises
@@ -142,7 +143,7 @@ def picture_job(namespace: Mapping[str, Any]) -> PictureJob:
     >>> picture_job({"image": "lor_0299.fit", "mission": "new_horizons"}).folder.as_posix()
     'run/lor_0299'
     """
-    values = {k: v for k, v in namespace.items() if not k.startswith("_") and k not in OF_THE_NOTEBOOK}
+    values = {k: v for k, v in namespace.items() if not k.startswith("_") and k not in NOTEBOOK_NAMES}
     if not values.get("image"):
         raise SessionError(
             "no image given; set the parameter image to a picture's path (papermill: -p image FILE)."

@@ -9,16 +9,17 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray
 from opnav_workbench.calibration import MIN_STARS, PsfFrame, StarFrames
 from opnav_workbench.errors import CameraError, OpNavError
-from opnav_workbench.headless.policy import Policy, open_picture, solve_stars
+from opnav_workbench.headless.picture_run import open_picture, solve_stars
+from opnav_workbench.headless.policy import Policy
 from opnav_workbench.session import ImageSession
-from opnav_workbench.starcenters import Detections, StarFlag, detect
+from opnav_workbench.stars import Detections, StarFlag, detect
 
 __all__ = ["SolvedFrames", "psf_frames", "solve_frames", "star_frames"]
 
-Say = Callable[[str, str], None]
+PictureProgress = Callable[[str, str], None]
 
 NEIGHBOR_PART = 0.05  # a neighbor of less light than this does not show in a stack of many stars
-UNFIT = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFlag.BAD_PIXELS
+UNFIT_FLAGS = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFlag.BAD_PIXELS
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class SolvedFrames:
 def solve_frames(
     images: Sequence[Path],
     policy: Policy,
-    say: Say = lambda _name, _words: None,
+    say: PictureProgress = lambda _name, _words: None,
     least_stars: int = MIN_STARS,
 ) -> SolvedFrames:
     """Solve the pointing of pictures of one camera.
@@ -132,15 +133,15 @@ def psf_frames(sessions: Sequence[ImageSession], min_snr: float, isolation_px: f
                 signal_dn=context.signal_dn,
                 noise_dn=context.noise_dn,
                 bad=context.bad | context.frame.saturated,
-                pixel_line=found.pixel_line[_bright(found, min_snr, isolation_px)],
+                pixel_line=found.pixel_line[_bright_and_isolated(found, min_snr, isolation_px)],
                 noise_model=context.noise_model,
             )
         )
     return tuple(frames)
 
 
-def _bright(found: Detections, min_snr: float, isolation_px: float) -> BoolArray:
-    clean = (found.snr >= min_snr) & ((found.flags & int(UNFIT)) == 0)
+def _bright_and_isolated(found: Detections, min_snr: float, isolation_px: float) -> BoolArray:
+    clean = (found.snr >= min_snr) & ((found.flags & int(UNFIT_FLAGS)) == 0)
     near = np.hypot(*(found.pixel_line[:, None] - found.pixel_line[None]).transpose(2, 0, 1)) < isolation_px
     np.fill_diagonal(near, val=False)
     crowded = (near & (found.flux_dn[None] > NEIGHBOR_PART * found.flux_dn[:, None])).any(axis=1)

@@ -1,33 +1,47 @@
-"""Pictures: files read into a `Frame` with masks, time and header pointing; the sky's level and noise.
+"""Pictures: files read into a `Picture` with masks, time and header pointing; the sky's level and noise.
 
-reading       `read_image`: FITS, VICAR or PDS3 by content, every failure one line
-keywords      `KeywordMap`: which header keywords hold what
-masks         what quality bits mean, as data
-expansion     values squeezed on board, by table
-smear         columns that a frame-transfer CCD smears
-background    level and noise of the sky, robust against stars and a resolved body
-extended      where the light of resolved bodies covers the picture
-heliocentric  from the Sun to the barycenter without kernels
+Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` for the sky in it.
+
+``picture``
+    `Picture` and `read_image`: from a file to pixels, masks, mid-exposure time and header pointing.
+``formats``
+    FITS, VICAR and PDS3 files, told by content; every failure one line.
+``header``
+    `Header` and `KeywordMap`: which keywords hold what; pointing and trajectory from them, to the barycenter.
+``planes``
+    Picture, error and masks of one shape from the stored arrays; squeezed values expanded.
+``masks``
+    What the bits of quality planes mean, as data.
+``times``
+    UTC and TDB seconds past J2000 without kernels.
+``background``
+    Level and noise of the sky, robust against stars and a resolved body; columns that a frame-transfer CCD smears.
+``extended``
+    Where the light of resolved bodies covers the picture.
+``picture_files``
+    What paths, folders and patterns stand for, and how each picture's folder of results is named.
 """
 
-from opnav_workbench.image.background import Background, estimate_background
+from opnav_workbench.image.background import Background, column_level, estimate_background, pixel_noise
 from opnav_workbench.image.extended import extended_light, sky_and_bodies
-from opnav_workbench.image.frame import Frame, Header, HeaderGeometry, HeaderValue
-from opnav_workbench.image.heliocentric import barycentric_from_heliocentric
-from opnav_workbench.image.keywords import KeywordMap
+from opnav_workbench.image.header import (
+    Header,
+    HeaderGeometry,
+    HeaderValue,
+    KeywordMap,
+    barycentric_from_heliocentric,
+)
 from opnav_workbench.image.masks import QUALITY_TABLES, QualityBit, QualityTable, read_quality
-from opnav_workbench.image.noise import pixel_noise
-from opnav_workbench.image.reading import read_image
-from opnav_workbench.image.smear import column_level
+from opnav_workbench.image.picture import Picture, read_image
 
 __all__ = [
     "QUALITY_TABLES",
     "Background",
-    "Frame",
     "Header",
     "HeaderGeometry",
     "HeaderValue",
     "KeywordMap",
+    "Picture",
     "QualityBit",
     "QualityTable",
     "barycentric_from_heliocentric",

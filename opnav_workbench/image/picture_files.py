@@ -7,7 +7,7 @@ from pathlib import Path
 
 from opnav_workbench.errors import SessionError
 
-__all__ = ["PICTURE_SUFFIXES", "picture_files", "picture_names"]
+__all__ = ["picture_files", "picture_names"]
 
 PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vic", ".imq")
 WILDCARDS = "*?["

@@ -1,4 +1,9 @@
-"""From stored arrays to picture, error and masks of one shape."""
+"""From stored arrays to picture, error and masks of one shape, in DN that are proportional to light.
+
+Values that a spacecraft squeezed into fewer bits before sending them are expanded by the mission's table, special pixels
+(below -1e30 DN: ISIS, PDS) and infinities become masked, dark columns are cut off, and saturation comes from the quality
+plane, the camera's limit and the digitizer's bits. An error plane is made positive everywhere.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,13 +13,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.image.expansion import expanded
-from opnav_workbench.image.frame import Header
-from opnav_workbench.image.keywords import KeywordMap, number
-from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
-from opnav_workbench.image.source import Source, counted, image_error
+from opnav_workbench.image.formats import StoredPicture, image_error
+from opnav_workbench.image.header import Header, KeywordMap, header_number
+from opnav_workbench.image.masks import QUALITY_TABLES, counted, read_quality
 
-__all__ = ["Planes", "make_planes"]
+__all__ = ["expanded", "make_planes"]
+
+
+# ---- Values that a spacecraft squeezed into fewer bits before sending them, by a table, brought back to one ...
+
+
+def expanded(
+    name: str, image: FloatArray, header: Header, keywords: KeywordMap
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return a picture in DN that are proportional to light, and a remark where its values were squeezed.
+
+    Raises
+    ------
+    ImageError
+        Values that the table does not have.
+    """
+    how = keywords.value(header, "expansion_keyword")
+    table = None if how is None else keywords.expansion.get(str(how))
+    if table is None:
+        return image, ()
+    values = np.asarray(table, dtype=np.float64)
+    stored = np.nan_to_num(image)
+    if stored.min() < 0.0 or stored.max() > len(values) - 1 or not np.array_equal(stored, np.rint(stored)):
+        raise image_error(
+            name,
+            f"{keywords.expansion_keyword} is {how}, whose table has values 0 to {len(values) - 1}, but pixels hold "
+            f"{stored.min():g} to {stored.max():g}; it seems expanded already: correct the header.",
+        )
+    remark = f"values expanded from {len(values)} steps to {values[-1]:g} DN ({keywords.expansion_keyword} = {how})"
+    return np.where(np.isnan(image), np.nan, values[stored.astype(np.int64)]), (remark,)
+
+
+# ---- From stored arrays to picture, error and masks of one shape.
 
 # DN: special pixels of ISIS and of PDS products (-1E+32, -3.4E+38) lie below this, detectors never do.
 LOWEST_VALUE_DN = -1e30
@@ -33,7 +68,7 @@ class Planes:
 
 
 def make_planes(
-    name: str, source: Source, header: Header, keywords: KeywordMap, saturation_dn: float | None
+    name: str, source: StoredPicture, header: Header, keywords: KeywordMap, saturation_dn: float | None
 ) -> Planes:
     """Make native float64 planes and masks of what a file holds.
 
@@ -106,7 +141,7 @@ def _masks(
 def _saturation_limits(header: Header, keywords: KeywordMap, saturation_dn: float | None) -> Iterator[float]:
     if saturation_dn is not None:
         yield saturation_dn
-    bits = number(keywords.value(header, "bits"))
+    bits = header_number(keywords.value(header, "bits"))
     if bits is not None and 1 <= bits <= LARGEST_BITS:
         yield 2.0 ** int(bits) - 1.0
 

@@ -1,14 +1,21 @@
-"""One body's observable: where it was seen, where it was predicted, how well, and what moves it."""
+"""One body's observable: where it was seen, where it was predicted, how well, and what moves it.
 
-from collections.abc import Mapping
+Bodies of one picture share its pointing error, and centers found jointly have errors in common:
+`joint_covariance_px2` is the covariance of several observables' O-C.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
+from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly, symmetric
 
-__all__ = ["LIGHT_TIMES", "Observable"]
+__all__ = ["LIGHT_TIMES", "Observable", "cross_covariance_px2", "joint_covariance_px2"]
+
+
+# ---- One body's observable: where it was seen, where it was predicted, how well, and what moves it.
 
 LIGHT_TIMES = ("fixed", "solved")
 
@@ -132,3 +139,49 @@ class Observable:
         cross = {name: readonly(value, (2, 2), name) for name, value in self.center_cross_px2.items()}
         object.__setattr__(self, "center_cross_px2", MappingProxyType(cross))
         freeze_arrays(self)
+
+
+# ---- Covariance of several bodies' O-C: bodies of one picture share its pointing error.
+
+
+def cross_covariance_px2(first: Observable, second: Observable) -> FloatArray:
+    """Return the covariance (2, 2) px^2 of two observables' O-C, rows of the first; zero for different pictures.
+
+    Both share the picture's attitude error, eps: O-C = center error - J eps, so that the covariance is J P J'; centers
+    found jointly have a share of their own.
+
+    Notes
+    -----
+    Two methods on the same body use the same pixels; how their centers are correlated nobody computes. The result then
+    holds the pointing's share alone.
+    """
+    cross = np.zeros((2, 2))
+    if first.image != second.image:
+        return cross
+    left, right = first.partials_px_per_rad, second.partials_px_per_rad
+    if left is not None and right is not None and first.attitude_covariance_rad2 is not None:
+        cross = cross + left @ first.attitude_covariance_rad2 @ right.T
+    if first.method == second.method and second.name in first.center_cross_px2:
+        cross = cross + first.center_cross_px2[second.name]
+    return cross
+
+
+def joint_covariance_px2(observables: Sequence[Observable]) -> FloatArray:
+    """Return the covariance (2 n, 2 n) px^2 of n observables' O-C: pixel 0, line 0, pixel 1, ...
+
+    Blocks on the diagonal are `Observable.total_covariance_px2`, the others `cross_covariance_px2`; nan for an observable
+    without a center.
+
+    Examples
+    --------
+    >>> joint_covariance_px2([]).shape
+    (0, 0)
+    """
+    n = len(observables)
+    blocks = np.zeros((n, 2, n, 2))
+    for i, first in enumerate(observables):
+        blocks[i, :, i] = first.total_covariance_px2
+        for j in (j for j in range(i) if observables[j].image == first.image):
+            blocks[i, :, j] = cross_covariance_px2(first, observables[j])
+            blocks[j, :, i] = blocks[i, :, j].T
+    return symmetric(blocks.reshape(2 * n, 2 * n))

@@ -1,4 +1,9 @@
-"""From a measured center to an observable: residuals, covariances and partials."""
+"""From a measured center to an observable: residuals, covariances and partials.
+
+`observe` compares a body's measured center with its place predicted by ephemeris and solved attitude, in pixels and, with
+stellar aberration removed from both, on the sky. `center_cross` takes from centers found jointly the covariances of one
+with the others.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodies import BodyCenter, JointCenters
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import (
@@ -26,12 +30,16 @@ from opnav_workbench.observables.partials import (
     numerical_position_partials,
     numerical_target_partials,
 )
+from opnav_workbench.targets import TargetState
 
-__all__ = ["observe", "size_partials"]
+__all__ = ["center_cross", "diameter_partials", "observe"]
+
+
+# ---- From a measured center to an observable: residuals, covariances and partials.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
+class _SeenBody:
     """A body seen through a camera: what every part of an observable is computed from."""
 
     target: TargetState
@@ -112,7 +120,7 @@ def observe(
         raise PointingError(f"unknown light time {light_time!r}; choose one of {', '.join(LIGHT_TIMES)}.")
     solved = light_time == "solved" and target.velocity_km_s is not None
     velocity = np.asarray(observer_velocity_km_s, float)
-    view = _View(target, camera, camera_from_j2000, velocity, target.velocity_km_s if solved else None)
+    view = _SeenBody(target, camera, camera_from_j2000, velocity, target.velocity_km_s if solved else None)
     predicted = camera.project((camera_from_j2000 @ view.apparent)[None])[0]
     return Observable(
         image=image,
@@ -131,13 +139,13 @@ def observe(
         target_velocity_km_s=target.velocity_km_s,
         attitude_covariance_rad2=attitude_covariance_rad2,
         center_cross_px2=center_cross_px2 or {},
-        **_measured(center),
+        **_measured_values(center),
         **_directions(view, center),
         **_derivatives(view, center, np.asarray(attitude_covariance_rad2, float), diameter_px, predicted),
     )
 
 
-def size_partials(target: TargetState, diameter_px: float) -> FloatArray:
+def diameter_partials(target: TargetState, diameter_px: float) -> FloatArray:
     """Return d(diameter)/d(spacecraft position), (3,) px/km, of a body much smaller than the field.
 
     The angular radius of a sphere is asin(R/d), its gnomonic picture R / sqrt(d^2 - R^2): coming nearer by dx widens it
@@ -148,7 +156,7 @@ def size_partials(target: TargetState, diameter_px: float) -> FloatArray:
     return np.asarray(diameter_px * range_km / (range_km**2 - radius_km**2) * target.direction)
 
 
-def _measured(center: BodyCenter) -> dict[str, Any]:
+def _measured_values(center: BodyCenter) -> dict[str, Any]:
     return {
         "name": center.name,
         "method": center.method,
@@ -165,7 +173,7 @@ def _measured(center: BodyCenter) -> dict[str, Any]:
 
 
 def _derivatives(
-    view: _View,
+    view: _SeenBody,
     center: BodyCenter,
     attitude_covariance: FloatArray,
     diameter_px: float,
@@ -191,13 +199,13 @@ def _derivatives(
         "residual_covariance_arcsec2": None
         if center.pixel_line is None
         else symmetric(to_sky @ total @ to_sky.T),
-        "diameter_partials_px_per_km": size_partials(view.target, diameter_px) if sized else None,
+        "diameter_partials_px_per_km": diameter_partials(view.target, diameter_px) if sized else None,
         "range_partials": -view.target.direction
         @ light_time_jacobian(view.target.position_km, view.target_velocity_km_s),
     }
 
 
-def _sky_partials(view: _View, center: BodyCenter) -> FloatArray:
+def _sky_partials(view: _SeenBody, center: BodyCenter) -> FloatArray:
     """d(pixel, line)/d(RA cos dec, Dec) where the body was seen; where it was predicted if it was not."""
     direction = view.target.direction
     if center.pixel_line is not None:
@@ -209,13 +217,13 @@ def _sky_partials(view: _View, center: BodyCenter) -> FloatArray:
     return np.asarray(by_apparent @ aberration_jacobian(direction, view.velocity_km_s) @ tangent)
 
 
-def _observed_direction(view: _View, pixel_line: FloatArray) -> FloatArray:
+def _observed_direction(view: _SeenBody, pixel_line: FloatArray) -> FloatArray:
     """Unit vector (3,) J2000 toward what was seen at a place, aberration removed."""
     apparent = view.camera.unproject(pixel_line[None])[0] @ view.camera_from_j2000
     return geometric_direction(apparent, view.velocity_km_s)
 
 
-def _directions(view: _View, center: BodyCenter) -> dict[str, Any]:
+def _directions(view: _SeenBody, center: BodyCenter) -> dict[str, Any]:
     """Apparent RA and Dec, the same without aberration (deg), and O-C on the sky (arcsec)."""
     names = ("apparent_ra_deg", "apparent_dec_deg", "ra_deg", "dec_deg")
     if center.pixel_line is None:
@@ -228,3 +236,30 @@ def _directions(view: _View, center: BodyCenter) -> dict[str, Any]:
     residual = tangent @ geometric / float(computed @ geometric) * ARCSEC_PER_RAD
     angles = [float(np.degrees(a)) for d in (apparent, geometric) for a in radec_from_unit(d)]
     return dict(zip(names, angles, strict=True)) | {"residual_arcsec": residual}
+
+
+# ---- Covariance of several bodies' O-C: bodies of one picture share its pointing error.
+
+
+def center_cross(joint: JointCenters, name: str) -> Mapping[str, FloatArray]:
+    """Return the covariances (2, 2) px^2 of one body's center (rows) with the others found jointly (columns).
+
+    Parameters
+    ----------
+    joint : JointCenters
+    name : str
+
+    Raises
+    ------
+    CenterfindingError
+        The body is not among them.
+    """
+    joint.center(name)
+    names = [center.name for center in joint.centers]
+    row = 2 * names.index(name)
+    cross = np.asarray(joint.covariance_px2)[row : row + 2]
+    return {
+        other: cross[:, 2 * i : 2 * i + 2]
+        for i, other in enumerate(names)
+        if other != name and joint.centers[i].pixel_line is not None
+    }

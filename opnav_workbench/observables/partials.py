@@ -86,7 +86,7 @@ def numerical_position_partials(
     # Moving the spacecraft by +d moves the body, as seen from it, by -d.
     moves = steps_km[:, None, None, None] * np.stack([-np.eye(3), np.eye(3)])
     seen = _seen_from(position + moves, position, target_velocity_km_s)
-    return _slopes(_places(seen, velocity_km_s, camera, camera_from_j2000), steps_km)
+    return _slopes(_seen_places(seen, velocity_km_s, camera, camera_from_j2000), steps_km)
 
 
 def analytic_position_partials(
@@ -140,7 +140,7 @@ def numerical_target_partials(
     light_time_s = range_km / SPEED_OF_LIGHT_KM_S
     by_velocity = _seen_moving(position, target_velocity_km_s, moves / light_time_s)
     slopes = [
-        _slopes(_places(seen, velocity_km_s, camera, camera_from_j2000), step)
+        _slopes(_seen_places(seen, velocity_km_s, camera, camera_from_j2000), step)
         for seen, step in ((by_position, steps_km), (by_velocity, steps_km / light_time_s))
     ]
     return np.concatenate(slopes, axis=1)
@@ -246,7 +246,7 @@ def _seen_moving(
     return np.asarray(seen)
 
 
-def _places(
+def _seen_places(
     seen_km: FloatArray, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
 ) -> FloatArray:
     """(pixel, line) of bodies at (steps, 2 signs, 3 components, 3)."""

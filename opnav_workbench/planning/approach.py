@@ -15,20 +15,20 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.geometry import angle_between
+from opnav_workbench.kernels import et_from_utc, utc_from_et
 from opnav_workbench.planning.bodies import v_magnitude
-from opnav_workbench.planning.desk import Desk
-from opnav_workbench.planning.sequence_parts import ApproachSearch, PlannedPicture
+from opnav_workbench.planning.opened_sequence import OpenedSequence
+from opnav_workbench.planning.sequence import ApproachSearch, PlannedPicture
 from opnav_workbench.planning.stars import star_bounds
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, render_bodies
-from opnav_workbench.simulation.detector_values import DetectorValues, detector_values
+from opnav_workbench.simulation.detector_properties import DetectorValues, detector_values
 from opnav_workbench.simulation.surfaces import Surface, surface_of
-from opnav_workbench.spice import et_from_utc, utc_from_et
-from opnav_workbench.starcenters import NoiseModel, default_box_px, flux_at_snr
+from opnav_workbench.stars import NoiseModel, default_box_px, flux_at_snr
 
 __all__ = ["Approach", "Detection", "search_approach"]
 
-STEPS = 121  # over the search: light curves of an approach are smooth
+EPOCHS = 121  # over the search: light curves of an approach are smooth
 PHASES = 4  # sub-pixel phases along each axis
 PRECISION_S = 1.0  # of an epoch
 LEAST_DN = 1e-9  # of a body that shows no light
@@ -99,7 +99,7 @@ class Approach:
 class _Watch:
     """What does not change over a search."""
 
-    desk: Desk
+    desk: OpenedSequence
     search: ApproachSearch
     camera: Camera
     surface: Surface
@@ -192,12 +192,12 @@ class _Watch:
         return flux_at_snr(snr, self.psf, noise_dn, box_px=box, noise_model=model)
 
 
-def search_approach(desk: Desk, search: ApproachSearch) -> Approach:
+def search_approach(desk: OpenedSequence, search: ApproachSearch) -> Approach:
     """Search the time span for the first detection.
 
     A target, camera or time that cannot be had is told in `Approach.problem`.
     """
-    et = np.linspace(et_from_utc(search.start.isoformat()), et_from_utc(search.stop.isoformat()), STEPS)
+    et = np.linspace(et_from_utc(search.start.isoformat()), et_from_utc(search.stop.isoformat()), EPOCHS)
     try:
         watch = _watch(desk, search)
         rows = np.array([watch.row(float(t)) for t in et])
@@ -214,7 +214,7 @@ def search_approach(desk: Desk, search: ApproachSearch) -> Approach:
     return Approach(search, et, mag, snr, diameter, range_km, phase, elongation, keep_out, detections)
 
 
-def _watch(desk: Desk, search: ApproachSearch) -> _Watch:
+def _watch(desk: OpenedSequence, search: ApproachSearch) -> _Watch:
     camera = desk.workshop.mission.camera_named(search.camera)
     for number in ("zero_point_mag", "gain_e_per_dn", "read_noise_dn"):
         camera.require(number)

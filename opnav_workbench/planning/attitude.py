@@ -1,6 +1,6 @@
 """How well a planned picture's stars will determine the camera's attitude.
 
-The covariance is the one that `opnav_workbench.pointing.solve_pointing` itself would state for stars that stand exactly
+The covariance is the one that `opnav_workbench.stars.pointing.solve_pointing` itself would state for stars that stand exactly
 where they are predicted: the inverse of the information that their centers, with catalog errors, hold on three angles,
 the a priori twist entering where the stars alone determine it less well.
 """
@@ -14,10 +14,10 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import ARCSEC_PER_RAD, radec_from_unit, tangent_basis
 from opnav_workbench.planning.stars import StarPlan
-from opnav_workbench.pointing import solve_pointing
-from opnav_workbench.pointing.excess import excess_sigma
-from opnav_workbench.pointing.fit import Linear
-from opnav_workbench.pointing.models import attitude_jacobian
+from opnav_workbench.stars.pointing import solve_pointing
+from opnav_workbench.stars.pointing.attitude_fit import LinearizedProblem
+from opnav_workbench.stars.pointing.attitude_steps import attitude_jacobian
+from opnav_workbench.stars.pointing.residuals import excess_sigma
 
 __all__ = ["PointingPlan", "plan_pointing"]
 
@@ -85,7 +85,7 @@ def plan_pointing(
         return None
     covariance = solution.formal_covariance_rad2
     if guarded and len(sky) > 1:
-        covariance = covariance + _guard(center, sky, camera, attitude, solution.twist_solved)
+        covariance = covariance + _guard_covariance(center, sky, camera, attitude, solution.twist_solved)
     about = np.sqrt(np.diag(camera.focal_from_camera @ covariance @ camera.focal_from_camera.T))
     return PointingPlan(
         covariance_rad2=covariance,
@@ -98,7 +98,7 @@ def plan_pointing(
     )
 
 
-def _guard(
+def _guard_covariance(
     covariance_px2: FloatArray, sky: FloatArray, camera: Camera, attitude: FloatArray, twist_solved: bool
 ) -> FloatArray:
     """Return E[d d'] (3, 3), d between solutions with the excess that chance asks for and without."""
@@ -109,15 +109,15 @@ def _guard(
     total = np.zeros((3, 3))
     for draw in rng.normal(size=(GUARD_DRAWS, len(sky), 2)):
         error = np.einsum("nij,nj->ni", factor, draw)
-        linear = Linear(error, jacobian, covariance_px2, known, np.zeros(len(known)))
+        linear = LinearizedProblem(error, jacobian, covariance_px2, known, np.zeros(len(known)))
         excess = excess_sigma(linear)
         if excess > 0.0:
-            off = _solved(linear, excess) - _solved(linear, 0.0)
+            off = _solve(linear, excess) - _solve(linear, 0.0)
             total += np.outer(off, off)
     return total / GUARD_DRAWS
 
 
-def _solved(linear: Linear, excess_px: float) -> FloatArray:
+def _solve(linear: LinearizedProblem, excess_px: float) -> FloatArray:
     matrix, residual = linear.rows(excess_px)
     scale = np.linalg.norm(matrix, axis=0)
     return np.asarray(np.linalg.lstsq(matrix / scale, residual, rcond=None)[0] / scale)

@@ -5,8 +5,10 @@ Flow   models -> rendered light and its derivatives with the place -> informatio
 Units  px, arcsec, km
 
 The bound is that of a body whose looks are known. Where the albedo is not, a limb is worth less than its bound.
+Beside the targets, everything may enter the field whose position the open kernels know.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,19 +16,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodycenters import choose_method
+from opnav_workbench.bodies import choose_method
 from opnav_workbench.camera import Camera
-from opnav_workbench.camera.sky import sky_jacobian
+from opnav_workbench.camera.model import sky_jacobian
+from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import ARCSEC_PER_RAD
+from opnav_workbench.kernels import KernelSet, body_id, body_name
 from opnav_workbench.observables import attitude_partials
 from opnav_workbench.photometry import SUN_B_V
 from opnav_workbench.planning.attitude import PointingPlan
 from opnav_workbench.planning.light import ExpectedLight, star_psf
+from opnav_workbench.planning.opened_sequence import OpenedSequence
 from opnav_workbench.render import RenderedBody
-from opnav_workbench.render.bodies import render_moving
-from opnav_workbench.scene import BodyPrediction, predict_body
+from opnav_workbench.render.focal_plane import render_moving
+from opnav_workbench.scene import BodyPrediction, Observer, predict_body
 
-__all__ = ["BodyLight", "TargetPlan", "body_light", "center_bound", "plan_target", "v_magnitude"]
+__all__ = [
+    "BodyLight",
+    "OtherBody",
+    "TargetPlan",
+    "body_light",
+    "center_bound",
+    "natural_bodies",
+    "other_bodies",
+    "plan_target",
+    "v_magnitude",
+]
+
+
+# ---- Bodies of a planned picture: size, phase, light, and how well a target's center will be known.
 
 MARGIN_SIGMAS, MARGIN_PX = 5.0, 4.0  # of light about the body that tells the background
 PEAK_NEAR = 0.9  # of saturation; noise takes some pixels over it
@@ -247,3 +265,70 @@ def _with_pointing(
     covariance = center_px2 + by_attitude @ pointing.covariance_rad2 @ by_attitude.T
     jacobian = sky_jacobian(camera, attitude, prediction.pixel_line)
     return covariance, jacobian @ covariance @ jacobian.T
+
+
+# ---- Bodies that enter the field beside the targets: everything whose position the open kernels know.
+
+LAST_BARYCENTER = 9  # NAIF: 0..9 are barycenters, where nothing is to be seen
+
+
+@dataclass(frozen=True, slots=True)
+class OtherBody:
+    """A body in the field that is no target.
+
+    Attributes
+    ----------
+    name : str
+    pixel, line : float
+        Its center, perhaps just off the detector.
+    diameter_px : float
+        0 where its size is not known.
+    mag : float
+        V where the mission file knows it, else nan.
+    drawn : bool
+        Its light is part of the prediction.
+    """
+
+    name: str
+    pixel: float
+    line: float
+    diameter_px: float
+    mag: float
+    drawn: bool
+
+
+def natural_bodies() -> tuple[str, ...]:
+    """Return the names of the bodies, no spacecraft and no barycenters, that the active kernels have positions of."""
+    active = KernelSet.active()
+    numbers = [] if active is None else [cover.body for cover in active.coverage("SPK")]
+    return tuple(body_name(number) for number in sorted(set(numbers)) if number > LAST_BARYCENTER)
+
+
+def other_bodies(
+    desk: OpenedSequence,
+    names: Sequence[str],
+    targets: Sequence[str],
+    drawn: Sequence[str],
+    camera: Camera,
+    attitude: FloatArray,
+    observer: Observer,
+    et: float,
+) -> tuple[OtherBody, ...]:
+    """Return the bodies of `names` that are in the field, or whose disk reaches into it, and are no targets."""
+    own, shown = ({body_id(name) for name in group} for group in (targets, drawn))
+    found = []
+    for name in names:
+        if body_id(name) in own:
+            continue
+        try:
+            state = desk.workshop.mission.with_magnitude(desk.target(name, et))
+        except OpNavError:  # the kernels do not have it then
+            continue
+        seen = predict_body(state, observer, camera, attitude)
+        size = float(np.nan_to_num(seen.diameter_px))
+        if not camera.on_detector(seen.pixel_line, 0.5 * size):
+            continue
+        mag = np.nan if state.magnitude is None else state.magnitude
+        pixel, line = (float(p) for p in seen.pixel_line)
+        found.append(OtherBody(name, pixel, line, size, mag, body_id(name) in shown))
+    return tuple(found)

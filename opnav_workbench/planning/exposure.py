@@ -21,7 +21,7 @@ from opnav_workbench.psf.trailed import TrailedPsf
 
 __all__ = ["BestExposure", "best_exposure"]
 
-STEPS = 21  # of the exposure, in equal ratios
+EXPOSURE_STEPS = 21  # of the exposure, in equal ratios
 SHORTEST_S, LONGEST_RATIO = 1e-3, 100.0  # where the camera's own limits are not known
 SATURATION_MARGIN = 0.9  # of the level: noise, phase and albedo take a pixel over what is expected
 
@@ -55,7 +55,7 @@ class BestExposure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Task:
+class _ExposureSearch:
     light: ExpectedLight
     stars: StarPlan
     psf: Psf
@@ -85,9 +85,9 @@ def best_exposure(
     min_snr : float
         Below this a star is not used.
     """
-    task = _task(light, stars, index, min_snr)
-    grid = _grid(light)
-    rows = [_error(task, target, t / light.inputs.exposure_s) for t in grid]
+    task = _exposure_search(light, stars, index, min_snr)
+    grid = _exposure_grid(light)
+    rows = [_error_px(task, target, t / light.inputs.exposure_s) for t in grid]
     sigma, count, full = (np.array(column) for column in zip(*rows, strict=True))
     if not np.isfinite(sigma).any():
         return BestExposure(grid, sigma, count, float("nan"), "no exposure determines it")
@@ -101,15 +101,17 @@ def best_exposure(
     return BestExposure(grid, sigma, count, float(grid[best]), reason)
 
 
-def _grid(light: ExpectedLight) -> FloatArray:
+def _exposure_grid(light: ExpectedLight) -> FloatArray:
     limits, now = light.inputs.camera.exposure_limits, light.inputs.exposure_s
     shortest = max(SHORTEST_S, limits.min_s) if limits else min(SHORTEST_S, now)
     longest = limits.max_s if limits else LONGEST_RATIO * now
-    grid = np.geomspace(shortest, max(longest, now), STEPS)
+    grid = np.geomspace(shortest, max(longest, now), EXPOSURE_STEPS)
     return np.unique(np.append(grid, now))
 
 
-def _task(light: ExpectedLight, stars: StarPlan, index: int | None, min_snr: float) -> _Task:
+def _exposure_search(
+    light: ExpectedLight, stars: StarPlan, index: int | None, min_snr: float
+) -> _ExposureSearch:
     psf = star_psf(light.inputs)
     first, size = covering_boxes(light.inputs.psf, stars.pixel_line) if len(stars) else (None, 0)
     peak = np.zeros(0) if first is None else psf.box(stars.pixel_line, first, size).max(axis=(1, 2))
@@ -117,7 +119,7 @@ def _task(light: ExpectedLight, stars: StarPlan, index: int | None, min_snr: flo
     line = np.clip(line, 0, light.inputs.camera.n_line - 1)
     pixel = np.clip(pixel, 0, light.inputs.camera.n_pixel - 1)
     below, smear = light.without_stars_e[line, pixel], _smear(light)[line, pixel]
-    return _Task(
+    return _ExposureSearch(
         light=light,
         stars=stars,
         psf=psf,
@@ -139,7 +141,7 @@ def _smear(light: ExpectedLight) -> FloatArray:
     return np.maximum(light.expected_e - transfer.remove(light.expected_e), 0.0)
 
 
-def _error(task: _Task, target: TargetPlan | None, ratio: float) -> tuple[float, int, bool]:
+def _error_px(task: _ExposureSearch, target: TargetPlan | None, ratio: float) -> tuple[float, int, bool]:
     """Return the error, px, the number of stars, and whether the target is saturated, at `ratio` times the exposure."""
     light, camera = task.light, task.light.inputs.camera
     limit_e = _limit_dn(light) * light.values.gain_e_per_dn * SATURATION_MARGIN
@@ -172,7 +174,7 @@ def _limit_dn(light: ExpectedLight) -> float:
 
 
 def _star_bounds(
-    task: _Task, flux_e: FloatArray, below_e: FloatArray, ratio: float
+    task: _ExposureSearch, flux_e: FloatArray, below_e: FloatArray, ratio: float
 ) -> tuple[FloatArray, FloatArray]:
     light, psf = task.light, task.psf
     gain = light.values.gain_e_per_dn

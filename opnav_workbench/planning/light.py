@@ -12,13 +12,13 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.psf import Psf
 from opnav_workbench.psf.trailed import TrailedPsf
 from opnav_workbench.simulation import PictureInputs, SimulatedPicture, expose, expose_picture
-from opnav_workbench.simulation.detector_values import DetectorValues, detector_values
-from opnav_workbench.starcenters import NoiseModel
+from opnav_workbench.simulation.detector_properties import DetectorValues, detector_values
+from opnav_workbench.stars import NoiseModel
 
 __all__ = ["ExpectedLight", "expected_light", "star_psf"]
 
 # Chance has no place in what is expected.
-CHANCES = ("read_noise", "cosmic_rays", "lost_data", "bad_pixels")
+RANDOM_EFFECTS = ("read_noise", "cosmic_rays", "lost_data", "bad_pixels")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +87,7 @@ def expected_light(inputs: PictureInputs) -> ExpectedLight:
     CameraError
         The camera does not know a number that is needed.
     """
-    quiet = inputs.effects.model_copy(update={"shot_noise": False, **dict.fromkeys(CHANCES)})
+    quiet = inputs.effects.model_copy(update={"shot_noise": False, **dict.fromkeys(RANDOM_EFFECTS)})
     picture = expose_picture(replace(inputs, effects=quiet))
     rest = expose(
         picture.rendering.electrons, inputs.camera, quiet, exposure_s=inputs.exposure_s, seed=inputs.seed

@@ -1,22 +1,20 @@
 """A whole sequence planned: its pictures one by one, and its approach searches."""
 
-import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from opnav_workbench.errors import MissionError, OpNavError
+from opnav_workbench.errors import MissionError
 from opnav_workbench.planning.approach import Approach, search_approach
-from opnav_workbench.planning.company import natural_bodies
-from opnav_workbench.planning.desk import Desk
+from opnav_workbench.planning.bodies import natural_bodies
+from opnav_workbench.planning.opened_sequence import open_sequence
 from opnav_workbench.planning.picture import PicturePlan, plan_picture
 from opnav_workbench.planning.sequence import PictureSequence
-from opnav_workbench.spice import KernelSet
 from opnav_workbench.version import __version__
 
-__all__ = ["Plan", "opened", "plan_sequence"]
+__all__ = ["Plan", "plan_sequence"]
 
-Done = Callable[[int, int, str], None]
+Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,12 +57,16 @@ class Plan:
         raise MissionError(f"no picture {name!r} in this plan; it has {known}.")
 
 
-def _quiet(_done: int, _total: int, _name: str) -> None:
+def _no_progress(_done: int, _total: int, _name: str) -> None:
     """Say nothing."""
 
 
 def plan_sequence(
-    sequence: PictureSequence, *, only: Sequence[str] = (), exposures: bool = True, done: Done = _quiet
+    sequence: PictureSequence,
+    *,
+    only: Sequence[str] = (),
+    exposures: bool = True,
+    done: Progress = _no_progress,
 ) -> Plan:
     """Plan a sequence: predict and judge every picture, and search first detections.
 
@@ -93,7 +95,7 @@ def plan_sequence(
     ]
     searches = [search for search in sequence.search if not only or search.name in only]
     _check_only(sequence, only)
-    with opened(sequence) as desk:
+    with open_sequence(sequence) as desk:
         others = natural_bodies()
         total = len(pictures) + len(searches)
         plans, found = [], []
@@ -105,30 +107,6 @@ def plan_sequence(
             found.append(search_approach(desk, search))
         done(total, total, "")
         return Plan(sequence, tuple(plans), tuple(found), dict(desk.workshop.catalog.describe()))
-
-
-@contextlib.contextmanager
-def opened(sequence: PictureSequence) -> Iterator[Desk]:
-    """Open the kernels of a sequence and all that its pictures share.
-
-    Raises
-    ------
-    MissionError
-        It names no kernels and none are active, or they or something else is not there.
-    """
-    source = sequence.scenario().kernel_source()
-    with contextlib.ExitStack() as stack:
-        if source is not None:
-            try:
-                kernels = KernelSet(source)
-            except OpNavError as error:
-                raise sequence.fault(("kernels",), str(error)) from error
-            stack.enter_context(kernels)
-        elif KernelSet.active() is None:
-            raise sequence.fault(
-                ("kernels",), "the sequence names no kernels, and none are loaded; name a set"
-            )
-        yield Desk.open(sequence)
 
 
 def _check_only(sequence: PictureSequence, only: Sequence[str]) -> None:

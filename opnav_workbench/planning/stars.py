@@ -3,10 +3,12 @@
 Flow   expected light -> background and noise at each star -> Cramer-Rao bound of its center and flux -> status
 Units  DN, px, mag
 
-The bound is that of `opnav_workbench.starcenters.cramer_rao`, which the star centerfinders reach: the PSF known, free
-are flux, center and background level.
+The bound is that of `opnav_workbench.starcenters.cramer_rao`, which the star centerfinders reach: the PSF known,
+free are flux, center and background level. How deep the catalog goes around a field is told too: pictures show
+fainter stars than a shallow one has.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +17,17 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.catalog import Catalog
+from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.planning.light import ExpectedLight, star_psf
 from opnav_workbench.psf import Psf
 from opnav_workbench.scene import StarPrediction
-from opnav_workbench.starcenters import NoiseModel, cramer_rao, default_box_px, flux_at_snr
+from opnav_workbench.stars import NoiseModel, cramer_rao, default_box_px, flux_at_snr
 
-__all__ = ["STAR_STATUSES", "StarPlan", "limiting_magnitude", "plan_stars", "star_bounds"]
+__all__ = ["StarPlan", "catalog_depth_mag", "limiting_magnitude", "plan_stars", "star_bounds"]
+
+
+# ---- Stars of a planned picture: which of them a navigator can use, and how well their centers will be known.
 
 STAR_STATUSES = ("usable", "faint", "saturated", "blended", "in_body_light", "hidden", "near_edge")
 NOISE_STEP = 0.05  # stars whose noise is the same to so much (relative) share one computation
@@ -92,7 +99,7 @@ def plan_stars(light: ExpectedLight, min_snr: float) -> StarPlan:
     flux_e = light.picture.star_flux_e[rows]
     psf = star_psf(light.inputs)
     places = stars.pixel_line
-    noise = np.sqrt(light.variance_dn2(_at(light.without_stars_e, places)))
+    noise = np.sqrt(light.variance_dn2(_values_at(light.without_stars_e, places)))
     flux = flux_e / light.values.gain_e_per_dn
     covariance, snr = star_bounds(places, flux, noise, psf, light.noise_model)
     return StarPlan(
@@ -104,7 +111,7 @@ def plan_stars(light: ExpectedLight, min_snr: float) -> StarPlan:
         snr=snr,
         covariance_px2=covariance,
         catalog_covariance_px2=stars.covariance_px2,
-        status=_status(light, rows, stars, psf, snr, min_snr),
+        status=_statuses(light, rows, stars, psf, snr, min_snr),
     )
 
 
@@ -151,7 +158,7 @@ def limiting_magnitude(light: ExpectedLight, min_snr: float) -> float:
     return camera.require("zero_point_mag") - 2.5 * float(np.log10(flux / exposure_s))
 
 
-def _status(
+def _statuses(
     light: ExpectedLight,
     rows: IntArray,
     stars: StarPrediction,
@@ -167,8 +174,8 @@ def _status(
     faint = (snr < min_snr) | (np.arange(len(places)) >= MAX_STARS)
     reasons = (
         ("hidden", light.picture.star_hidden[rows]),
-        ("in_body_light", _at(body_e, places) > BODY_LIGHT_SIGMAS * sky),
-        ("saturated", _at(maximum_filter(light.saturated, CORE_PX), places)),
+        ("in_body_light", _values_at(body_e, places) > BODY_LIGHT_SIGMAS * sky),
+        ("saturated", _values_at(maximum_filter(light.saturated, CORE_PX), places)),
         ("near_edge", near_edge),
         ("faint", faint),
         ("blended", _blended(places, stars.mag, BLEND_SIGMAS * sigma)),
@@ -183,8 +190,28 @@ def _blended(places: FloatArray, mag: FloatArray, radius_px: float) -> BoolArray
     return np.asarray((near & (mag[None, :] < mag[:, None] + BLEND_MAG)).any(axis=1))
 
 
-def _at(plane: NDArray[Any], places: FloatArray) -> NDArray[Any]:
+def _values_at(plane: NDArray[Any], places: FloatArray) -> NDArray[Any]:
     """Return the values of a plane [line, pixel] in the pixels that hold points (n, 2)."""
     pixel, line = np.rint(places).astype(np.int64).reshape(-1, 2).T
     n_line, n_pixel = plane.shape
     return plane[np.clip(line, 0, n_line - 1), np.clip(pixel, 0, n_pixel - 1)]
+
+
+# ---- How deep a catalog goes around a field: pictures show fainter stars than a shallow one has.
+
+DEPTH_CONE_DEG = 3.0  # some hundred stars of a catalog to magnitude 10
+# Star counts grow by a factor of 2 to 3 a magnitude, up to where a catalog ends: 95 % of its stars are brighter than
+# 0.1 mag before that.
+DEPTH_PERCENTILE = 95.0
+DEPTH_MIN_STARS = 20
+
+
+def catalog_depth_mag(catalog: Catalog, direction: FloatArray, mag_limit: float = math.inf) -> float:
+    """Return the magnitude, in the catalog's own band, to which it goes around a direction (3,), J2000.
+
+    nan where it has too few stars to tell.
+    """
+    ra, dec = (float(a) for a in radec_from_unit(direction))
+    stars = catalog.cone(ra, dec, math.radians(DEPTH_CONE_DEG), mag_limit=mag_limit)
+    known = stars.mag[np.isfinite(stars.mag)]
+    return float(np.percentile(known, DEPTH_PERCENTILE)) if len(known) >= DEPTH_MIN_STARS else float("nan")

@@ -1,16 +1,26 @@
 """Point spread functions: how the light of a point spreads over the pixels, in flux-conserving shares.
 
-integrals   the elliptical Gaussian integrated over pixels, with the derivatives that a star fit needs
-protocol    what every PSF can do, and the boxes that hold all of its light
-gaussian    two widths and an angle            moffat   a core with wings
-table       any PSF from a finely sampled one  empirical, extraction   a template taken from bright stars
-field       widths that vary over the detector trailed  smeared by motion during the exposure
-sources     many points added to a picture     schema   PSFs in YAML files
+Come in by a PSF class such as `GaussianPsf`, or by `psf_from_mapping` for one described in YAML; `Psf` is what all of
+them can do.
+
+``empirical``
+    A template taken from bright stars.
+``gaussian``
+    Two widths and an angle, the same everywhere or varying over the detector.
+``integrals``
+    The elliptical Gaussian integrated over pixels, with the derivatives that a star fit needs.
+``protocol``
+    What every PSF can do, the boxes that hold all of its light, and many points added to a picture.
+``schema``
+    PSFs in YAML files.
+``tabulated``
+    Any PSF from a finely sampled one; the Moffat profile, a core with wings.
+``trailed``
+    Smeared by motion during the exposure.
 """
 
 from opnav_workbench.psf.empirical import EmpiricalPsf
-from opnav_workbench.psf.field import FieldPsf, GridShape, PolynomialShape
-from opnav_workbench.psf.gaussian import GaussianPsf
+from opnav_workbench.psf.gaussian import FieldPsf, GaussianPsf, GridShape, PolynomialShape
 from opnav_workbench.psf.integrals import (
     PixelIntegrals,
     box_integrals,
@@ -20,10 +30,9 @@ from opnav_workbench.psf.integrals import (
     pixel_gaussian,
     shape_from_ellipse,
 )
-from opnav_workbench.psf.moffat import MoffatPsf
-from opnav_workbench.psf.protocol import Psf, PsfGradient, covering_boxes
+from opnav_workbench.psf.protocol import Psf, PsfGradient, add_boxes, add_sources, covering_boxes
 from opnav_workbench.psf.schema import psf_from_mapping
-from opnav_workbench.psf.sources import add_boxes, add_sources
+from opnav_workbench.psf.tabulated import MoffatPsf
 from opnav_workbench.psf.trailed import TrailedPsf
 
 __all__ = [

@@ -1,6 +1,6 @@
 """The canonical star image: an elliptical Gaussian integrated over detector pixels.
 
-Flow   center and shape of a star -> here -> its flux in each pixel, with derivatives -> `starcenters`, `GaussianPsf`
+Flow   center and shape of a star -> here -> its flux in each pixel, with derivatives -> `stars`, `GaussianPsf`
 Frame  (pixel, line), integer = pixel center; every pixel is a unit square
 Units  px; the integral over the whole plane is 1
 
@@ -9,10 +9,10 @@ With the density g and the edges u, v of a pixel relative to the star's center, 
     P = int_v N(v; S_vv) [Phi((u2 - b v) / s) - Phi((u1 - b v) / s)] dv,
     b = S_uv / S_vv,   s^2 = S_uu - b S_uv
 
-which is exact along u (error function) and Gauss-Legendre along v. The derivatives need no quadrature: by
-Gauss's theorem and by the heat equation (dg/dS_uu = g_uu / 2, dg/dS_uv = g_uv, dg/dS_vv = g_vv / 2) each is a
-difference of g, or of its integral along an edge, between the edges of the pixel; and Stein's identity, (u,
-v) g = -S grad g, turns the integral of g_u along an edge u = const into values that are already there.
+which is exact along u (error function) and Gauss-Legendre along v. The derivatives need no quadrature: by Gauss's
+theorem and by the heat equation (dg/dS_uu = g_uu / 2, dg/dS_uv = g_uv, dg/dS_vv = g_vv / 2) each is a difference of g,
+or of its integral along an edge, between the edges of the pixel; and Stein's identity, (u, v) g = -S grad g, turns the
+integral of g_u along an edge u = const into values that are already there.
 """
 
 from dataclasses import dataclass
@@ -24,8 +24,15 @@ from scipy.special import erf
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
 
-__all__ = ["PixelIntegrals", "box_integrals", "box_values", "covariance_from_shape", "ellipse_from_shape",
-           "pixel_gaussian", "shape_from_ellipse"]  # fmt: skip
+__all__ = [
+    "PixelIntegrals",
+    "box_integrals",
+    "box_values",
+    "covariance_from_shape",
+    "ellipse_from_shape",
+    "pixel_gaussian",
+    "shape_from_ellipse",
+]
 
 # Gauss-Legendre nodes per pixel that keep the error of P below 1e-9, by the smallest sigma (px) they are good
 # for.

@@ -10,10 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, m
 
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.empirical import EmpiricalPsf
-from opnav_workbench.psf.field import FieldPsf, GridShape, PolynomialShape
-from opnav_workbench.psf.gaussian import GaussianPsf
-from opnav_workbench.psf.moffat import MoffatPsf
+from opnav_workbench.psf.gaussian import FieldPsf, GaussianPsf, GridShape, PolynomialShape
 from opnav_workbench.psf.protocol import Psf
+from opnav_workbench.psf.tabulated import MoffatPsf
 from opnav_workbench.psf.trailed import TrailedPsf
 from opnav_workbench.yaml_file import check_model
 

@@ -1,93 +1,378 @@
-"""Truth beside solution, in sigmas."""
+"""The score of a rehearsal: everything that a team delivered, held against the truth, and the grade.
 
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+The grade has points by section, and faults that no points make good. The rule, in the words of the report, is
+`RULE`; the numbers in it are the constants below.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import chdtrc
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import matrix_from_quaternion
-from opnav_workbench.pointing import attitude_shift
-from opnav_workbench.simulation import Truth
+from opnav_workbench.files import plain_values
+from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.rehearsal.results import PictureResult, picture_results
+from opnav_workbench.rehearsal.sealed_truth import Delivery
+from opnav_workbench.rehearsal.solution import OrtSolution
+from opnav_workbench.rehearsal.truth_checks import (
+    GOOD_SIGMAS,
+    WRONG_SIGMAS,
+    PictureScore,
+    SolutionScore,
+    TruthCheck,
+    score_picture,
+    score_solution,
+)
 
-__all__ = ["Comparison", "compare"]
+if TYPE_CHECKING:
+    from opnav_workbench.rehearsal.package import OrtPackage
+    from opnav_workbench.rehearsal.sealed_truth import OrtTruth
+
+__all__ = ["RULE", "SECTIONS", "OrtScore", "grade_rehearsal", "score_rehearsal"]
+
+
+# ---- The grade of a rehearsal: points by section, and faults that no points make good.
+
+LETTERS = {"A": 90.0, "B": 80.0, "C": 70.0, "D": 60.0, "F": 0.0}
+SECTIONS = {
+    "pictures": 15.0,
+    "pointing": 15.0,
+    "stars": 10.0,
+    "centers": 20.0,
+    "estimate": 20.0,
+    "B-plane": 20.0,
+}
+# Claimed sigma over the one that the pictures support, in the worst direction.
+OVERCONFIDENT, BOLD = 0.5, 0.25
+TIMID = 3.0  # the same, the other way: a solution that hides behind its sigmas
+FIT_PROBABILITY = 1e-3
+SMALL_CENTER_SIGMAS, CENTER_PROBABILITY = (
+    2.0,
+    1e-4,
+)  # rms of center errors in sigmas, and that it is no chance
+BLUNDER_PX = 1.0  # a pointing off by more, and by more than WRONG_SIGMAS, is another star field
+
+RULE = (
+    "Points: pictures 15 (lost ones named, the others solved); pointing 15 (share of usable pictures whose attitude lies "
+    f"within {GOOD_SIGMAS:g} sigma of the truth); stars 10 (share of usable pictures without a false star and with at most "
+    "one bright star in ten missed); centers 20 (share of visible bodies found within "
+    f"{GOOD_SIGMAS:g} sigma); estimate 20 (each parameter group within {GOOD_SIGMAS:g} sigma; chi-squared of the fit with "
+    f"a probability above {FIT_PROBABILITY:g}; claimed sigmas between {OVERCONFIDENT:g} and {TIMID:g} times what the "
+    f"delivered pictures support); B-plane 20 (place and time of arrival within {GOOD_SIGMAS:g} sigma; sharper). "
+    "A from 90 points, B 80, C 70, D 60, else F. Whatever the points: at most C when a parameter group or the flyby is more "
+    f"than {GOOD_SIGMAS:g} sigma off, or the claimed sigmas are more than {TIMID:g} times too large; at most D when "
+    f"anything is claimed of a lost picture, when claimed sigmas are less than {OVERCONFIDENT:g} of what the pictures "
+    f"support, when a pointing is off by more than {WRONG_SIGMAS:g} sigma and {BLUNDER_PX:g} px, or when center "
+    f"errors are more than {SMALL_CENTER_SIGMAS:g} of their sigmas in the mean; F when a parameter group or the flyby is "
+    f"more than {WRONG_SIGMAS:g} sigma off, the claimed sigmas are less than {BOLD:g} of what the pictures support, no "
+    "solution is delivered, or a file was changed after the truth was opened."
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """One solved quantity against its truth.
+class GradeSection:
+    """Points of one section: `earned` of `possible`, and what cost the others."""
+
+    name: str
+    earned: float
+    possible: float
+    losses: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class GradeCap:
+    """What caps the grade at `letter`, whatever the points."""
+
+    letter: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """The grade: letter, points out of 100, how they come about."""
+
+    letter: str
+    points: float
+    sections: tuple[GradeSection, ...]
+    faults: tuple[GradeCap, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is C or better."""
+        return self.letter in ("A", "B", "C")
+
+
+def grade_rehearsal(
+    pictures: Sequence[PictureScore], solution: SolutionScore | None, altered: Sequence[str]
+) -> Grade:
+    """Grade a rehearsal by `RULE`.
+
+    Parameters
+    ----------
+    pictures : sequence of PictureScore
+    solution : SolutionScore or None
+        None: none was delivered.
+    altered : sequence of str
+        Files that were changed after the truth was opened.
+    """
+    sections = (
+        _picture_section(pictures),
+        _pointing_section(pictures),
+        _star_section(pictures),
+        _center_section(pictures),
+        *_solution_sections(solution),
+    )
+    faults = (*_picture_faults(pictures), *_solution_faults(solution), *_altered(altered))
+    points = sum(section.earned for section in sections)
+    letter = next(name for name, least in LETTERS.items() if points >= least)
+    letter = max([letter, *(fault.letter for fault in faults)])  # later in the alphabet is worse
+    return Grade(letter, points, sections, faults)
+
+
+def _share_section(name: str, good: Sequence[bool], losses: Sequence[str]) -> GradeSection:
+    share = float(np.mean(good)) if len(good) else 0.0
+    return GradeSection(name, SECTIONS[name] * share, SECTIONS[name], tuple(losses))
+
+
+def _picture_section(pictures: Sequence[PictureScore]) -> GradeSection:
+    good = [p.verdict in ("good", "lost, named") for p in pictures]
+    losses = [f"{p.name}: {p.verdict}" for p, fine in zip(pictures, good, strict=True) if not fine]
+    return _share_section("pictures", good, losses)
+
+
+def _usable(pictures: Sequence[PictureScore]) -> list[PictureScore]:
+    return [p for p in pictures if not p.lost]
+
+
+def _pointing_section(pictures: Sequence[PictureScore]) -> GradeSection:
+    usable = _usable(pictures)
+    good = [p.pointing is not None and p.pointing.verdict == "good" for p in usable]
+    losses = [
+        f"{p.name}: " + ("no pointing" if p.pointing is None else f"{p.pointing.sigmas:.1f} sigma off")
+        for p, fine in zip(usable, good, strict=True)
+        if not fine
+    ]
+    return _share_section("pointing", good, losses)
+
+
+def _star_section(pictures: Sequence[PictureScore]) -> GradeSection:
+    usable = _usable(pictures)
+    losses = [
+        f"{p.name}: {p.stars.found} found, {len(p.stars.missed)} missed, {len(p.stars.false)} false"
+        for p in usable
+        if not p.stars.good
+    ]
+    return _share_section("stars", [p.stars.good for p in usable], losses)
+
+
+def _center_section(pictures: Sequence[PictureScore]) -> GradeSection:
+    counted, losses = [], []
+    for picture in _usable(pictures):
+        for center in picture.centers:
+            if center.verdict == "absent":
+                continue
+            counted.append(center.verdict == "good")
+            if not counted[-1]:
+                off = "" if center.check is None else f", {center.check.sigmas:.1f} sigma off"
+                losses.append(f"{center.body} in {picture.name}: {center.verdict}{off}")
+    return _share_section("centers", counted, losses)
+
+
+def _solution_sections(solution: SolutionScore | None) -> tuple[GradeSection, GradeSection]:
+    if solution is None:
+        nothing = ("no solution delivered",)
+        return _share_section("estimate", [], nothing), _share_section("B-plane", [], nothing)
+    least, largest = solution.sigma_ratio
+    checks = [(c.verdict == "good", _off(c)) for c in solution.parameters]
+    fit = solution.solution.probability
+    checks.append((fit >= FIT_PROBABILITY, f"chi-squared of the fit has a probability of {fit:.1g}"))
+    believable = bool(least >= OVERCONFIDENT and largest <= TIMID)
+    words = f"claimed sigmas are {least:.2g} to {largest:.2g} times what the pictures support"
+    checks.append((believable, solution.remark or words))
+    before = np.diag(solution.solution.b_plane_covariance_before)
+    sharper = bool(np.prod(np.diag(solution.solution.b_plane_covariance) / before) < 1.0)
+    flight = [(c.verdict == "good", _off(c)) for c in (solution.b_plane, solution.arrival)]
+    flight.append((sharper, "B-plane no sharper than before"))
+    return _listed_section("estimate", checks), _listed_section("B-plane", flight)
+
+
+def _listed_section(name: str, checks: Sequence[tuple[bool, str]]) -> GradeSection:
+    return _share_section(name, [good for good, _ in checks], [words for good, words in checks if not good])
+
+
+def _off(check: TruthCheck) -> str:
+    return f"{check.name.replace('_', ' ')} is {check.sigmas:.1f} sigma off"
+
+
+def _picture_faults(pictures: Sequence[PictureScore]) -> list[GradeCap]:
+    faults = [
+        GradeCap("D", f"{p.name} is lost ({p.lost}), and a result is claimed of it")
+        for p in pictures
+        if p.verdict == "claimed though lost"
+    ]
+    for p in pictures:
+        if p.pointing is not None and p.pointing.verdict == "wrong":
+            off = float(np.hypot(*p.pointing.error[:2]))
+            if off > BLUNDER_PX:
+                faults.append(
+                    GradeCap("D", f"{p.name}: pointing {off:.1f} px off, {p.pointing.sigmas:.0f} sigma")
+                )
+    rms, probability = center_scatter(pictures)
+    if rms > SMALL_CENTER_SIGMAS and probability < CENTER_PROBABILITY:
+        faults.append(
+            GradeCap("D", f"center errors are {rms:.1f} of their sigmas in the mean: sigmas far too small")
+        )
+    return faults
+
+
+def center_scatter(pictures: Sequence[PictureScore]) -> tuple[float, float]:
+    """Return the rms of all center errors in their own sigmas, and the probability of so much; nan without centers."""
+    errors = [c.check.component_sigmas for p in pictures for c in p.centers if c.check is not None]
+    if not errors:
+        return float("nan"), float("nan")
+    squares = np.concatenate(errors) ** 2
+    return float(np.sqrt(squares.mean())), float(chdtrc(len(squares), squares.sum()))
+
+
+def _solution_faults(solution: SolutionScore | None) -> list[GradeCap]:
+    if solution is None:
+        return [GradeCap("F", "no solution delivered")]
+    faults = [
+        GradeCap("F" if c.verdict == "wrong" else "C", _off(c))
+        for c in (*solution.parameters, solution.b_plane, solution.arrival)
+        if c.verdict != "good"
+    ]
+    least, largest = solution.sigma_ratio
+    if least < OVERCONFIDENT:
+        letter = "F" if least < BOLD else "D"
+        faults.append(
+            GradeCap(letter, f"claimed sigmas are down to {least:.2g} of what the pictures support")
+        )
+    if largest > TIMID:
+        faults.append(
+            GradeCap("C", f"claimed sigmas are up to {largest:.2g} times what the pictures support")
+        )
+    return faults
+
+
+def _altered(files: Sequence[str]) -> list[GradeCap]:
+    return [GradeCap("F", f"changed after the truth was opened: {', '.join(files)}")] if files else []
+
+
+# ---- The score of a rehearsal: everything that a team delivered, held against the truth.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrtScore:
+    """The score of a rehearsal.
 
     Attributes
     ----------
-    name, unit : str
-    solved, truth, sigma : float
-        nan where nothing was solved.
-    error : float
-        Solved minus true, in `unit`.
+    package, title : str
+    perturbed : tuple of str
+        What was wrong on purpose, in words.
+    pictures : tuple of PictureScore
+        In the order in which they were taken.
+    solution : SolutionScore or None
+    grade : Grade
+    rule : str
+    delivery : Delivery or None
+        What had been delivered when the truth was opened.
+    center_scatter : (float, float)
+        Rms of the center errors in their own sigmas, and the probability of so much.
+    altered_package : tuple of str
+        Files of the package that are not as they were made.
     """
 
-    name: str
-    unit: str
-    solved: float
-    truth: float
-    sigma: float
-    error: float
+    package: str
+    title: str
+    perturbed: tuple[str, ...]
+    pictures: tuple[PictureScore, ...]
+    solution: SolutionScore | None
+    grade: Grade
+    delivery: Delivery | None
+    center_scatter: tuple[float, float]
+    altered_package: tuple[str, ...] = ()
+    rule: str = field(default=RULE)
 
-    @property
-    def sigmas(self) -> float:
-        """Error over its own predicted sigma."""
-        return self.error / self.sigma
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for JSON; what is not known is None."""
+        content: dict[str, Any] = plain_values(asdict(self))
+        return content
 
 
-def compare(truth: Truth, result: Mapping[str, Any], camera: Camera) -> tuple[Comparison, ...]:
-    """Compare a ``result.json`` with the truth: three angles of the attitude, two coordinates a body and method.
+def score_rehearsal(
+    package: "OrtPackage",
+    truth: "OrtTruth",
+    results: str | Path,
+    solution: OrtSolution | None,
+    *,
+    delivery: Delivery | None = None,
+) -> OrtScore:
+    """Hold what a team delivered against the truth, and grade it by `ort_score_grade.RULE`.
 
-    The attitude is compared as the shift of the boresight's sky on the detector and the change of twist, both against
-    the predicted attitude.
+    Parameters
+    ----------
+    package : OrtPackage
+    truth : OrtTruth
+        From `reveal`.
+    results : path
+        Folder of the pictures' folders.
+    solution : OrtSolution or None
+    delivery : Delivery, optional
+        What was written down before the truth was opened (`logged_delivery`).
+
+    Raises
+    ------
+    SessionError
+        The results cannot be read, or the solution is of another rehearsal.
     """
-    rows = _attitude(truth, result["pointing"], camera) if result.get("pointing") else []
-    seen = [b for b in result.get("bodies", ()) if b["name"] in truth.bodies and b["observed"] is not None]
-    times = Counter(body["name"] for body in seen)
-    for body in seen:
-        name = body["name"] if times[body["name"]] == 1 else f"{body['name']} ({body['method']})"
-        rows += _center(body, name, truth.bodies[body["name"]])
-    return tuple(rows)
-
-
-def _attitude(truth: Truth, pointing: Mapping[str, Any], camera: Camera) -> list[Comparison]:
-    solved = matrix_from_quaternion(np.asarray(pointing["quaternion_camera_from_j2000"], dtype=np.float64))
-    focal, scale = camera.focal_from_camera, camera.pixel_scale_rad
-    about_pixel, about_line, twist = np.sqrt(
-        np.diag(focal @ np.asarray(pointing["covariance_rad2"]) @ focal.T)
+    mission = load_mission(package.mission)
+    cameras: dict[str, Camera] = {c.name: c for c in _cameras(mission)}
+    reported = picture_results((p.name for p in package.pictures), results)
+    disk_sigma_px = 0.0 if solution is None else solution.disk_sigma_px
+    pictures = tuple(
+        _score_one_picture(package, truth, picture, found, cameras, disk_sigma_px)
+        for picture, found in zip(package.pictures, reported, strict=True)
     )
-    # A turn about the pixel axis moves the sky along lines, one about the line axis along pixels.
-    sigmas = (about_line / scale, about_pixel / scale, np.degrees(twist))
-    moved = _shift(truth.predicted_camera_from_j2000, solved, camera)
-    true = _shift(truth.predicted_camera_from_j2000, truth.camera_from_j2000, camera)
-    rows = zip(("Δpixel", "Δline", "Δtwist"), ("px", "px", "deg"), moved, true, sigmas, strict=True)
-    return [
-        Comparison(name, unit, float(s), float(t), float(e), float(s - t)) for name, unit, s, t, e in rows
-    ]
+    scored = None if solution is None else score_solution(package, truth, results, solution)
+    altered = () if delivery is None else delivery.altered
+    return OrtScore(
+        package=package.name,
+        title=package.title,
+        perturbed=tuple(truth.words),
+        pictures=pictures,
+        solution=scored,
+        grade=grade_rehearsal(pictures, scored, altered),
+        delivery=delivery,
+        center_scatter=center_scatter(pictures),
+        altered_package=tuple(getattr(package, "altered", ())),
+    )
 
 
-def _shift(first: FloatArray, second: FloatArray, camera: Camera) -> tuple[float, float, float]:
-    shift = attitude_shift(camera, first, second)
-    return shift.delta_pixel, shift.delta_line, float(np.degrees(shift.delta_twist_rad))
+def _cameras(mission: Mission) -> list[Camera]:
+    return [Camera.from_yaml(choice.file) for choice in mission.cameras]
 
 
-def _center(body: Mapping[str, Any], name: str, true_center: Any) -> list[Comparison]:
-    covariance = np.asarray(body["covariance_px2"], dtype=np.float64)
-    return [
-        Comparison(
-            f"{name} {axis}",
-            "px",
-            float(body["observed"][i]),
-            float(true_center[i]),
-            float(np.sqrt(covariance[i, i])),
-            float(body["observed"][i] - true_center[i]),
-        )
-        for i, axis in enumerate(("pixel", "line"))
-    ]
+def _score_one_picture(
+    package: "OrtPackage",
+    truth: "OrtTruth",
+    picture: Any,
+    reported: PictureResult,
+    cameras: Mapping[str, Camera],
+    disk_sigma_px: float,
+) -> PictureScore:
+    true = truth.pictures.get(picture.name)
+    return score_picture(
+        reported,
+        true,
+        None if true is None else cameras.get(true.camera),
+        package.targets,
+        lost=truth.lost.get(picture.name, ""),
+        utc=picture.utc,
+        disk_sigma_px=disk_sigma_px,
+    )

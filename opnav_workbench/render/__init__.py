@@ -1,18 +1,36 @@
 """Bodies as the camera sees them: surfaces, scattering laws, albedo maps, and their light spread over pixels.
 
-scattering, roughness, laws   how bright a surface element is, per unit albedo; laws by name
-maps                          albedo against longitude and latitude
-surface, ellipsoid            what a ray meets: the protocol, and triaxial ellipsoids
-plates, shape                 shape models of triangular plates, with the shadows they cast
-body, light                   one body before the camera; its flux, center and spread
-grid, sampling                directions of pixels; pixels divided where edges pass
-convolution                   the PSF
-disk, drawing, bodies         a resolved body in the picture; any body; `render_bodies`: all of it
+Enter by `BodyModel` and `render_bodies` (all bodies in one array of electrons), or `render_moving` (each by itself, with
+derivatives).
+
+``scattering``
+    How bright a surface element is, per unit albedo; laws by name.
+``maps``
+    Albedo against longitude and latitude.
+``ellipsoid``
+    What a renderer asks of a surface, and triaxial ellipsoids.
+``shape``
+    Shape models of triangular plates, with the shadows they cast.
+``body``
+    One body before the camera; its flux, center and spread.
+``grid``
+    Directions of pixels.
+``sampling``
+    Pixels divided where edges pass.
+``disk``
+    A resolved body in the picture, through the PSF.
+``focal_plane``
+    All bodies: from models to electrons per pixel.
 """
 
-from opnav_workbench.render.bodies import MovingBody, RenderedBody, Rendering, render_bodies, render_moving
 from opnav_workbench.render.body import BodyModel
-from opnav_workbench.render.laws import law_from_mapping
+from opnav_workbench.render.focal_plane import (
+    MovingBody,
+    RenderedBody,
+    Rendering,
+    render_bodies,
+    render_moving,
+)
 from opnav_workbench.render.maps import AlbedoMap
 from opnav_workbench.render.scattering import (
     Hapke,
@@ -21,6 +39,7 @@ from opnav_workbench.render.scattering import (
     LunarLambert,
     Minnaert,
     ScatteringLaw,
+    law_from_mapping,
 )
 from opnav_workbench.render.shape import ShapeModel
 

@@ -1,20 +1,26 @@
-"""One body to render: its model, and that model placed before the camera and under the Sun."""
+"""One body to render: its model, that model placed before the camera and under the Sun, and its light as a whole.
 
+The light (flux, center and spread) is summed over the surface, independent of the pixels.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.bodies import TargetState
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import AU_KM
-from opnav_workbench.render.ellipsoid import Ellipsoid
+from opnav_workbench.render.ellipsoid import Ellipsoid, Surface, SurfacePoints, column_dot
 from opnav_workbench.render.maps import AlbedoMap
 from opnav_workbench.render.scattering import Lambert, ScatteringLaw
 from opnav_workbench.render.shape import PlateSurface, ShapeModel
-from opnav_workbench.render.surface import Surface, SurfacePoints, column_dot
+from opnav_workbench.targets import TargetState
 
-__all__ = ["BodyModel", "PlacedBody"]
+__all__ = ["BodyModel", "IntegratedLight", "PlacedBody", "integrate_light"]
+
+
+# ---- One body to render: its model, and that model placed before the camera and under the Sun.
 
 SUN_RADIUS_KM = 695_700.0
 PATTERN_PX = 0.25  # map cells are averaged up to this size: the spacing of rays in a divided pixel
@@ -222,3 +228,59 @@ class PlacedBody:
         across = float(np.linalg.norm(offset - along * sun / np.linalg.norm(sun)))
         penumbra = along * SUN_RADIUS_KM / float(np.linalg.norm(sun))
         return along > 0.0 and across < self.surface.bounding_km + other.surface.bounding_km + penumbra
+
+
+# ---- A body's light as a whole: flux, center and spread, summed over its surface.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IntegratedLight:
+    """Light is the integral of I/F times sunlight over solid angle, sr; arrays are read-only.
+
+    Attributes
+    ----------
+    total : float
+        Light of the body alone.
+    seen : float
+        The part of it that no other body hides.
+    center_px : (2,) array
+        Its center; nan where none is seen, or where it falls behind the camera.
+    covariance_px2 : (2, 2) array
+        Its second moments about that.
+    """
+
+    total: float
+    seen: float
+    center_px: FloatArray
+    covariance_px2: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def occulted_fraction(self) -> float:
+        """Share of the light that other bodies hide."""
+        return 1.0 - self.seen / self.total if self.total > 0.0 else 0.0
+
+    def four_points(self, scale: float) -> tuple[FloatArray, FloatArray]:
+        """Return places (4, 2) px and light (4,) of points with this flux, center and second moments."""
+        variance, axes = np.linalg.eigh(self.covariance_px2)
+        arms = axes * np.sqrt(2.0 * np.maximum(variance, 0.0))
+        places = self.center_px + np.concatenate([arms.T, -arms.T])
+        return places, np.full(4, 0.25 * scale * self.seen)
+
+
+def integrate_light(body: PlacedBody, project: Callable[[FloatArray], FloatArray]) -> IntegratedLight:
+    """Return the light of a body; `project` gives the places (n, 2) px of geometric J2000 rays (3, n)."""
+    rays, light, visible = body.nodes()
+    total, weight = float(light.sum()), light * visible
+    seen = float(weight.sum())
+    if seen <= 0.0:
+        return IntegratedLight(total, 0.0, np.full(2, np.nan), np.zeros((2, 2)))
+    shining = weight > 0.0
+    places, weight = project(rays[:, shining]), weight[shining] / seen
+    if not np.isfinite(places).all():
+        return IntegratedLight(total, seen, np.full(2, np.nan), np.zeros((2, 2)))
+    center = weight @ places
+    offset = places - center
+    return IntegratedLight(total, seen, center, (offset * weight[:, None]).T @ offset)

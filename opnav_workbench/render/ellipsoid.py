@@ -1,7 +1,8 @@
-"""A triaxial ellipsoid as a surface to render.
+"""What a renderer asks of a body's surface, and a triaxial ellipsoid that answers.
 
-Everything follows from one scaling, as in `opnav_workbench.geometry.conics`: divide body coordinates by the radii, and
-the body becomes a unit sphere. A ray ``c + t m`` from the camera at ``c`` meets it where
+`Surface` is the protocol that ellipsoids and shape models share. For the ellipsoid everything follows from one scaling, as
+in `opnav_workbench.geometry.conics`: divide body coordinates by the radii, and the body becomes a unit sphere. A ray
+``c + t m`` from the camera at ``c`` meets it where
 
     |m|^2 t^2 + 2 (c.m) t + |c|^2 - 1 = 0,    discriminant / 4 = |m|^2 - |c x m|^2
 
@@ -13,15 +14,77 @@ Units  km, rad
 """
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import unit
-from opnav_workbench.render.surface import Nodes, SurfacePoints, column_dot
 
-__all__ = ["Ellipsoid"]
+__all__ = ["Ellipsoid", "Surface", "SurfaceNodes", "SurfacePoints", "column_dot"]
+
+
+# ---- What a renderer asks of a body's surface, ellipsoid or shape model alike.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacePoints:
+    """Where rays first meet a surface; rays that miss it are left out."""
+
+    ray: IntArray  # (n,) which ray
+    point: FloatArray  # (3, n) km
+    normal: FloatArray  # (3, n) outward unit vectors
+    distance: FloatArray  # (n,) along the ray, in units of the ray vector's length
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceNodes:
+    """Points that stand for the lit and visible surface: an integral over it is a sum over them."""
+
+    point: FloatArray  # (3, n) km
+    normal: FloatArray  # (3, n) outward unit vectors
+    solid_angle: FloatArray  # (n,) sr, as the camera sees the piece that the node stands for
+
+
+class Surface(Protocol):
+    """A body's surface as one camera sees it and the Sun lights it."""
+
+    @property
+    def bounding_km(self) -> float:
+        """Radius of a sphere about the body's center that holds the surface."""
+        ...
+
+    def meet(self, rays: FloatArray) -> SurfacePoints:
+        """Return where rays (3, n) from the camera first meet the surface."""
+        ...
+
+    def crossed_by_limb(self, rays: FloatArray, reach_rad: float) -> BoolArray:
+        """Tell for rays (3, n) whether the limb may lie within `reach_rad` of them."""
+        ...
+
+    def sunlit(self, points: FloatArray) -> BoolArray:
+        """Tell which of its points (3, n) the surface itself does not shade from the Sun."""
+        ...
+
+    def inside_limb(self, points: FloatArray, toward: FloatArray) -> FloatArray:
+        """Return how far rays from outside points (3, n) along unit vectors to the Sun pass inside the limb, rad.
+
+        Negative for those that pass the body by.
+        """
+        ...
+
+    def nodes(self, *, patterned: bool) -> SurfaceNodes:
+        """Return points over the lit and visible part of the surface: more of them if it bears a pattern."""
+        ...
+
+
+def column_dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Dot products of vectors (3, ...), column by column."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+# ---- A triaxial ellipsoid as a surface to render.
 
 # Gauss-Legendre nodes in latitude and in longitude: smooth laws to 1e-9, maps of 1 deg cells to 1e-3.
 NODES, PATTERN_NODES = 64, 256
@@ -97,7 +160,7 @@ class Ellipsoid:
         inside_km = closest_km * (1.0 / np.maximum(miss, 1e-12) - 1.0)
         return np.asarray(np.where(along > 0.0, np.arctan2(inside_km, np.maximum(along, 1e-300)), -np.pi))
 
-    def nodes(self, *, patterned: bool) -> Nodes:
+    def nodes(self, *, patterned: bool) -> SurfaceNodes:
         """Return Gauss-Legendre nodes over the lit and visible part of the surface.
 
         On the scaled sphere limb and terminator are circles, so that at a latitude counted from the plane of camera
@@ -115,7 +178,7 @@ class Ellipsoid:
         to_camera = self.camera_km[:, None] - point
         range2 = column_dot(to_camera, to_camera)
         cos_e = column_dot(normal, to_camera) / np.sqrt(range2)
-        return Nodes(point, normal, share * stretch * np.maximum(cos_e, 0.0) / range2)
+        return SurfaceNodes(point, normal, share * stretch * np.maximum(cos_e, 0.0) / range2)
 
     def _discriminant(self, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
         scaled = rays / self.radii_km[:, None]

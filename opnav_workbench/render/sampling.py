@@ -19,16 +19,9 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.render.grid import PixelGrid
 
-__all__ = [
-    "PATTERNED_SURFACE",
-    "PLATED_SURFACE",
-    "SMOOTH_SURFACE",
-    "Fineness",
-    "PixelSamples",
-    "sample_pixels",
-]
+__all__ = ["PATTERNED_SURFACE", "PLATED_SURFACE", "SMOOTH_SURFACE", "Fineness", "sample_pixels"]
 
-FIRST, SECOND, THIRD = 4, 4, 2  # cells along a side, in each division
+FIRST_DIVISION, SECOND_DIVISION, THIRD_DIVISION = 4, 4, 2  # cells along a side, in each division
 RAYS_AT_ONCE = 16_384  # 400 kB a vector array
 
 
@@ -92,10 +85,10 @@ def sample_pixels(
     divided = np.flatnonzero(wanted)
     whole.reshape(3, -1)[:, divided] = 0.0
 
-    rays = grid.directions_within(divided, _cell_offsets(FIRST)[None]).reshape(3, -1)
-    coarse = _in_parts(radiance, rays).reshape(-1, FIRST, FIRST)
+    rays = grid.directions_within(divided, _cell_offsets(FIRST_DIVISION)[None]).reshape(3, -1)
+    coarse = _in_parts(radiance, rays).reshape(-1, FIRST_DIVISION, FIRST_DIVISION)
     limit = fineness.step * max(peak, float(coarse.mean(axis=(1, 2)).max(initial=0.0)))
-    edge = _in_parts(lambda part: near_edge(part, reach / FIRST), rays).reshape(coarse.shape)
+    edge = _in_parts(lambda part: near_edge(part, reach / FIRST_DIVISION), rays).reshape(coarse.shape)
     again = (
         edge | _uneven(coarse, limit) | _unlike_neighbours(coarse, divided, center.reshape(grid.shape), limit)
     )
@@ -105,7 +98,7 @@ def sample_pixels(
         _divide(
             grid,
             radiance,
-            lambda part: near_edge(part, reach / FIRST / SECOND),
+            lambda part: near_edge(part, reach / FIRST_DIVISION / SECOND_DIVISION),
             limit,
             divided,
             coarse,
@@ -125,22 +118,24 @@ def _divide(
 ) -> FloatArray:
     """Return the means (n, 16, 16) of the cells of pixels (n,) from those of coarse cells (n, 4, 4)."""
     pixel, line_cell, pixel_cell = np.nonzero(again)
-    center = _cell_offsets(FIRST).reshape(FIRST, FIRST, 2)[line_cell, pixel_cell]
-    at = center[:, None] + _cell_offsets(SECOND) / FIRST
+    center = _cell_offsets(FIRST_DIVISION).reshape(FIRST_DIVISION, FIRST_DIVISION, 2)[line_cell, pixel_cell]
+    at = center[:, None] + _cell_offsets(SECOND_DIVISION) / FIRST_DIVISION
     rays = grid.directions_within(pixels[pixel], at).reshape(3, -1)
-    fine = _in_parts(radiance, rays).reshape(-1, SECOND, SECOND)
+    fine = _in_parts(radiance, rays).reshape(-1, SECOND_DIVISION, SECOND_DIVISION)
     edge = _in_parts(near_edge, rays).reshape(fine.shape)
     which, line_sub, pixel_sub = np.nonzero(edge | _uneven(fine, limit))
 
-    center = at.reshape(-1, SECOND, SECOND, 2)[which, line_sub, pixel_sub]
-    at = center[:, None] + _cell_offsets(THIRD) / (FIRST * SECOND)
+    center = at.reshape(-1, SECOND_DIVISION, SECOND_DIVISION, 2)[which, line_sub, pixel_sub]
+    at = center[:, None] + _cell_offsets(THIRD_DIVISION) / (FIRST_DIVISION * SECOND_DIVISION)
     rays = grid.directions_within(pixels[pixel[which]], at).reshape(3, -1)
-    fine[which, line_sub, pixel_sub] = _in_parts(radiance, rays).reshape(-1, THIRD * THIRD).mean(axis=1)
+    fine[which, line_sub, pixel_sub] = (
+        _in_parts(radiance, rays).reshape(-1, THIRD_DIVISION * THIRD_DIVISION).mean(axis=1)
+    )
 
-    cells = np.repeat(np.repeat(coarse, SECOND, axis=1), SECOND, axis=2)
-    step = np.arange(SECOND)
-    lines = (line_cell * SECOND)[:, None, None] + step[:, None]
-    columns = (pixel_cell * SECOND)[:, None, None] + step
+    cells = np.repeat(np.repeat(coarse, SECOND_DIVISION, axis=1), SECOND_DIVISION, axis=2)
+    step = np.arange(SECOND_DIVISION)
+    lines = (line_cell * SECOND_DIVISION)[:, None, None] + step[:, None]
+    columns = (pixel_cell * SECOND_DIVISION)[:, None, None] + step
     cells[pixel[:, None, None], lines, columns] = fine
     return cells
 

@@ -1,9 +1,10 @@
-"""Scattering laws: how bright a surface element looks, by incidence, emission and phase angle.
+"""Scattering laws: how bright a surface element looks, by incidence, emission and phase angle; laws by name.
 
 Every law gives ``I/F`` (pi times radiance over solar irradiance; 1 for a white Lambert surface under the Sun at the
 zenith) **per unit albedo**, and is normalised to 1 at cos i = cos e = 1 and zero phase. A body's `albedo` is therefore
 its *normal albedo*: the I/F of a patch that is lit and seen from straight above. The geometric albedo of a sphere
-(its brightness at zero phase over that of a white Lambert disk of its size) is `albedo` times `Law.geometric_ratio`:
+(its brightness at zero phase over that of a white Lambert disk of its size) is `albedo` times the law's
+`geometric_ratio`:
 
 law             I/F per unit albedo (mu0 = cos i, mu = cos e)              geometric over normal albedo
 Lambert         mu0                                                        2/3
@@ -15,21 +16,101 @@ Hapke           w/4 mu0/(mu0+mu) [(1+B(g)) p(g) + H(mu0) H(mu) - 1] S / its valu
 Sources: Lambert, Lommel-Seeliger, Minnaert: Hapke, "Theory of reflectance and emittance spectroscopy" (2012);
 lunar-Lambert: McEwen, Icarus 92, 298 (1991), doi:10.1016/0019-1035(91)90053-V, polynomial of the Moon as in McEwen,
 LPSC 27, 841 (1996); Hapke: JGR 86, 3039 (1981), doi:10.1029/JB086iB04p03039, with the sign and names of its
-Henyey-Greenstein lobes as in ISIS.
+Henyey-Greenstein lobes as in ISIS; macroscopic roughness (effective angles and the shadowing S of many small slopes):
+Hapke, Icarus 59, 41 (1984), doi:10.1016/0019-1035(84)90054-X, equations 46 to 64.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import MissionError
-from opnav_workbench.render.roughness import rough_angles
 
-__all__ = ["MCEWEN_MOON", "Hapke", "Lambert", "LommelSeeliger", "LunarLambert", "Minnaert", "ScatteringLaw"]
+__all__ = [
+    "Hapke",
+    "Lambert",
+    "LommelSeeliger",
+    "LunarLambert",
+    "Minnaert",
+    "ScatteringLaw",
+    "law_from_mapping",
+]
+
+
+# ---- Macroscopic roughness: effective angles and shadowing of a surface of many small slopes.
+
+SMALLEST_SINE = 1e-9  # keeps cot(angle) finite for straight-down light; exp(-cot) is zero long before
+
+
+def rough_angles(
+    mu0: FloatArray, mu: FloatArray, phase_rad: FloatArray, mean_slope_rad: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return effective cos i and cos e, and the shadowing function, for positive cosines.
+
+    A mean slope of zero gives the cosines back, and 1.
+
+    Examples
+    --------
+    >>> rough_angles(np.array([0.5]), np.array([0.8]), np.array([0.4]), 0.0)
+    (array([0.5]), array([0.8]), array([1.]))
+    """
+    if mean_slope_rad == 0.0:
+        return mu0, mu, np.ones(np.broadcast_shapes(mu0.shape, mu.shape))
+    mu0, mu, phase_rad = np.broadcast_arrays(mu0, mu, phase_rad)
+    tan_slope = np.tan(mean_slope_rad)
+    chi = 1.0 / np.sqrt(1.0 + np.pi * tan_slope**2)
+    azimuth = _azimuth(mu0, mu, phase_rad)
+    hidden = np.exp(-2.0 * np.tan(np.minimum(0.5 * azimuth, 0.5 * np.pi - SMALLEST_SINE)))
+    # The equations treat the steeper of the two directions apart; with it as "far" one form serves both cases.
+    near, far = np.maximum(mu0, mu), np.minimum(mu0, mu)
+    bend = _bend(near, far, azimuth, tan_slope)
+    near_e = chi * (near + _sine(near) * tan_slope * bend[0])
+    far_e = chi * (far + _sine(far) * tan_slope * bend[1])
+    sun_steeper = mu0 < mu
+    mu0_e, mu_e = np.where(sun_steeper, far_e, near_e), np.where(sun_steeper, near_e, far_e)
+    eta0, eta = _eta(mu0, tan_slope, chi), _eta(mu, tan_slope, chi)
+    nearer = np.where(sun_steeper, mu / eta, mu0 / eta0)
+    shade = mu_e / eta * (mu0 / eta0) * chi / (1.0 - hidden + hidden * chi * nearer)
+    return mu0_e, mu_e, shade
+
+
+def _bend(
+    near: FloatArray, far: FloatArray, azimuth: FloatArray, tan_slope: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what tilts the effective angles: of the direction nearer the normal, and of the other."""
+    half = np.sin(0.5 * azimuth) ** 2
+    e1_near, e2_near = _exponentials(near, tan_slope)
+    e1_far, e2_far = _exponentials(far, tan_slope)
+    below = 2.0 - e1_far - azimuth / np.pi * e1_near
+    return (np.cos(azimuth) * e2_far + half * e2_near) / below, (e2_far - half * e2_near) / below
+
+
+def _azimuth(mu0: FloatArray, mu: FloatArray, phase_rad: FloatArray) -> FloatArray:
+    """Return the angle between the planes of incidence and emission, 0..pi."""
+    sines = np.maximum(_sine(mu0) * _sine(mu), SMALLEST_SINE**2)
+    return np.asarray(np.arccos(np.clip((np.cos(phase_rad) - mu0 * mu) / sines, -1.0, 1.0)))
+
+
+def _eta(mu: FloatArray, tan_slope: float, chi: float) -> FloatArray:
+    e1, e2 = _exponentials(mu, tan_slope)
+    return np.asarray(chi * (mu + _sine(mu) * tan_slope * e2 / (2.0 - e1)))
+
+
+def _exponentials(mu: FloatArray, tan_slope: float) -> tuple[FloatArray, FloatArray]:
+    cot = mu / np.maximum(_sine(mu), SMALLEST_SINE) / tan_slope
+    return np.exp(-2.0 / np.pi * cot), np.exp(-(cot**2) / np.pi)
+
+
+def _sine(mu: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.maximum(1.0 - mu * mu, 0.0)))
+
+
+# ---- Scattering laws: how bright a surface element looks, by incidence, emission and phase angle.
 
 # McEwen (1996): L of the Moon against phase angle in degrees, lowest power first; good to about 130 deg.
 MCEWEN_MOON = (1.0, -0.019, 2.42e-4, -1.46e-6)
@@ -232,3 +313,55 @@ class Hapke(ScatteringLaw):
 
     def _h_function(self, mu: FloatArray) -> FloatArray:
         return np.asarray((1.0 + 2.0 * mu) / (1.0 + 2.0 * mu * np.sqrt(1.0 - self.w)))
+
+
+# ---- Scattering laws by name, as scenario files give them.
+
+LAWS: dict[str, type[ScatteringLaw]] = {
+    "lambert": Lambert,
+    "lommel_seeliger": LommelSeeliger,
+    "lunar_lambert": LunarLambert,
+    "minnaert": Minnaert,
+    "hapke": Hapke,
+}
+
+
+def law_from_mapping(values: Mapping[str, Any] | str) -> ScatteringLaw:
+    """Return the law that a mapping describes: its name under ``law``, and the parameters that differ from the defaults.
+
+    Parameters
+    ----------
+    values : mapping or str
+        Such as ``{"law": "minnaert", "k": 0.8}``; a bare name stands for a law with its defaults. A parameter that is
+        None keeps its default.
+
+    Raises
+    ------
+    MissionError
+        An unknown law or parameter, or a value outside its range; the message says what is allowed.
+
+    Examples
+    --------
+    >>> law_from_mapping({"law": "minnaert", "k": 0.8})
+    Minnaert(k=0.8)
+    >>> law_from_mapping("oren_nayar")
+    Traceback (most recent call last):
+    opnav_workbench.errors.MissionError: scattering law 'oren_nayar' is unknown; use lambert, lommel_seeliger, ...
+    """
+    given = {"law": values} if isinstance(values, str) else dict(values)
+    name = given.pop("law", None)
+    if name not in LAWS:
+        raise MissionError(f"scattering law {name!r} is unknown; use {', '.join(LAWS)}.")
+    law = LAWS[name]
+    known = [field.name for field in fields(law)]
+    for key in given:
+        if key not in known:
+            allowed = f"it takes {', '.join(known)}" if known else "it takes none"
+            raise MissionError(f"scattering law {name}: unknown parameter {key!r}; {allowed}.")
+    chosen = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items() if v is not None}
+    try:
+        return law(**chosen)
+    except TypeError as error:
+        raise MissionError(
+            f"scattering law {name}: {chosen} is not all numbers; check its values."
+        ) from error

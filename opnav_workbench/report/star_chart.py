@@ -11,11 +11,11 @@ from matplotlib.patches import Circle
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import StarTable
-from opnav_workbench.catalog.two_epoch import sky_offset_rad
+from opnav_workbench.catalog.proper_motion import sky_offset_rad
 from opnav_workbench.geometry import unit_from_radec
-from opnav_workbench.report.png import write_png
+from opnav_workbench.report.drawing import write_png
 
-__all__ = ["star_chart", "write_star_chart"]
+__all__ = ["write_star_chart"]
 
 STAR, NO_MOTION, FLAGGED = "#0072B2", "#E69F00", "#D55E00"
 LARGEST_AREA, SMALLEST_AREA = 90.0, 2.0  # of the dots, pt^2

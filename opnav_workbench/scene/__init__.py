@@ -1,8 +1,20 @@
-"""What the camera should see: predicted stars and bodies, the observer they are seen from, and a rendered picture."""
+"""What the camera should see: the observer, the targets, and the predicted places of stars and bodies.
+
+Enter by `observer_from_kernels` (or `observer_from_header`), `body_target`, `predict_stars` and `predict_body`; by
+`geometry_report` for all geometry of an epoch.
+
+``states``
+    The spacecraft as observer; bodies and stars as targets.
+``prediction``
+    Places of stars and bodies on the detector.
+``body_geometry``
+    One body at an epoch: where it is, how it is lit, how the camera sees it.
+``epoch_report``
+    Times, states, attitude and bodies of an epoch, as table, values and text.
+"""
 
 from opnav_workbench.scene.body_geometry import BodyGeometry
-from opnav_workbench.scene.geometry_report import CameraPointing, GeometryReport, geometry_report
-from opnav_workbench.scene.observer import Observer, observer_from_header, observer_from_kernels
+from opnav_workbench.scene.epoch_report import CameraPointing, GeometryReport, geometry_report
 from opnav_workbench.scene.prediction import (
     BodyPrediction,
     StarPrediction,
@@ -11,7 +23,13 @@ from opnav_workbench.scene.prediction import (
     predict_body,
     predict_stars,
 )
-from opnav_workbench.scene.targets import body_target, star_target_at
+from opnav_workbench.scene.states import (
+    Observer,
+    body_target,
+    observer_from_header,
+    observer_from_kernels,
+    star_target_at,
+)
 
 __all__ = [
     "BodyGeometry",

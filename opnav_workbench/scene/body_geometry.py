@@ -6,22 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import KernelError
 from opnav_workbench.geometry import angle_between, camera_from_j2000, radec_from_unit
-from opnav_workbench.scene.observer import Observer
+from opnav_workbench.kernels import SurfacePoint, body_id, state, sub_observer_point, sub_solar_point
 from opnav_workbench.scene.prediction import BodyPrediction, predict_body
-from opnav_workbench.scene.targets import body_target
-from opnav_workbench.spice import SurfacePoint, body_id, state, sub_observer_point, sub_solar_point
+from opnav_workbench.scene.states import Observer, body_target
+from opnav_workbench.targets import TargetState
 
-__all__ = ["SUN", "BodyGeometry", "View", "body_geometry"]
+__all__ = ["SUN", "BodyGeometry", "Viewpoint", "body_geometry"]
 
 SUN = "SUN"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class Viewpoint:
     """From where, when and how bodies are looked at.
 
     Attributes
@@ -102,7 +101,7 @@ class BodyGeometry:
         freeze_arrays(self)
 
 
-def body_geometry(name: str, view: View) -> BodyGeometry:
+def body_geometry(name: str, view: Viewpoint) -> BodyGeometry:
     """Return the geometry of a body.
 
     Raises
@@ -141,7 +140,7 @@ def body_geometry(name: str, view: View) -> BodyGeometry:
     )
 
 
-def _seen(target: TargetState, direction: FloatArray, view: View) -> BodyPrediction | None:
+def _seen(target: TargetState, direction: FloatArray, view: Viewpoint) -> BodyPrediction | None:
     """Predict the body on the detector; with no attitude known, as if the camera were held on it."""
     if view.camera is None:
         return None

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.geometry import (
@@ -26,7 +25,8 @@ from opnav_workbench.geometry import (
     tangent_basis,
 )
 from opnav_workbench.photometry import instrument_magnitude
-from opnav_workbench.scene.observer import Observer
+from opnav_workbench.scene.states import Observer
+from opnav_workbench.targets import TargetState
 
 __all__ = [
     "BodyPrediction",

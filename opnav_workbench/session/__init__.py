@@ -1,10 +1,53 @@
-"""ImageSession: the stateful way through one picture, with its journal, its files and its undo."""
+"""ImageSession: the stateful way through one picture, with its journal, its files and its undo.
 
-from opnav_workbench.session.body_finding import BODY_METHODS
+Enter by `ImageSession.open` or `ImageSession.resume`.  A method of `ImageSession` is one step: `history` calls the pure
+function of that name, keeps the state it makes, and writes the journal.
+
+``session``
+    `ImageSession`: all public steps of stars, bodies and files.
+``history``
+    States and journal, undo and redo, the table of steps, the journal file.
+``state``
+    The frozen state, the analyst's decisions on its stars, and what is still to be decided.
+``context``
+    What stays the same through a session: picture, camera, background, noise.
+``inputs``
+    What kernels, header, catalog and target lists gave.
+``settings``
+    Thresholds of a session.
+``star_field``
+    Which detection is which star: by pattern, by two marked stars, by hand.
+``star_measurement``
+    Star centers at expected places, and the status of each.
+``star_steps``
+    Steps with stars: predict, find, fit again, place, accept, reject.
+``star_boxes``
+    What a person looks at to confirm a star.
+``pointing``
+    Best known attitude, its solution from the stars, and the observables that rest on it.
+``body_models``
+    How the bodies of the scene look, and the picture that centerfinders take.
+``body_steps``
+    Steps with bodies: expect, circle, find, choose limb scans, observables.
+``decisions``
+    Decisions of analysts as a YAML file: recorded, written, carried out.
+``result``
+    The layout of ``result.json``.
+``reconstruction``
+    Solved pointings as a "reconstructed" CK.
+``storage``
+    ``session.json`` written and read.
+``autosave``
+    Every step on disk when its method returns; the kept state.
+``folder_lock``
+    One writer per session folder.
+"""
+
+from opnav_workbench.session.body_steps import BODY_METHODS
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
-from opnav_workbench.session.gather import ATTITUDE_SOURCES
-from opnav_workbench.session.journal import JournalEntry
+from opnav_workbench.session.history import JournalEntry
+from opnav_workbench.session.inputs import ATTITUDE_SOURCES
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.session import ImageSession
 from opnav_workbench.session.settings import Settings

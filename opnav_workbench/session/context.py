@@ -8,17 +8,10 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import ImageError
-from opnav_workbench.image import (
-    Background,
-    Frame,
-    KeywordMap,
-    pixel_noise,
-    read_image,
-    sky_and_bodies,
-)
+from opnav_workbench.image import Background, KeywordMap, Picture, pixel_noise, read_image, sky_and_bodies
 from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
-from opnav_workbench.starcenters import NoiseModel, ShapePrior
+from opnav_workbench.stars import NoiseModel, ShapePrior
 
 __all__ = ["DETECTION_SNR", "Context", "faintest_magnitude", "open_context", "zero_point_mag"]
 
@@ -51,7 +44,7 @@ class Context:
     settings : Settings
     """
 
-    frame: Frame
+    frame: Picture
     camera: Camera
     mission: Mission
     background: Background
@@ -130,7 +123,7 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     return Context(frame, camera, mission, background, signal, noise, frame.bad, extended, settings)
 
 
-def _check_size(frame: Frame, camera: Camera) -> None:
+def _check_size(frame: Picture, camera: Camera) -> None:
     n_line, n_pixel = frame.image_dn.shape
     if (n_line, n_pixel) != (camera.n_line, camera.n_pixel):
         raise ImageError(

@@ -22,23 +22,34 @@ Methods
         notes:
         - {text: stray light in the corner}
 
-A file that `Decisions.from_session` wrote has the steps between the decisions too, and says with ``at`` in which order
-all of it came; it is then carried out as it was made, to the same bits. Stars are named by catalog id, never by number.
-See `opnav_workbench.session.decision_items` for all fields.
+Every item may say ``at: N``, its place in the session it was recorded from.  A file that `Decisions.from_session` wrote
+has the steps between the decisions too; ordered by ``at``, it is carried out as it was made, to the same bits.  A file
+written by hand needs no ``at``.  Stars are named by catalog id, never by number.  Each kind of item names the
+`ImageSession` method that it stands for.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, PrivateAttr, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    PrivateAttr,
+    field_validator,
+    model_validator,
+)
 
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import write_text
-from opnav_workbench.session.deciding import items_of, perform
-from opnav_workbench.session.decision_items import Item, PictureDecisions
+from opnav_workbench.session.body_steps import BodyMethod
+from opnav_workbench.session.history import JournalEntry
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.yaml_file import line_of, read_model
 
@@ -46,6 +57,360 @@ if TYPE_CHECKING:
     from opnav_workbench.session.session import ImageSession
 
 __all__ = ["Decisions", "load_decisions", "write_decisions"]
+
+
+# ---- What a decisions file says of one picture: the fields, their types and their defaults.
+
+NonEmptyText = Annotated[str, Field(min_length=1)]
+StepNumber = Annotated[int, Field(ge=1)]
+ScanNumber = Annotated[int, Field(ge=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class DecisionItem(_Strict):
+    """One decision or step."""
+
+    at: StepNumber | None = None
+
+
+class StarDecision(DecisionItem):
+    """A star accepted or rejected."""
+
+    star: NonEmptyText
+    reason: str = ""
+
+
+class PlacedStar(DecisionItem):
+    """Where the analyst saw a star."""
+
+    star: NonEmptyText
+    pixel: float
+    line: float
+
+
+class MarkedStars(DecisionItem):
+    """Two stars marked, by name or not, from which the field follows."""
+
+    places: tuple[tuple[float, float], tuple[float, float]]
+    stars: tuple[NonEmptyText, NonEmptyText] | None = None
+    reason: str = ""
+
+
+class FieldNudge(DecisionItem):
+    """How far the analyst moved the field."""
+
+    pixel: float
+    line: float
+    twist_deg: float = 0.0
+
+
+class BodyCircle(DecisionItem):
+    """Where the analyst saw a body; ``clear: true`` takes its circle away."""
+
+    body: NonEmptyText
+    pixel: float | None = None
+    line: float | None = None
+    radius_px: PositiveFloat | None = None
+    clear: bool = False
+
+    @model_validator(mode="after")
+    def _circle_or_none(self) -> "BodyCircle":
+        given = [self.pixel is not None, self.line is not None, self.radius_px is not None]
+        if any(given) if self.clear else not all(given):
+            raise ValueError("give pixel, line and radius_px, or clear: true")
+        return self
+
+
+class ScanSelection(DecisionItem):
+    """Limb scans by number; without numbers they are automatic again."""
+
+    body: NonEmptyText
+    numbers: tuple[ScanNumber, ...] | None = None
+    reason: str = ""
+
+
+class BodySearch(DecisionItem):
+    """How a body's center is found."""
+
+    body: NonEmptyText
+    method: BodyMethod = "auto"
+    search_radius_px: PositiveFloat | None = None
+    circle: tuple[float, float, PositiveFloat] | None = None  # pixel, line, radius of this search alone
+    scans: tuple[ScanNumber, ...] | None = None
+    solve_range: bool = False
+
+
+class JointSearch(DecisionItem):
+    """Bodies whose centers are found jointly."""
+
+    bodies: Annotated[tuple[NonEmptyText, ...], Field(min_length=2)]
+    method: Literal["least_squares"] = "least_squares"
+
+
+class Remark(DecisionItem):
+    """A remark."""
+
+    text: NonEmptyText
+
+
+class PlainStep(DecisionItem):
+    """A step of the session that decides nothing; its parameters are those of the method of that name."""
+
+    step: Literal[
+        "predict", "find_stars", "refit_stars", "repoint", "add_target", "skip_target", "observables"
+    ]
+    initial: str | None = None
+    final: str | None = None
+    search_radius_px: PositiveFloat | None = None
+    stars: tuple[NonEmptyText, ...] | None = None
+    template: NonEmptyText | None = None
+    model: str | None = None
+    a_priori: bool = False
+    name: NonEmptyText | None = None
+    reason: str = ""
+
+
+def _known_settings(values: dict[str, Any]) -> dict[str, Any]:
+    """Let `Settings` itself judge its names and values."""
+    try:
+        Settings.from_dict(values)
+    except (SessionError, TypeError) as error:
+        raise ValueError(str(error)) from error
+    return values
+
+
+class PictureDecisions(_Strict):
+    """The decisions on one picture.
+
+    Attributes
+    ----------
+    name : str
+        Its file name; the key of the entry, its SHA-256, is what counts.
+    who, when
+        Analyst, and when the last decision was made.
+    mission, catalog, attitude : str
+        What the session was opened with.
+    settings : mapping
+        Settings of the session that differ from the defaults.
+    reject, accept, place, two_stars, nudge, circles, scans, methods, together, notes, steps : sequences
+        Items, see the classes above.
+    """
+
+    name: str = ""
+    who: str = ""
+    when: datetime | None = None
+    mission: str = ""
+    catalog: str = ""
+    attitude: Literal["", "kernels", "header"] = ""
+    settings: Annotated[dict[str, int | float], AfterValidator(_known_settings)] = {}
+    reject: tuple[StarDecision, ...] = ()
+    accept: tuple[StarDecision, ...] = ()
+    place: tuple[PlacedStar, ...] = ()
+    two_stars: tuple[MarkedStars, ...] = ()
+    nudge: tuple[FieldNudge, ...] = ()
+    circles: tuple[BodyCircle, ...] = ()
+    scans: tuple[ScanSelection, ...] = ()
+    methods: tuple[BodySearch, ...] = ()
+    together: tuple[JointSearch, ...] = ()
+    notes: tuple[Remark, ...] = ()
+    steps: tuple[PlainStep, ...] = ()
+
+    @model_validator(mode="after")
+    def _places_once(self) -> "PictureDecisions":
+        taken: dict[int, str] = {}
+        for section, _, item in self.items():
+            if item.at is not None and taken.setdefault(item.at, section) != section:
+                raise ValueError(f"at: {item.at} stands in {taken[item.at]} and in {section}; it is one step")
+        return self
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the whole session is recorded, so that it can be taken again step by step."""
+        return any(item.at is not None for _, _, item in self.items())
+
+    def items(self) -> Iterator[tuple[str, int, DecisionItem]]:
+        """Yield every item with its section and its place there."""
+        for section in SECTIONS:
+            for number, item in enumerate(getattr(self, section)):
+                yield section, number, item
+
+
+SECTIONS = (
+    "two_stars", "nudge", "place", "reject", "accept", "circles", "scans", "methods", "together", "notes", "steps"
+)  # fmt: skip
+
+
+# ---- From a session's steps to the items of a decisions file, and back: each kind of item names its ...
+
+Parameters = Mapping[str, Any]
+RecordedItems = list[tuple[str, DecisionItem]]
+
+
+def items_of(entry: JournalEntry, at: int) -> RecordedItems:
+    """Return the items, with their sections, that one step becomes at place `at` of its session."""
+    return ITEMS_OF_STEP[entry.step](entry.parameters, at)
+
+
+def _star_decisions(section: str) -> Callable[[Parameters, int], RecordedItems]:
+    return lambda p, at: [(section, StarDecision(star=s, reason=p["reason"], at=at)) for s in p["ids"]]
+
+
+def _placed_star_items(p: Parameters, at: int) -> RecordedItems:
+    return [("place", PlacedStar(star=p["id"], pixel=p["place"][0], line=p["place"][1], at=at))]
+
+
+def _marked_star_items(p: Parameters, at: int) -> RecordedItems:
+    return [("two_stars", MarkedStars(places=p["places"], stars=p["ids"], at=at))]
+
+
+def _nudge_items(p: Parameters, at: int) -> RecordedItems:
+    values = {"pixel": p["delta_pixel"], "line": p["delta_line"], "twist_deg": p["delta_twist_deg"]}
+    return [("nudge", FieldNudge(**values, at=at))]
+
+
+def _circle_items(p: Parameters, at: int) -> RecordedItems:
+    pixel, line = p["center_px"]
+    return [("circles", BodyCircle(body=p["name"], pixel=pixel, line=line, radius_px=p["radius_px"], at=at))]
+
+
+def _cleared_circle_items(p: Parameters, at: int) -> RecordedItems:
+    return [("circles", BodyCircle(body=p["name"], clear=True, at=at))]
+
+
+def _scan_items(p: Parameters, at: int) -> RecordedItems:
+    return [("scans", ScanSelection(body=p["name"], numbers=p["numbers"], reason=p["reason"], at=at))]
+
+
+def _search_items(p: Parameters, at: int) -> RecordedItems:
+    options = {k: p[k] for k in ("method", "search_radius_px", "circle", "scans", "solve_range") if k in p}
+    return [("methods", BodySearch(body=p["name"], at=at, **options))]
+
+
+def _joint_search_items(p: Parameters, at: int) -> RecordedItems:
+    return [("together", JointSearch(bodies=p["names"], method=p["method"], at=at))]
+
+
+def _remark_items(p: Parameters, at: int) -> RecordedItems:
+    return [("notes", Remark(text=p["text"], at=at))]
+
+
+def _step_items(name: str) -> Callable[[Parameters, int], RecordedItems]:
+    def recorded(p: Parameters, at: int) -> RecordedItems:
+        values = {"stars" if key == "ids" else key: value for key, value in p.items()}
+        return [("steps", PlainStep(step=name, at=at, **values))]  # type: ignore[arg-type]
+
+    return recorded
+
+
+ITEMS_OF_STEP: dict[str, Callable[[Parameters, int], RecordedItems]] = {
+    "reject_stars": _star_decisions("reject"),
+    "accept_stars": _star_decisions("accept"),
+    "place_star": _placed_star_items,
+    "two_star_pointing": _marked_star_items,
+    "nudge": _nudge_items,
+    "set_circle": _circle_items,
+    "clear_circle": _cleared_circle_items,
+    "choose_scans": _scan_items,
+    "find_body": _search_items,
+    "find_bodies": _joint_search_items,
+    "note": _remark_items,
+    **{
+        name: _step_items(name)
+        for name in (
+            "predict", "find_stars", "refit_stars", "repoint", "add_target", "skip_target", "observables"
+        )
+    },
+}  # fmt: skip
+
+
+def perform(session: "ImageSession", section: str, items: list[Any]) -> None:
+    """Make the decision, or take the step, that items of one place stand for."""
+    METHOD_OF_SECTION[section](session, items)
+
+
+def _decide_stars(session: "ImageSession", items: list[StarDecision], *, accept: bool) -> None:
+    decide = session.accept_stars if accept else session.reject_stars
+    reasons = {item.reason for item in items}
+    if len(reasons) == 1:
+        decide([item.star for item in items], items[0].reason)
+        return
+    for item in items:
+        decide([item.star], item.reason)
+
+
+def _set_circle(session: "ImageSession", items: list[BodyCircle]) -> None:
+    for item in items:
+        if item.clear:
+            session.clear_circle(item.body)
+        else:
+            assert item.pixel is not None
+            assert item.line is not None
+            assert item.radius_px is not None
+            session.set_circle(item.body, (item.pixel, item.line), item.radius_px)
+
+
+def _find_bodies(session: "ImageSession", items: list[BodySearch]) -> None:
+    for item in items:
+        session.find_body(
+            item.body,
+            item.method,
+            item.search_radius_px,
+            circle=item.circle,
+            scans=item.scans,
+            solve_range=item.solve_range,
+        )
+
+
+def _one_by_one(act: Callable[["ImageSession", Any], object]) -> Callable[["ImageSession", list[Any]], None]:
+    def all_of(session: "ImageSession", items: list[Any]) -> None:
+        for item in items:
+            act(session, item)
+
+    return all_of
+
+
+def _take_step(session: "ImageSession", item: PlainStep) -> None:
+    search: dict[str, Any] = {
+        "initial": item.initial,
+        "final": item.final,
+        "search_radius_px": item.search_radius_px,
+    }
+    given = {key: value for key, value in search.items() if value is not None}
+    if item.step == "find_stars":
+        session.find_stars(**given)
+    elif item.step == "refit_stars":
+        session.refit_stars(item.stars, template=item.template, **given)
+    elif item.step == "repoint":
+        session.repoint(item.model or "euler", a_priori=item.a_priori)
+    elif item.step == "add_target":
+        session.add_target(item.name or "")
+    elif item.step == "skip_target":
+        session.skip_target(item.name or "", item.reason)
+    elif item.step == "predict":
+        session.predict()
+    else:
+        session.observables()
+
+
+METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
+    "reject": lambda s, items: _decide_stars(s, items, accept=False),
+    "accept": lambda s, items: _decide_stars(s, items, accept=True),
+    "place": _one_by_one(lambda s, i: s.place_star(i.star, (i.pixel, i.line))),
+    "two_stars": _one_by_one(lambda s, i: s.two_star_pointing(i.places, i.stars, i.reason)),
+    "nudge": _one_by_one(lambda s, i: s.nudge(i.pixel, i.line, i.twist_deg)),
+    "circles": _set_circle,
+    "scans": _one_by_one(lambda s, i: s.choose_scans(i.body, i.numbers, i.reason)),
+    "methods": _find_bodies,
+    "together": _one_by_one(lambda s, i: s.find_bodies(i.bodies, i.method)),
+    "notes": _one_by_one(lambda s, i: s.note(i.text)),
+    "steps": _one_by_one(_take_step),
+}
+
+
+# ---- Decisions: what an analyst decided on pictures, as a file (YAML) that headless runs carry out.
 
 EVERY_IMAGE = "*"
 SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -87,7 +452,7 @@ class Decisions(BaseModel):
         who : str
             The analyst.
         """
-        sections: dict[str, list[Item]] = {}
+        sections: dict[str, list[DecisionItem]] = {}
         for at, entry in enumerate(session.standing, start=1):
             for section, item in items_of(entry, at):
                 sections.setdefault(section, []).append(item)
@@ -177,7 +542,7 @@ class Decisions(BaseModel):
         key = session.context.frame.sha256
         _check_opened(session, picture)
         first = next((s.at for s in picture.steps if s.step == "find_stars" and s.at), 1)
-        groups: dict[tuple[int, int, str, int], list[tuple[int, Item]]] = {}
+        groups: dict[tuple[int, int, str, int], list[tuple[int, DecisionItem]]] = {}
         last = 1 + max((item.at or 0 for _, _, item in picture.items()), default=0)
         for order, (section, number, item) in enumerate(picture.items()):
             # What was added by hand follows the first search for stars; methods added by hand come last.
@@ -204,7 +569,7 @@ class Decisions(BaseModel):
         return f"decisions file {self._path}: line {line}: {field}"
 
 
-def _concerns(session: "ImageSession", item: Item) -> bool:
+def _concerns(session: "ImageSession", item: DecisionItem) -> bool:
     """Whether an item is of a star of this field, or of no star at all."""
     star, stars = getattr(item, "star", None), session.state.a_priori
     return star is None or (stars is not None and star in stars.id.tolist())

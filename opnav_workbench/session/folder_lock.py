@@ -17,13 +17,13 @@ from typing import Any
 
 from opnav_workbench.errors import SessionError
 
+__all__ = ["FolderLock", "check_unlocked"]
+
 fcntl: Any
 try:
     fcntl = importlib.import_module("fcntl")
 except ImportError:  # Windows
     fcntl = None
-
-__all__ = ["LOCK_FILE", "FolderLock", "check_unlocked"]
 
 LOCK_FILE = ".session.lock"
 HELD_ELSEWHERE = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)

@@ -1,27 +1,256 @@
-"""The history of a session: its states, its journal, and how steps are taken, taken back, repeated and replayed.
+"""The history of a session: its states and its journal, and how steps are taken, taken back, repeated and replayed.
 
-A state follows from the steps before it, so that only the journal has to be kept: states of a session read from a file,
-and old ones that were dropped to save memory, are made again when they are asked for.
+`STEPS` names every step and the pure function that carries it out.  A state follows from the steps before it, so that
+only the journal has to be kept: states of a session read from a file, and old ones that were dropped to save memory, are
+made again when they are asked for.
+
+``journal.jsonl`` holds the steps since session.json was written, one line each, on disk before the step's method returns.
+A line holds the entry, its place in the journal, a check of the entry before it, and what kernels and catalog gave for
+this step.  A line that a crash cut short is not read; what follows a line that does not fit is not read either.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import plain_values
+from opnav_workbench.session import body_steps, pointing, star_field, star_steps
 from opnav_workbench.session.context import Context
-from opnav_workbench.session.journal import JournalEntry, entry
-from opnav_workbench.session.snapshot import KeptState
-from opnav_workbench.session.state import Inputs, SessionState
-from opnav_workbench.session.steps import STEPS, outcome_of
+from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.state import SessionState
 
-__all__ = ["History"]
+__all__ = [
+    "JOURNAL_FILE",
+    "History",
+    "JournalEntry",
+    "JournalTail",
+    "KeptState",
+    "journal_line",
+    "note",
+    "read_journal_file",
+]
+
+
+# ---- The journal: every step and decision with its time, parameters, reason and outcome, in order.
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry:
+    """One step of a session.
+
+    Attributes
+    ----------
+    step : str
+        The `ImageSession` method called.
+    parameters : mapping
+        Its arguments as plain values; replaying them reproduces the state.
+    reason : str
+        Why, in the analyst's words.
+    outcome : str
+        One line of what came out.
+    time_utc : str
+        When, ISO 8601.
+    """
+
+    step: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    reason: str = ""
+    outcome: str = ""
+    time_utc: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry as plain values."""
+        return asdict(self)
+
+
+def stamped_entry(step: str, parameters: Mapping[str, Any], reason: str, outcome: str) -> JournalEntry:
+    """Return a journal entry stamped with the present time."""
+    now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    return JournalEntry(step, dict(parameters), reason, outcome, now)
+
+
+# ---- journal.jsonl: the steps since session.json was written, one line each, on disk before the step's ...
+
+JOURNAL_FILE = "journal.jsonl"
+CHECK_DIGITS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JournalTail:
+    """What a journal file adds to a session.
+
+    Attributes
+    ----------
+    entries : tuple of JournalEntry
+    inputs : tuple of mapping
+        What the steps added to the inputs, as `storage` writes them.
+    length : int
+        Bytes of the file that are whole and belong to the session.
+    note : str
+        What was left out, and why; empty as a rule.
+    """
+
+    entries: tuple[JournalEntry, ...]
+    inputs: tuple[Mapping[str, Any], ...]
+    length: int
+    note: str = ""
+
+
+def journal_line(
+    session: str, number: int, before: JournalEntry | None, item: JournalEntry, inputs: Mapping[str, Any]
+) -> bytes:
+    """Return the line of the entry at place `header_number` (from 0) of the journal."""
+    data = {"session": session, "n": number, "after": _entry_check(before), "entry": item.to_dict()}
+    if inputs:
+        data["inputs"] = inputs
+    text = json.dumps(plain_values(data), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    return text.encode() + b"\n"
+
+
+def _entry_check(item: JournalEntry | None) -> str:
+    """Return a short check of an entry, so that a line is read after no other than the one it was written after."""
+    if item is None:
+        return ""
+    text = json.dumps(plain_values(item.to_dict()), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:CHECK_DIGITS]
+
+
+def read_journal_file(path: Path, session: str, journal: Sequence[JournalEntry]) -> JournalTail:
+    """Read what a journal file adds to the `journal` of session.json.
+
+    Raises
+    ------
+    OSError
+        It is there, but cannot be read.
+    """
+    if not path.exists():
+        return JournalTail((), (), 0)
+    content, known = path.read_bytes(), list(journal)
+    inputs: list[Mapping[str, Any]] = []
+    length = 0
+    for number, raw in enumerate(content.splitlines(keepends=True), start=1):
+        line = _parsed_line(raw)
+        if line is None:
+            what = "the last line" if length + len(raw) == len(content) else f"line {number} and what follows"
+            note = f"{path.name}: {what} was cut short by a crash and is left out"
+            return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length, note)
+        if line["session"] != session or line["n"] > len(known):
+            return JournalTail(
+                tuple(known[len(journal) :]), tuple(inputs), length, _foreign_note(path, number, len(content))
+            )
+        if line["n"] == len(known):
+            if line["after"] != _entry_check(known[-1] if known else None):
+                note = _foreign_note(path, number, len(content))
+                return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length, note)
+            known.append(JournalEntry(**line["entry"]))
+            inputs.append(line.get("inputs", {}))
+        length += len(raw)
+    return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length)
+
+
+def _foreign_note(path: Path, number: int, _size: int) -> str:
+    return f"{path.name}: from line {number} on it belongs to another session and is left out"
+
+
+def _parsed_line(raw: bytes) -> dict[str, Any] | None:
+    """Return a line's content; None for one that is not whole."""
+    if not raw.endswith(b"\n"):
+        return None
+    try:
+        line = json.loads(raw)
+        entry = line["entry"]
+        whole = isinstance(line["n"], int) and {"session", "after"} <= set(line) and isinstance(entry, dict)
+        JournalEntry(**entry)
+    except (ValueError, KeyError, TypeError):
+        return None
+    return line if whole else None
+
+
+# ---- A kept state: what the steps so far led to, so that a session resumes without carrying all of them out ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptState:
+    """The state after the first `count` standing steps of a session."""
+
+    count: int
+    state: SessionState
+
+
+# ---- Session steps that record what the analyst says of bodies and of the picture. Pure functions of the ...
+
+
+def note(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+    """Keep a remark of the analyst."""
+    return state.replace(user_notes=(*state.user_notes, parameters["text"]))
+
+
+# ---- The table of steps: all `ImageSession` methods that change the state, as pure functions, and their ...
+
+Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
+
+STEPS: dict[str, Step] = {
+    "predict": star_steps.predict,
+    "two_star_pointing": star_field.two_star_pointing,
+    "nudge": star_field.nudge,
+    "find_stars": star_steps.find_stars,
+    "refit_stars": star_steps.refit_stars,
+    "place_star": star_steps.place_star,
+    "reject_stars": star_steps.reject_stars,
+    "accept_stars": star_steps.accept_stars,
+    "repoint": pointing.repoint,
+    "add_target": body_steps.add_target,
+    "skip_target": body_steps.skip_target,
+    "set_circle": body_steps.set_circle,
+    "clear_circle": body_steps.clear_circle,
+    "choose_scans": body_steps.choose_scans,
+    "find_body": body_steps.find_body,
+    "find_bodies": body_steps.find_bodies,
+    "observables": body_steps.observables,
+    "note": note,
+}
+
+OutcomeText = Callable[[SessionState, dict[str, Any]], str]
+
+OUTCOMES: dict[str, OutcomeText] = {
+    "predict": lambda s, _: f"{0 if s.a_priori is None else len(s.a_priori)} stars on or near the detector",
+    "two_star_pointing": lambda s, _: star_field.two_star_outcome(s),
+    "nudge": lambda s, _: star_field.nudge_outcome(s),
+    "find_stars": lambda s, _: f"{int(s.mask('used').sum())} stars found",
+    "refit_stars": star_steps.refit_outcome,
+    "place_star": star_steps.place_outcome,
+    "reject_stars": lambda _, p: f"{len(p['ids'])} rejected",
+    "accept_stars": lambda _, p: f"{len(p['ids'])} accepted",
+    "repoint": lambda s, _: pointing.repoint_outcome(s),
+    "add_target": lambda _, p: f"{p['name']} expected",
+    "skip_target": lambda _, p: f"{p['name']} left out",
+    "set_circle": lambda _, p: f"{p['name']}: circle of radius {p['radius_px']:.1f} px",
+    "clear_circle": lambda _, p: f"{p['name']}: no circle",
+    "choose_scans": body_steps.scans_outcome,
+    "find_body": body_steps.body_outcome,
+    "find_bodies": body_steps.bodies_outcome,
+    "observables": lambda s, _: f"{len(s.observables)} observables",
+    "note": lambda s, _: f"note {len(s.user_notes)}",
+}
+
+
+def outcome_of(step: str, state: SessionState, parameters: dict[str, Any]) -> str:
+    """Return one line of what came out of a step, for the journal."""
+    return OUTCOMES[step](state, parameters)
+
+
+# ---- The history of a session: its states, its journal, and how steps are taken, taken back, repeated and ...
 
 KEPT_STATES = 60  # each holds the pictures of its bodies: up to 10 MB for a body of 600 px
 
 
 @dataclass(slots=True)
-class _Taken:
+class _StepTaken:
     """A step that was taken, and the state after it; None: not made yet."""
 
     entry: JournalEntry
@@ -43,8 +272,8 @@ class History:
         self.inputs = inputs
         self._context = context
         self._first = SessionState()
-        self._standing: list[_Taken] = []
-        self._undone: list[_Taken] = []  # the next to be repeated is the last
+        self._standing: list[_StepTaken] = []
+        self._undone: list[_StepTaken] = []  # the next to be repeated is the last
         self._journal: list[JournalEntry] = []
 
     @property
@@ -73,8 +302,8 @@ class History:
 
     def record(self, step: str, parameters: dict[str, Any], state: SessionState, reason: str = "") -> None:
         """Take a step whose outcome is known; what was undone cannot be repeated after it."""
-        made = entry(step, parameters, reason, outcome_of(step, state, parameters))
-        self._standing.append(_Taken(made, state))
+        made = stamped_entry(step, parameters, reason, outcome_of(step, state, parameters))
+        self._standing.append(_StepTaken(made, state))
         self._undone.clear()
         self._journal.append(made)
         if len(self._standing) > KEPT_STATES:
@@ -115,7 +344,7 @@ class History:
         went.append(taken)
         step = taken.entry.step
         self._journal.append(
-            entry(how, {"step": step}, "", f"{step} {'undone' if how == 'undo' else 'redone'}")
+            stamped_entry(how, {"step": step}, "", f"{step} {'undone' if how == 'undo' else 'redone'}")
         )
         return taken.entry
 
@@ -168,7 +397,7 @@ class History:
             raise SessionError(
                 f"{source} names an unknown step {item.step!r}; it was written by a newer version."
             )
-        self._standing.append(_Taken(item, None))
+        self._standing.append(_StepTaken(item, None))
         self._undone.clear()
 
     def _state_after(self, count: int) -> SessionState:

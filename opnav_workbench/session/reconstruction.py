@@ -18,8 +18,8 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.geometry import matrix_from_quaternion, rotation_from_vector
+from opnav_workbench.kernels import KernelSet, camera_rate, ck_structure, knows_frame, rotation, write_ck
 from opnav_workbench.mission import Mission, load_mission
-from opnav_workbench.spice import KernelSet, camera_rate, ck_structure, knows_frame, rotation, write_ck
 from opnav_workbench.version import __version__
 
 __all__ = ["Reconstruction", "write_reconstructed_ck"]

@@ -1,21 +1,77 @@
-"""The result of a session as plain values: the layout of ``result.json``."""
+"""The result of a session as plain values: the layout of ``result.json``.
+
+Residuals are observed minus predicted; missing values are None.  An entry of ``bodies`` is one observable: what was
+observed, how, how well, and what is to be known of it.
+"""
 
 from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies import BodyCenter, describe_body_flags
+from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.geometry import quaternion_from_matrix
-from opnav_workbench.pointing import PointingSolution
-from opnav_workbench.session.body_results import bodies_of
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.observables import Observable
 from opnav_workbench.session.context import Context
-from opnav_workbench.session.gather import InputSource
-from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, Inputs, SessionState
-from opnav_workbench.session.verdicts import has_center
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.session.inputs import Inputs, InputSource
+from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, SessionState, has_center
+from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
 
-__all__ = ["result_dict"]
+__all__ = ["body_results", "result_dict"]
+
+
+# ---- Bodies in the layout of ``result.json``: what was observed, how, how well, and what is to be known of ...
+
+
+def body_results(state: SessionState) -> list[dict[str, Any]]:
+    """Return one mapping per observable; an observable belongs to the body's center at the same place."""
+    pairs = zip(state.observables, state.bodies, strict=True) if state.observables else ()
+    return [_body_result(observable, center) for observable, center in pairs]
+
+
+def _body_result(o: Observable, center: BodyCenter) -> dict[str, Any]:
+    return {
+        "name": o.name,
+        "method": o.method,
+        "a_priori": o.a_priori_px,
+        "predicted": o.predicted_px,
+        "observed": o.observed_px,
+        "residual_px": o.residual_px,
+        "covariance_px2": o.covariance_px2,
+        "noise_covariance_px2": center.noise_covariance_px2,
+        "covariance_with_pointing_px2": o.total_covariance_px2,
+        "joint_covariance_px2": _joint_covariances(o),
+        "diameter_px": o.diameter_px,
+        "measured_diameter_px": o.measured_diameter_px,
+        "diameter_sigma_px": center.diameter_sigma_px,
+        "range_km": o.range_km,
+        "measured_range_km": center.range_km,
+        "range_sigma_km": center.range_sigma_km,
+        "brightness_scale": center.brightness_scale,
+        "partials_px_per_km": o.partials_px_per_km,
+        "ra_deg": o.ra_deg,
+        "dec_deg": o.dec_deg,
+        "apparent_ra_deg": o.apparent_ra_deg,
+        "apparent_dec_deg": o.apparent_dec_deg,
+        "residual_arcsec": o.residual_arcsec,
+        "snr": o.snr,
+        "chi2_reduced": center.chi2_reduced,
+        "scans_used": len(center.detail.used) if isinstance(center.detail, LimbScans) else None,
+        "flags": describe_body_flags(center.flags) if center.flags else "",
+        "status": o.status,
+        "messages": o.messages,
+    }
+
+
+def _joint_covariances(o: Observable) -> dict[str, Any] | None:
+    """Return the covariances (2, 2) px^2 of a center with those found jointly with it, by name; None without."""
+    return {name: np.asarray(cross) for name, cross in o.center_cross_px2.items()} or None
+
+
+# ---- The result of a session as plain values: the layout of ``result.json``.
 
 
 def result_dict(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
@@ -33,8 +89,8 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "messages": list(state.messages),
         "identification": _identification(state.star_field),
         "pointing": _pointing(state.pointing),
-        "stars": _stars(context, state),
-        "bodies": bodies_of(state),
+        "stars": _star_results(context, state),
+        "bodies": body_results(state),
         "provenance": _provenance(context, source, inputs, state),
     }
 
@@ -44,14 +100,14 @@ def overall_status(state: SessionState) -> str:
     if state.pointing is None:
         return "failed"
     found = not state.skipped_targets and all(
-        _found(state, name) for name in {o.name for o in state.observables}
+        _body_found(state, name) for name in {o.name for o in state.observables}
     )
     sure = state.star_field is None or state.star_field.sure
     complete = state.pointing.twist_solved and found and sure
     return "ok" if complete else "partial"
 
 
-def _found(state: SessionState, name: str) -> bool:
+def _body_found(state: SessionState, name: str) -> bool:
     """Whether at least one method is sure of a body."""
     return any(o.status == "ok" for o in state.observables if o.name == name)
 
@@ -97,7 +153,7 @@ def _pointing(p: PointingSolution | None) -> dict[str, Any] | None:
     }
 
 
-def _stars(context: Context, state: SessionState) -> list[dict[str, Any]]:
+def _star_results(context: Context, state: SessionState) -> list[dict[str, Any]]:
     stars, centers = state.a_priori, state.centers
     if stars is None:
         return []

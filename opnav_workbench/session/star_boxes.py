@@ -8,10 +8,10 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session.context import Context
-from opnav_workbench.session.nudging import field_attitude
-from opnav_workbench.session.state import Inputs, SessionState
-from opnav_workbench.session.verdicts import check_known, has_center
-from opnav_workbench.starcenters import default_box_px, describe_flags
+from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.pointing import field_attitude
+from opnav_workbench.session.state import SessionState, check_star_ids, has_center
+from opnav_workbench.stars import default_box_px, describe_flags
 
 __all__ = ["StarBox", "star_boxes"]
 
@@ -78,7 +78,7 @@ def star_boxes(
     if ids is None:
         rows = np.flatnonzero(context.camera.on_detector(predicted) | has_center(state)).tolist()
     else:
-        check_known(stars, ids)
+        check_star_ids(stars, ids)
         rows = [known.index(star) for star in ids]
     measured = has_center(state)
     return tuple(_box(context, state, predicted, row, bool(measured[row])) for row in rows)

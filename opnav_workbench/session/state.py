@@ -1,71 +1,50 @@
-"""The one place where a session's state lives: a frozen value that every step replaces."""
+"""The state of a session: a frozen value that every step replaces.
 
+Beside it stand the pure functions of the state alone: the statuses of stars before they are searched and after the
+analyst's decisions (a decision outranks what was measured), and what is still to be decided before a notebook may go on.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter, Circle
-from opnav_workbench.catalog import StarTable
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies import BodyCenter, Circle
+from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable
-from opnav_workbench.pointing import PointingSolution
-from opnav_workbench.scene import Observer, StarPrediction
-from opnav_workbench.starcenters import ShapePrior, StarCenters
+from opnav_workbench.scene import StarPrediction
+from opnav_workbench.stars import ShapePrior, StarCenters
+from opnav_workbench.stars.pointing import PointingSolution
 
 __all__ = [
+    "ACCEPTED",
+    "BY_HAND",
     "MEASURED_STATUSES",
+    "REJECTED",
     "BodyRequest",
     "FieldFound",
-    "Inputs",
+    "FieldMatch",
     "JointFound",
     "ScanChoice",
     "SessionState",
     "StarStatus",
+    "check_star_ids",
+    "decide_stars",
+    "has_center",
+    "open_decisions",
     "skipped_topic",
+    "unsearched_statuses",
+    "with_decisions",
 ]
+
+
+# ---- The one place where a session's state lives: a frozen value that every step replaces.
 
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Inputs:
-    """What came from outside the picture (kernels, header, catalog), kept so that a session resumes without them.
-
-    Attributes
-    ----------
-    et : float
-        Mid-exposure, TDB seconds past J2000.
-    utc : str
-    observer : Observer
-    a_priori_camera_from_j2000 : (3, 3) array
-    attitude_source : str
-        "kernels" or "header".
-    stars : StarTable
-        Catalog rows around the a priori field.
-    targets : mapping of str to TargetState
-    wide_stars : StarTable or None
-        Brightest catalog rows as far around as the widest search goes, once one was needed.
-    shapes : mapping of str to Path
-        Shape models of targets, where the kernels hold one.
-    """
-
-    et: float
-    utc: str
-    observer: Observer
-    a_priori_camera_from_j2000: FloatArray
-    attitude_source: str
-    stars: StarTable
-    targets: MappingProxyType[str, TargetState]
-    wide_stars: StarTable | None = None
-    shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
 
 
 def skipped_topic(name: str) -> str:
@@ -258,3 +237,173 @@ class SessionState:
     def mask(self, *statuses: str) -> np.ndarray:
         """Return which stars have one of the given statuses."""
         return np.array([s.status in statuses for s in self.status], dtype=bool)
+
+
+# ---- Which detection is which star: the field's rotation against the a priori pointing.
+
+BY_HAND = "by hand"  # the search of a field that the analyst moved
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldMatch:
+    """Where each star is expected on the picture.
+
+    Attributes
+    ----------
+    found : FieldFound or None
+    stars : StarPrediction or None
+        Predicted anew, where the field lies so far off that others are on the detector; else None.
+    expected_px : (n, 2) array
+    visible : (n,) array of bool
+        Expected on the detector.
+    radius_px : float
+        How far from the expected place a star may lie.
+    messages : tuple of str
+    """
+
+    found: FieldFound | None
+    stars: StarPrediction | None
+    expected_px: FloatArray
+    visible: BoolArray
+    radius_px: float
+    messages: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+# ---- The analyst's decisions on stars, and what they make of the automatic statuses: a decision outranks ...
+
+ACCEPTED, REJECTED = "accepted", "rejected"
+EXAMPLE_IDS = 3  # star ids that an error message gives as examples
+
+
+def unsearched_statuses(on_detector: BoolArray) -> tuple[StarStatus, ...]:
+    """Return the statuses of stars that are predicted (n,) on the detector or off it, and not looked for yet."""
+    return tuple(
+        StarStatus("not_detected", "not searched yet")
+        if on
+        else StarStatus("off_detector", "predicted outside the detector")
+        for on in on_detector
+    )
+
+
+def has_center(state: SessionState) -> BoolArray:
+    """Return which predicted stars have a measured center."""
+    if state.centers is None:
+        return np.zeros(len(state.found_status), dtype=bool)
+    return np.asarray(np.isfinite(state.centers.pixel_line).all(axis=1))
+
+
+def with_decisions(state: SessionState, statuses: Sequence[StarStatus]) -> tuple[StarStatus, ...]:
+    """Return `statuses` (one per predicted star) with the analyst's decisions carried out."""
+    if state.a_priori is None:
+        return tuple(statuses)
+    rows = zip(state.a_priori.id.tolist(), statuses, has_center(state), strict=True)
+    return tuple(_decided(state.decisions.get(star, ("", "")), status, bool(m)) for star, status, m in rows)
+
+
+def _decided(decision: tuple[str, str], status: StarStatus, measured: bool) -> StarStatus:
+    verdict, reason = decision
+    if verdict == REJECTED:
+        return StarStatus("rejected", f"by the analyst: {reason}" if reason else "by the analyst")
+    # What was fitted off the detector, at its edge, is no picture of that star.
+    if verdict == ACCEPTED and measured and status.status != "off_detector":
+        return StarStatus("used", reason)
+    return status
+
+
+def check_star_ids(stars: StarPrediction, ids: Sequence[str]) -> None:
+    """Refuse ids that none of the predicted stars has.
+
+    Raises
+    ------
+    SessionError
+        They are named, and some that there are.
+    """
+    known = stars.id.tolist()
+    unknown = sorted(set(ids) - set(known))
+    if unknown:
+        raise SessionError(
+            f"no star {', '.join(unknown)} in this field; stars are named as in result.json, "
+            f"such as {', '.join(sorted(known)[:EXAMPLE_IDS])}."
+        )
+
+
+def decide_stars(state: SessionState, ids: Sequence[str], verdict: str, reason: str) -> SessionState:
+    """Return the state with a decision on some stars, effective at once.
+
+    Raises
+    ------
+    SessionError
+        No stars are predicted yet, or one of `ids` is not among them.
+    """
+    if state.a_priori is None:
+        raise SessionError("no stars are predicted yet: call predict() first.")
+    known = state.a_priori.id.tolist()
+    check_star_ids(state.a_priori, ids)
+    decisions = dict(state.decisions) | dict.fromkeys(ids, (verdict, reason))
+    rows = zip(known, state.found_status, state.status, strict=True)
+    statuses = [found if star in ids else status for star, found, status in rows]
+    state = state.replace(decisions=MappingProxyType(decisions))
+    return state.replace(status=with_decisions(state, statuses))
+
+
+# ---- Gates of a notebook: what must be decided before its later cells may run.
+
+EXAMPLE_NAMES = 3  # names that a message gives as examples
+
+
+def open_decisions(state: SessionState, needs: Sequence[str]) -> list[str]:
+    """Return what is missing of `needs`, one line each.
+
+    Raises
+    ------
+    SessionError
+        A need is unknown.
+    """
+    unknown = [need for need in needs if need not in GATES]
+    if unknown:
+        raise SessionError(f"unknown need {', '.join(unknown)}; choose of {', '.join(GATES)}.")
+    lines = (GATES[need](state) for need in needs)
+    return [line for line in lines if line]
+
+
+def _stars_confirmed(state: SessionState) -> str:
+    if state.a_priori is None or state.centers is None:
+        return "no stars are found yet: predict() and find_stars()"
+    open_ones = [
+        star
+        for star, used in zip(state.a_priori.id.tolist(), state.mask("used"), strict=True)
+        if used and star not in state.decisions
+    ]
+    if not open_ones:
+        return ""
+    named = ", ".join(open_ones[:EXAMPLE_NAMES]) + (", ..." if len(open_ones) > EXAMPLE_NAMES else "")
+    return f"{len(open_ones)} stars wait to be accepted or rejected ({named})"
+
+
+def _pointing(state: SessionState) -> str:
+    return "" if state.pointing is not None else "the pointing is not solved: repoint()"
+
+
+def _bodies(state: SessionState) -> str:
+    found = {body.name for body in state.bodies}
+    open_ones = [name for name in state.targets if name not in found]
+    return f"{', '.join(open_ones)} not looked for yet: find_body()" if open_ones else ""
+
+
+def _observables(state: SessionState) -> str:
+    if len(state.observables) == len(state.bodies) and np.all(
+        [o.name == b.name for o, b in zip(state.observables, state.bodies, strict=True)]
+    ):
+        return ""
+    return "the observables are not computed: observables()"
+
+
+GATES: dict[str, Callable[[SessionState], str]] = {
+    "stars_confirmed": _stars_confirmed,
+    "pointing": _pointing,
+    "bodies": _bodies,
+    "observables": _observables,
+}

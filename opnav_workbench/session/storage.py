@@ -1,32 +1,43 @@
-"""session.json: everything needed to continue a session on another machine, except the picture itself."""
+"""session.json: everything needed to continue a session on another machine, except the picture itself.
 
+Written together with ``result.json`` and ``observables.ecsv``: none of the files takes its name before all are written.
+Read back, the journal file's steps are added, and the picture must be the same one (SHA-256).
+"""
+
+import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from opnav_workbench.errors import CatalogError, KernelError, SessionError
 from opnav_workbench.files import atomic_path, json_text
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.observables import Observable, observables_table
-from opnav_workbench.session.context import Context
-from opnav_workbench.session.gather import InputSource
-from opnav_workbench.session.inputs_file import inputs_dict
-from opnav_workbench.session.journal import JournalEntry
-from opnav_workbench.session.state import Inputs
+from opnav_workbench.session.context import Context, open_context
+from opnav_workbench.session.history import JOURNAL_FILE, JournalEntry, JournalTail, read_journal_file
+from opnav_workbench.session.inputs import Inputs, InputSource, inputs_dict, inputs_from, with_inputs_added
+from opnav_workbench.session.settings import Settings
 from opnav_workbench.version import __version__
 
 __all__ = [
     "RESULT_FILE",
-    "SCHEMA",
     "SESSION_FILE",
+    "SessionOnDisk",
+    "load_session",
     "session_dict",
+    "session_on_disk",
     "write_data",
     "write_session",
     "write_table",
     "write_together",
 ]
+
+
+# ---- session.json: everything needed to continue a session on another machine, except the picture itself.
 
 SCHEMA = 1
 SESSION_FILE = "session.json"
@@ -106,3 +117,125 @@ def write_data(data: Mapping[str, Any], path: Path) -> None:
 def write_table(observables: Sequence[Observable], path: Path) -> None:
     """Write `observables_table` as ECSV."""
     observables_table(observables).write(path, format="ascii.ecsv", overwrite=True)
+
+
+# ---- Sessions read back from their folders.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadedSession:
+    """A session as read back from its folder.
+
+    Attributes
+    ----------
+    session : str
+        Its id.
+    context, source, inputs
+    journal : tuple of JournalEntry
+    stored : int
+        Entries that ``session.json`` holds; the others are in the journal file.
+    tail : JournalTail
+        What the journal file adds.
+    """
+
+    session: str
+    context: Context
+    source: InputSource
+    inputs: Inputs
+    journal: tuple[JournalEntry, ...]
+    stored: int
+    tail: JournalTail
+
+
+def load_session(folder: Path, image: str | Path | None) -> LoadedSession:
+    """Read a session's folder and the picture it belongs to.
+
+    Raises
+    ------
+    SessionError
+        A file is missing, damaged or of a newer schema; the picture is missing or another one.
+    """
+    path = folder / SESSION_FILE
+    data = _read_session_file(path)
+    try:
+        context = _reopened_context(data, image)
+        source = InputSource(
+            data["catalog"],
+            None if data["target_stars"] is None else Path(data["target_stars"]),
+            data["attitude"],
+        )
+        session = str(data.get("session", ""))
+        stored = tuple(JournalEntry(**item) for item in data["journal"])
+        tail = read_journal_file(folder / JOURNAL_FILE, session, stored)
+        inputs = inputs_from(data["inputs"])
+        for added in tail.inputs:
+            inputs = with_inputs_added(inputs, added)
+        return LoadedSession(session, context, source, inputs, stored + tail.entries, len(stored), tail)
+    except (AttributeError, KeyError, TypeError, ValueError, OSError, CatalogError, KernelError) as error:
+        raise SessionError(f"{path} is damaged ({error!r}); process the picture again.") from error
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOnDisk:
+    """What a folder says of its session, without its picture.
+
+    Attributes
+    ----------
+    session, sha256 : str
+        Its id, and the picture's SHA-256.
+    journal : tuple of JournalEntry
+    tail_bytes : int
+        Whole bytes of the journal file.
+    """
+
+    session: str
+    sha256: str
+    journal: tuple[JournalEntry, ...]
+    tail_bytes: int
+
+
+def session_on_disk(folder: Path) -> SessionOnDisk | None:
+    """Return what a folder says of its session; None where it has none.
+
+    Raises
+    ------
+    SessionError
+        There is one, but it cannot be read.
+    """
+    if not (folder / SESSION_FILE).exists():
+        return None
+    data = _read_session_file(folder / SESSION_FILE)
+    try:
+        session, stored = str(data.get("session", "")), tuple(JournalEntry(**e) for e in data["journal"])
+        tail = read_journal_file(folder / JOURNAL_FILE, session, stored)
+        return SessionOnDisk(session, str(data["sha256"]), stored + tail.entries, tail.length)
+    except (KeyError, TypeError, OSError) as error:
+        raise SessionError(
+            f"{folder / SESSION_FILE} is damaged ({error!r}); choose another folder."
+        ) from error
+
+
+def _read_session_file(path: Path) -> dict[str, Any]:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise SessionError(
+            f"no session can be read from {path}: {error}. Give a folder that save() wrote."
+        ) from error
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        raise SessionError(f"{path} is not a session of schema {SCHEMA}; use the version that wrote it.")
+    return data
+
+
+def _reopened_context(data: Mapping[str, Any], image: str | Path | None) -> Context:
+    path = Path(image or data["image"])
+    if not path.is_file():
+        raise SessionError(
+            f"the picture {path} is not there; say where it is now: resume(folder, image=PATH)."
+        )
+    context = open_context(path, load_mission(data["mission"]), Settings.from_dict(data["settings"]))
+    if context.frame.sha256 != data["sha256"]:
+        raise SessionError(
+            f"{path} is not the picture of this session (SHA-256 differs); give the original file."
+        )
+    return context

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import rotation_from_vector
+from opnav_workbench.kernels import camera_attitude
 from opnav_workbench.simulation.randomness import picture_random
-from opnav_workbench.spice import camera_attitude
 
 __all__ = ["AttitudePath", "CameraMotion", "kernel_path", "moving_path", "sample_path", "sky_turn"]
 

@@ -6,8 +6,9 @@ Flow    scene + sky + stray light -> flat field -> frame-transfer smear -> photo
 Frame   arrays are ``[line, pixel]``; columns run along the line axis
 Units   electrons, DN, s
 
-Every effect draws from a generator of its own, and the photon noise gives each pixel one deviate whatever its light,
-so that switching an effect leaves the random numbers of all others as they were.
+Every effect draws from a generator of its own, and the photon noise gives each pixel one deviate whatever its
+light, so that switching an effect leaves the random numbers of all others as they were. Data that never reach the
+ground are whole lines and square blocks.
 """
 
 from dataclasses import dataclass
@@ -18,22 +19,48 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError
-from opnav_workbench.simulation.blooming import bloom
-from opnav_workbench.simulation.cosmic_rays import CosmicRayHits, draw_cosmic_rays
-from opnav_workbench.simulation.detector_values import DetectorValues, Level, detector_values
-from opnav_workbench.simulation.effects import DetectorEffects
-from opnav_workbench.simulation.fixed_pattern import FixedPattern, fixed_pattern
-from opnav_workbench.simulation.lost_data import draw_lost_data
+from opnav_workbench.simulation.charge import CosmicRayHits, bloom, draw_cosmic_rays, poisson_counts
+from opnav_workbench.simulation.detector_properties import (
+    DetectorValues,
+    FixedPattern,
+    Level,
+    detector_values,
+    fixed_pattern,
+)
+from opnav_workbench.simulation.effects import DetectorEffects, LostData
 from opnav_workbench.simulation.randomness import picture_random
-from opnav_workbench.simulation.shot_noise import poisson_counts
 
-__all__ = ["DetectorEffects", "Exposed", "Level", "expose"]
+__all__ = ["Exposure", "expose"]
+
+
+# ---- Data that never reached the ground: whole lines and square blocks.
+
+
+def draw_lost_data(settings: LostData, shape: tuple[int, int], rng: np.random.Generator) -> BoolArray:
+    """Return which pixels (n_line, n_pixel) are lost.
+
+    Examples
+    --------
+    >>> int(draw_lost_data(LostData(lines=2), (8, 5), np.random.default_rng(0)).sum())
+    10
+    """
+    n_line, n_pixel = shape
+    lost = np.zeros(shape, dtype=bool)
+    lost[rng.permutation(n_line)[: settings.lines]] = True
+    side = settings.block_px
+    corners = rng.random((settings.blocks, 2)) * [max(n_line - side, 0) + 1, max(n_pixel - side, 0) + 1]
+    for line, pixel in corners.astype(np.int64):
+        lost[line : line + side, pixel : pixel + side] = True
+    return lost
+
+
+# ---- The detector: from the light that falls on each pixel to data numbers.
 
 ROUNDING_VARIANCE = 1.0 / 12.0  # DN^2, of a value rounded to a whole number
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exposed:
+class Exposure:
     """An exposure; arrays are (n_line, n_pixel) and read-only.
 
     Attributes
@@ -105,7 +132,7 @@ def expose(
     seed: int,
     level: Level = "calibrated",
     dark_columns: int = 0,
-) -> Exposed:
+) -> Exposure:
     """Expose a detector to light.
 
     Parameters
@@ -127,7 +154,7 @@ def expose(
     CameraError
         Light of another shape or not finite, or a number that is needed and not known.
     """
-    light = _checked(electrons, camera)
+    light = _checked_light(electrons, camera)
     values = detector_values(camera, effects, exposure_s, level)
     pattern = fixed_pattern(camera, effects, values)
     expected = _expected(light, effects, values, pattern, exposure_s)
@@ -138,9 +165,9 @@ def expose(
     if values.full_well_e is not None and effects.full_well is not None:
         charge = bloom(charge, values.full_well_e, spill=effects.full_well.blooming)
     raw = _digitised(charge, values, pattern.bias_dn, picture_random(seed, "read_noise"))
-    lost = _lost(light.shape, effects, seed)
+    lost = _lost_pixels(light.shape, effects, seed)
     image = raw if level == "raw" else _calibrated(raw, values, pattern, exposure_s)
-    return Exposed(
+    return Exposure(
         image_dn=_filled(image, lost, effects, values, level),
         level=level,
         exposure_s=exposure_s,
@@ -157,7 +184,7 @@ def expose(
     )
 
 
-def _checked(electrons: FloatArray, camera: Camera) -> FloatArray:
+def _checked_light(electrons: FloatArray, camera: Camera) -> FloatArray:
     light = np.array(electrons, dtype=np.float64)
     if light.shape != (camera.n_line, camera.n_pixel):
         raise CameraError(
@@ -256,7 +283,7 @@ def _calibrated(
     return image if known is None else np.divide(image, known, out=np.zeros_like(image), where=known > 0.0)
 
 
-def _lost(shape: tuple[int, int], effects: DetectorEffects, seed: int) -> BoolArray:
+def _lost_pixels(shape: tuple[int, int], effects: DetectorEffects, seed: int) -> BoolArray:
     if effects.lost_data is None:
         return np.zeros(shape, dtype=bool)
     return draw_lost_data(effects.lost_data, shape, picture_random(seed, "lost_data"))

@@ -8,23 +8,9 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from opnav_workbench.spice.scenario_parts import Strict
+from opnav_workbench.kernels.making.scenario_parts import Strict
 
-__all__ = [
-    "Adc",
-    "BadPixels",
-    "Bias",
-    "CosmicRays",
-    "DarkCurrent",
-    "DetectorEffects",
-    "FlatField",
-    "FrameTransfer",
-    "FullWell",
-    "LostData",
-    "ReadNoise",
-    "Sky",
-    "StrayLight",
-]
+__all__ = ["CosmicRays", "DetectorEffects", "LostData", "Sky"]
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Effect = TypeVar("Effect")

@@ -1,7 +1,13 @@
-"""FITS files as the mission writes them, so that flight readers take a simulated picture for one of their own."""
+"""FITS files as the mission writes them, so that flight readers take a simulated picture for one of their own.
 
+Beside the picture stand its error plane and its quality plane, in the codes of the mission's own table.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,13 +19,56 @@ from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.image import KeywordMap
 from opnav_workbench.mission import Mission
-from opnav_workbench.simulation.detector import Exposed
-from opnav_workbench.simulation.flight_header import flight_cards
-from opnav_workbench.simulation.flight_quantities import FlightRecord
-from opnav_workbench.simulation.flight_wcs import wcs_cards
-from opnav_workbench.simulation.quality import quality_plane
+from opnav_workbench.simulation.detector import Exposure
+from opnav_workbench.simulation.flight_header import FlightRecord, flight_cards, wcs_cards
 
-__all__ = ["FlightRecord", "dark_columns_of", "write_flight_fits"]
+__all__ = ["QUALITY_CODES", "dark_columns_of", "write_flight_fits"]
+
+
+# ---- The quality plane of a simulated picture, in the codes of the mission's own table.
+
+
+@dataclass(frozen=True, slots=True)
+class QualityCodes:
+    """What a pipeline writes for a pixel that is saturated, lost or defective."""
+
+    saturated: int
+    lost: int
+    defective: int
+
+
+# For each table of `opnav_workbench.image.masks.QUALITY_TABLES`. Where every set bit means "bad", saturation is left to
+# the picture's level: a bright star's core is a lower bound, not a bad pixel.
+QUALITY_CODES: Mapping[str, QualityCodes] = MappingProxyType(
+    {
+        "any_nonzero": QualityCodes(saturated=0, lost=1, defective=2),
+        "new_horizons_lorri": QualityCodes(saturated=16, lost=32, defective=32),
+        "new_horizons_mvic": QualityCodes(saturated=8, lost=-1, defective=4),
+    }
+)
+
+
+def quality_plane(exposed: Exposure, table: str, housekeeping_pixels: int = 0) -> NDArray[np.int16]:
+    """Return the quality codes (n_line, n_pixel) of a picture.
+
+    Parameters
+    ----------
+    exposed : Exposed
+    table : str
+        Name of the mission's table.
+    housekeeping_pixels : int
+        Pixels at the start of line 0 that carry telemetry.
+    """
+    codes = QUALITY_CODES[table]
+    plane = np.where(exposed.saturated, codes.saturated, 0)
+    if exposed.flag_defects:
+        plane = np.where(exposed.defective, plane | codes.defective, plane)
+    lost = exposed.lost.copy()
+    lost[0, :housekeeping_pixels] = True
+    return np.where(lost, codes.lost, plane).astype(np.int16)
+
+
+# ---- FITS files as the mission writes them, so that flight readers take a simulated picture for one of their ...
 
 LARGEST_RAW = 65535  # what 16 bits hold
 
@@ -40,7 +89,7 @@ def dark_columns_of(mission: Mission, camera: Camera) -> int:
     return next((k for width, k in columns.items() if width - k == camera.n_pixel), 0)
 
 
-def write_flight_fits(path: str | PathLike[str], exposed: Exposed, record: FlightRecord) -> Path:
+def write_flight_fits(path: str | PathLike[str], exposed: Exposure, record: FlightRecord) -> Path:
     """Write a picture as the mission would have: header, picture, and the error and quality planes that it names.
 
     Calibrated pictures are 32-bit floating point; raw ones whole numbers of 16 bits, with their dark columns if the
@@ -82,7 +131,7 @@ def write_flight_fits(path: str | PathLike[str], exposed: Exposed, record: Fligh
     return final
 
 
-def _pixels(exposed: Exposed) -> NDArray[Any]:
+def _pixels(exposed: Exposure) -> NDArray[Any]:
     if exposed.level == "calibrated":
         return exposed.image_dn.astype(np.float32)
     raw = np.hstack([exposed.image_dn, exposed.dark_columns_dn])
@@ -94,7 +143,7 @@ def _pixels(exposed: Exposed) -> NDArray[Any]:
     return np.rint(raw).astype(np.uint16)
 
 
-def _wide(quality: NDArray[np.int16], exposed: Exposed) -> NDArray[np.int16]:
+def _wide(quality: NDArray[np.int16], exposed: Exposure) -> NDArray[np.int16]:
     """Add the dark columns of a raw picture, all good."""
     dark = exposed.dark_columns_dn.shape[1] if exposed.level == "raw" else 0
     return np.pad(quality, ((0, 0), (0, dark)))
@@ -105,7 +154,7 @@ def _unsigned(quality: NDArray[np.int16]) -> NDArray[Any]:
     return quality if quality.min() < 0 else quality.astype(np.uint16)
 
 
-def _fill(header: Any, exposed: Exposed, record: FlightRecord) -> None:
+def _fill(header: Any, exposed: Exposure, record: FlightRecord) -> None:
     cards = [
         (card.keyword, card.value, card.comment)
         for card in flight_cards(record, exposed.values, exposed.level)

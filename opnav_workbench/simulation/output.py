@@ -1,29 +1,77 @@
-"""A simulated picture on disk: the mission's own FITS file, the truth beside it, and a preview for people."""
+"""A simulated picture on disk: the mission's own FITS file, the truth beside it, and previews for people.
+
+A preview is a PNG that any program shows, line 0 at the top: ``linear`` shows bodies as a person would see them,
+``log`` brings up the stars and the noise, as in the paper's Figure 2.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
+from astropy.stats import mad_std
+from astropy.visualization import LogStretch
+from numpy.typing import NDArray
+from PIL import Image
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.errors import MissionError
+from opnav_workbench.files import atomic_path
 from opnav_workbench.mission import Mission
 from opnav_workbench.render import RenderedBody
-from opnav_workbench.simulation.flight_fits import FlightRecord, write_flight_fits
-from opnav_workbench.simulation.flight_quantities import utc_text
+from opnav_workbench.simulation.flight_fits import write_flight_fits
+from opnav_workbench.simulation.flight_header import FlightRecord, utc_text
 from opnav_workbench.simulation.picture import SimulatedPicture
-from opnav_workbench.simulation.preview import Stretch, write_preview
-from opnav_workbench.simulation.truth import (
-    BodyTruth,
-    Truth,
-    body_rows,
-    star_rows,
-    truth_table,
-    write_truth,
+from opnav_workbench.simulation.truth import BodyTruth, Truth, body_rows, star_rows, truth_table, write_truth
+
+__all__ = ["BodyReport", "PictureReport", "stretched", "truth_of", "write_picture", "write_preview"]
+
+
+# ---- Preview pictures: what was simulated, as a PNG that any program shows, line 0 at the top.
+
+Stretch = Literal["linear", "log"]
+LOG_LOW_SIGMAS = -2.0  # the noise is seen as dark grain
+LOG_STRENGTH = 1000.0  # astropy's own default
+LEAST_RANGE_SIGMAS = {"linear": 20.0, "log": 300.0}  # an empty picture's noise must not look like stars
+PNG_COMPRESSION = (
+    1  # noise hardly packs: the usual level takes three times as long for a file an eighth smaller
 )
 
-__all__ = ["BodyReport", "PictureReport", "truth_of", "write_picture"]
+
+def stretched(image_dn: FloatArray, stretch: Stretch = "linear") -> NDArray[np.uint8]:
+    """Return gray levels (n_line, n_pixel) of a picture.
+
+    Examples
+    --------
+    >>> stretched(np.eye(3)).tolist()[0]
+    [255, 0, 0]
+    """
+    if stretch not in get_args(Stretch):
+        raise MissionError(f"unknown stretch {stretch!r}; use {' or '.join(get_args(Stretch))}.")
+    level, noise = float(np.median(image_dn)), float(mad_std(image_dn))
+    low = level + LOG_LOW_SIGMAS * noise if stretch == "log" else level
+    high = max(float(image_dn.max()), level + LEAST_RANGE_SIGMAS[stretch] * noise, low + np.spacing(low))
+    share = np.clip((image_dn - low) / (high - low), 0.0, 1.0)
+    if stretch == "log":
+        share = LogStretch(LOG_STRENGTH)(share)
+    return np.asarray(np.rint(255.0 * share), dtype=np.uint8)
+
+
+def write_preview(path: Path, image_dn: FloatArray, stretch: Stretch) -> None:
+    """Write a preview, whole or not at all.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written.
+    """
+    picture = Image.fromarray(stretched(image_dn, stretch))
+    with atomic_path(path) as temporary:
+        picture.save(temporary, format="PNG", compress_level=PNG_COMPRESSION)
+
+
+# ---- A simulated picture on disk: the mission's own FITS file, the truth beside it, and a preview for people.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,8 +158,8 @@ def write_picture(
         preview = out / f"{inputs.name}_{stretch}.png"
         write_preview(preview, picture.image_dn, stretch)
         files.append(preview)
-    write_flight_fits(path, picture.exposed, _record(picture, mission))
-    return _report(picture, truth, (path, *files))
+    write_flight_fits(path, picture.exposed, _flight_record(picture, mission))
+    return _picture_report(picture, truth, (path, *files))
 
 
 def truth_of(
@@ -169,7 +217,7 @@ def _body_truth(
     )
 
 
-def _record(picture: SimulatedPicture, mission: Mission) -> FlightRecord:
+def _flight_record(picture: SimulatedPicture, mission: Mission) -> FlightRecord:
     inputs = picture.inputs
     return FlightRecord(
         mission=mission,
@@ -182,7 +230,7 @@ def _record(picture: SimulatedPicture, mission: Mission) -> FlightRecord:
     )
 
 
-def _report(picture: SimulatedPicture, truth: Truth, files: tuple[Path, ...]) -> PictureReport:
+def _picture_report(picture: SimulatedPicture, truth: Truth, files: tuple[Path, ...]) -> PictureReport:
     drawn = picture.star_drawn
     return PictureReport(
         name=picture.inputs.name,

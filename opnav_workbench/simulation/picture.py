@@ -1,28 +1,211 @@
 """One simulated picture: stars and bodies through optics and detector, and what it really shows.
 
 Flow   `PictureInputs` -> true places of stars and bodies -> electrons without noise -> detector -> `SimulatedPicture`
+Units  px as (pixel, line), electrons
+
+`PictureInputs` holds everything that a picture is made of, as values: from there on no kernels and no files are
+needed. Stars are points, or trails where the camera moves: boxes of the PSF's shares, all stars at once, are added
+to the electrons in place.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.distortion import NoDistortion
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import CameraError
-from opnav_workbench.psf import Psf
+from opnav_workbench.psf.protocol import Psf, add_sources
 from opnav_workbench.psf.trailed import TrailedPsf
-from opnav_workbench.render import Rendering, render_bodies
+from opnav_workbench.render import BodyModel, Rendering, render_bodies
 from opnav_workbench.scene import Observer, StarPrediction, predict_stars
-from opnav_workbench.simulation.detector import Exposed, expose
-from opnav_workbench.simulation.inputs import PictureInputs
-from opnav_workbench.simulation.scenario_parts import Switches
-from opnav_workbench.simulation.starlight import Trails, add_stars, trails
+from opnav_workbench.simulation.attitude_path import AttitudePath
+from opnav_workbench.simulation.detector import Exposure, expose
+from opnav_workbench.simulation.detector_properties import Level
+from opnav_workbench.simulation.effects import DetectorEffects
+from opnav_workbench.simulation.scenario import ApparentPlaceEffects
 
-__all__ = ["SimulatedPicture", "expose_picture"]
+__all__ = ["PictureInputs", "SimulatedPicture", "Trails", "add_stars", "expose_picture", "trails"]
+
+
+# ---- Everything one picture is made of, as values: from here on no kernels and no files are needed.
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PictureInputs:
+    """What is true of one picture, and what its header will say.
+
+    Attributes
+    ----------
+    name : str
+        File name stem.
+    camera : Camera
+    et : float
+        Mid-exposure, TDB s past J2000.
+    exposure_s : float
+    observer : Observer
+        True barycentric state of the spacecraft.
+    predicted_camera_from_j2000 : (3, 3) array
+        What the header says.
+    path : AttitudePath
+        How the camera really stood during the exposure.
+    stars : StarTable
+        Catalog stars around the field.
+    bodies : tuple of BodyModel
+        True states of the bodies, and how they look.
+    body_tracks_px : tuple of (k, 2) array or None
+        For each body how it moves on the detector in equal parts of the exposure, from mid-exposure; None: as
+        `path` moves the sky. Empty: that for all.
+    psf : Psf
+    effects : DetectorEffects
+    switches : Switches
+    level : {"calibrated", "raw"}
+    dark_columns : int
+        Covered columns that a raw picture has at its right end.
+    seed : int
+        Of this picture.
+    header : mapping
+        Further header cards.
+    """
+
+    name: str
+    camera: Camera
+    et: float
+    exposure_s: float
+    observer: Observer
+    predicted_camera_from_j2000: FloatArray
+    path: AttitudePath
+    stars: StarTable
+    psf: Psf
+    bodies: tuple[BodyModel, ...] = ()
+    body_tracks_px: tuple[FloatArray | None, ...] = ()
+    effects: DetectorEffects = field(default_factory=DetectorEffects)
+    switches: ApparentPlaceEffects = field(default_factory=ApparentPlaceEffects)
+    level: Level = "calibrated"
+    dark_columns: int = 0
+    seed: int = 0
+    header: Mapping[str, str | int | float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+# ---- Stars in a picture: points, or trails where the camera moves.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trails:
+    """Where stars were during the exposure, in a few numbers; arrays are read-only.
+
+    Attributes
+    ----------
+    middle_px : (n, 2) array
+        At mid-exposure.
+    mean_px : (n, 2) array
+        Weighted mean: where the light's center is.
+    length_px : (n,) array
+        Length of the path.
+    """
+
+    middle_px: FloatArray
+    mean_px: FloatArray
+    length_px: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def trails(places_px: ArrayLike, weights: ArrayLike | None = None) -> Trails:
+    """Summarise the places of stars during an exposure.
+
+    Parameters
+    ----------
+    places_px : (n, 2) or (n, k, 2) array_like
+        k is odd; the middle sample is at mid-exposure, and the samples stand in the middle of equal times.
+    weights : (k,) array_like, optional
+
+    Examples
+    --------
+    >>> trails([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]]).length_px  # three thirds of the exposure
+    array([3.])
+    """
+    places, shares = _checked_places(places_px, weights)
+    steps = np.linalg.norm(np.diff(places, axis=1), axis=-1)
+    k = places.shape[1]
+    return Trails(
+        middle_px=places[:, k // 2],
+        mean_px=np.einsum("nkj,k->nj", places, shares),
+        length_px=steps.sum(axis=1) * (k / max(k - 1, 1)),  # half a step more at either end
+    )
+
+
+def add_stars(
+    electrons: FloatArray,
+    places_px: ArrayLike,
+    flux_e: ArrayLike,
+    psf: Psf,
+    weights: ArrayLike | None = None,
+) -> None:
+    """Add stars to a picture, in place.
+
+    Parameters
+    ----------
+    electrons : (n_line, n_pixel) array
+    places_px : (n, 2) or (n, k, 2) array_like
+        Of each star, or of each star at k times; stars beside the detector whose light reaches it count, and
+        places that are not finite (behind the camera) are left out.
+    flux_e : (n,) array_like
+        Electrons of each star over the whole exposure.
+    psf : Psf
+    weights : (k,) array_like, optional
+        Share of the exposure at each time; equal ones unless given.
+
+    Raises
+    ------
+    CameraError
+        Numbers of stars, places and weights that do not fit, or a flux that is negative or not finite.
+
+    Examples
+    --------
+    >>> from opnav_workbench.psf import GaussianPsf
+    >>> picture = np.zeros((20, 30))
+    >>> add_stars(picture, [[[10.0, 9.0], [12.0, 9.0]]], [100.0], GaussianPsf(0.7, 0.7))
+    >>> round(float(picture.sum()), 3), round(float(picture[9, 10] / picture[9, 12]), 3)
+    (100.0, 1.0)
+    """
+    places, shares = _checked_places(places_px, weights)
+    flux = np.asarray(flux_e, dtype=np.float64)
+    if flux.shape != places.shape[:1]:
+        raise CameraError(f"{len(places)} places but fluxes of shape {flux.shape}; give one flux per star.")
+    if not (np.isfinite(flux) & (flux >= 0.0)).all():
+        raise CameraError(
+            f"{np.sum(~(flux >= 0.0) | np.isinf(flux))} stars with a flux that is negative or not finite; leave out "
+            "stars without a magnitude."
+        )
+    add_sources(electrons, psf, places.reshape(-1, 2), (flux[:, None] * shares).ravel())
+
+
+def _checked_places(places_px: ArrayLike, weights: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    """Return places (n, k, 2) and weights (k,)."""
+    places = np.asarray(places_px, dtype=np.float64)
+    if places.ndim == 2:
+        places = places[:, None]
+    if places.ndim != 3 or places.shape[-1] != 2:
+        raise CameraError(f"places of shape {places.shape}; give (n, 2) or (n, k, 2) pixels and lines.")
+    k = places.shape[1]
+    shares = np.full(k, 1.0 / k) if weights is None else np.asarray(weights, dtype=np.float64)
+    if shares.shape != (k,):
+        raise CameraError(f"{k} places per star but weights of shape {shares.shape}; give one per place.")
+    return places, shares
+
+
+# ---- One simulated picture: stars and bodies through optics and detector, and what it really shows.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +229,7 @@ class SimulatedPicture:
     """
 
     inputs: PictureInputs
-    exposed: Exposed
+    exposed: Exposure
     stars: StarPrediction
     star_flux_e: FloatArray
     star_hidden: BoolArray
@@ -120,11 +303,11 @@ def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
     )
 
 
-def _optics(camera: Camera, switches: Switches) -> Camera:
+def _optics(camera: Camera, switches: ApparentPlaceEffects) -> Camera:
     return camera if switches.distortion else replace(camera, distortion=NoDistortion())
 
 
-def _observer(observer: Observer, switches: Switches) -> Observer:
+def _observer(observer: Observer, switches: ApparentPlaceEffects) -> Observer:
     """Return the observer that aberration is computed with."""
     return observer if switches.aberration else replace(observer, velocity_km_s=np.zeros(3))
 
@@ -137,7 +320,7 @@ def _stars(inputs: PictureInputs, optics: Camera, observer: Observer) -> StarPre
     return predict_stars(table, inputs.et, observer, optics, inputs.path.middle, margin_px=margin)
 
 
-def _switched(stars: StarTable, switches: Switches) -> StarTable:
+def _switched(stars: StarTable, switches: ApparentPlaceEffects) -> StarTable:
     """Take parallax or motion from the stars where they are switched off."""
     zero = np.zeros(len(stars))
     update: dict[str, Any] = {} if switches.parallax else {"parallax_rad": zero}

@@ -7,22 +7,24 @@
 
 import json
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from astropy import units as u
 from astropy.io import fits
-from astropy.table import QTable
+from astropy.table import QTable, vstack
+from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path, write_json
 from opnav_workbench.geometry import quaternion_from_matrix
-from opnav_workbench.simulation.cosmic_rays import CosmicRayHits
-from opnav_workbench.simulation.truth_table import BodyTruth, body_rows, star_rows, truth_table
+from opnav_workbench.simulation.charge import CosmicRayHits
+from opnav_workbench.simulation.picture import Trails
 
 __all__ = [
     "BodyTruth",
@@ -34,6 +36,135 @@ __all__ = [
     "truth_table",
     "write_truth",
 ]
+
+
+# ---- The table of what a picture shows: a row for every star and body, with its place, its light and its ...
+
+# Every column of the table: unit and description, in the order of the file.
+TRUTH_COLUMNS: dict[str, tuple[Any, str]] = {
+    "kind": (None, "star or body"),
+    "id": (None, "catalog designation, or SPICE name"),
+    "pixel": (u.pix, "center at mid-exposure, horizontal; of a body its center of figure"),
+    "line": (u.pix, "center at mid-exposure, vertical"),
+    "mean_pixel": (
+        u.pix,
+        "mean place of the light over the exposure, horizontal; of a body its center of light",
+    ),
+    "mean_line": (u.pix, "mean place of the light over the exposure, vertical"),
+    "smear": (u.pix, "length of the trail"),
+    "flux": (u.electron, "electrons of the whole image, on and off the detector"),
+    "mag": (u.mag, "V magnitude"),
+    "on_detector": (None, "whether the center falls on a pixel"),
+    "occulted": (None, "whether a body hides it, wholly or for the larger part"),
+    "occulted_fraction": (None, "hidden part of its light"),
+    "diameter": (u.pix, "diameter of the disk, 0 for a star"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyTruth:
+    """A body in a picture.
+
+    Attributes
+    ----------
+    name : str
+    center_px : (2,) array
+        Center of figure at mid-exposure.
+    light_px : (2,) array
+        Center of its light over the exposure; nan where none reaches the detector.
+    flux_e : float
+    mag : float
+        nan where it is not known.
+    diameter_px : float
+    on_detector : bool
+    occulted_fraction : float
+        Part of its light that other bodies hide.
+    smear_px : float
+    """
+
+    name: str
+    center_px: FloatArray
+    light_px: FloatArray
+    flux_e: float
+    mag: float
+    diameter_px: float
+    on_detector: bool
+    occulted_fraction: float = 0.0
+    smear_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def star_rows(
+    ids: ArrayLike,
+    mag: ArrayLike,
+    flux_e: ArrayLike,
+    trails: Trails,
+    on_detector: ArrayLike,
+    occulted: ArrayLike,
+) -> QTable:
+    """Return the rows of n stars; every argument has n elements."""
+    hidden = np.asarray(occulted, dtype=bool)
+    return _truth_rows(
+        kind=np.full(len(hidden), "star"),
+        id=np.asarray(ids, dtype=np.str_),
+        pixel=trails.middle_px[:, 0],
+        line=trails.middle_px[:, 1],
+        mean_pixel=trails.mean_px[:, 0],
+        mean_line=trails.mean_px[:, 1],
+        smear=trails.length_px,
+        flux=flux_e,
+        mag=mag,
+        on_detector=np.asarray(on_detector, dtype=bool),
+        occulted=hidden,
+        occulted_fraction=hidden.astype(np.float64),
+        diameter=np.zeros(len(hidden)),
+    )
+
+
+def body_rows(bodies: Sequence[BodyTruth]) -> QTable:
+    """Return the rows of bodies."""
+    centers, light = (
+        np.array([getattr(b, name) for b in bodies], dtype=np.float64).reshape(-1, 2)
+        for name in ("center_px", "light_px")
+    )
+    hidden = np.array([b.occulted_fraction for b in bodies], dtype=np.float64)
+    return _truth_rows(
+        kind=np.full(len(bodies), "body"),
+        id=np.array([b.name for b in bodies], dtype=np.str_),
+        pixel=centers[:, 0],
+        line=centers[:, 1],
+        mean_pixel=light[:, 0],
+        mean_line=light[:, 1],
+        smear=[b.smear_px for b in bodies],
+        flux=[b.flux_e for b in bodies],
+        mag=[b.mag for b in bodies],
+        on_detector=np.array([b.on_detector for b in bodies], dtype=bool),
+        occulted=hidden > 0.5,
+        occulted_fraction=hidden,
+        diameter=[b.diameter_px for b in bodies],
+    )
+
+
+def truth_table(stars: QTable, bodies: QTable) -> QTable:
+    """Return one table of both, bodies first; every column has a description, and a unit where it has one."""
+    full = [part for part in (bodies, stars) if len(part)]
+    if len(full) < 2:
+        return full[0] if full else stars
+    return vstack(full, metadata_conflicts="silent")
+
+
+def _truth_rows(**columns: Any) -> QTable:
+    table = QTable()
+    for name, (unit, text) in TRUTH_COLUMNS.items():
+        values = columns[name]
+        table[name] = values if unit is None else np.asarray(values, dtype=np.float64) * unit
+        table[name].info.description = text
+    return table
+
+
+# ---- What a simulated picture really shows: three files beside the picture, none of which a flight reader ...
 
 SUFFIXES = (".truth.json", ".truth.ecsv", ".truth.fits")
 
@@ -105,7 +236,7 @@ def write_truth(truth: Truth) -> tuple[Path, Path, Path]:
     """
     description, table, image = truth_paths(truth.picture)
     with atomic_path(image) as temporary:
-        _fits(truth).writeto(temporary, overwrite=True)
+        _truth_image(truth).writeto(temporary, overwrite=True)
     with atomic_path(table) as temporary:
         truth.objects.write(temporary, format="ascii.ecsv", overwrite=True)
     write_json(description, _description(truth))
@@ -142,7 +273,7 @@ def _description(truth: Truth) -> dict[str, Any]:
     }
 
 
-def _fits(truth: Truth) -> Any:
+def _truth_image(truth: Truth) -> Any:
     light = truth.noiseless_electrons
     # 32 bits hold every electron count to 6e-8 of itself, far below its noise.
     primary = fits.PrimaryHDU(None if light is None else light.astype(np.float32))
@@ -180,8 +311,8 @@ def read_truth(path: str | PathLike[str]) -> Truth:
         objects = _read_table(table)
         with fits.open(image, memmap=False) as hdus:
             light = None if hdus[0].data is None else hdus[0].data.astype(np.float64)
-            hits = _hits(hdus["COSMIC RAYS"].data)
-        return _truth(description.with_name(values["picture"]), values, objects, light, hits)
+            hits = _hits_from_rows(hdus["COSMIC RAYS"].data)
+        return _truth_from_files(description.with_name(values["picture"]), values, objects, light, hits)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SessionError(
             f"truth of {Path(path).name} cannot be read ({type(error).__name__}: {error}); it needs "
@@ -195,7 +326,7 @@ def _read_table(path: Path) -> QTable:
         return QTable.read(path, format="ascii.ecsv")
 
 
-def _hits(rows: Any) -> CosmicRayHits:
+def _hits_from_rows(rows: Any) -> CosmicRayHits:
     start, end = (
         np.stack([rows[f"{which}_PIXEL"], rows[f"{which}_LINE"]], axis=-1).astype(np.float64)
         for which in ("START", "END")
@@ -203,7 +334,7 @@ def _hits(rows: Any) -> CosmicRayHits:
     return CosmicRayHits(start, end, rows["ELECTRONS"].astype(np.float64))
 
 
-def _truth(
+def _truth_from_files(
     picture: Path, values: Mapping[str, Any], objects: QTable, light: FloatArray | None, hits: CosmicRayHits
 ) -> Truth:
     plain = ("mission", "camera", "utc", "et", "exposure_s", "seed", "settings", "exposure")

@@ -9,7 +9,8 @@ import pytest
 from astropy.io import fits
 from typer.testing import CliRunner
 
-from opnav_workbench.cli.app import main
+from opnav_workbench.cli.program import main
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
@@ -18,7 +19,6 @@ from opnav_workbench.rehearsal import (
     DEMO_PICTURES,
     simulate_picture,
 )
-from opnav_workbench.spice import KernelSet
 
 
 @pytest.fixture(scope="module")

@@ -42,6 +42,7 @@ def test_demo_statistics_over_seeds(tmp_path):
     import numpy as np
 
     from opnav_workbench.headless import Policy, process_image
+    from opnav_workbench.kernels import KernelSet
     from opnav_workbench.mission import load_mission
     from opnav_workbench.rehearsal import (
         DEMO_CATALOG,
@@ -52,7 +53,6 @@ def test_demo_statistics_over_seeds(tmp_path):
         compare,
         simulate_picture,
     )
-    from opnav_workbench.spice import KernelSet
 
     mission = load_mission(DEMO_MISSION)
     request = DEMO_PICTURES[1]

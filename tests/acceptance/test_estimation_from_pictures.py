@@ -9,10 +9,10 @@ import pytest
 
 import opnav_workbench as opnav
 from opnav_workbench.estimation import b_plane, estimate, map_to_b_plane
+from opnav_workbench.kernels import et_from_utc, state
 from opnav_workbench.observables import joint_covariance_px2, read_ecsv, read_tdm, tdm_table, write_tdm
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.simulation import load_picture_scenario, simulate
-from opnav_workbench.spice import et_from_utc, state
 
 SCENARIO = kernels_meta_dir() / "new_horizons/pictures/pluto_barycenter.yaml"
 TIMES = ("2015-07-02T12:00:00", "2015-07-07T04:00:00", "2015-07-12T08:46:57")

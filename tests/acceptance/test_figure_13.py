@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import opnav_workbench as opnav
-from opnav_workbench.bodycenters import model_picture
+from opnav_workbench.bodies import model_picture
 from opnav_workbench.estimation import b_plane, estimate, map_to_b_plane
+from opnav_workbench.kernels import state
 from opnav_workbench.observables import Observable
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.session.body_pictures import body_picture
+from opnav_workbench.session.body_models import body_picture
 from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate
-from opnav_workbench.simulation.true_targets import true_target
-from opnav_workbench.spice import state
+from opnav_workbench.simulation.true_state import true_target
 
 SCENARIO = kernels_meta_dir() / "new_horizons/pictures/pluto_barycenter.yaml"
 KERNELS, SPACECRAFT = "new_horizons/pluto_approach", -98

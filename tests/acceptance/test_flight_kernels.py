@@ -10,9 +10,9 @@ import spiceypy
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import pointing_angles
 from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc, instrument_values
 from opnav_workbench.mission import load_mission
 from opnav_workbench.scene import geometry_report
-from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc, instrument_values
 
 pytestmark = pytest.mark.realdata
 

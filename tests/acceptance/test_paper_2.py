@@ -8,7 +8,7 @@ import papermill
 import pytest
 from astropy.table import QTable, Table
 
-from opnav_workbench.rehearsal.center_errors import center_errors, sky_per_pixel
+from opnav_workbench.rehearsal.comparison import center_errors, sky_per_pixel
 
 PAPER = Path(__file__).parents[2] / "notebooks" / "paper"
 NOTEBOOKS = ("04_repointing", "05_target_centers", "06_observables")

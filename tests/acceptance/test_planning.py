@@ -12,20 +12,20 @@ import pytest
 from astropy.table import QTable
 from typer.testing import CliRunner
 
-from opnav_workbench.bodycenters import BodyPicture, find_least_squares
+from opnav_workbench.bodies import BodyPicture, find_least_squares
 from opnav_workbench.cli import app
 from opnav_workbench.planning import (
     confirming_inputs,
     expected_light,
     load_sequence,
-    opened,
+    open_sequence,
     plan_picture,
 )
-from opnav_workbench.pointing import attitude_shift, solve_pointing
 from opnav_workbench.scene import predict_body
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import expose_picture, truth_of, write_picture
-from opnav_workbench.starcenters import ShapePrior, fit_gaussian
+from opnav_workbench.stars import ShapePrior, fit_gaussian
+from opnav_workbench.stars.pointing import attitude_shift, solve_pointing
 
 LOW, HIGH = 0.8, 1.25  # predicted sigma over achieved scatter
 
@@ -154,7 +154,7 @@ TRIALS = 32  # with pixel and line pooled, a scatter is known to 9 %
 
 def processed(sequence, methods, trials, folder):
     """Plan a picture, then simulate and process it anew so often; return plan and errors of all kinds."""
-    with opened(load_sequence(sequence)) as desk:
+    with open_sequence(load_sequence(sequence)) as desk:
         ((_, picture),) = desk.sequence.expanded()
         plan = plan_picture(desk, picture, exposures=False).prospect
         errors = []
@@ -218,7 +218,7 @@ def test_a_disk_of_a_few_pixels_is_as_predicted(tmp_path):
         }
     )
     errors = []
-    with opened(sequence) as desk:
+    with open_sequence(sequence) as desk:
         ((_, picture),) = desk.sequence.expanded()
         target = plan_picture(desk, picture, exposures=False).prospect.target("PLUTO")
         for number in range(TRIALS):
@@ -254,7 +254,7 @@ def test_lorri_resolved_is_as_predicted():
             ],
         }
     )
-    with opened(sequence) as desk:
+    with open_sequence(sequence) as desk:
         ((_, picture),) = desk.sequence.expanded()
         plan = plan_picture(desk, picture, exposures=False).prospect
         light = expected_light(desk.inputs(picture))
@@ -267,7 +267,7 @@ def test_lorri_resolved_is_as_predicted():
 
 def test_polycam_is_as_predicted():
     """PolyCam on the paper's day: 150 noise realisations of stars and asteroid in one mosaic, fitted at once."""
-    with opened(load_sequence("osiris_rex/bennu_approach")) as desk:
+    with open_sequence(load_sequence("osiris_rex/bennu_approach")) as desk:
         picture = next(p for _, p in desk.sequence.expanded() if p.name == "figure_3")
         plan = plan_picture(desk, picture, exposures=False).prospect
         light = expected_light(desk.inputs(picture))
@@ -404,7 +404,7 @@ def test_saturated_and_empty_pictures_say_so():
             ],
         }
     )
-    with opened(sequence) as desk:
+    with open_sequence(sequence) as desk:
         found = {p.name: plan_picture(desk, p, exposures=False).verdict for _, p in sequence.expanded()}
     assert {verdict.grade for verdict in found.values()} == {"bad"}
     assert "PLUTO is saturated" in found["saturated"].words

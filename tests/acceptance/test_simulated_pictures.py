@@ -16,23 +16,23 @@ from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
 from opnav_workbench.image import KeywordMap
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import compare
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import (
+    ApparentPlaceEffects,
     DetectorEffects,
+    OpenedScenario,
     PictureInputs,
-    Switches,
     Truth,
-    Workshop,
-    chosen_tasks,
+    chosen_pictures,
     expose_picture,
     load_picture_scenario,
     read_truth,
     write_picture,
 )
 from opnav_workbench.simulation.attitude_path import moving_path
-from opnav_workbench.spice import KernelSet
 
 ARCSEC = np.pi / 648000.0
 AU_KM = 149597870.7
@@ -192,10 +192,10 @@ def switched():
 
         def places(**switches):
             scenario = base.model_copy(
-                update={"switches": Switches(**switches), "detector": DetectorEffects.none()}
+                update={"switches": ApparentPlaceEffects(**switches), "detector": DetectorEffects.none()}
             )
-            workshop = Workshop.open(scenario)
-            picture = expose_picture(workshop.inputs(chosen_tasks(scenario, [])[0]))
+            workshop = OpenedScenario.open(scenario)
+            picture = expose_picture(workshop.inputs(chosen_pictures(scenario, [])[0]))
             return picture, dict(zip(picture.stars.id.tolist(), picture.stars.pixel_line, strict=True))
 
         et = spiceypy.str2et("2006-08-31T07:21:31.302")

@@ -6,6 +6,7 @@ from pathlib import Path
 import papermill
 import pytest
 
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
@@ -15,7 +16,6 @@ from opnav_workbench.rehearsal import (
     simulate_picture,
 )
 from opnav_workbench.session import ImageSession
-from opnav_workbench.spice import KernelSet
 
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "workbench.ipynb"
 MAX_BYTES = 100_000

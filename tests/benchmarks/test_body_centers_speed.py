@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from opnav_workbench import bodycenters
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import (
+from opnav_workbench import bodies
+from opnav_workbench.bodies import (
     BodyPicture,
     choose_subarray,
     displaced_model,
@@ -19,7 +18,8 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, render_bodies
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.starcenters import NoiseModel
+from opnav_workbench.stars import NoiseModel
+from opnav_workbench.targets import TargetState
 
 NOISE_DN, GAIN, PEAK_DN = 3.0, 22.0, 1200.0
 TRUE_PX, OFF_PX = (511.3, 508.8), (4.2, -3.7)
@@ -73,7 +73,7 @@ def rendering_of(picture):
 
 @pytest.mark.parametrize("method", ["cross_correlation", "least_squares", "limb_scan", "ellipse"])
 def test_center_against_one_rendering(benchmark, fastest, resolved, method):
-    finder = getattr(bodycenters, f"find_{method}", None)
+    finder = getattr(bodies, f"find_{method}", None)
     if finder is None:
         pytest.skip(f"no method {method}")
     (one_s, _), (taken_s, found) = fastest(

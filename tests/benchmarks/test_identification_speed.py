@@ -6,9 +6,9 @@ from scipy.spatial import cKDTree
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import rotation_from_vector
-from opnav_workbench.pointing import solve_pointing
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.starcenters import Detections, identify_sky
+from opnav_workbench.stars import Detections, identify_sky
+from opnav_workbench.stars.pointing import solve_pointing
 
 CAMERA = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/lorri_1x1.yaml")
 DETECTIONS, COSMIC_RAYS = 300, 60

@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.psf import (
-    EmpiricalPsf,
-    GaussianPsf,
-    MoffatPsf,
-    TrailedPsf,
-    add_sources,
-    covering_boxes,
-)
+from opnav_workbench.psf import EmpiricalPsf, GaussianPsf, MoffatPsf, TrailedPsf, add_sources, covering_boxes
 
 STARS, SIZE = 2000, 1024
 PEER_STARS = 50  # the loop is timed on these and scaled

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import AU_KM, rotation_from_vector
 from opnav_workbench.psf import GaussianPsf
@@ -17,6 +16,7 @@ from opnav_workbench.render import (
 )
 from opnav_workbench.render.body import PlacedBody
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.targets import TargetState
 
 PSF = GaussianPsf(0.65, 0.65)
 RADIUS_KM = 1188.3

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.geometry import AU_KM
@@ -19,7 +18,8 @@ from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import Observer
 from opnav_workbench.simulation import PictureInputs, expose_picture
 from opnav_workbench.simulation.attitude_path import moving_path
-from opnav_workbench.simulation.mottled import mottled_map
+from opnav_workbench.simulation.surfaces import mottled_map
+from opnav_workbench.targets import TargetState
 
 STARS = 2000
 PEER_STARS = 100  # the loop over whole pictures is timed on these and scaled

@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from scipy.special import erf
 
 from opnav_workbench.psf import EmpiricalPsf, GaussianPsf
-from opnav_workbench.starcenters import ShapePrior, detect, fit_gaussian, fit_psf
+from opnav_workbench.stars import ShapePrior, detect, fit_gaussian, fit_psf
 
 STARS = 1000
 PEER_STARS = 10  # the loop is timed on these and scaled

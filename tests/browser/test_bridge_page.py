@@ -7,7 +7,7 @@ from pathlib import Path
 SETUP = """
 from bokeh.models import Button, ColumnDataSource, Div, TextInput, Row, Column
 from bokeh.plotting import figure
-from opnav_workbench.widgets import Bridge
+from opnav_workbench.workbench import Bridge
 log = []
 plot = figure(name="plot", frame_width=300, frame_height=200, tools="tap,pan,wheel_zoom")
 source = ColumnDataSource(dict(x=[1, 2, 3], y=[1, 2, 3]))

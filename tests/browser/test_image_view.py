@@ -10,13 +10,13 @@ import pytest
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_MISSION
 from opnav_workbench.session import ImageSession
-from opnav_workbench.widgets.stretch import COLORMAPS, limits_of, shades
+from opnav_workbench.workbench.stretch import COLORMAPS, limits_of, shades
 
 ARCSEC_DEG = 1.0 / 3600.0
 OPEN = """
 import opnav_workbench as opnav
 from opnav_workbench.rehearsal import DEMO_KERNELS
-from opnav_workbench.widgets import ImageView
+from opnav_workbench.workbench import ImageView
 with opnav.KernelSet(DEMO_KERNELS):
     session = opnav.ImageSession.open({path!r}, "new_horizons")
     session.add_target("PLUTO")
@@ -29,7 +29,7 @@ view.listen(lambda *at: heard.append(at), lambda *ends: heard.append(ends))
 
 FLIGHT = """
 import opnav_workbench as opnav
-from opnav_workbench.widgets import ImageView
+from opnav_workbench.workbench import ImageView
 session = opnav.ImageSession.open({path!r}, "new_horizons", catalog={catalog!r}, attitude="header")
 session.predict(); session.find_stars(); session.repoint()
 view = ImageView(session)

@@ -4,7 +4,7 @@ import pytest
 
 SETUP = """
 import numpy as np
-from opnav_workbench.widgets import ImageView
+from opnav_workbench.workbench import ImageView
 rng = np.random.default_rng(1)
 frame = rng.normal(600, 8, (1024, 1024)).round().clip(0).astype(np.uint16)
 frame[500:540, 480:530] = 3000

@@ -18,16 +18,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from opnav_workbench.campaign.queue_file import read_queue
+from opnav_workbench.campaign.analyst_queue import read_queue
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.headless.night import Night, plan_night, run_night
-from opnav_workbench.headless.night_pool import LocalPool
 from opnav_workbench.headless.night_spec import NightSpec
-from opnav_workbench.headless.night_summary import write_night
+from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.night_workers import LocalPool
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import load_picture_scenario, simulate
-from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc
 
 LORRI_PIXEL_RAD = 4.9636e-6
 UTC = "2015-07-12T08:46:57"
@@ -53,8 +53,8 @@ def open_cell(picture, kernels, out, catalog="bundled", targets=("PLUTO",)):
     """Source of a cell that opens (or resumes) the picture in a workbench."""
     return f"""
 import opnav_workbench as opnav
-from opnav_workbench.widgets import workbench
-from opnav_workbench.widgets.queue_images import ImageQueue
+from opnav_workbench.workbench import workbench
+from opnav_workbench.workbench.image_queue import ImageQueue
 kernels = opnav.KernelSet({str(kernels)!r}); kernels.__enter__()
 options = dict(catalog={catalog!r}, targets={list(targets)!r})
 queue = ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(out)!r}, **options)
@@ -423,7 +423,7 @@ def spec(demo_truths, tmp_path):
 def night(spec, out):
     done = Night(plan_night(spec, out))
     run_night(done, LocalPool(2))
-    return {row["name"]: row for row in write_night(done)["images"]}
+    return {row["name"]: row for row in write_night_summary(done)["images"]}
 
 
 @pytest.fixture
@@ -495,8 +495,8 @@ def test_flight_frame(notebook, data_dir, tmp_path):
     picture = sorted((data_dir / "images" / "lorri_interstellar").glob("*.fit*"))[0]
     nb = notebook(
         f"""
-from opnav_workbench.widgets import workbench
-from opnav_workbench.widgets.queue_images import ImageQueue
+from opnav_workbench.workbench import workbench
+from opnav_workbench.workbench.image_queue import ImageQueue
 catalog = "npz:" + {str(data_dir / "stars" / "tycho2.npz")!r}
 bench = workbench(ImageQueue.of_images([{str(picture)!r}], "new_horizons", {str(tmp_path)!r}, catalog=catalog))
 bench

@@ -13,7 +13,7 @@ from opnav_workbench.calibration import (
     solvable,
     with_distortion,
 )
-from opnav_workbench.calibration.design import camera_jacobian
+from opnav_workbench.calibration.bundle_adjustment import camera_jacobian
 from opnav_workbench.camera import BrownDistortion, NoDistortion, OwenDistortion
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import rotation_from_vector

@@ -8,7 +8,7 @@ import pytest
 from opnav_workbench.calibration import PsfFrame, stack_psf
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import GaussianPsf, MoffatPsf, add_sources
-from opnav_workbench.starcenters import NoiseModel, ShapePrior, fit_psf
+from opnav_workbench.stars import NoiseModel, ShapePrior, fit_psf
 
 READ_NOISE_DN, GAIN = 2.0, 20.0
 TRUE = MoffatPsf(fwhm_px=1.6, beta=2.5)

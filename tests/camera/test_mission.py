@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import yaml
 
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.image.keywords import KeywordMap
+from opnav_workbench.image.header import KeywordMap
 from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.targets import TargetState
 
 LORRI = {"MISSION": "New Horizons", "INSTRU": "lor", "SFORMAT": "4X4"}
 EVERY_MISSION = pytest.mark.parametrize("name", mission_names())

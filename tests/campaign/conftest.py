@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.campaign.stacking import StackFrame
 from opnav_workbench.geometry import apparent_direction, rotation_from_vector, unit
 from opnav_workbench.headless import Policy, process_image
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.psf import GaussianPsf, add_sources
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_MISSION, DEMO_TARGETS
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.targets import TargetState
 
 
 @pytest.fixture(scope="session")
@@ -29,7 +29,7 @@ def real_run(demo_truths, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def make_run(real_run):
-    """Return a function that writes picture `number` of a campaign as a run folder.
+    """Return a function that writes picture `header_number` of a campaign as a run folder.
 
     Each picture has its own name, SHA-256, time (an hour apart) and, drawn from its number, pointing error and O-C.
     `edit` may change result and session before they are written; `minute` is when the run was made.

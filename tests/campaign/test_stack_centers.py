@@ -13,7 +13,7 @@ from opnav_workbench.campaign.stacking import (
     stack_frames,
     stack_observable,
 )
-from opnav_workbench.campaign.stacking.centers import _Box, _fitted
+from opnav_workbench.campaign.stacking.centers import _FitBox, _fitted
 from opnav_workbench.campaign.stacking.grid import target_direction
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.psf import add_sources
@@ -27,7 +27,7 @@ def trials(make_sky, count, *, geometries=10, **options):
         lit = [f.replace(signal_dn=light) for f, light in zip(sky.frames, sky.light, strict=True)]
         stacked = stack_frames(lit, "target", window_px=20, reject_hits=False)
         truth = sky.target(stacked)
-        box = _Box(stacked, truth)
+        box = _FitBox(stacked, truth)
         still = np.array(box.data)
         for _ in range(count // geometries):
             noise = [

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.campaign.stacking import Grid, stack_frames
-from opnav_workbench.campaign.stacking.grid import target_direction
-from opnav_workbench.campaign.stacking.resampling import cubic_rows, cubic_weights, resample
+from opnav_workbench.campaign.stacking.grid import cubic_rows, cubic_weights, resample, target_direction
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction, unit
 from opnav_workbench.psf import GaussianPsf, add_sources

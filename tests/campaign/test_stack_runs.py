@@ -10,14 +10,14 @@ from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.campaign.stacking import fit_point, frames_of_runs, stack_frames
-from opnav_workbench.campaign.stacking.resampling import resample
+from opnav_workbench.campaign.stacking.grid import resample
 from opnav_workbench.cli.campaign import campaign_app
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.headless import Policy, process_image
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import read_ecsv
 from opnav_workbench.simulation import PictureScenario, read_truth, simulate
-from opnav_workbench.spice import KernelSet
 
 WIDE = {"COLUMNS": "160", "NO_COLOR": "1", "TERM": "dumb"}
 KERNELS, COUNT = "new_horizons/pluto_opnav", 6

@@ -7,7 +7,7 @@ import pytest
 from astropy.io import fits
 
 from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, open_catalog
-from opnav_workbench.catalog.mean_motion import mean_motion_rad_yr
+from opnav_workbench.catalog.proper_motion import mean_motion_rad_yr
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, unit_from_radec
 

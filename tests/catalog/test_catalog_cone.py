@@ -11,9 +11,8 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from opnav_workbench.catalog.indexed import IndexedCatalog, MotionBound
-from opnav_workbench.catalog.sky import SkyIndex
-from opnav_workbench.catalog.table import StarTable
+from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound, SkyIndex
+from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError
 
 HALF_PI = 0.5 * math.pi

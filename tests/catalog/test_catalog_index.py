@@ -10,10 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from opnav_workbench.catalog import StarQuality
-from opnav_workbench.catalog.cache import HEADER_BYTES, cache_path, cached_stars
-from opnav_workbench.catalog.indexed import MotionBound, StoredCatalog
-from opnav_workbench.catalog.records import RecordStore, star_records
+from opnav_workbench.catalog.cache import HEADER_BYTES, RecordStore, cache_path, cached_stars, star_records
 from opnav_workbench.catalog.region import Cone, polygon_region
+from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, et_from_jyear, tangent_basis, unit_from_radec
 

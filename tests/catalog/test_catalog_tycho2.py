@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, StarQuality, open_catalog, tycho2
+from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, StarQuality, cds_text, open_catalog, tycho2
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import et_from_jyear
 
@@ -170,9 +170,9 @@ def test_a_last_row_without_line_end_counts(folder) -> None:
 
 
 def test_rows_are_read_in_portions(folder, monkeypatch) -> None:
-    from opnav_workbench.catalog import text
+    from opnav_workbench.catalog import cds_text
 
-    monkeypatch.setattr(text, "ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(cds_text, "ROWS_AT_ONCE", 3)
     for end in ("\n", "\r\n"):
         (folder / "tyc2.dat").write_bytes(content(*ROWS * 7, end=end))
         told: list[float] = []
@@ -185,7 +185,7 @@ def test_rows_are_read_in_portions(folder, monkeypatch) -> None:
 
 def test_the_text_is_read_once_and_again_when_it_changes(folder, cache, monkeypatch) -> None:
     reads: list[int] = []
-    real = tycho2.read_rows
+    real = cds_text.read_rows
     monkeypatch.setattr(tycho2, "read_rows", lambda *arguments: reads.append(1) or real(*arguments))
     file = folder / "tyc2.dat"
     file.write_bytes(content(*ROWS))
@@ -243,7 +243,7 @@ def test_an_absent_and_an_empty_folder(folder, tmp_path) -> None:
 
 @given(st.integers(1, 9537), st.integers(1, 12121), st.integers(1, 4))
 def test_names_come_back_from_the_number(tyc1: int, tyc2: int, tyc3: int) -> None:
-    from opnav_workbench.catalog.text import TextRows
+    from opnav_workbench.catalog.cds_text import TextRows
 
     row = f"{tyc1:04d} {tyc2:05d} {tyc3}|"
     number = tycho2._number(TextRows(np.frombuffer(row.encode(), dtype=np.uint8)[None, :]))

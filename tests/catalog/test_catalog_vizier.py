@@ -8,7 +8,7 @@ import pytest
 from astropy import units as u
 from astropy.table import MaskedColumn, Table
 
-from opnav_workbench.catalog.priors import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR
+from opnav_workbench.catalog.proper_motion import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.specs import open_catalog
 from opnav_workbench.catalog.vizier import VizierCatalog

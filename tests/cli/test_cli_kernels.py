@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from opnav_workbench.cli.kernels import EXIT_GAP, kernels_app
 from opnav_workbench.errors import KernelError, MissionError
-from opnav_workbench.report.coverage import coverage_figure
+from opnav_workbench.kernels import KernelSet, check_kernels, known_names, packaged_leap_seconds
+from opnav_workbench.report.kernel_coverage import coverage_figure
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.spice import KernelSet, check_kernels, known_names, packaged_leap_seconds
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 NARROW = WIDE | {"COLUMNS": "80"}
@@ -226,7 +226,7 @@ def archive(tmp_path, monkeypatch):
     """A manifest of leap seconds, and a local server that keeps them."""
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     monkeypatch.setenv("OPNAV_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("opnav_workbench.downloads.attempts.PAUSE_S", 0.0)
+    monkeypatch.setattr("opnav_workbench.downloads.PAUSE_S", 0.0)
     folder = tmp_path / "served"
     folder.mkdir()
     with packaged_leap_seconds() as lsk:

@@ -8,12 +8,12 @@ import spiceypy
 import typer
 from typer.testing import CliRunner
 
-from opnav_workbench.cli.kernels_solutions import geometry, make_ck
+from opnav_workbench.cli.kernels import geometry, make_ck
 from opnav_workbench.errors import CameraError, KernelError, SessionError
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.session import ImageSession
-from opnav_workbench.spice import KernelSet
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 APPROACH = ("new_horizons/pluto_approach", "--mission", "new_horizons")

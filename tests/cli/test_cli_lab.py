@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from opnav_workbench.campaign.queue_file import Queue, QueuedImage, write_queue
+from opnav_workbench.campaign.analyst_queue import AnalystQueue, QueuedImage, write_queue
 from opnav_workbench.cli import lab_server
-from opnav_workbench.cli.lab import lab
-from opnav_workbench.cli.lab_notebook import LabParameters, put_notebook
+from opnav_workbench.cli.lab import LabParameters, lab, put_notebook
 from opnav_workbench.errors import SessionError
 
 PARAMETERS = LabParameters(("/data/a.fit",), "new_horizons", "", "bundled")
@@ -85,7 +84,7 @@ def test_queue_of_a_night(tmp_path, served, capsys):
     pictures[0].touch()
     waiting = tuple(QueuedImage(str(p), f"{p.parent.name}_lor_1", "partial", ("no stars",)) for p in pictures)
     kernels = "new_horizons/pluto_opnav"
-    write_queue(tmp_path, Queue(waiting, "new_horizons", kernels, "bundled", ("PLUTO", "CHARON")))
+    write_queue(tmp_path, AnalystQueue(waiting, "new_horizons", kernels, "bundled", ("PLUTO", "CHARON")))
     run(queue=tmp_path)
     found = parameters_of(tmp_path, "folders", "targets")
     assert (found["images"], found["mission"]) == ([str(pictures[0])], "new_horizons")

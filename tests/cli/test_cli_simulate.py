@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
-from opnav_workbench.cli.app import main
+from opnav_workbench.cli.program import main
 
 WIDE = {"COLUMNS": "160", "NO_COLOR": "1", "TERM": "dumb"}
 SCENARIO = """\

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import (
     SPEED_OF_LIGHT_KM_S,
@@ -21,6 +20,7 @@ from opnav_workbench.geometry import (
 )
 from opnav_workbench.observables import Observable, joint_covariance_px2, observe
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.targets import TargetState
 
 DAY_S = 86400.0
 ENCOUNTER_ET = 490146664.0

@@ -9,8 +9,8 @@ from scipy.stats import chi2, kstest
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation import estimate, observability
 from opnav_workbench.estimation.measurements import Dynamics, measurements_of
-from opnav_workbench.estimation.parameters import parse_groups, size_of
-from opnav_workbench.estimation.transition import straight_line
+from opnav_workbench.estimation.parameters import parameter_count, parse_groups
+from opnav_workbench.estimation.state_transition import straight_line
 from opnav_workbench.observables.differences import jacobian_by_differences
 
 DAY_S = 86400.0
@@ -131,7 +131,7 @@ def test_jacobian_is_the_difference_quotient(sequence):
     groups = parse_groups((*EVERYTHING, "target_velocity:CHARON", "range_scale:PLUTO"))
     dynamics = Dynamics(ENCOUNTER_ET - 3.0 * DAY_S, straight_line, straight_line)
     measured = measurements_of(sequence, groups, dynamics)
-    n = size_of(groups)
+    n = parameter_count(groups)
     steps = np.concatenate([np.repeat([300.0, 3e-3, 300.0, 3e-3], 3), [1e-3], np.full(3, 3e-3), [1e-3]])
     rng = np.random.default_rng(2)
     for point in (np.zeros(n), 3.0 * steps * rng.normal(size=n)):

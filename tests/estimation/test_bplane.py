@@ -13,8 +13,8 @@ from opnav_workbench.estimation import (
     map_to_b_plane,
     propagate_two_body,
 )
+from opnav_workbench.kernels import KernelSet, et_from_utc, state, utc_from_et
 from opnav_workbench.observables.differences import jacobian_by_differences
-from opnav_workbench.spice import KernelSet, et_from_utc, state, utc_from_et
 
 GM_JUPITER, GM_PLUTO = 126712764.1, 975.5
 ENCOUNTER_ET = 490146664.0

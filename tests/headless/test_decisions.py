@@ -5,8 +5,8 @@ import json
 import pytest
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.headless import Decisions, load_decisions
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.decisions import Decisions, load_decisions
 
 
 def _file(tmp_path, text):

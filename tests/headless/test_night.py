@@ -13,19 +13,19 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign
-from opnav_workbench.campaign.queue_file import read_queue
+from opnav_workbench.campaign.analyst_queue import read_queue
 from opnav_workbench.cli import app
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, plan_night, run_night
-from opnav_workbench.headless.night_pool import ClusterPool, LocalPool
 from opnav_workbench.headless.night_spec import NightSpec, load_night, pictures_of_night
-from opnav_workbench.headless.night_summary import write_night
+from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.night_workers import ClusterPool, LocalPool
 from opnav_workbench.image.picture_files import picture_names
 
 NIGHT = """
 import sys
 from opnav_workbench.headless.night import Night, plan_night, run_night
-from opnav_workbench.headless.night_pool import LocalPool
+from opnav_workbench.headless.night_workers import LocalPool
 from opnav_workbench.headless.night_spec import NightSpec
 spec = NightSpec(images=(sys.argv[1],), mission="new_horizons", notebook=sys.argv[2])
 run_night(Night(plan_night(spec, sys.argv[3])), LocalPool(2))
@@ -53,7 +53,7 @@ def statuses(out: Path) -> dict[str, str]:
 def test_every_fault_is_named_and_costs_its_picture_only(tmp_path, stand_in):
     folder = pictures(tmp_path / "in", a="fine", b="raise", c="crash", e="memory", f="once")
     night = night_of(folder, stand_in, tmp_path / "out", memory_limit_mb=600.0)
-    summary = write_night(night)
+    summary = write_night_summary(night)
     reasons = {row["name"]: "; ".join(row["messages"]) for row in summary["images"]}
     failed = {"b", "c", "e"}
     assert statuses(tmp_path / "out") == {name: "failed" if name in failed else "ok" for name in "abcef"}
@@ -82,7 +82,7 @@ def test_time_limit_is_named(tmp_path, stand_in):
 
 def test_page_asks_the_network_for_nothing(tmp_path, stand_in):
     night = night_of(pictures(tmp_path / "in", a="fine", **{"b_<i>": "raise"}), stand_in, tmp_path / "out")
-    write_night(night)
+    write_night_summary(night)
     page = (tmp_path / "out" / "summary.html").read_text()
     assert "http://" not in page
     assert "https://" not in page
@@ -149,7 +149,7 @@ def test_stopped_by_hand_what_is_finished_is_kept(tmp_path, stand_in):
     with pytest.raises(KeyboardInterrupt):
         run_night(night, LocalPool(1), say=stop)
     assert time.monotonic() - started < 40.0  # the sleepers were ended, not waited for
-    summary = write_night(night)
+    summary = write_night_summary(night)
     assert [row["status"] for row in summary["images"]] == ["ok", "waiting", "waiting"]
     assert read_queue(out).images == ()
 

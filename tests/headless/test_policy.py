@@ -8,11 +8,12 @@ from dataclasses import replace
 import pytest
 
 from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.headless import Decisions, Policy, load_decisions, process_image
+from opnav_workbench.headless import Policy, process_image
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_TARGETS
 from opnav_workbench.session import ImageSession
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.session.decisions import Decisions, load_decisions
 
 POLICY = Policy(mission=load_mission("new_horizons"), targets=())
 FILES = ["observables.ecsv", "result.json", "session.json", "summary.png"]

@@ -8,19 +8,12 @@ import pytest
 import yaml
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.headless import (
-    Decisions,
-    Policy,
-    load_decisions,
-    open_picture,
-    process_image,
-    run_policy,
-    write_decisions,
-)
+from opnav_workbench.headless import Policy, open_picture, process_image, run_policy
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.session import ImageSession, Settings
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
 
 POLICY = Policy(mission=load_mission("new_horizons"), targets=())
 

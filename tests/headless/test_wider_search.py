@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from opnav_workbench.headless import Policy, process_image
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate
-from opnav_workbench.spice import KernelSet
 
 
 @pytest.fixture

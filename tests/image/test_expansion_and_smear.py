@@ -5,8 +5,8 @@ import pytest
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import KeywordMap, column_level
-from opnav_workbench.image.expansion import expanded
-from opnav_workbench.image.frame import Header
+from opnav_workbench.image.header import Header
+from opnav_workbench.image.planes import expanded
 from opnav_workbench.mission import load_mission
 
 KEYWORDS = KeywordMap(expansion_keyword="HOW", expansion={"TABLE": [0.0, 1.0, 4.0, 9.0]})

@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import camera_from_j2000, geometric_direction
 from opnav_workbench.observables import Observable, observe
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.targets import TargetState
 
 FILES = {
     "lorri": "new_horizons/cameras/lorri_1x1.yaml",

@@ -19,7 +19,7 @@ from opnav_workbench.observables import (
     write_ecsv,
     write_observables_json,
 )
-from opnav_workbench.observables.result_file import observables_of_result
+from opnav_workbench.observables.files import observables_of_result
 
 FORMATS = {
     "csv": (write_csv, read_csv),

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter, JointCenters
+from opnav_workbench.bodies import BodyCenter, JointCenters
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import camera_from_j2000, rotation_from_vector
 from opnav_workbench.observables import center_cross, cross_covariance_px2, joint_covariance_px2, observe
+from opnav_workbench.targets import TargetState
 
 PLACES = {"PLUTO": (300.0, 800.0), "CHARON": (700.0, 250.0)}
 

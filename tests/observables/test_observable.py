@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.geometry import (
     apparent_direction,
     camera_from_j2000,
@@ -13,6 +12,7 @@ from opnav_workbench.geometry import (
     unit_from_radec,
 )
 from opnav_workbench.observables import observe
+from opnav_workbench.targets import TargetState
 
 VELOCITY_KM_S = np.array([3.1, -12.4, -6.0])
 ARCSEC = np.radians(1.0 / 3600.0)

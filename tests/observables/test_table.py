@@ -5,11 +5,11 @@ import pytest
 from astropy import units as u
 from astropy.table import QTable
 
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import camera_from_j2000
 from opnav_workbench.observables import observables_table, observe, write_ecsv
+from opnav_workbench.targets import TargetState
 
 TEXT = {
     "image",

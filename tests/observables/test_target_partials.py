@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, apparent_direction, camera_from_j2000, limb_points
 from opnav_workbench.observables import (
@@ -16,7 +15,8 @@ from opnav_workbench.observables import (
     numerical_target_partials,
     observe,
 )
-from opnav_workbench.observables.observing import size_partials
+from opnav_workbench.observables.observing import diameter_partials
+from opnav_workbench.targets import TargetState
 
 CAMERAS = ("lorri", "mapcam", "mvic", "pinhole")
 RELATIVE = 1e-6
@@ -166,6 +166,6 @@ def test_range_and_size_move_with_the_spacecraft(cameras, body_seen_at):
 
     step = 10.0 * ahead / np.linalg.norm(ahead)
     slope = (width(ahead - step) - width(ahead + step)) / 20.0
-    partials = size_partials(TargetState("PLUTO", ahead, radii_km=np.full(3, 1188.3)), width(ahead))
+    partials = diameter_partials(TargetState("PLUTO", ahead, radii_km=np.full(3, 1188.3)), width(ahead))
     assert partials @ step / 10.0 == pytest.approx(slope, rel=1e-6)
     assert np.abs(np.cross(partials, step)).max() < 1e-9 * np.abs(partials).max()

@@ -12,7 +12,7 @@ from opnav_workbench.errors import MissionError
 from opnav_workbench.planning import (
     expected_light,
     load_sequence,
-    opened,
+    open_sequence,
     plan_document,
     plan_picture,
     plan_sequence,
@@ -35,7 +35,7 @@ BENNU = {
 
 @pytest.fixture(scope="module")
 def desk():
-    with opened(load_sequence(BENNU)) as desk:
+    with open_sequence(load_sequence(BENNU)) as desk:
         yield desk
 
 
@@ -148,7 +148,7 @@ def test_best_exposure_is_below_saturation_and_the_smallest(prospect):
 
 def test_stray_light_costs_stars(desk, picture):
     bright = load_sequence(BENNU | {"sun": {"stray_light_dn_s": [[0.0, 2000.0], [180.0, 2000.0]]}})
-    with opened(bright) as other:
+    with open_sequence(bright) as other:
         lit = plan_picture(other, picture, exposures=False).prospect
     dark = plan_stars(expected_light(desk.inputs(picture)), 5.0)
     assert lit.stray_light_dn == pytest.approx(10_000.0)
@@ -157,14 +157,14 @@ def test_stray_light_costs_stars(desk, picture):
 
 
 def test_sun_inside_the_keep_out_angle_is_bad(picture):
-    with opened(load_sequence(BENNU | {"sun": {"keep_out_deg": 170.0}})) as desk:
+    with open_sequence(load_sequence(BENNU | {"sun": {"keep_out_deg": 170.0}})) as desk:
         verdict = plan_picture(desk, picture, exposures=False).verdict
     assert verdict.grade == "bad"
     assert "inside the keep-out angle of 170" in verdict.words
 
 
 def test_a_moving_camera_has_worse_stars(picture, prospect):
-    with opened(load_sequence(BENNU | {"motion": {"rate_px_s": [1.0, 0.0]}})) as desk:
+    with open_sequence(load_sequence(BENNU | {"motion": {"rate_px_s": [1.0, 0.0]}})) as desk:
         trailed = plan_picture(desk, picture, exposures=False).prospect
     ratio = trailed.stars.covariance_px2[0] / prospect.stars.covariance_px2[0]
     # A trail of 5 px is 5 / sqrt(12) px wide: three times the PSF along, no wider across.
@@ -172,7 +172,7 @@ def test_a_moving_camera_has_worse_stars(picture, prospect):
 
 
 def test_other_bodies_in_the_field_are_named():
-    with opened(load_sequence("new_horizons/pluto_approach")) as desk:
+    with open_sequence(load_sequence("new_horizons/pluto_approach")) as desk:
         picture = next(p for _, p in desk.sequence.expanded() if p.name == "opnav_1_0001")
         seen = plan_picture(desk, picture, others=("NIX", "HYDRA", "SUN"), exposures=False).prospect
         et = seen.et
@@ -203,5 +203,5 @@ def test_ready_sequences_are_whole_and_documents_are_json():
     ],
 )
 def test_wrong_sequences_are_refused(change, words):
-    with pytest.raises(MissionError, match=words), opened(load_sequence(BENNU | change)):
+    with pytest.raises(MissionError, match=words), open_sequence(load_sequence(BENNU | change)):
         pass

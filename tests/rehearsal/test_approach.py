@@ -9,10 +9,10 @@ import spiceypy
 from astropy.io import fits
 
 from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_PICTURES, simulate_picture
 from opnav_workbench.scene import observer_from_header, observer_from_kernels
-from opnav_workbench.spice import KernelSet
 
 LORRI = DEMO_PICTURES[0]
 SPACECRAFT = -98

@@ -13,12 +13,13 @@ from astropy.io import fits
 from cryptography.fernet import Fernet
 
 from opnav_workbench.errors import MissionError, SessionError
+from opnav_workbench.kernels import KernelSet, body_gm_km3_s2, camera_attitude, state
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import ort_package
-from opnav_workbench.rehearsal.ort_package import new_rehearsal, open_rehearsal
-from opnav_workbench.rehearsal.ort_truth import reveal
+from opnav_workbench.rehearsal import making
+from opnav_workbench.rehearsal.making import new_rehearsal
+from opnav_workbench.rehearsal.package import open_rehearsal
+from opnav_workbench.rehearsal.sealed_truth import reveal
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.spice import KernelSet, body_gm_km3_s2, camera_attitude, state
 
 SEED = 727364153
 SMALL = {  # 4x4 pictures are sixteen times smaller
@@ -324,11 +325,11 @@ def test_a_failure_leaves_nothing(tmp_path, monkeypatch, step, error):
         raise error
 
     if step != "make_pictures":
-        monkeypatch.setattr(ort_package, "make_pictures", lambda *_: {})
-        monkeypatch.setattr(ort_package, "lose", lambda *_: None)
-        monkeypatch.setattr(ort_package, "cut_short", lambda *_: None)
-        monkeypatch.setattr(ort_package, "sealed_values", lambda *_: {})
-    monkeypatch.setattr(ort_package, step, fail)
+        monkeypatch.setattr(making, "make_pictures", lambda *_: {})
+        monkeypatch.setattr(making, "remove_missing", lambda *_: None)
+        monkeypatch.setattr(making, "truncate_pictures", lambda *_: None)
+        monkeypatch.setattr(making, "sealed_values", lambda *_: {})
+    monkeypatch.setattr(making, step, fail)
     with pytest.raises((SessionError, KeyboardInterrupt)):
         new_rehearsal(SMALL, tmp_path / "case", seed=1)
     assert _names(tmp_path) == []

@@ -9,13 +9,17 @@ from scipy import stats
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.rehearsal.ort_briefing_page import Section, as_page, as_text
-from opnav_workbench.rehearsal.ort_package import new_rehearsal
-from opnav_workbench.rehearsal.ort_perturb import OrtGeometry, draw_case, drawn, random_of
-from opnav_workbench.rehearsal.ort_perturb_camera import AddedRadial, faulty
-from opnav_workbench.rehearsal.ort_perturb_schema import Distribution, OrtPerturbations
-from opnav_workbench.rehearsal.ort_scenario import load_ort_scenario, ort_scenario_names
-from opnav_workbench.rehearsal.ort_truth import reveal
+from opnav_workbench.rehearsal.briefing import BriefingSection, as_html, as_markdown
+from opnav_workbench.rehearsal.case import OrtGeometry, draw_amount, draw_case, perturbation_random
+from opnav_workbench.rehearsal.making import new_rehearsal
+from opnav_workbench.rehearsal.pictures import AddedRadial, camera_with_faults
+from opnav_workbench.rehearsal.scenario import (
+    Distribution,
+    OrtPerturbations,
+    load_ort_scenario,
+    ort_scenario_names,
+)
+from opnav_workbench.rehearsal.sealed_truth import reveal
 from opnav_workbench.resources import kernels_meta_dir
 
 TRIALS = 2000
@@ -60,11 +64,13 @@ def _perturbed(**perturbations):
 
 def test_numbers_follow_their_distribution():
     rng = np.random.default_rng(1)
-    normal = [drawn(Distribution(normal=3.0, mean=10.0), rng) for _ in range(TRIALS)]
+    normal = [draw_amount(Distribution(normal=3.0, mean=10.0), rng) for _ in range(TRIALS)]
     assert stats.kstest(normal, stats.norm(10.0, 3.0).cdf).pvalue > LOW_P
-    uniform = [drawn(Distribution(uniform=(2.0, 6.0)), rng) for _ in range(TRIALS)]
+    uniform = [draw_amount(Distribution(uniform=(2.0, 6.0)), rng) for _ in range(TRIALS)]
     assert stats.kstest(uniform, stats.uniform(2.0, 4.0).cdf).pvalue > LOW_P
-    signed = np.array([drawn(Distribution(uniform=(2.0, 6.0), either_sign=True), rng) for _ in range(TRIALS)])
+    signed = np.array(
+        [draw_amount(Distribution(uniform=(2.0, 6.0), either_sign=True), rng) for _ in range(TRIALS)]
+    )
     assert stats.binomtest(int((signed > 0).sum()), TRIALS).pvalue > LOW_P
     assert stats.kstest(np.abs(signed), stats.uniform(2.0, 4.0).cdf).pvalue > LOW_P
 
@@ -93,7 +99,7 @@ def test_one_kind_more_changes_no_other():
     np.testing.assert_array_equal(alone.offsets["target_position"], more.offsets["target_position"])
     assert alone.missing == ()
     assert len(more.missing) == 2
-    assert random_of(5, "camera").random() != random_of(5, "albedo").random()
+    assert perturbation_random(5, "camera").random() != perturbation_random(5, "albedo").random()
 
 
 @settings(max_examples=30, deadline=None)
@@ -164,14 +170,14 @@ def test_added_distortion_has_its_jacobian(lorri):
 
 
 def test_faults_of_the_camera(lorri):
-    assert faulty(lorri, 0.0, 0.0) is lorri
-    bad = faulty(lorri, 0.0, 1.5)
+    assert camera_with_faults(lorri, 0.0, 0.0) is lorri
+    bad = camera_with_faults(lorri, 0.0, 1.5)
     corner = lorri.unproject([[1023.5, 1023.5]])
     moved = (bad.project(corner) - lorri.project(corner))[0]
     assert np.hypot(*moved) == pytest.approx(1.5, rel=0.02)
     assert moved[0] > 0.0
     with pytest.raises(CameraError):
-        faulty(lorri, 0.0, -400.0)
+        camera_with_faults(lorri, 0.0, -400.0)
 
 
 # -- schema --------------------------------------------------------------------------------------------------------
@@ -290,8 +296,8 @@ def test_ready_scenarios_make_packages(name, tmp_path):
 
 
 def test_briefing_escapes_what_it_quotes():
-    part = Section("A < B", ("one & two",), ("<script>",), ("x",), (("a | b",),), ("opnav <x>",))
-    page, text = as_page("T <1>", "lead", [part]), as_text("T", "lead", [part])
+    part = BriefingSection("A < B", ("one & two",), ("<script>",), ("x",), (("a | b",),), ("opnav <x>",))
+    page, text = as_html("T <1>", "lead", [part]), as_markdown("T", "lead", [part])
     assert "<script>" not in page
     assert "A &lt; B" in page
     assert "a \\| b" in text

@@ -6,8 +6,8 @@ import spiceypy
 from astropy.io import fits
 
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal.ort_package import new_rehearsal
-from opnav_workbench.rehearsal.ort_truth import reveal
+from opnav_workbench.rehearsal.making import new_rehearsal
+from opnav_workbench.rehearsal.sealed_truth import reveal
 
 LIGHT_KM_S = 299792.458
 BASE = {

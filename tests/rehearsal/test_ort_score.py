@@ -11,18 +11,21 @@ from scipy.stats import chi2, norm
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import camera_from_j2000, quaternion_from_matrix, rotation_from_vector
-from opnav_workbench.rehearsal.ort_score_check import checked, sigma_ratios
-from opnav_workbench.rehearsal.ort_score_grade import RULE, SECTIONS, grade
-from opnav_workbench.rehearsal.ort_score_log import log_path, logged_delivery
-from opnav_workbench.rehearsal.ort_score_pictures import score_picture
-from opnav_workbench.rehearsal.ort_score_solution import SolutionScore
-from opnav_workbench.rehearsal.ort_score_stars import score_stars
-from opnav_workbench.rehearsal.ort_solution import SOLUTION_FILE, OrtSolution
-from opnav_workbench.rehearsal.ort_solution_pictures import PictureResult, picture_results
+from opnav_workbench.rehearsal.results import PictureResult, picture_results
+from opnav_workbench.rehearsal.score import RULE, SECTIONS, grade_rehearsal
+from opnav_workbench.rehearsal.sealed_truth import log_path, logged_delivery
+from opnav_workbench.rehearsal.solution import SOLUTION_FILE, OrtSolution
+from opnav_workbench.rehearsal.truth_checks import (
+    SolutionScore,
+    check_against_truth,
+    score_picture,
+    score_stars,
+    sigma_ratios,
+)
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.simulation import Truth
-from opnav_workbench.simulation.starlight import Trails
-from opnav_workbench.simulation.truth_table import BodyTruth, body_rows, star_rows, truth_table
+from opnav_workbench.simulation.picture import Trails
+from opnav_workbench.simulation.truth import BodyTruth, body_rows, star_rows, truth_table
 
 SIGMA_PX = 0.1
 ATTITUDE = camera_from_j2000(4.7, -0.25, 0.7, np.eye(3))
@@ -105,7 +108,7 @@ def test_sigma_level_is_that_of_the_probability():
     """Two components, correlated: the level of a normal error that is as improbable as the Mahalanobis distance."""
     covariance = np.array([[1.0, 0.6], [0.6, 2.0]])
     error = np.array([1.5, -2.0])
-    check = checked("x", ("a", "b"), ("px", "px"), error, np.zeros(2), covariance)
+    check = check_against_truth("x", ("a", "b"), ("px", "px"), error, np.zeros(2), covariance)
     square = error @ np.linalg.solve(covariance, error)
     assert check.sigmas == pytest.approx(norm.isf(0.5 * chi2.sf(square, 2)), rel=1e-9)
     assert check.component_sigmas == pytest.approx(error / np.sqrt([1.0, 2.0]))
@@ -113,11 +116,14 @@ def test_sigma_level_is_that_of_the_probability():
 
 @pytest.mark.parametrize(("off", "verdict"), [(2.9, "good"), (3.1, "poor"), (4.9, "poor"), (5.1, "wrong")])
 def test_verdict_by_sigmas(off, verdict):
-    assert checked("x", ("",), ("km",), [off], [0.0], [[1.0]]).verdict == verdict
+    assert check_against_truth("x", ("",), ("km",), [off], [0.0], [[1.0]]).verdict == verdict
 
 
 def test_singular_covariance_gives_no_credit():
-    assert checked("x", ("a", "b"), ("km", "km"), [1.0, 1.0], [0.0, 0.0], np.zeros((2, 2))).verdict == "wrong"
+    assert (
+        check_against_truth("x", ("a", "b"), ("km", "km"), [1.0, 1.0], [0.0, 0.0], np.zeros((2, 2))).verdict
+        == "wrong"
+    )
 
 
 def test_sigma_ratios_see_the_worst_direction():
@@ -167,18 +173,20 @@ def test_lost_pictures(truth, camera):
     claimed = picture(truth, camera, result(truth), name="b", lost="cut off")
     assert (named.verdict, claimed.verdict) == ("lost, named", "claimed though lost")
     good = picture(truth, camera, result(truth))
-    assert grade([good, named], solution(), ()).letter == "A"
-    assert grade([good, claimed], solution(), ()).letter == "D"
-    assert "b is lost (cut off)" in grade([good, claimed], solution(), ()).faults[0].words
+    assert grade_rehearsal([good, named], solution(), ()).letter == "A"
+    assert grade_rehearsal([good, claimed], solution(), ()).letter == "D"
+    assert "b is lost (cut off)" in grade_rehearsal([good, claimed], solution(), ()).faults[0].words
     assert picture(truth, camera, failed).verdict == "not solved"
     assert picture(truth, camera, {"status": "missing"}).verdict == "not reported"
 
 
 def solution(off=0.0, ratio=(1.0, 1.0), probability=0.5):
     """A scored solution whose parameters are so many sigmas off."""
-    three = checked("target_position", tuple("xyz"), ("km",) * 3, [off, 0.0, 0.0], np.zeros(3), np.eye(3))
-    plane = checked("B-plane", ("B·T", "B·R"), ("km", "km"), [0.0, 0.0], [0.0, 0.0], np.eye(2))
-    time = checked("arrival", ("time",), ("s",), [0.0], [0.0], [[1.0]])
+    three = check_against_truth(
+        "target_position", tuple("xyz"), ("km",) * 3, [off, 0.0, 0.0], np.zeros(3), np.eye(3)
+    )
+    plane = check_against_truth("B-plane", ("B·T", "B·R"), ("km", "km"), [0.0, 0.0], [0.0, 0.0], np.eye(2))
+    time = check_against_truth("arrival", ("time",), ("s",), [0.0], [0.0], [[1.0]])
     return SolutionScore(delivered(probability), None, (three,), three, plane, time, np.zeros(3), ratio)
 
 
@@ -216,7 +224,7 @@ def delivered(probability=0.5):
 )
 def test_grade_of_a_solution(truth, camera, spoiled, letter):
     good = picture(truth, camera, result(truth))
-    graded = grade([good], solution(**spoiled), ())
+    graded = grade_rehearsal([good], solution(**spoiled), ())
     assert graded.letter == letter
     assert graded.passed == (letter in "ABC")
     if spoiled:
@@ -225,13 +233,17 @@ def test_grade_of_a_solution(truth, camera, spoiled, letter):
 
 def test_points_add_up(truth, camera):
     good = picture(truth, camera, result(truth))
-    graded = grade([good], solution(), ())
+    graded = grade_rehearsal([good], solution(), ())
     assert sum(SECTIONS.values()) == graded.points == 100.0
     unsolved = picture(truth, camera, {"status": "failed"})
-    half = grade([good, unsolved], solution(), ())
+    half = grade_rehearsal([good, unsolved], solution(), ())
     # Half of the pictures, pointings, stars and centers: 15, 15, 10 and 20 points.
     assert half.points == pytest.approx(70.0)
-    assert grade([good], None, ()).letter == grade([good], solution(), ("solution.json",)).letter == "F"
+    assert (
+        grade_rehearsal([good], None, ()).letter
+        == grade_rehearsal([good], solution(), ("solution.json",)).letter
+        == "F"
+    )
     assert all(
         name in RULE
         for name in ("pictures 15", "pointing 15", "stars 10", "centers 20", "estimate 20", "B-plane 20")
@@ -240,9 +252,9 @@ def test_points_add_up(truth, camera):
 
 def test_wrong_field_and_small_center_sigmas_are_faults(truth, camera):
     turned = picture(truth, camera, result(truth, turned_rad=(1e-4, 0.0, 0.0)))
-    assert grade([turned], solution(), ()).letter == "D"
+    assert grade_rehearsal([turned], solution(), ()).letter == "D"
     off = [picture(truth, camera, result(truth, off_px=0.45)) for _ in range(6)]
-    faults = grade(off, solution(), ()).faults
+    faults = grade_rehearsal(off, solution(), ()).faults
     assert any("sigmas far too small" in fault.words for fault in faults)
 
 

@@ -7,8 +7,8 @@ import pytest
 import spiceypy
 
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import Truth, compare
-from opnav_workbench.simulation.truth import BodyTruth, body_rows
+from opnav_workbench.rehearsal import compare
+from opnav_workbench.simulation.truth import BodyTruth, Truth, body_rows
 
 PX = 12.997e-3 / 2618.4775964615382691  # rad, LORRI 1x1
 PREDICTED = np.array(spiceypy.eul2m(0.3, 1.2, -2.0, 3, 1, 3))

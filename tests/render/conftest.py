@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import AU_KM, geometric_direction, rotation_from_vector, unit
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, Lambert, render_bodies
 from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.targets import TargetState
 
 SUN_AU = 33.0
 RADIUS_KM = 1188.3

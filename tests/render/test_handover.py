@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.render import LommelSeeliger, drawing
+from opnav_workbench.render import LommelSeeliger, focal_plane
 
 PLACE = (400.37, 600.71)
 WINDOW = (385, 586, 31, 31)
@@ -56,9 +56,9 @@ def test_pictures_of_two_regimes_agree_at_their_limit(
 ):
     model = stage.model(diameter_px, phase_deg, LommelSeeliger())
     rendered = stage.render(model, window=WINDOW)
-    monkeypatch.setattr(drawing, "SMALL_FROM_PX", limits[0])
-    monkeypatch.setattr(drawing, "DISK_FROM_PX", limits[1])
-    monkeypatch.setattr(drawing, "OWN_LIGHT_TO_PX", limits[1] + 1.0)
+    monkeypatch.setattr(focal_plane, "SMALL_FROM_PX", limits[0])
+    monkeypatch.setattr(focal_plane, "DISK_FROM_PX", limits[1])
+    monkeypatch.setattr(focal_plane, "OWN_LIGHT_TO_PX", limits[1] + 1.0)
     other = stage.render(model, window=WINDOW)
     assert rendered.bodies[0].regime != other.bodies[0].regime
     peak = rendered.electrons.max()

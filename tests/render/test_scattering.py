@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import lambert_phase_function, lommel_seeliger_phase_function
 from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import AU_KM
-from opnav_workbench.render import (
-    Hapke,
-    Lambert,
-    LommelSeeliger,
-    LunarLambert,
-    Minnaert,
-    law_from_mapping,
-)
+from opnav_workbench.render import Hapke, Lambert, LommelSeeliger, LunarLambert, Minnaert, law_from_mapping
+from opnav_workbench.targets import lambert_phase_function, lommel_seeliger_phase_function
 
 ROUGH = Hapke(w=0.2, b0=1.0, h=0.06, asymmetry=-0.3, second_share=0.1, roughness_deg=25.0)
 ALL = [Lambert(), LommelSeeliger(), LunarLambert(), LunarLambert(0.3), Minnaert(0.7), Hapke(), ROUGH]

@@ -6,11 +6,10 @@ import spiceypy
 
 from opnav_workbench.errors import CameraError, KernelError
 from opnav_workbench.geometry import rotation_from_vector, unit
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.kernels.dsk_files import write_dsk
 from opnav_workbench.render import BodyModel, LommelSeeliger, ShapeModel
-from opnav_workbench.render.plates import NO_PLATE, bundle_axes, parallel_view, point_view
-from opnav_workbench.render.shape import PlateSurface
-from opnav_workbench.spice import KernelSet
-from opnav_workbench.spice.dsk import write_dsk
+from opnav_workbench.render.shape import NO_PLATE, PlateSurface, bundle_axes, parallel_view, point_view
 
 GOLDEN = (1.0 + 5.0**0.5) / 2.0
 

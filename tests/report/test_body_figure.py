@@ -7,14 +7,14 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Ellipse
 
-from opnav_workbench.bodycenters import BodyCenter, BodyFlag, BodyPictures
-from opnav_workbench.bodycenters.limb_scan_results import LimbScans
+from opnav_workbench.bodies import BodyCenter, BodyFlag, BodyPictures
+from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.errors import SessionError
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_PICTURES, simulate_picture
 from opnav_workbench.report import body_figure, difference_figure, methods_figure, scan_figure, write_body
 from opnav_workbench.session import ImageSession
-from opnav_workbench.spice import KernelSet
 
 CENTER, RADIUS = np.array([120.4, 81.7]), 18.0
 WINDOW = (90, 50, 61, 63)

@@ -5,9 +5,9 @@ import pytest
 from matplotlib.patches import Ellipse
 
 from opnav_workbench.estimation import b_plane
-from opnav_workbench.estimation.targeting import BPlaneSolution
-from opnav_workbench.report.bplane_figure import bplane_figure
-from opnav_workbench.report.png import png_bytes
+from opnav_workbench.estimation.bplane import BPlaneSolution
+from opnav_workbench.report.bplane import bplane_figure
+from opnav_workbench.report.drawing import png_bytes
 
 VELOCITY = np.array([0.0, -13.78, 0.0])
 

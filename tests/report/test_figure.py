@@ -8,6 +8,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
@@ -16,10 +17,9 @@ from opnav_workbench.rehearsal import (
     DEMO_TARGETS,
     simulate_picture,
 )
-from opnav_workbench.report import figure as figure_module
+from opnav_workbench.report import drawing as figure_module
 from opnav_workbench.report import summary_figure, write_summary
 from opnav_workbench.session import ImageSession
-from opnav_workbench.spice import KernelSet
 
 PREDICTED, OBSERVED, BODY = "#F0E442", "#56B4E9", "#CC79A7"
 

@@ -5,16 +5,18 @@ import pytest
 from astropy import units as u
 from astropy.table import QTable, Table
 
-from opnav_workbench.report.paper_figure import (
+from opnav_workbench.report.paper import (
     PaperMarks,
     PaperPanel,
+    PaperRow,
     captioned,
     panels_figure,
+    paper_comparison,
     peak_figure,
+    shown_table,
     sky_panel,
 )
-from opnav_workbench.report.paper_table import PaperRow, paper_comparison, shown_table
-from opnav_workbench.starcenters.peaks import paraboloid_coefficients
+from opnav_workbench.stars.peaks import paraboloid_coefficients
 
 
 def bump(size=16, center=(8.4, 10.6), width=1.5):

@@ -10,9 +10,9 @@ from astropy import units as u
 from opnav_workbench.errors import KernelError
 from opnav_workbench.files import json_text
 from opnav_workbench.geometry import unit_from_radec
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.scene import geometry_report, predict_body
-from opnav_workbench.spice import KernelSet
 
 CRAFT = -98
 UTC = "2015-07-09T04:29:00"

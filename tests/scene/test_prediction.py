@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import spiceypy
 
-from opnav_workbench.bodies import TargetState, star_target
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import Observer, body_target, observer_from_kernels, predict_body, predict_stars
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.targets import TargetState, star_target
 
 AU_KM, YEAR_S, C_KM_S = 149597870.7, 31557600.0, 299792.458
 ARCSEC = np.pi / 648000.0

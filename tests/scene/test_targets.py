@@ -6,9 +6,9 @@ import spiceypy
 
 from opnav_workbench.catalog import read_star_list
 from opnav_workbench.errors import KernelError
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.resources import kernels_meta_dir
-from opnav_workbench.scene import Observer, body_target, star_target_at, targets
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.scene import Observer, body_target, star_target_at, states
 
 AU_KM, YEAR_S = 149597870.7, 31557600.0
 PARSEC_KM = AU_KM * 648000.0 / np.pi
@@ -113,9 +113,9 @@ def test_what_kernels_do_not_know_is_left_out_alone(monkeypatch):
 
     with KernelSet("new_horizons/pluto_approach"):
         et = spiceypy.str2et("2015-07-09T04:29:00")
-        monkeypatch.setattr(targets, "body_attitude", unknown)
+        monkeypatch.setattr(states, "body_attitude", unknown)
         no_pole = body_target("PLUTO", SPACECRAFT, et)
-        monkeypatch.setattr(targets, "body_radii_km", unknown)
+        monkeypatch.setattr(states, "body_radii_km", unknown)
         point = body_target("PLUTO", SPACECRAFT, et)
         with pytest.raises(KernelError, match="PLUTO"):
             body_target("PLUTO", SPACECRAFT, et + 3.2e8)

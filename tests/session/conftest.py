@@ -4,18 +4,19 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_TARGETS, Truth
+from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_TARGETS
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import (
+    OpenedScenario,
     PictureScenario,
-    Task,
-    Workshop,
+    ScenarioPicture,
     expose_picture,
     truth_of,
     write_picture,
 )
-from opnav_workbench.spice import KernelSet
+from opnav_workbench.simulation.truth import Truth
 
 
 @pytest.fixture(scope="session")
@@ -90,9 +91,9 @@ def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Tr
     mission, folder = load_mission("new_horizons"), tmp_path_factory.mktemp("resolved")
     truths = []
     with KernelSet(APPROACH):
-        workshop = Workshop.open(scenario)
+        workshop = OpenedScenario.open(scenario)
         for index, picture in enumerate(scenario.pictures):
-            task = Task(index, picture)
+            task = ScenarioPicture(index, picture)
             shown = expose_picture(workshop.inputs(task))
             report = write_picture(shown, mission, folder, (), workshop.settings(task))
             truths.append(truth_of(shown, mission, report.files[0]))

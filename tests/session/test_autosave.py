@@ -13,8 +13,8 @@ import pytest
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.session import ImageSession
-from opnav_workbench.session.journal_file import JOURNAL_FILE
-from opnav_workbench.session.snapshot import STATE_FILE
+from opnav_workbench.session.autosave import STATE_FILE
+from opnav_workbench.session.history import JOURNAL_FILE
 
 WORKER = """
 import sys

@@ -8,9 +8,9 @@ import pytest
 
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.files import json_text
+from opnav_workbench.kernels.dsk_files import write_dsk
 from opnav_workbench.mission import load_mission
 from opnav_workbench.session import BODY_METHODS, ImageSession
-from opnav_workbench.spice.dsk import write_dsk
 
 RIGHT_PX = 0.1  # of a body of uniform albedo, 10 to 50 px wide; what the methods can is tested where they are
 METHODS = ("cross_correlation", "least_squares", "limb_scan", "ellipse")
@@ -138,7 +138,7 @@ def test_a_shape_among_the_kernels_is_drawn(near, resolved_truths, tmp_path):
     r = 1188.3
     corners = [[r, 0, 0], [-r, 0, 0], [0, r, 0], [0, -r, 0], [0, 0, r], [0, 0, -r]]
     plates = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
-    from opnav_workbench.spice import KernelSet
+    from opnav_workbench.kernels import KernelSet
 
     write_dsk(tmp_path / "pluto.bds", corners, plates, 999, "IAU_PLUTO")
     session = ImageSession.open(resolved_truths[0].picture, "new_horizons")
@@ -305,7 +305,7 @@ def test_a_body_beside_one_that_was_found_far_off_is_looked_for_there_too(pair, 
 
 
 def test_the_light_of_a_disk_is_no_field_of_stars(near, resolved_truths):
-    from opnav_workbench.session.identify import star_detections
+    from opnav_workbench.session.star_field import star_detections
 
     place = resolved_truths[0].bodies["PLUTO"]
     n_line, n_pixel = near.context.extended.shape

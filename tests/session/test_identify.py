@@ -11,8 +11,9 @@ from astropy.io import fits
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import quaternion_from_matrix, rotation_from_vector
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import DEMO_PICTURES, Truth, compare
+from opnav_workbench.rehearsal import DEMO_PICTURES, compare
 from opnav_workbench.session import ImageSession
+from opnav_workbench.simulation.truth import Truth
 
 MISSION = load_mission("new_horizons")
 # The solved move against the applied one: noise of the true pointing (0.1 px) and distortion across 55 px.

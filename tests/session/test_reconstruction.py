@@ -13,12 +13,12 @@ import spiceypy
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.geometry import quaternion_from_matrix, rotation_from_vector
+from opnav_workbench.kernels import KernelSet, write_ck
+from opnav_workbench.kernels.making.pool_variables import bus_frame_assignments
+from opnav_workbench.kernels.text_kernels import write_text_kernel
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.session import ImageSession, write_reconstructed_ck
-from opnav_workbench.spice import KernelSet, write_ck
-from opnav_workbench.spice.assignments import bus_frame_assignments
-from opnav_workbench.spice.text_kernels import write_text_kernel
 from opnav_workbench.version import __version__
 
 ATTITUDE_RAD = 1e-9  # asked; rounding leaves 1e-15

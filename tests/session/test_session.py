@@ -14,7 +14,7 @@ from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import write_ecsv
 from opnav_workbench.rehearsal import DEMO_PICTURES, DEMO_TARGETS, compare
 from opnav_workbench.session import ImageSession
-from opnav_workbench.session.gather import InputSource
+from opnav_workbench.session.inputs import InputSource
 
 # Keys of result.json, design section 5.
 TOP = {
@@ -79,8 +79,8 @@ def test_result_is_of_this_picture(finished, result, truth):
 
 def finished_kernels(session):
     """Kernels stand in the result while they are loaded."""
+    from opnav_workbench.kernels import KernelSet
     from opnav_workbench.rehearsal import DEMO_KERNELS
-    from opnav_workbench.spice import KernelSet
 
     with KernelSet(DEMO_KERNELS):
         kernels = session.result()["provenance"]["kernels"]

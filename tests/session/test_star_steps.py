@@ -7,7 +7,7 @@ import pytest
 
 from opnav_workbench.errors import SelectionPending, SessionError
 from opnav_workbench.session import ImageSession, Settings
-from opnav_workbench.session.nudging import nudged_attitude
+from opnav_workbench.session.star_field import nudged_attitude
 
 # A field that is not identified by itself: nothing may be off, and no wide search mends it.
 BLIND = Settings(max_shift_px=0.5, wider_shift_px=0.0, widest_shift_px=0.0)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.session import Decisions, ImageSession
-from opnav_workbench.spice import KernelSet
 
 
 def _result(session: ImageSession) -> str:

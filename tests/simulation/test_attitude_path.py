@@ -7,9 +7,9 @@ import spiceypy
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import KernelError
 from opnav_workbench.geometry import rotation_from_vector
+from opnav_workbench.kernels import KernelSet, et_from_utc
 from opnav_workbench.mission import load_mission
 from opnav_workbench.simulation.attitude_path import CameraMotion, kernel_path, moving_path, sample_path
-from opnav_workbench.spice import KernelSet, et_from_utc
 
 ET = 4.8e8
 LORRI = {"MISSION": "New Horizons", "INSTRU": "lor", "SFORMAT": "1X1"}

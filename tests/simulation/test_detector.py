@@ -9,13 +9,10 @@ from scipy.special import ndtr
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.simulation.blooming import bloom
-from opnav_workbench.simulation.cosmic_rays import draw_cosmic_rays
-from opnav_workbench.simulation.detector import DetectorEffects, expose
-from opnav_workbench.simulation.effects import CosmicRays
-from opnav_workbench.simulation.frame_transfer import Transfer
+from opnav_workbench.simulation.charge import ChargeTransfer, bloom, draw_cosmic_rays, poisson_counts
+from opnav_workbench.simulation.detector import expose
+from opnav_workbench.simulation.effects import CosmicRays, DetectorEffects
 from opnav_workbench.simulation.randomness import STREAMS, picture_random
-from opnav_workbench.simulation.shot_noise import poisson_counts
 
 GAIN, READ, BIAS = 22.0, 1.1, 538.0
 
@@ -377,7 +374,7 @@ def test_smear_against_moving_the_charge_line_by_line():
         read.append(charge[0])
         charge = np.vstack([charge[1:], np.zeros((1, 5))]) + scene * transfer_s / lines
     exposed = exposure_s * scene
-    smear = Transfer.of(transfer_s, scrub_s, exposure_s).smear(exposed)
+    smear = ChargeTransfer.of(transfer_s, scrub_s, exposure_s).smear(exposed)
     assert exposed + smear == pytest.approx(np.array(read))
 
 
@@ -385,7 +382,7 @@ def test_smear_against_moving_the_charge_line_by_line():
 @pytest.mark.parametrize("first", [True, False])
 def test_smear_is_removed_exactly(after, before, first):
     light = np.random.default_rng(4).uniform(0.0, 5000.0, (128, 9))
-    transfer = Transfer(after, before, first)
+    transfer = ChargeTransfer(after, before, first)
     assert transfer.remove(light + transfer.smear(light)) == pytest.approx(light, rel=1e-9)
 
 

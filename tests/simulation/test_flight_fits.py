@@ -14,18 +14,17 @@ from opnav_workbench.catalog import open_catalog
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.image import QUALITY_TABLES, KeywordMap, read_image, read_quality
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc
 from opnav_workbench.mission import load_mission
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.scene import observer_from_kernels, predict_stars
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation.attitude_path import sky_turn
-from opnav_workbench.simulation.detector import DetectorEffects, expose
-from opnav_workbench.simulation.flight_fits import FlightRecord, dark_columns_of, write_flight_fits
-from opnav_workbench.simulation.flight_header import flight_cards
-from opnav_workbench.simulation.flight_wcs import wcs_cards
-from opnav_workbench.simulation.quality import QUALITY_CODES
-from opnav_workbench.simulation.starlight import add_stars
-from opnav_workbench.spice import KernelSet, camera_attitude, et_from_utc
+from opnav_workbench.simulation.detector import expose
+from opnav_workbench.simulation.effects import DetectorEffects
+from opnav_workbench.simulation.flight_fits import QUALITY_CODES, dark_columns_of, write_flight_fits
+from opnav_workbench.simulation.flight_header import FlightRecord, flight_cards, wcs_cards
+from opnav_workbench.simulation.picture import add_stars
 
 UTC = "2015-04-09T12:00:00.000"
 EXPOSURE_S = 0.1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.simulation.mottled import mottled_map
+from opnav_workbench.simulation.surfaces import mottled_map
 
 
 @pytest.fixture(scope="module", params=range(4))

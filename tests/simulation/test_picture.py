@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import TargetState
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import CameraError
@@ -14,8 +13,9 @@ from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, Lambert
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import Observer
-from opnav_workbench.simulation import DetectorEffects, PictureInputs, Switches, expose_picture
+from opnav_workbench.simulation import ApparentPlaceEffects, DetectorEffects, PictureInputs, expose_picture
 from opnav_workbench.simulation.attitude_path import CameraMotion, moving_path
+from opnav_workbench.targets import TargetState
 
 ARCSEC = np.pi / 648000.0
 ALONG_Z = np.eye(3)
@@ -136,7 +136,7 @@ def test_aberration_moves_stars_by_v_over_c(pinhole):
     moving = replace(AT_REST, velocity_km_s=np.array([14.5, 0.0, 0.0]))
     stars = stars_at(pinhole, PLACES, [9.0] * 4)
     on, off = (
-        expose_picture(inputs(pinhole, stars, observer=moving, switches=Switches(aberration=a)))
+        expose_picture(inputs(pinhole, stars, observer=moving, switches=ApparentPlaceEffects(aberration=a)))
         for a in (True, False)
     )
     shift = on.stars.pixel_line - off.stars.pixel_line
@@ -153,7 +153,7 @@ def test_parallax_moves_a_star_by_baseline_over_distance(pinhole):
     away = replace(AT_REST, position_km=np.array([0.0, 33.0 * AU_KM, 0.0]))
     stars = stars_at(pinhole, PLACES[:2], [9.0, 9.0], parallax_rad=np.array([0.1 * ARCSEC, 0.0]))
     on, off = (
-        expose_picture(inputs(pinhole, stars, observer=away, switches=Switches(parallax=p)))
+        expose_picture(inputs(pinhole, stars, observer=away, switches=ApparentPlaceEffects(parallax=p)))
         for p in (True, False)
     )
     shift = on.stars.pixel_line - off.stars.pixel_line
@@ -166,7 +166,7 @@ def test_proper_motion_moves_a_star_with_the_years(pinhole):
     stars = stars_at(pinhole, PLACES[1:2] + 30.0, [9.0], pmdec_rad_yr=np.array([2.0 * ARCSEC]))
     et = 15.0 * 365.25 * 86400.0
     on, off = (
-        expose_picture(inputs(pinhole, stars, et=et, switches=Switches(proper_motion=m)))
+        expose_picture(inputs(pinhole, stars, et=et, switches=ApparentPlaceEffects(proper_motion=m)))
         for m in (True, False)
     )
     shift = np.linalg.norm(on.stars.pixel_line - off.stars.pixel_line)
@@ -182,7 +182,7 @@ def test_distortion_moves_stars_by_the_cameras_own(pinhole):
     seen = lorri.unproject(corner) @ path.middle  # J2000
     table = stars_at(pinhole, pinhole.project(seen), [9.0] * 3)
     on, off = (
-        expose_picture(inputs(lorri, table, path=path, switches=Switches(distortion=d)))
+        expose_picture(inputs(lorri, table, path=path, switches=ApparentPlaceEffects(distortion=d)))
         for d in (True, False)
     )
     shift = on.stars.pixel_line - off.stars.pixel_line

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from opnav_workbench.errors import MissionError, SessionError
-from opnav_workbench.simulation.preview import stretched, write_preview
+from opnav_workbench.simulation.output import stretched, write_preview
 
 
 @pytest.fixture(scope="module")

@@ -13,15 +13,15 @@ from PIL import Image
 
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.kernels import KernelSet, et_from_utc
+from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.mission import load_mission
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import body_target
 from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate, varied
 from opnav_workbench.simulation import output as output_module
-from opnav_workbench.simulation.sequence import chosen_tasks
-from opnav_workbench.simulation.workshop import picture_seed
-from opnav_workbench.spice import KernelSet, et_from_utc
-from opnav_workbench.spice.make import make_kernels
+from opnav_workbench.simulation.batch import chosen_pictures
+from opnav_workbench.simulation.opened_scenario import picture_seed
 
 KERNELS = "new_horizons/pluto_opnav"
 LORRI_4X4 = {"name": "lorri", "utc": "2015-04-09T12:00:00", "camera": "lorri_4x4", "exposure_s": 0.1}
@@ -131,13 +131,13 @@ def test_a_raw_picture_has_bias_and_dark_columns_and_is_read_like_one(made, tmp_
 
 
 def test_only_takes_names_of_pictures_and_series():
-    assert [t.picture.name for t in chosen_tasks(scenario(), ["series"])] == [
+    assert [t.picture.name for t in chosen_pictures(scenario(), ["series"])] == [
         "series_0001",
         "series_0002",
         "series_0003",
     ]
     with pytest.raises(MissionError, match=r"no picture named two .*lorri, series"):
-        chosen_tasks(scenario(), ["two"])
+        chosen_pictures(scenario(), ["two"])
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.simulation.starlight import add_stars, trails
+from opnav_workbench.simulation.picture import add_stars, trails
 
 PSF = GaussianPsf(0.9, 0.6, 0.4)
 

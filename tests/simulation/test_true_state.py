@@ -9,13 +9,17 @@ import spiceypy
 
 from opnav_workbench.errors import KernelError
 from opnav_workbench.geometry import angle_between, pointing_angles
+from opnav_workbench.kernels import KernelSet, et_from_utc
 from opnav_workbench.mission import load_mission
-from opnav_workbench.pointing import attitude_shift
 from opnav_workbench.scene import body_target, observer_from_kernels
-from opnav_workbench.simulation.scenario_parts import ActualAttitude, Perturbations, PredictedAttitude
-from opnav_workbench.simulation.true_attitude import predicted_attitude, true_attitude
-from opnav_workbench.simulation.true_targets import true_observer, true_target
-from opnav_workbench.spice import KernelSet, et_from_utc
+from opnav_workbench.simulation.scenario import ActualAttitude, Perturbations, PredictedAttitude
+from opnav_workbench.simulation.true_state import (
+    predicted_attitude,
+    true_attitude,
+    true_observer,
+    true_target,
+)
+from opnav_workbench.stars.pointing import attitude_shift
 
 NH = -98
 CLIGHT = 299792.458

@@ -9,8 +9,8 @@ from astropy.table import QTable
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import matrix_from_quaternion, rotation_from_vector
-from opnav_workbench.simulation.cosmic_rays import CosmicRayHits
-from opnav_workbench.simulation.starlight import trails
+from opnav_workbench.simulation.charge import CosmicRayHits
+from opnav_workbench.simulation.picture import trails
 from opnav_workbench.simulation.truth import (
     BodyTruth,
     Truth,

@@ -7,6 +7,8 @@ The image of a point in the stack depends on where it falls between the pixels o
 assumed: each picture's PSF at its own place, sent through the same resampling, weights and subtraction as the data.
 Stacked pixels are correlated, so the covariance of the fit is A C A^T with the fit's own linear map A and the pixels'
 covariance C, not the inverse of the normal matrix.
+
+The signal-to-noise ratio of the flux grows as the root of the number of pictures, if all is well (`snr_growth`).
 """
 
 from dataclasses import dataclass, replace
@@ -15,20 +17,23 @@ import numpy as np
 from scipy import sparse
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, symmetric
-from opnav_workbench.bodycenters import BodyCenter, find_unresolved
-from opnav_workbench.bodycenters.unresolved import NEIGHBOUR_SIGMAS
-from opnav_workbench.campaign.stacking.combining import Stacked
+from opnav_workbench.bodies import BodyCenter, find_unresolved
+from opnav_workbench.bodies.unresolved import NEIGHBOUR_SIGMAS
+from opnav_workbench.campaign.stacking.combining import Stacked, average
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.psf import Psf, covering_boxes
-from opnav_workbench.starcenters import ShapePrior
-from opnav_workbench.starcenters.fitting import faint_factor, misfit_factor
+from opnav_workbench.stars import ShapePrior
+from opnav_workbench.stars.picture_fit import faint_factor, misfit_factor
 
-__all__ = ["METHOD", "PointFit", "find_in_stack", "fit_flux", "fit_point"]
+__all__ = ["Growth", "PointFit", "find_in_stack", "fit_point", "snr_growth"]
+
+
+# ---- Center of a target in a stack, with a sigma that knows how the stack was made.
 
 METHOD = "stack"
 DEFAULT_SEARCH_PX = 3.0
 BOX_SIGMAS = 4.0  # half side of the fitted box; one more pixel for what resampling spreads
-STEPS = 20
+MAX_STEPS = 20
 CONVERGED_PX = 1e-4
 FIT_REACH_PX = 4  # how far a fit may move the point from where it starts
 MIN_PART = 0.5  # of the fitted box that must be usable
@@ -95,7 +100,7 @@ def find_in_stack(
     expected = stacked.predicted_px if predicted_px is None else np.asarray(predicted_px, dtype=np.float64)
     if not np.isfinite(expected).all():
         raise CenterfindingError(f"{name}: the stack does not know where it is; give predicted_px.")
-    box = _Box(stacked, expected)
+    box = _FitBox(stacked, expected)
     found = find_unresolved(
         np.nan_to_num(stacked.image_dn),
         np.where(stacked.count > 0, stacked.noise_dn, np.inf) * box.noise_factor(),
@@ -104,7 +109,7 @@ def find_in_stack(
         box.prior(),
         name=name,
         search_radius_px=search_radius_px,
-        neighbours_px=stacked.grid.index(_seen(stacked)),
+        neighbours_px=stacked.grid.index(_neighbours_in_view(stacked)),
     )
     if found.pixel_line is None:
         return replace(found, method=METHOD)
@@ -127,12 +132,12 @@ def find_in_stack(
 
 def fit_point(stacked: Stacked, start_px: FloatArray) -> PointFit:
     """Fit flux, center and level of a point near `start_px` (pixel, line) of the reference camera."""
-    return _fitted(_Box(stacked, start_px), start_px)
+    return _fitted(_FitBox(stacked, start_px), start_px)
 
 
-def _fitted(box: "_Box", start_px: FloatArray) -> PointFit:
+def _fitted(box: "_FitBox", start_px: FloatArray) -> PointFit:
     place, converged, lost = np.array(start_px, dtype=np.float64), False, False
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         image, slope = box.image(place)
         flux = float(_flux_and_level(box, image)[0])
         design = box.weight[:, None] * np.column_stack([image, flux * slope, np.ones(len(image))])
@@ -143,12 +148,12 @@ def _fitted(box: "_Box", start_px: FloatArray) -> PointFit:
         lost = not np.abs(place - start_px).max() < FIT_REACH_PX
         if converged or lost:
             break
-    return _judged(box, place, converged and not lost)
+    return _with_covariance(box, place, converged and not lost)
 
 
 def fit_flux(stacked: Stacked, pixel_line: FloatArray) -> tuple[float, float]:
     """Return flux and its sigma (DN of the longest exposure) of a point held at a place of the reference camera."""
-    box = _Box(stacked, pixel_line)
+    box = _FitBox(stacked, pixel_line)
     image, _ = box.image(pixel_line)
     design = np.column_stack([image, np.ones(len(image))])
     inverse = np.linalg.pinv(box.weight[:, None] * design) * box.weight
@@ -156,13 +161,13 @@ def fit_flux(stacked: Stacked, pixel_line: FloatArray) -> tuple[float, float]:
     return flux, float(np.sqrt(inverse[0] @ box.covariance(pixel_line, max(flux, 0.0)) @ inverse[0]))
 
 
-def _flux_and_level(box: "_Box", image: FloatArray) -> FloatArray:
+def _flux_and_level(box: "_FitBox", image: FloatArray) -> FloatArray:
     """Flux and level (2,) are linear: solved at once for the place at hand."""
     design = box.weight[:, None] * np.column_stack([image, np.ones(len(image))])
     return np.asarray(np.linalg.lstsq(design, box.weight * box.data, rcond=None)[0])
 
 
-def _judged(box: "_Box", place: FloatArray, converged: bool) -> PointFit:
+def _with_covariance(box: "_FitBox", place: FloatArray, converged: bool) -> PointFit:
     image, slope = box.image(place)
     flux, level = _flux_and_level(box, image)
     design = np.column_stack([image, flux * slope, np.ones(len(image))])
@@ -182,7 +187,7 @@ def _judged(box: "_Box", place: FloatArray, converged: bool) -> PointFit:
     )
 
 
-class _Box:
+class _FitBox:
     """The pixels of a stack about a place, and how each of them comes from the pictures."""
 
     def __init__(self, stacked: Stacked, place: FloatArray) -> None:
@@ -217,7 +222,7 @@ class _Box:
                 total += near.operator @ (flux * np.maximum(share, 0.0) / gain * near.operator).T
         return total
 
-    def _windowed(self, i: int, place: FloatArray) -> "_Near":
+    def _windowed(self, i: int, place: FloatArray) -> "_PictureWindow":
         """The operator of a picture on the pixels that the point's light reaches, wherever the fit may move it."""
         frame = self._stacked.raw[i]
         there = self._stacked.grid.to_frame(place[None], frame)
@@ -229,7 +234,9 @@ class _Box:
         inside = (line >= 0) & (line < n_line) & (pixel >= 0) & (pixel < n_pixel)
         flat = np.where(inside, line * n_pixel + pixel, 0)
         slope = self._stacked.grid.jacobian(place[None], frame)[0]
-        return _Near(psf, there[0], slope, first, size, self.operators[i][:, flat].toarray() * inside)
+        return _PictureWindow(
+            psf, there[0], slope, first, size, self.operators[i][:, flat].toarray() * inside
+        )
 
     def _shares(self, i: int, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Light of the point in the pixels near it in a picture (k,), and its slopes with the place (k, 2)."""
@@ -260,7 +267,7 @@ class _Box:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Near:
+class _PictureWindow:
     """A picture about the target: where the start of the fit lies in it, a square box, and the operator (m, size^2)."""
 
     psf: Psf
@@ -278,7 +285,7 @@ def _sigma_px(stacked: Stacked) -> float:
     return max(float(frame.psf.sigma_px.max()) for frame in stacked.frames)
 
 
-def _seen(stacked: Stacked) -> FloatArray:
+def _neighbours_in_view(stacked: Stacked) -> FloatArray:
     """Places (k, 2) of other bodies that are in front of the camera."""
     places = stacked.neighbours_px()
     return np.asarray(places[np.isfinite(places).all(axis=1)])
@@ -294,9 +301,62 @@ def _usable_points(stacked: Stacked, place: FloatArray, half: int) -> tuple[Floa
     safe = np.where(inside[:, None], index, 0)
     known = inside & (stacked.count[safe[:, 1], safe[:, 0]] > 0)
     own = np.hypot(*(points - place).T)
-    for other in _seen(stacked):  # another body's light, nearer to it than to the target
+    for other in _neighbours_in_view(stacked):  # another body's light, nearer to it than to the target
         apart = np.hypot(*(points - other).T)
         known &= ~((apart < own) & (apart < NEIGHBOUR_SIGMAS * _sigma_px(stacked) + 1.0))
     if known.sum() < MIN_PART * len(points):
         raise CenterfindingError("too few usable pixels of the stack about the target; give a larger window.")
     return points[known], index[known]
+
+
+# ---- How the signal-to-noise ratio grows with the pictures of a stack: as the root of their number, if all ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Growth:
+    """Flux of a point at one place in stacks of the first pictures; arrays (k,) are read-only.
+
+    Attributes
+    ----------
+    pictures : array of int
+    flux_dn, flux_sigma_dn : array
+    """
+
+    pictures: IntArray
+    flux_dn: FloatArray
+    flux_sigma_dn: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def snr(self) -> FloatArray:
+        """Flux over its sigma (k,)."""
+        return np.asarray(self.flux_dn / self.flux_sigma_dn)
+
+
+def snr_growth(stacked: Stacked, pixel_line: FloatArray) -> Growth:
+    """Return the flux at a place of the reference camera in stacks of 1, 2, 4 ... pictures, and of all.
+
+    Raises
+    ------
+    CenterfindingError
+        A stack whose star field was subtracted: its templates are made of all pictures.
+    """
+    if stacked.subtractions is not None:
+        raise CenterfindingError("a subtracted stack has no part: its templates are made of all pictures.")
+    total = len(stacked.frames)
+    counts = [*(2**i for i in range(total.bit_length()) if 2**i < total), total]
+    fluxes = [fit_flux(_stack_of_first(stacked, count), pixel_line) for count in counts]
+    flux, sigma = np.array(fluxes).T
+    return Growth(np.array(counts), flux, sigma)
+
+
+def _stack_of_first(stacked: Stacked, count: int) -> Stacked:
+    weights = stacked.weights[:count] / stacked.weights[:count].sum()
+    frames, response = stacked.frames[:count], stacked.response[:count]
+    image, noise, pictures = average(frames, stacked.grid, weights, response)
+    return replace(
+        stacked, frames=frames, raw=stacked.raw[:count], weights=weights, response=response,
+        image_dn=image, noise_dn=noise, count=pictures,
+    )  # fmt: skip

@@ -1,27 +1,146 @@
 """The stack: repointed pictures brought onto one grid, hits masked, and averaged with their best weights.
 
 Every stacked pixel is a linear combination of the pictures' pixels, and `Stacked.operators` says which: a model of the
-target goes the same way, and so does the noise.
+target goes the same way, and so does the noise.  The target stands at the stack's mean epoch, interpolated between the
+pictures.
+
+Cosmic rays, and whatever else is in one picture only, are found by comparing each picture with the median of all.  The
+median of the resampled pictures is laid back on each picture's own pixels; what exceeds it by more than noise and the
+median's slope allow (undersampled stars differ from phase to phase) is masked before the final resampling.
+
+Reference: AstroDrizzle's ``driz_cr``; Fruchter & Hook (2002), doi:10.1086/338393.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
+from scipy import ndimage, sparse
 
-from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies import TargetState
-from opnav_workbench.campaign.stacking.epoch import mean_state
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.campaign.stacking.frames import StackFrame, check_frames, weights_of
-from opnav_workbench.campaign.stacking.grid import Follow, Grid
-from opnav_workbench.campaign.stacking.hits import MIN_FRAMES, mask_hits
-from opnav_workbench.campaign.stacking.resampling import resample, resampling
+from opnav_workbench.campaign.stacking.grid import Follow, Grid, resample, resampling_rows
 from opnav_workbench.campaign.stacking.subtraction import Subtraction, subtract_stars
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction
+from opnav_workbench.targets import TargetState
 
 __all__ = ["Stacked", "average", "stack_frames"]
+
+
+# ---- The target at a stack's epoch: its state interpolated between the pictures that were stacked.
+
+MAX_DEGREE = 3  # of the polynomial in time: orbits bend slowly over a stack
+
+
+def mean_state(frames: Sequence[StackFrame], et: float) -> TargetState:
+    """Return the target at `et`; its other properties are those of the nearest picture."""
+    times = np.array([frame.et for frame in frames])
+    states = [frame.target for frame in frames]
+    known = [state for state in states if state is not None]
+    nearest = known[int(np.argmin(np.abs(times - et)))]
+    span = float(np.ptp(times))
+    if span == 0.0:
+        return nearest
+    x = (times - et) / span
+    degree = min(MAX_DEGREE, len(np.unique(times)) - 1)
+    powers = np.vander(x, degree + 1, increasing=True)
+    position = np.linalg.lstsq(powers, np.array([s.position_km for s in known]), rcond=None)[0][0]
+    return replace(nearest, position_km=position)
+
+
+# ---- Cosmic rays, and whatever else is in one picture only, found by comparing each picture with the median ...
+
+MIN_FRAMES = 3  # of two that differ nobody knows which one is right
+HIT_SIGMAS = 5.0  # one pixel in two million by noise alone
+SKIRT_SIGMAS = 3.0  # beside a hit: charge that went astray
+SLOPE_PART = 1.2  # of the difference to the steepest neighbour; driz_cr's own value
+EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
+
+
+def mask_hits(
+    frames: Sequence[StackFrame], grid: Grid, cube: FloatArray, response: FloatArray
+) -> tuple[list[StackFrame], list[int]]:
+    """Return the pictures with hits masked, and how many pixels of each.
+
+    Parameters
+    ----------
+    frames : sequence of StackFrame
+    grid : Grid
+    cube : (n, n_line, n_pixel) array
+        The pictures resampled on the grid, light divided by `response`; nan where unusable.
+    response : (n,) array
+    """
+    if len(frames) < MIN_FRAMES:
+        return list(frames), [0] * len(frames)
+    with np.errstate(invalid="ignore"):
+        known = np.isfinite(cube).sum(axis=0) >= MIN_FRAMES
+        median = np.where(known, _median(cube), np.nan)
+    slope = _slope(median)
+    masked, counts = [], []
+    for frame, gain in zip(frames, response, strict=True):
+        hit = _hits_of_frame(frame, grid, median, slope, float(gain))
+        counts.append(int((hit & ~frame.bad).sum()))
+        masked.append(frame.replace(bad=frame.bad | hit))
+    return masked, counts
+
+
+def _median(cube: FloatArray) -> FloatArray:
+    """Median of the usable values, 0 where there are none (no warning on the way)."""
+    filled = np.sort(np.where(np.isfinite(cube), cube, np.inf), axis=0)
+    count = np.isfinite(filled).sum(axis=0)
+    low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(cube) - 1)
+    pair = [np.take_along_axis(filled, index[None], axis=0)[0] for index in (low, high)]
+    return np.where(count > 0, 0.5 * (pair[0] + pair[1]), 0.0)
+
+
+def _slope(median: FloatArray) -> FloatArray:
+    """Largest difference to a neighbour."""
+    known = np.isfinite(median)
+    filled = np.where(known, median, 0.0)
+    high = ndimage.maximum_filter(
+        np.where(known, median, -np.inf), footprint=EIGHT_NEIGHBOURS, mode="nearest"
+    )
+    low = ndimage.minimum_filter(np.where(known, median, np.inf), footprint=EIGHT_NEIGHBOURS, mode="nearest")
+    steep = np.maximum(np.where(known, high, 0.0) - filled, filled - np.where(known, low, 0.0))
+    return np.where(known, steep, np.nan)
+
+
+def _hits_of_frame(
+    frame: StackFrame, grid: Grid, median: FloatArray, slope: FloatArray, response: float
+) -> BoolArray:
+    cut = _covered_part(frame, grid)
+    line, pixel = np.indices(frame.bad.shape)[(slice(None), *cut)]
+    own = np.stack([pixel.ravel(), line.ravel()], axis=1).astype(np.float64)
+    there = grid.index(grid.from_frame(own, frame))
+    expected, steep = (_interpolated(values, there).reshape(line.shape) for values in (median, slope))
+    off = np.abs(frame.signal_dn[cut] / response - expected) - SLOPE_PART * steep
+    sigmas = np.nan_to_num(off * response / frame.noise_dn[cut], nan=0.0)
+    core = sigmas > HIT_SIGMAS
+    hit = np.zeros(frame.bad.shape, dtype=bool)
+    hit[cut] = core | (ndimage.binary_dilation(core, EIGHT_NEIGHBOURS) & (sigmas > SKIRT_SIGMAS))
+    return hit
+
+
+def _covered_part(frame: StackFrame, grid: Grid) -> tuple[slice, slice]:
+    """Lines and pixels of a picture that the grid lies on."""
+    places = grid.to_frame(grid.centers(), frame)
+    seen = places[np.asarray(np.isfinite(places).all(axis=1))]
+    if not len(seen):
+        return slice(0), slice(0)
+    left, top = (max(round(float(edge)), 0) for edge in seen.min(axis=0))
+    right, bottom = (max(round(float(edge)), -1) for edge in seen.max(axis=0))
+    return slice(top, bottom + 1), slice(left, right + 1)
+
+
+def _interpolated(values: FloatArray, places: FloatArray) -> FloatArray:
+    """Values at places (n, 2) of a picture, bilinear; nan outside and beside unknown pixels."""
+    known = np.asarray(np.isfinite(places).all(axis=1))
+    coordinates = np.where(known[:, None], places, -1e6).T[::-1]
+    return np.asarray(ndimage.map_coordinates(values, coordinates, order=1, mode="constant", cval=np.nan))
+
+
+# ---- The stack: repointed pictures brought onto one grid, hits masked, and averaged with their best weights.
 
 DEFAULT_WINDOW_PX = 64  # about the target: room for its search and for the stars that are to be matched
 
@@ -92,7 +211,7 @@ class Stacked:
 
         The stack at these pixels is the sum of all products with the pictures' signals.
         """
-        rows = [resampling(self.grid, pixel_line, frame) for frame in self.frames]
+        rows = [resampling_rows(self.grid, pixel_line, frame) for frame in self.frames]
         share = self.weights[:, None] * np.array([row.usable for row in rows])
         total = share.sum(axis=0)
         share = share / np.where(total > 0.0, total, 1.0)

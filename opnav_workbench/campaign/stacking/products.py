@@ -1,4 +1,8 @@
-"""A stack on disk: FITS, and ``result.json`` with ``observables.ecsv`` as of any picture, ready for archive and export."""
+"""A stack's products: the center as an observable, and the files, ready for archive and export as those of any picture.
+
+The observable holds for the mean epoch, against the place predicted for it.  Files are FITS, and ``result.json`` with
+``observables.ecsv``.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,19 +13,73 @@ from typing import Any
 import numpy as np
 from astropy.io import fits
 
-from opnav_workbench.bodycenters import BodyCenter
+from opnav_workbench.arrays import FloatArray, symmetric
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.campaign.stacking.combining import Stacked
-from opnav_workbench.campaign.stacking.observables import stack_observable
+from opnav_workbench.campaign.stacking.frames import StackFrame
+from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.files import atomic_path, make_folder, sha256_of
 from opnav_workbench.image.times import text_from_et
-from opnav_workbench.observables import Observable
-from opnav_workbench.session.body_results import bodies_of
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.observables import Observable, observe
+from opnav_workbench.session.result import body_results
 from opnav_workbench.session.state import SessionState
 from opnav_workbench.session.storage import RESULT_FILE, TABLE_FILE, write_data, write_table, write_together
-from opnav_workbench.spice import KernelSet
 from opnav_workbench.version import __version__
 
-__all__ = ["StackProducts", "write_stack"]
+__all__ = ["StackProducts", "stack_attitude_covariance", "stack_observable", "write_stack"]
+
+
+# ---- A stack's center as an observable: at the mean epoch, against the place predicted for it.
+
+
+def stack_observable(
+    stacked: Stacked, center: BodyCenter, *, image: str, utc: str, reference_body: str
+) -> Observable:
+    """Return the observable of a stack that follows its target.
+
+    Parameters
+    ----------
+    stacked : Stacked
+    center : BodyCenter
+        As `find_in_stack` gives it.
+    image, utc, reference_body : str
+        Name of the stack, its epoch in UTC, and the body that the partials refer to.
+
+    Raises
+    ------
+    CenterfindingError
+        A stack without a target.
+    """
+    if stacked.target is None:
+        raise CenterfindingError(
+            "a stack without a target makes no observable; stack on the target's motion."
+        )
+    return observe(
+        stacked.target,
+        center,
+        stacked.grid.camera,
+        stacked.grid.camera_from_j2000,
+        stack_attitude_covariance(stacked.frames, stacked.weights),
+        observer_velocity_km_s=stacked.grid.observer_velocity_km_s,
+        a_priori_px=stacked.predicted_px,
+        diameter_px=np.nan,
+        image=image,
+        et=stacked.et,
+        utc=utc,
+        reference_body=reference_body,
+    )
+
+
+def stack_attitude_covariance(frames: Sequence[StackFrame], weights: FloatArray) -> FloatArray:
+    """Return the covariance (3, 3) of the stack's attitude: errors of centers average out, the catalog's do not."""
+    own = [frame.attitude_covariance_rad2 - frame.catalog_covariance_rad2 for frame in frames]
+    common = [frame.catalog_covariance_rad2 for frame in frames]
+    averaged = np.einsum("n,nij->ij", weights**2, np.array(own))
+    return symmetric(averaged + np.einsum("n,nij->ij", weights, np.array(common)))
+
+
+# ---- A stack on disk: FITS, and ``result.json`` with ``observables.ecsv`` as of any picture, ready for ...
 
 UTC_DECIMALS = 3
 
@@ -84,7 +142,9 @@ def write_stack(
         )
     observables = () if observable is None else (observable,)
     bodies = (
-        bodies_of(SessionState(bodies=(center,), observables=observables)) if center and observables else []
+        body_results(SessionState(bodies=(center,), observables=observables))
+        if center and observables
+        else []
     )
     result = _result(stacked, center, picture, utc, mission, left_out) | {"bodies": bodies}
     write_together(
@@ -125,7 +185,7 @@ def _result(
         "messages": messages,
         "pointing": None,
         "stars": [],
-        "stack": _facts(stacked),
+        "stack": _stack_facts(stacked),
         "provenance": {
             "version": __version__,
             "kernels": []
@@ -135,7 +195,7 @@ def _result(
     }
 
 
-def _facts(stacked: Stacked) -> dict[str, Any]:
+def _stack_facts(stacked: Stacked) -> dict[str, Any]:
     values = zip(stacked.frames, stacked.weights, stacked.response, stacked.hits, strict=True)
     return {
         "follow": stacked.grid.follow,

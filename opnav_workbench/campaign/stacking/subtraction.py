@@ -16,8 +16,7 @@ from scipy import ndimage, sparse
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.campaign.stacking.frames import StackFrame
-from opnav_workbench.campaign.stacking.grid import Grid, target_direction
-from opnav_workbench.campaign.stacking.resampling import resampling
+from opnav_workbench.campaign.stacking.grid import Grid, resampling_rows, target_direction
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["Subtraction", "subtract_stars"]
@@ -28,7 +27,7 @@ MIN_SOURCES = (
 MARGIN_PX = 6  # of the template about the stack's window: the kernel and the resampling reach there
 PROTECT_SIGMAS, PROTECT_PX = 4.0, 3.0  # the target's light, and where ephemeris may miss it
 KERNEL_HALF = 1  # 3 x 3: as far as resampling and differences of smear spread light
-NEAR = np.ones((2 * KERNEL_HALF + 1,) * 2, dtype=bool)
+KERNEL_FOOTPRINT = np.ones((2 * KERNEL_HALF + 1,) * 2, dtype=bool)
 KERNEL_PRIOR = (
     0.3  # of each element, against a kernel that does nothing: where no star tells, none is made up
 )
@@ -82,7 +81,7 @@ class Subtraction:
         for j, frame in enumerate(frames):
             share = self.share[j, used] / self.response[j]
             if share.any():
-                there = resampling(self.grid, centers, frame.replace(bad=np.zeros_like(frame.bad)))
+                there = resampling_rows(self.grid, centers, frame.replace(bad=np.zeros_like(frame.bad)))
                 yield j, sparse.csr_array(matched @ (sparse.diags_array(share) @ there.matrix))
 
 
@@ -175,11 +174,11 @@ def _template(
     values, variances = np.full((2, len(hidden), len(centers)), np.nan)
     for j, frame in enumerate(hidden):
         if j != number:
-            rows = resampling(own, centers, frame)
+            rows = resampling_rows(own, centers, frame)
             blank = np.where(rows.usable, 1.0, np.nan) / response[j]
             values[j] = blank * (rows.matrix @ frame.signal_dn.ravel())
             variances[j] = blank**2 * (rows.matrix.power(2) @ frame.variance_dn2.ravel())
-    usable = np.isfinite(values) & ~_odd(values, variances, own.shape)
+    usable = np.isfinite(values) & ~_hits_in_template(values, variances, own.shape)
     share = np.where(usable, weights[:, None], 0.0)
     enough = usable.sum(axis=0) >= MIN_SOURCES
     share = np.where(enough, share / np.where(enough, share.sum(axis=0), 1.0), 0.0)
@@ -188,7 +187,7 @@ def _template(
     return mean, blank * np.sum(share**2 * np.where(usable, variances, 0.0), axis=0), share
 
 
-def _odd(values: FloatArray, variances: FloatArray, shape: tuple[int, int]) -> BoolArray:
+def _hits_in_template(values: FloatArray, variances: FloatArray, shape: tuple[int, int]) -> BoolArray:
     """Hits of the other pictures: far from the median of all."""
     known = np.isfinite(values)
     filled = np.where(known.any(axis=0), values, 0.0)
@@ -231,7 +230,7 @@ def _subtract(
     noise2 = frame.variance_dn2.ravel()[flat] / response[number] ** 2
     unknown = ~np.isfinite(template)
     filled = np.where(unknown, 0.0, template).reshape(own.shape)
-    reached = ndimage.binary_dilation(unknown.reshape(own.shape), NEAR).ravel()
+    reached = ndimage.binary_dilation(unknown.reshape(own.shape), KERNEL_FOOTPRINT).ravel()
     teaches = ~reached & ~hidden.bad.ravel()[flat]
     kernel, level = _match(filled, signal, noise2, teaches)
     matched = ndimage.convolve(filled, kernel, mode="constant").ravel()
@@ -245,12 +244,12 @@ def _subtract(
         noise2 + (misfit * matched) ** 2 + np.maximum(matched, 0.0) / (frame.gain_e_per_dn * response[number])
     )
     noisier = frame.replace(
-        noise_dn=_laid(frame, flat, np.sqrt(left) * response[number], frame.noise_dn.ravel()),
+        noise_dn=_with_pixels(frame, flat, np.sqrt(left) * response[number], frame.noise_dn.ravel()),
     )
     done = noisier.replace(
-        signal_dn=_laid(frame, flat, rest * response[number], 0.0),
-        noise_dn=_laid(frame, flat, np.sqrt(left + spread) * response[number], frame.noise_dn.ravel()),
-        bad=_laid(frame, flat, (reached | frame.bad.ravel()[flat]).astype(np.float64), 1.0) > 0.5,
+        signal_dn=_with_pixels(frame, flat, rest * response[number], 0.0),
+        noise_dn=_with_pixels(frame, flat, np.sqrt(left + spread) * response[number], frame.noise_dn.ravel()),
+        bad=_with_pixels(frame, flat, (reached | frame.bad.ravel()[flat]).astype(np.float64), 1.0) > 0.5,
     )
     return noisier, done, Subtraction(number, own, flat, share, kernel, misfit, response)
 
@@ -285,7 +284,9 @@ def _misfit(rest: FloatArray, matched: FloatArray, variance: FloatArray, teaches
     return float(np.sqrt(max(excess, 0.0)))
 
 
-def _laid(frame: StackFrame, flat: IntArray, values: FloatArray, elsewhere: float | FloatArray) -> FloatArray:
+def _with_pixels(
+    frame: StackFrame, flat: IntArray, values: FloatArray, elsewhere: float | FloatArray
+) -> FloatArray:
     whole = np.array(np.broadcast_to(elsewhere, frame.bad.size), dtype=np.float64)
     whole[flat] = values
     return whole.reshape(frame.bad.shape)

@@ -1,0 +1,268 @@
+"""Center of a body from its limb: sub-pixel limb points, and the conic of its ellipsoid (or its silhouette) through them.
+
+Flow   expected place -> correlation -> limb along normals -> horizon fit -> rendered limb fitted piece by piece ->
+       position by weighted least squares -> rendered anew there, until it stands still
+Frame  (pixel, line), 0-based, integer = pixel center
+Units  px, km, DN
+
+The body is rendered where it is thought to be, with its law, the PSF, distortion and stellar aberration; what is measured is
+how far the limb of the picture lies beside the rendered one. At the solution that is zero on average, so that no
+approximation of the edge or of the camera is left in the center, which is the projected center of figure.
+
+Sources  Christian (2021), doi:10.1109/ACCESS.2021.3051914 (horizon fit); Owen (2011), AAS 11-215 (limbs)
+"""
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.ellipse.limb_points import (
+    LimbPieces,
+    fit_edges,
+    limb_pieces,
+    limb_reach_px,
+    missing_share,
+    select_limb,
+)
+from opnav_workbench.bodies.ellipse.limb_search import (
+    MOSTLY_SATURATED,
+    FitStart,
+    StartError,
+    find_start,
+    limb_lags,
+    limb_template,
+    model_window,
+    saturated_share,
+)
+from opnav_workbench.bodies.ellipse.point_fits import limb_motion
+from opnav_workbench.bodies.ellipse.report import METHOD, LimbStage, limb_center
+from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag
+from opnav_workbench.bodies.silhouette import Outline, Silhouette
+from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.targets import TargetState
+
+__all__ = ["find_ellipse"]
+
+MOST_STAGES = 10
+TURNED = 0.5  # a step back by this share of the last one is halved from then on
+STILL_PX, STILL_SIGMAS = 0.01, 0.05  # motion of center and limb after which the solution stands
+# A picture that tells the size of a body less well than this leaves it to the ephemeris, which knows the range better;
+# unless the target's covariance says how well it does.
+RANGE_SIGMA = 0.002
+LARGEST_STEP = 0.5  # of the radius, per stage
+ROUGH_PX = 0.75  # a limb this far from its model is followed from where it is
+LEAST_DIAMETER_PX = 3.0
+MOSTLY_MISSING = 0.5  # of the limb: something else was found
+
+
+def find_ellipse(
+    picture: BodyPicture,
+    name: str,
+    *,
+    circle: Circle | None = None,
+    solve_range: bool = True,
+    search_radius_px: float | None = None,
+) -> BodyCenter:
+    """Find a body's center of figure from its lit limb.
+
+    Parameters
+    ----------
+    picture : BodyPicture
+    name : str
+        A sphere, a triaxial ellipsoid or a shape model of `picture.models`.
+    circle : Circle, optional
+        An analyst's; None: predicted place and size.
+    solve_range : bool
+        Solve for the range (the size in the picture) as well; given up where it is known better beforehand (from the
+        target's covariance; 0.2 % where it has none).
+    search_radius_px : float, optional
+        How far from the expected place to look.
+
+    Returns
+    -------
+    BodyCenter
+        Method ``ellipse``; `detail` is a `LimbEllipse`. Status ``ok``; ``uncertain`` (see `flags` and `messages`);
+        ``not_detected``, ``off_detector``, ``saturated`` or ``failed`` without a center.
+
+    Raises
+    ------
+    CenterfindingError
+        No such body in the picture.
+
+    Notes
+    -----
+    The covariance holds the noise of the pixels and, where the limb leaves its model by more than that, the roughness of the
+    limb with its correlation along it.
+
+    Examples
+    --------
+    A sphere of 60 px without noise, expected 3 px beside its place.
+
+    >>> from opnav_workbench.targets import TargetState
+    >>> from opnav_workbench.bodies import displaced_model, model_picture
+    >>> from opnav_workbench.camera import Camera
+    >>> from opnav_workbench.psf import GaussianPsf
+    >>> from opnav_workbench.render import BodyModel
+    >>> from opnav_workbench.resources import kernels_meta_dir
+    >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
+    >>> charon = TargetState("CHARON", [0, 0, 2.02e6], radii_km=[606.0] * 3, sun_position_km=[4e9, 1e9, 0])
+    >>> empty = BodyPicture(np.zeros((1024, 1024)), 1.0, False, False, camera, np.eye(3), np.zeros(3),
+    ...                     (BodyModel(charon),), GaussianPsf(0.8, 0.8))
+    >>> light = model_picture(empty, (0, 0, 1024, 1024), {"CHARON": [514.2, 510.3]})
+    >>> seen = BodyPicture(1e4 / light.max() * light, 1.0, False, False, camera, np.eye(3), np.zeros(3),
+    ...                    (BodyModel(charon),), GaussianPsf(0.8, 0.8))
+    >>> center = find_ellipse(seen, "CHARON")
+    >>> center.status, center.pixel_line.round(2).tolist(), round(center.diameter_px)
+    ('ok', [514.2, 510.3], 60)
+    """
+    if picture.model(name).is_point:
+        return _without(
+            name, "failed", "it has neither radii nor a shape; give them, or use method 'unresolved'"
+        )
+    try:
+        silhouette = Silhouette(picture, name)
+        if (small := _too_small(picture, name)) is not None:
+            return small
+        start = find_start(picture, silhouette, circle, search_radius_px, solve_range=solve_range)
+        return _refined(picture, silhouette, start, circle, solve_range=solve_range)
+    except StartError as none:
+        if saturated_share(picture, name, circle) > MOSTLY_SATURATED:
+            return _saturated(name)
+        return _without(name, none.status, none.message, none.flags)
+    except CenterfindingError as error:
+        return _without(name, "failed", str(error))
+
+
+def _without(name: str, status: str, message: str, flags: int = 0) -> BodyCenter:
+    return BodyCenter.without_center(name, METHOD, status, message, flags=flags)
+
+
+def _saturated(name: str) -> BodyCenter:
+    why = (
+        "its disk is saturated up to the limb, whose place the brightness would tell; take a shorter exposure"
+    )
+    return _without(name, "saturated", why, int(BodyFlag.OVEREXPOSED))
+
+
+def _too_small(picture: BodyPicture, name: str) -> BodyCenter | None:
+    diameter = picture.diameter_px(name)
+    if not 0.0 < diameter < LEAST_DIAMETER_PX:
+        return None
+    return _without(
+        name,
+        "failed",
+        f"it is {diameter:.1f} px wide, too small for a limb (at least {LEAST_DIAMETER_PX:g} px); use 'unresolved' or "
+        "'least_squares'",
+    )
+
+
+def _refined(
+    picture: BodyPicture, silhouette: Silhouette, start: FitStart, circle: Circle | None, *, solve_range: bool
+) -> BodyCenter:
+    stage, steps, converged = _settled(picture, silhouette, start, solve_range=solve_range)
+    solved = solve_range
+    if solve_range and not _tells_range(stage, picture.model(silhouette.name).target):
+        solved = False
+        known = FitStart(stage.outline.center_px, 1.0, start.spread_px)
+        stage, steps, converged = _settled(picture, silhouette, known, solve_range=False)
+    if stage.motion is None or missing_share(stage.verdict) > MOSTLY_MISSING:
+        return _no_limb(silhouette.name, stage)
+    return limb_center(
+        picture, silhouette.name, stage, circle, steps, converged=converged, asked_range=solve_range,
+        solved_range=solved,
+    )  # fmt: skip
+
+
+def _tells_range(stage: LimbStage, target: TargetState) -> bool:
+    """Whether the picture tells the range better than it is known beforehand."""
+    known = RANGE_SIGMA
+    if target.covariance_km2 is not None:
+        known = float(np.sqrt(target.direction @ target.covariance_km2 @ target.direction)) / target.range_km
+    return stage.motion is not None and float(np.sqrt(stage.motion.covariance[2, 2])) <= known
+
+
+def _no_limb(name: str, stage: LimbStage) -> BodyCenter:
+    verdict = stage.verdict
+    lit = verdict.status != "not_chosen"
+    if verdict.saturated.sum() > MOSTLY_SATURATED * lit.sum():
+        return _saturated(name)
+    if not lit.any():
+        return _without(name, "off_detector", "no lit limb lies on the detector", int(BodyFlag.CUT_BY_EDGE))
+    reasons, counts = np.unique(verdict.reason[lit], return_counts=True)
+    return _without(
+        name,
+        "not_detected",
+        f"of {np.count_nonzero(lit)} pieces of lit limb too few show it; mostly: {reasons[counts.argmax()]}",
+        int(BodyFlag.EMPTY),
+    )
+
+
+def _settled(
+    picture: BodyPicture, silhouette: Silhouette, start: FitStart, *, solve_range: bool
+) -> tuple[LimbStage, tuple[tuple[float, float], ...], bool]:
+    """Repeat stages until the body stands still."""
+    center, scale, spread = start.center_px, start.range_scale, start.spread_px
+    steps: list[tuple[float, float]] = []
+    share, last = 1.0, np.zeros(3)
+    while True:
+        outline = silhouette.at(center, scale)
+        stage = _stage(picture, silhouette, outline, scale, spread, solve_range=solve_range)
+        if stage.motion is None:
+            return stage, tuple(steps), False
+        radii = np.array([1.0, 1.0, 0.5 * outline.diameter_px])
+        step = np.clip(stage.motion.motion * radii, -LARGEST_STEP * radii[2], LARGEST_STEP * radii[2])
+        sigma = np.sqrt(np.diag(stage.motion.covariance)) * radii
+        still = bool(np.all(np.abs(step) < np.maximum(STILL_PX, STILL_SIGMAS * sigma)))
+        if still or len(steps) == MOST_STAGES:
+            return stage, tuple(steps), still
+        if step @ last < -TURNED * (last @ last):  # to and fro: pieces of limb that come and go
+            share *= 0.5
+        last, move = step, share * step / radii
+        steps.append((float(move[0]), float(move[1])))
+        center, scale = center + move[:2], scale * float(np.exp(move[2]))
+
+
+def _stage(
+    picture: BodyPicture,
+    silhouette: Silhouette,
+    outline: Outline,
+    scale: float,
+    spread: float,
+    *,
+    solve_range: bool,
+) -> LimbStage:
+    reach = limb_reach_px(picture)
+    follow = spread > ROUGH_PX
+    search = reach + 3.0 * spread if follow else 0.0
+    pieces = limb_pieces(outline, picture.signal_dn.shape, reach)
+    window = model_window(picture, outline, reach + search)
+    if min(window[2:]) < 1:
+        raise StartError("off_detector", "its limb lies off the detector", int(BodyFlag.CUT_BY_EDGE))
+    model = model_picture(
+        picture, window, {silhouette.name: outline.center_px}, range_scale={silhouette.name: scale}
+    )
+    offset = np.zeros(len(pieces))
+    if follow:
+        offset = _lagged(picture, pieces, model, window, reach, search)
+        pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
+    edges = fit_edges(picture, pieces, model, window, outline.center_px, offset)
+    verdict = select_limb(picture, silhouette, pieces, edges, reach)
+    motion = limb_motion(
+        edges.shift_px, edges.sigma_px, edges.response, verdict.usable, solve_range=solve_range
+    )
+    if motion is not None:
+        verdict = verdict.with_outliers(motion.used, motion.residual_px, edges.sigma_px)
+    return LimbStage(outline, scale, window, model, pieces, edges, verdict, motion)
+
+
+def _lagged(
+    picture: BodyPicture,
+    pieces: LimbPieces,
+    model: FloatArray,
+    window: tuple[int, int, int, int],
+    reach: float,
+    search: float,
+) -> FloatArray:
+    """Return where along its normal each piece's limb is found; 0 where it is not."""
+    template = limb_template(pieces, model, window, reach)
+    return np.nan_to_num(limb_lags(picture, pieces, template, search).lag_px)

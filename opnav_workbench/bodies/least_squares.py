@@ -1,0 +1,162 @@
+"""Centers of one or several bodies in a picture by non-linear least squares of their rendered light to the data.
+
+Flow   search (correlation) -> one fit of all bodies, their brightness and a level -> patterns -> `JointCenters`
+
+The bodies are rendered together, so that they hide and shade each other as their places demand. What ties their errors
+to each other is in the normal matrix: light that overlaps, an edge that one cuts into the other, the level under both.
+
+Reference: Jackman & Dumont (2013), AAS 13-443, "Non-linear Least Squares Target Centerfinding".
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.detection import DetectedScene, SearchRequest, detect_bodies, fit_pixels
+from opnav_workbench.bodies.fit_report import report_fitted_bodies
+from opnav_workbench.bodies.picture import BodyPicture, Circle
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag, JointCenters
+from opnav_workbench.bodies.scene_fit import SceneState, fit_scene
+from opnav_workbench.errors import CenterfindingError
+
+__all__ = ["find_jointly", "find_least_squares"]
+
+
+# ---- Centers of several bodies in one picture, found together by least squares, and their joint covariance.
+
+METHOD = "least_squares"
+NO_PIXELS = "no usable pixels about its place"
+MIN_PIXELS_PER_PARAMETER = 2
+
+
+def find_jointly(
+    picture: BodyPicture,
+    names: Sequence[str],
+    *,
+    circles: Mapping[str, Circle] | None = None,
+    solve_range: bool = False,
+    search_radius_px: float | None = None,
+) -> JointCenters:
+    """Find the centers of several bodies of one picture together.
+
+    Parameters
+    ----------
+    picture : BodyPicture
+    names : sequence of str
+    circles : mapping of str to Circle, optional
+        Where an analyst sees the bodies.
+    solve_range : bool
+        Solve for the range of each from the size of its image.
+    search_radius_px : float, optional
+        How far from their predictions (or circles) the bodies may be; by default 1.2 radii, at least 12 px, of an
+        analyst's circle half its radius.
+
+    Returns
+    -------
+    JointCenters
+        In the order of `names`; bodies that were not found have a status and no center.
+
+    Raises
+    ------
+    CenterfindingError
+        No names, a name twice, or one that is not in the scene.
+    """
+    _check(picture, names)
+    search = SearchRequest(METHOD, circles or {}, solve_range, search_radius_px)
+    company = detect_bodies(picture, names, search)
+    if not company.found:
+        return _collected(names, company.missed, {}, np.empty((0, 0)))
+    cutout = fit_pixels(picture, company)
+    fitted = (*company.found, *company.overlapping)
+    enough = MIN_PIXELS_PER_PARAMETER * (4 * len(fitted) + 1)
+    if cutout is None or np.count_nonzero(cutout.use) < enough:
+        return _collected(names, {**company.missed, **_empty(company)}, {}, np.empty((0, 0)))
+    wanted = np.array([solve_range and name in company.found for name in fitted])
+    fit = fit_scene(picture, cutout, _start(company, solve_range=solve_range), solve_range=wanted)
+    centers, covariance = report_fitted_bodies(picture, cutout, company, fit, METHOD, wanted)
+    return _collected(names, company.missed, centers, covariance)
+
+
+def _check(picture: BodyPicture, names: Sequence[str]) -> None:
+    if isinstance(names, str) or not names or len(set(names)) != len(names):
+        raise CenterfindingError(f"names of bodies are {names!r}; give a list of different names.")
+    for name in names:
+        picture.model(name)
+
+
+def _start(company: DetectedScene, *, solve_range: bool) -> SceneState:
+    names = (*company.found, *company.overlapping)
+    found = company.found.values()
+    places = [(body.sized_place if solve_range else body.place).center_px for body in found]
+    log_range = [-np.log(body.size_ratio) if solve_range else 0.0 for body in found]
+    places += list(company.overlapping.values())
+    log_range += [0.0] * len(company.overlapping)
+    return SceneState(names, np.array(places), np.array(log_range), np.ones(len(names)))
+
+
+def _empty(company: DetectedScene) -> dict[str, BodyCenter]:
+    return {
+        name: BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
+        for name in company.found
+    }
+
+
+def _collected(
+    names: Sequence[str],
+    missed: Mapping[str, BodyCenter],
+    centers: Mapping[str, BodyCenter],
+    covariance: FloatArray,
+) -> JointCenters:
+    """Put centers and covariances in the order of the names; `covariance` is in that of `centers`."""
+    joint = np.full((2 * len(names), 2 * len(names)), np.nan)
+    known = [name for name in centers if centers[name].pixel_line is not None]
+    at = np.ravel([[2 * names.index(name), 2 * names.index(name) + 1] for name in known]).astype(int)
+    order = list(centers)
+    rows = np.ravel([[2 * order.index(name), 2 * order.index(name) + 1] for name in known]).astype(int)
+    joint[np.ix_(at, at)] = covariance[np.ix_(rows, rows)]
+    return JointCenters(tuple({**missed, **centers}[name] for name in names), joint)
+
+
+# ---- Center of a body by non-linear least squares of its rendered picture to the data.
+
+
+def find_least_squares(
+    picture: BodyPicture,
+    name: str,
+    *,
+    circle: Circle | None = None,
+    solve_range: bool = False,
+    search_radius_px: float | None = None,
+) -> BodyCenter:
+    """Find a body's center of figure: center, brightness and a level fitted, and its range if wanted.
+
+    Bodies that hide it or mix their light with it are fitted along; pixels of the others are left out.
+
+    Parameters
+    ----------
+    picture : BodyPicture
+    name : str
+    circle : Circle, optional
+        Where an analyst sees the body.
+    solve_range : bool
+        Solve for its range from the size of its image.
+    search_radius_px : float, optional
+        How far from its prediction (or circle) the body may be; see `find_jointly`.
+
+    Returns
+    -------
+    BodyCenter
+        `detail` is a `ModelFit`. The covariance holds the noise and what the residuals say of a pattern that the model
+        lacks (`opnav_workbench.bodies.residuals`).
+
+    Raises
+    ------
+    CenterfindingError
+        The body is not in the scene.
+    """
+    circles = {} if circle is None else {name: circle}
+    joint = find_jointly(
+        picture, (name,), circles=circles, solve_range=solve_range, search_radius_px=search_radius_px
+    )
+    return joint.centers[0]

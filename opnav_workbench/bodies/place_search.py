@@ -1,0 +1,207 @@
+"""Where a body lies, to a fraction of a pixel: its rendered picture correlated with the data over the whole search area.
+
+At every lag the model, times a brightness, plus a level is fitted to the pixels under it; all sums over pixels are
+correlations, done with the FFT. Bad pixels have no weight and edges no pixels. The best lag is where the fit explains
+most of what is there, in units of the noise; a paraboloid through the peak and its neighbours refines it. Large bodies
+are correlated in bins of several pixels.
+
+Reference: Jackman & Dumont (2013), AAS 13-443, "Cross-Correlation Target Centerfinding".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.picture import BodyPicture, model_picture
+from opnav_workbench.bodies.subarray import PSF_REACH, RIM_PX, Cutout, cut_out
+from opnav_workbench.stars.peaks import refine_peaks
+
+__all__ = ["CorrelationPeak", "search_place"]
+
+ComplexArray = NDArray[np.complex128]
+
+BINNED_RADIUS_PX = 40.0  # larger bodies are searched in bins: their centers are good to a fraction of a bin
+MIN_INFORMATION = 0.02  # part of the body's light (squared) that must lie on usable pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelationPeak:
+    """Where a body was found.
+
+    Attributes
+    ----------
+    center_px : (2,) array
+        nan where there are no usable pixels.
+    snr : float
+        Of its brightness.
+    scale : float
+        Its brightness, data over model.
+    explained : float
+        Share, 0..1, of what is under the body that the model explains, noise taken out.
+    at_limit : bool
+        Whether the best place lies on the border of the search area.
+    usable : float
+        Share of the body's light (squared) on usable pixels, at the best place.
+    """
+
+    center_px: FloatArray
+    snr: float
+    scale: float
+    explained: float
+    at_limit: bool
+    usable: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Template:
+    light: FloatArray  # (t_line, t_pixel)
+    center: FloatArray  # (2,) of the body in it, (pixel, line), first pixel 0
+
+
+def search_place(
+    picture: BodyPicture,
+    name: str,
+    center_px: FloatArray,
+    radius_px: float,
+    search_px: float,
+    *,
+    range_scale: float = 1.0,
+    subtract_dn: FloatArray | None = None,
+) -> CorrelationPeak:
+    """Search for a body within `search_px` of a place.
+
+    Parameters
+    ----------
+    picture : BodyPicture
+    name : str
+    center_px : (2,) array
+        Expected center of figure.
+    radius_px : float
+        Of the circle that holds its outline.
+    search_px : float
+    range_scale : float
+        Range over the a priori one.
+    subtract_dn : (n_line, n_pixel) array, optional
+        Light of other bodies, of the size of the detector.
+    """
+    nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, False, 0.0)
+    reach = radius_px + PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
+    window = _clipped(picture, center_px, search_px + reach)
+    if min(window[2:]) < 3:
+        return nowhere
+    data = cut_out(picture, window, keep_saturated=True)
+    if subtract_dn is not None:
+        pixel, line, n_pixel, n_line = window
+        light = subtract_dn[line : line + n_line, pixel : pixel + n_pixel]
+        data = Cutout(window, np.where(data.use, data.data_dn - light, 0.0), data.noise_dn, data.use,
+                      data.saturated, data.gain_e_per_dn)  # fmt: skip
+    template = _template(picture, name, center_px, reach, range_scale)
+    bins = max(1, int(radius_px // BINNED_RADIUS_PX))
+    return _highest_peak(data, template, bins, center_px, search_px) if data.use.any() else nowhere
+
+
+def _clipped(picture: BodyPicture, center: FloatArray, half: float) -> tuple[int, int, int, int]:
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    first = np.clip(np.floor(center - half), 0, size).astype(int)
+    last = np.clip(np.ceil(center + half), -1, size - 1).astype(int)
+    n_pixel, n_line = (int(n) for n in np.maximum(last - first + 1, 0))
+    return int(first[0]), int(first[1]), n_pixel, n_line
+
+
+def _template(
+    picture: BodyPicture, name: str, center: FloatArray, reach: float, range_scale: float
+) -> _Template:
+    """Render the body alone, moved onto the detector as far as it goes there, so that all of it is seen."""
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    low = np.minimum(reach, 0.5 * (size - 1))
+    place = np.clip(center, low, size - 1 - low)
+    window = _clipped(picture, place, reach)
+    light = model_picture(picture, window, {name: place}, range_scale=range_scale, only=(name,))
+    return _Template(light, place - np.array(window[:2]))
+
+
+def _highest_peak(
+    data: Cutout, template: _Template, bins: int, expected: FloatArray, search_px: float
+) -> CorrelationPeak:
+    weight, weighted, squared = (
+        _binned(plane, bins)
+        for plane in (data.weight(), data.weight() * data.data_dn, data.weight() * data.data_dn**2)
+    )
+    light = _binned(template.light, bins) / bins**2
+    lags = _LagCorrelator(weight.shape, light.shape)
+    box, model, power = (lags.spectrum(plane) for plane in (np.ones_like(light), light, light**2))
+    usable = lags.spectrum((weight > 0.0).astype(float))
+    of_w, of_wd, of_wdd = (lags.spectrum(plane) for plane in (weight, weighted, squared))
+    w, wd, wdd = (lags.correlate(plane, box) for plane in (of_w, of_wd, of_wdd))
+    wm, wmm, wdm = lags.correlate(of_w, model), lags.correlate(of_w, power), lags.correlate(of_wd, model)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.where(w > 1e-9 * w.max(), 1.0 / w, 0.0)
+        information = wmm - wm**2 * mean
+        signal = wdm - wd * wm * mean
+        good = (wmm > MIN_INFORMATION * wmm.max()) & (information > 1e-9 * wmm.max())
+        scale = np.where(good, signal / np.where(good, information, 1.0), 0.0)
+    snr = scale * np.sqrt(np.maximum(information, 0.0))
+    variation = wdd - wd**2 * mean
+    count = lags.correlate(usable, box) * bins**2
+    gain = np.maximum(snr, 0.0) ** 2
+    explained = gain / np.maximum(np.maximum(variation - count, gain), 1e-300)
+    # The sample at lag k has the template's first pixel at bin k of the data.
+    origin = (np.array(data.window[:2]) + template.center)[:, None, None]
+    grid = np.stack(np.meshgrid(lags.pixel, lags.line)) * bins + origin
+    near = np.hypot(*(grid - expected[:, None, None])) <= max(search_px, 0.75 * bins)
+    return _refined_peak(snr * explained, near & good, grid, (snr, scale, explained, wmm / wmm.max()), bins)
+
+
+def _refined_peak(
+    surface: FloatArray,
+    searched: BoolArray,
+    grid: FloatArray,
+    maps: tuple[FloatArray, ...],
+    bins: int,
+) -> CorrelationPeak:
+    if not searched.any():
+        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, False, 0.0)
+    row, column = np.unravel_index(np.where(searched, surface, -np.inf).argmax(), surface.shape)
+    inner = 0 < row < surface.shape[0] - 1 and 0 < column < surface.shape[1] - 1
+    center = grid[:, row, column]
+    at_limit = True
+    if inner:
+        patch = surface[row - 1 : row + 2, column - 1 : column + 2]
+        at_limit = bool(patch.max() > patch[1, 1])
+        if not at_limit:
+            offset, _ = refine_peaks(surface[None], np.array([row]), np.array([column]))
+            center = center + bins * offset[0]
+    snr, scale, explained, usable = (float(plane[row, column]) for plane in maps)
+    return CorrelationPeak(center, snr, scale, explained, at_limit, usable)
+
+
+class _LagCorrelator:
+    """Correlations of planes with templates over all lags at which they overlap by more than half the template."""
+
+    def __init__(self, plane: tuple[int, ...], template: tuple[int, ...]) -> None:
+        self.length = [fft.next_fast_len(p + t, real=True) for p, t in zip(plane, template, strict=True)]
+        self.line, self.pixel = (np.arange(-t + 1, p) for p, t in zip(plane, template, strict=True))
+
+    def spectrum(self, plane: FloatArray) -> ComplexArray:
+        """Return the transform of a plane or template, padded."""
+        return np.asarray(fft.rfft2(plane, self.length))
+
+    def correlate(self, plane: ComplexArray, template: ComplexArray) -> FloatArray:
+        """Return sums over x of plane(x + lag) template(x), [line lag, pixel lag], from their transforms."""
+        out = fft.irfft2(plane * np.conj(template), self.length)
+        return np.asarray(out[self.line[:, None], self.pixel[None, :]])
+
+
+def _binned(plane: FloatArray, bins: int) -> FloatArray:
+    """Return sums over bins x bins pixels; an incomplete last row or column counts as it is."""
+    if bins == 1:
+        return plane
+    pad = [(0, -n % bins) for n in plane.shape]
+    lines, pixels = ((n + p[1]) // bins for n, p in zip(plane.shape, pad, strict=True))
+    return np.asarray(np.pad(plane, pad).reshape(lines, bins, pixels, bins).sum(axis=(1, 3)))

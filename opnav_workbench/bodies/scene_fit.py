@@ -1,0 +1,504 @@
+"""Weighted least squares of rendered bodies to a picture: Gauss-Newton with few renderings.
+
+Parameters of a scene of n bodies, in this order: centers (pixel 0, line 0, pixel 1, ...), logarithms of the range over
+the a priori one (where sizes are solved for), brightness scales, and one level under all.
+
+Flow   state -> light of each body and its derivatives (`scene_light`) -> scales and level -> step -> ... -> `SceneFit`
+
+All linear parameters (brightness scales, level) are solved with each step. Weights are 1 / variance of the noise, the
+shot noise that of the model: shot noise of the data would pull the fit to pixels that happen to be dark. Each step's
+derivatives are those of the rendered light itself, so that three renderings usually do; where bodies hide each other they
+are differences. Normal equations are scaled to a unit diagonal.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
+from opnav_workbench.bodies.picture import BodyPicture, placed_models, sunlight_electrons
+from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
+from opnav_workbench.render import MovingBody, render_moving
+
+__all__ = [
+    "SceneFit",
+    "SceneLight",
+    "SceneState",
+    "fit_scene",
+    "light_scene",
+    "range_derivatives",
+    "solve_brightness",
+]
+
+
+# ---- The light of a scene's bodies at trial places, and how it changes with every parameter of a fit.
+
+CENTER_STEP_PX = 0.1  # of numeric derivatives, where bodies hide each other
+EDGE_STEP_PX = 0.1  # by which a change of range moves a limb
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneState:
+    """Where the bodies of a scene are, how large and how bright.
+
+    Attributes
+    ----------
+    names : tuple of str
+    centers_px : (n, 2) array
+    log_range : (n,) array
+        Logarithm of range over the a priori one.
+    scales : (n,) array
+        Brightness, data over model.
+    level_dn : float
+    """
+
+    names: tuple[str, ...]
+    centers_px: FloatArray
+    log_range: FloatArray
+    scales: FloatArray
+    level_dn: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def places(self) -> Mapping[str, FloatArray]:
+        """Centers by name."""
+        return dict(zip(self.names, self.centers_px, strict=True))
+
+    @property
+    def range_scales(self) -> Mapping[str, float]:
+        """Range over the a priori one by name."""
+        return dict(zip(self.names, np.exp(self.log_range).tolist(), strict=True))
+
+    def moved(self, centers: FloatArray, log_range: FloatArray) -> "SceneState":
+        """Return the state with its bodies moved by (n, 2) px and (n,)."""
+        return replace(self, centers_px=self.centers_px + centers, log_range=self.log_range + log_range)
+
+    def at(self, index: int, center_px: FloatArray, log_range: float) -> "SceneState":
+        """Return the state with one body somewhere else."""
+        centers, ranges = self.centers_px.copy(), self.log_range.copy()
+        centers[index], ranges[index] = center_px, log_range
+        return replace(self, centers_px=centers, log_range=ranges)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneLight:
+    """Light of each body at unit scale, and what moving them changes in the sum of all at their scales.
+
+    Attributes
+    ----------
+    each : (n, n_line, n_pixel) array
+        DN.
+    d_center : (2 n, n_line, n_pixel) array
+        DN / px; (0, ...) where it was not asked for.
+    flux_dn : (n,) array
+        Light of each body at unit scale, on and off the window.
+    occulted : (n,) array
+        Share of each body's light that others hide.
+    diameter_px : (n,) array
+    """
+
+    each: FloatArray
+    d_center: FloatArray
+    flux_dn: FloatArray
+    occulted: FloatArray
+    diameter_px: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def total(self, scales: FloatArray) -> FloatArray:
+        """Return the light of all bodies, DN."""
+        return np.asarray(np.tensordot(scales, self.each, axes=1))
+
+
+def light_scene(
+    picture: BodyPicture,
+    window: tuple[int, int, int, int],
+    state: SceneState,
+    *,
+    derivatives: bool = True,
+) -> SceneLight:
+    """Render the bodies of a state, alone in the scene, with their derivatives."""
+    moving = _rendered(picture, window, state, derivatives=derivatives)
+    gain = picture.gain_e_per_dn
+    each = np.stack([body.electrons for body in moving]) / gain
+    occulted = np.array([body.body.occulted_fraction for body in moving])
+    d_center = np.concatenate(
+        [(scale / gain) * body.slopes for scale, body in zip(state.scales, moving, strict=True)]
+    )
+    if derivatives and len(moving) > 1 and np.any(occulted > 0.0):
+        d_center = _center_differences(picture, window, state, np.tensordot(state.scales, each, axes=1))
+    return SceneLight(
+        each=each,
+        d_center=d_center,
+        flux_dn=np.array([body.body.flux_e for body in moving]) / gain,
+        occulted=occulted,
+        diameter_px=np.array([body.body.diameter_px for body in moving]),
+    )
+
+
+def _rendered(
+    picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState, *, derivatives: bool
+) -> tuple[MovingBody, ...]:
+    models = {
+        model.target.name: model
+        for model in placed_models(picture, state.places, state.range_scales, state.names)
+    }
+    return render_moving(
+        [models[name] for name in state.names],
+        picture.camera,
+        picture.camera_from_j2000,
+        picture.observer_velocity_km_s,
+        psf=picture.psf,
+        sunlight_e=sunlight_electrons(picture),
+        window=window,
+        derivatives=derivatives,
+    )
+
+
+def _total_light(picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState) -> FloatArray:
+    bodies = _rendered(picture, window, state, derivatives=False)
+    light = sum(scale * body.electrons for scale, body in zip(state.scales, bodies, strict=True))
+    return np.asarray(light / picture.gain_e_per_dn)
+
+
+def _center_differences(
+    picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState, here: FloatArray
+) -> FloatArray:
+    """Differences of the light of all bodies, `here` (n_line, n_pixel), with respect to their centers (2 n, ...)."""
+    n, still = len(state.names), np.zeros(len(state.names))
+    steps = CENTER_STEP_PX * np.eye(2 * n).reshape(-1, n, 2)
+    moved = [_total_light(picture, window, state.moved(step, still)) for step in steps]
+    return np.stack([(there - here) / CENTER_STEP_PX for there in moved])
+
+
+def range_derivatives(
+    picture: BodyPicture,
+    window: tuple[int, int, int, int],
+    state: SceneState,
+    light: SceneLight,
+    wanted: BoolArray,
+) -> FloatArray:
+    """Return differences of the light of all bodies with respect to the logarithm of range, for those wanted (k, ...)."""
+    n = len(state.names)
+    here, out = light.total(state.scales), []
+    for index in np.flatnonzero(wanted):
+        step = EDGE_STEP_PX / max(0.5 * float(light.diameter_px[index]), 1.0)
+        change = np.where(np.arange(n) == index, step, 0.0)
+        out.append((_total_light(picture, window, state.moved(np.zeros((n, 2)), change)) - here) / step)
+    return np.reshape(out, (-1, *here.shape))
+
+
+# ---- Normal equations of pictures: columns (p, n_line, n_pixel), weights and data (n_line, n_pixel).
+
+RIDGE = 1e-10  # of a unit diagonal: keeps a parameter that nothing depends on from becoming infinite
+
+
+def normal_matrix(columns: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return the information matrix (p, p)."""
+    flat = columns.reshape(len(columns), -1)
+    return symmetric((flat * weight.ravel()) @ flat.T)
+
+
+def right_hand_side(columns: FloatArray, weight: FloatArray, data: FloatArray) -> FloatArray:
+    """Return the right-hand side (p,)."""
+    return np.asarray(columns.reshape(len(columns), -1) @ (weight * data).ravel())
+
+
+def solve_normal(information: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the parameters (p,)."""
+    scale, scaled = _scaled(information)
+    return np.asarray(scale * np.linalg.solve(scaled, scale * right))
+
+
+def inverse_normal(information: FloatArray) -> FloatArray:
+    """Return the covariance (p, p)."""
+    scale, scaled = _scaled(information)
+    return symmetric(scale[:, None] * np.linalg.inv(scaled) * scale)
+
+
+def _scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return scales (p,) and the matrix scaled to a unit diagonal; a parameter that nothing depends on stays 0."""
+    diagonal = np.diag(information)
+    known = diagonal > 0.0
+    scale = np.where(known, 1.0 / np.sqrt(np.where(known, diagonal, 1.0)), 0.0)
+    ridge = np.where(known, RIDGE, 1.0)
+    return scale, information * scale[:, None] * scale + np.diag(ridge)
+
+
+# ---- Weighted least squares of rendered bodies to a picture: Gauss-Newton with few renderings.
+
+MAX_RENDERINGS = 12
+CONVERGED_PX = 0.01  # a step this small leaves an error of second order, 1e-4 px
+MAX_STEP_PX = 2.0  # linear in the center no farther than the PSF and the limb's curvature allow
+MAX_STEP_LOG = 0.25
+MAX_LOG_RANGE = 1.2  # a factor of 3.3
+FRESH_PX = 0.15  # derivatives that were taken farther away than this are taken anew
+GROWTH = 1.01  # chi-squared may grow so much in a step: the weights change with the model
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneFit:
+    """Bodies fitted to a picture.
+
+    Attributes
+    ----------
+    state : SceneState
+        The solution.
+    light : SceneLight
+        Rendered at the last step but one; the last step is below `CONVERGED_PX`.
+    model_dn : (n_line, n_pixel) array
+        All bodies at the solution, without the level.
+    residual_dn, weight : (n_line, n_pixel) arrays
+        Data minus model and level; 1 / variance, 0 for pixels not used.
+    columns : (p, n_line, n_pixel) array
+        Derivatives of the model with respect to the parameters, see `scene_light`.
+    information : (p, p) array
+        Normal matrix.
+    hits : (n_line, n_pixel) array of bool
+        Pixels left out because their light is not that of a body.
+    steps_px : tuple of (n, 2) arrays
+    converged : bool
+    chi2 : float
+        Weighted square of the residuals.
+    own_gain : (2 n, n_line, n_pixel) array or None
+        Change of the centers per DN in each pixel, of another estimator than least squares.
+    """
+
+    state: SceneState
+    light: SceneLight
+    model_dn: FloatArray
+    residual_dn: FloatArray
+    weight: FloatArray
+    columns: FloatArray
+    information: FloatArray
+    hits: BoolArray
+    steps_px: tuple[FloatArray, ...]
+    converged: bool
+    chi2: float
+    own_gain: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (p, p) of the parameters from the noise of the pixels."""
+        return inverse_normal(self.information)
+
+    @property
+    def gain(self) -> FloatArray:
+        """Change of centers and ranges (2 n + k, n_line, n_pixel) per DN in each pixel."""
+        if self.own_gain is not None:
+            return self.own_gain
+        rows = len(self.columns) - len(self.state.names) - 1
+        return np.tensordot(self.covariance[:rows], self.columns * self.weight, axes=1)
+
+    @property
+    def noise_covariance(self) -> FloatArray:
+        """Covariance (2 n + k, 2 n + k) of centers and ranges from the noise of the pixels."""
+        if self.own_gain is None:
+            rows = len(self.columns) - len(self.state.names) - 1
+            return self.covariance[:rows, :rows]
+        variance = np.where(self.weight > 0.0, 1.0 / np.where(self.weight > 0.0, self.weight, 1.0), 0.0)
+        return symmetric(np.einsum("plm,lm,qlm->pq", self.own_gain, variance, self.own_gain))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Pixels used less parameters."""
+        return max(int(np.count_nonzero(self.weight)) - len(self.information), 1)
+
+
+def fit_scene(
+    picture: BodyPicture,
+    cutout: Cutout,
+    start: SceneState,
+    *,
+    solve_range: BoolArray | None = None,
+    reject_hits: bool = True,
+) -> SceneFit:
+    """Fit the bodies of `start` to the pixels of a cutout.
+
+    Parameters
+    ----------
+    picture : BodyPicture
+    cutout : Cutout
+    start : SceneState
+        Centers good to about the width of the PSF; its scales and level do not matter.
+    solve_range : (n,) array of bool, optional
+        Bodies whose range is solved for from their size.
+    reject_hits : bool
+        Leave out pixels whose light is not that of the bodies (see `find_hit_pixels`), and fit again.
+    """
+    wanted = np.zeros(len(start.names), dtype=bool) if solve_range is None else np.asarray(solve_range, bool)
+    task = _SceneProblem(picture, cutout, wanted)
+    first = _minimize(
+        task, _linearised(task, replace(start, scales=np.ones(len(start.names))), _no_hits(cutout))
+    )
+    hits = find_hit_pixels(first.residual_dn, first.weight) if reject_hits else _no_hits(cutout)
+    if not hits.any():
+        return first
+    again = _linearised(task, first.state, hits)
+    second = _minimize(task, again)
+    return replace(second, steps_px=first.steps_px + second.steps_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SceneProblem:
+    picture: BodyPicture
+    cutout: Cutout
+    wanted: BoolArray  # (n,) ranges to solve for
+
+    @property
+    def count(self) -> int:
+        return int(self.wanted.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LinearizedScene:
+    """The model and its derivatives at a state, with scales and level already solved for."""
+
+    state: SceneState
+    light: SceneLight
+    columns: FloatArray
+    weight: FloatArray
+    residual: FloatArray
+    hits: BoolArray
+    derived_at: FloatArray  # (n, 2) centers that the derivatives belong to
+
+    @property
+    def chi2(self) -> float:
+        return float(np.sum(self.weight * self.residual**2))
+
+    @property
+    def degrees(self) -> float:
+        return max(float(np.count_nonzero(self.weight)), 1.0)
+
+
+def _no_hits(cutout: Cutout) -> BoolArray:
+    return np.zeros(cutout.use.shape, dtype=bool)
+
+
+def _linearised(
+    task: _SceneProblem, state: SceneState, hits: BoolArray, known: _LinearizedScene | None = None
+) -> _LinearizedScene:
+    """Render a state, solve for its scales and level, and take the derivatives: those `known`, if they are near enough."""
+    near = known is not None and float(np.abs(state.centers_px - known.derived_at).max()) < FRESH_PX
+    light = light_scene(task.picture, task.cutout.window, state, derivatives=not near)
+    before = state.scales
+    state, weight = solve_brightness(task.cutout, state, light.each, hits)
+    n = len(state.names)
+    if known is not None and near:
+        ratio = np.concatenate([np.repeat(_ratio(state.scales, known.state.scales), 2), np.ones(task.count)])
+        changing, derived_at = known.columns[: 2 * n + task.count] * ratio[:, None, None], known.derived_at
+    else:
+        moving = light.d_center * np.repeat(_ratio(state.scales, before), 2)[:, None, None]
+        sizes = range_derivatives(task.picture, task.cutout.window, state, light, task.wanted)
+        changing, derived_at = np.concatenate([moving, sizes]), state.centers_px
+    residual = task.cutout.data_dn - light.total(state.scales) - state.level_dn
+    columns = np.concatenate([changing, light.each, np.ones((1, *weight.shape))])
+    return _LinearizedScene(state, light, columns, weight, residual, hits, derived_at)
+
+
+def _ratio(new: FloatArray, old: FloatArray) -> FloatArray:
+    return new / np.where(old == 0.0, 1.0, old)
+
+
+def solve_brightness(
+    cutout: Cutout, state: SceneState, each: FloatArray, hits: BoolArray
+) -> tuple[SceneState, FloatArray]:
+    """Return the state with scales and level solved for, and the weights of the pixels under such a model."""
+    expected: FloatArray | float = 0.0
+    for _ in range(2):
+        weight = np.where(hits, 0.0, cutout.weight(expected))
+        design = np.concatenate([each, np.ones((1, *weight.shape))])
+        solved = solve_normal(normal_matrix(design, weight), right_hand_side(design, weight, cutout.data_dn))
+        expected = np.tensordot(solved[:-1], each, axes=1)
+    weight = np.where(hits, 0.0, cutout.weight(expected))
+    return replace(state, scales=solved[:-1], level_dn=float(solved[-1])), weight
+
+
+def _minimize(task: _SceneProblem, linear: _LinearizedScene) -> SceneFit:
+    """Step until the steps are small; a step that makes the fit worse is halved."""
+    steps: list[FloatArray] = []
+    for _ in range(MAX_RENDERINGS):
+        change = _step(linear, task)
+        small = _length(change, linear, task) < CONVERGED_PX
+        state = _stepped(linear.state, change, task)
+        steps.append(state.centers_px - linear.state.centers_px)
+        if small:
+            return _finished(linear, change, state, tuple(steps), converged=True)
+        previous, linear = linear, _linearised(task, state, linear.hits, linear)
+        if linear.chi2 / linear.degrees > GROWTH * previous.chi2 / previous.degrees:
+            steps[-1] = 0.5 * steps[-1]
+            linear = _linearised(task, _between(previous.state, state), previous.hits, previous)
+    return _finished(linear, np.zeros(len(linear.columns)), linear.state, tuple(steps), converged=False)
+
+
+def _step(linear: _LinearizedScene, task: _SceneProblem) -> FloatArray:
+    """Return the change of all parameters, those of centers and ranges within limits."""
+    change = solve_normal(
+        normal_matrix(linear.columns, linear.weight),
+        right_hand_side(linear.columns, linear.weight, linear.residual),
+    )
+    n, k = len(linear.state.names), task.count
+    centers = change[: 2 * n].reshape(n, 2)
+    longest = float(np.sqrt(np.max(np.sum(centers**2, axis=1))))
+    largest = float(np.abs(change[2 * n : 2 * n + k]).max(initial=0.0))
+    return change * min(1.0, MAX_STEP_PX / max(longest, 1e-300), MAX_STEP_LOG / max(largest, 1e-300))
+
+
+def _length(change: FloatArray, linear: _LinearizedScene, task: _SceneProblem) -> float:
+    """Return how far a step moves centers and limbs, px."""
+    n, k = len(linear.state.names), task.count
+    limbs = change[2 * n : 2 * n + k] * 0.5 * linear.light.diameter_px[task.wanted]
+    return float(np.abs(np.concatenate([change[: 2 * n], limbs])).max())
+
+
+def _stepped(state: SceneState, change: FloatArray, task: _SceneProblem) -> SceneState:
+    n, k = len(state.names), task.count
+    log_range = np.zeros(n)
+    log_range[task.wanted] = change[2 * n : 2 * n + k]
+    limited = np.clip(state.log_range + log_range, -MAX_LOG_RANGE, MAX_LOG_RANGE) - state.log_range
+    moved = state.moved(change[: 2 * n].reshape(n, 2), limited)
+    scales = state.scales + change[2 * n + k : 3 * n + k]
+    return replace(moved, scales=scales, level_dn=state.level_dn + float(change[-1]))
+
+
+def _between(a: SceneState, b: SceneState) -> SceneState:
+    return replace(
+        b,
+        centers_px=0.5 * (a.centers_px + b.centers_px),
+        log_range=0.5 * (a.log_range + b.log_range),
+        scales=0.5 * (a.scales + b.scales),
+    )
+
+
+def _finished(
+    linear: _LinearizedScene,
+    change: FloatArray,
+    state: SceneState,
+    steps: tuple[FloatArray, ...],
+    *,
+    converged: bool,
+) -> SceneFit:
+    """Carry the last, small step through the linear model instead of rendering once more."""
+    difference = np.tensordot(change, linear.columns, axes=1)
+    residual = linear.residual - difference
+    model = linear.light.total(linear.state.scales) + difference - float(change[-1])
+    return SceneFit(
+        state=state,
+        light=linear.light,
+        model_dn=model,
+        residual_dn=residual,
+        weight=linear.weight,
+        columns=linear.columns,
+        information=normal_matrix(linear.columns, linear.weight),
+        hits=linear.hits,
+        steps_px=steps,
+        converged=converged,
+        chi2=float(np.sum(linear.weight * residual**2)),
+    )

@@ -1,0 +1,263 @@
+"""Camera files: their schema, and the fields of a `Camera` that they give.
+
+One file describes one camera in one readout mode; the schema says what each field is called, its unit and what values it
+may take. The files under ``kernels_meta/<mission>/cameras`` are the examples. A number that nobody knows is null.
+"""
+
+from os import PathLike
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloat, PositiveInt
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera.distortion import (
+    BrownDistortion,
+    Distortion,
+    ForwardSipDistortion,
+    LegendreDistortion,
+    NoDistortion,
+    OwenDistortion,
+    SipDistortion,
+)
+from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.errors import CameraError
+from opnav_workbench.photometry import Bandpass, ColorResponse
+from opnav_workbench.psf.schema import AnyPsf
+from opnav_workbench.yaml_file import read_model
+
+__all__ = ["camera_fields"]
+
+
+# ---- The schema of camera files: what each field is called, its unit, and what values it may take.
+
+Pair = tuple[float, float]
+Vector3 = tuple[float, float, float]
+NotNegative = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(ge=0.0, lt=1.0)]
+Terms = Annotated[tuple[float, ...], Field(min_length=20, max_length=20)]
+
+
+def _powers(value: Any) -> Any:
+    """Turn SIP keys ``3_0`` into (3, 0)."""
+    if not isinstance(value, dict):
+        return value
+    return {tuple(str(key).split("_")): coefficient for key, coefficient in value.items()}
+
+
+SipTerms = Annotated[dict[tuple[int, int], float], BeforeValidator(_powers)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _NoDistortion(_Strict):
+    model: Literal["none"]
+
+    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return NoDistortion()
+
+
+class _Owen(_Strict):
+    model: Literal["owen"]
+    e1_per_mm: float = 0.0
+    e2_per_mm2: float = 0.0
+    e3_per_mm3: float = 0.0
+    e4_per_mm4: float = 0.0
+    e5_per_mm: float = 0.0
+    e6_per_mm: float = 0.0
+
+    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return OwenDistortion(**self.model_dump(exclude={"model"}))
+
+
+class _Brown(_Strict):
+    """OpenCV's coefficients, dimensionless."""
+
+    model: Literal["brown"]
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+
+    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return BrownDistortion(focal_mm=focal_mm, **self.model_dump(exclude={"model"}))
+
+
+class _Sip(_Strict):
+    """Coefficients of u^p v^q keyed ``p_q``, px^(1 - p - q)."""
+
+    model: Literal["sip"]
+    ap: SipTerms
+    bp: SipTerms
+
+    def build(self, _focal_mm: float, pixel_from_mm: FloatArray) -> Distortion:
+        return SipDistortion.from_coefficients(pixel_from_mm, self.ap, self.bp)
+
+
+class _ForwardSip(_Strict):
+    """Coefficients of u^p v^q keyed ``p_q``, px^(1 - p - q)."""
+
+    model: Literal["sip_forward"]
+    a: SipTerms
+    b: SipTerms
+
+    def build(self, _focal_mm: float, pixel_from_mm: FloatArray) -> Distortion:
+        return ForwardSipDistortion.from_coefficients(pixel_from_mm, self.a, self.b)
+
+
+class _Legendre(_Strict):
+    model: Literal["legendre"]
+    half_size_mm: Pair
+    x_coefficients: Terms
+    y_coefficients: Terms
+
+    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return LegendreDistortion(
+            *(np.array(v) for v in (self.half_size_mm, self.x_coefficients, self.y_coefficients))
+        )
+
+
+AnyDistortion = Annotated[
+    _NoDistortion | _Owen | _Brown | _Sip | _ForwardSip | _Legendre, Field(discriminator="model")
+]
+
+
+class _Optics(_Strict):
+    focal_length_mm: PositiveFloat
+    aperture_m: PositiveFloat | None = None
+    obscuration: Share = 0.0
+    pixel_from_mm: tuple[Pair, Pair]
+    focal_from_camera: tuple[Vector3, Vector3, Vector3]
+    distortion: AnyDistortion
+
+
+class _Detector(_Strict):
+    n_pixel: PositiveInt
+    n_line: PositiveInt
+    center_pixel_line: Pair
+    bits: PositiveInt | None = None
+    gain_e_per_dn: PositiveFloat | None = None
+    read_noise_dn: NotNegative | None = None
+    saturation_dn: PositiveFloat | None = None
+    bias_dn: NotNegative | None = None
+    full_well_e: PositiveFloat | None = None
+    dark_current_e_s: NotNegative | None = None
+    frame_transfer_s: NotNegative | None = None
+    prnu: Share | None = None
+    hot_pixel_fraction: Share | None = None
+    dead_pixel_fraction: Share | None = None
+    exposure_min_s: NotNegative | None = None
+    exposure_max_s: PositiveFloat | None = None
+
+    def exposure_limits(self) -> ExposureLimits | None:
+        if self.exposure_min_s is None or self.exposure_max_s is None:
+            return None
+        return ExposureLimits(self.exposure_min_s, self.exposure_max_s)
+
+
+class _Bandpass(_Strict):
+    """A curve of electrons per photon; with a peak, the curve gives its shape only."""
+
+    wavelength_nm: Annotated[tuple[float, ...], Field(min_length=2)]
+    response: Annotated[tuple[NotNegative, ...], Field(min_length=2)]
+    peak: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+
+    def build(self) -> Bandpass:
+        curve = Bandpass(np.array(self.wavelength_nm), np.array(self.response))
+        return curve if self.peak is None else curve.scaled_to(self.peak)
+
+
+class _Color(_Strict):
+    slope_mag_per_bv: float
+    sigma_mag: PositiveFloat
+    reference_b_v: float = 0.0
+    curvature_mag_per_bv2: float = 0.0
+
+    def build(self) -> ColorResponse:
+        return ColorResponse(**self.model_dump())
+
+
+class _Photometry(_Strict):
+    zero_point_mag: float | None = None
+    zero_point_b_v: float = 0.0
+    bandpass: _Bandpass | None = None
+    color: _Color | None = None
+
+
+class _Psf(_Strict):
+    sigma_px: PositiveFloat
+    sigma_sigma_px: PositiveFloat
+    model: AnyPsf | None = None
+
+
+class _Attitude(_Strict):
+    cross_px: PositiveFloat
+    twist_deg: PositiveFloat
+
+
+class CameraFile(_Strict):
+    """One camera in one readout mode, as a YAML file describes it."""
+
+    name: str
+    frame: str
+    instrument_id: int
+    source: str
+    optics: _Optics
+    detector: _Detector
+    psf: _Psf
+    photometry: _Photometry = _Photometry()
+    attitude_sigma: _Attitude
+
+    def fields(self, folder: Path) -> dict[str, Any]:
+        """Return the fields of `opnav_workbench.camera.Camera`; file names are relative to `folder`."""
+        photometry = self.photometry
+        optics, detector = self.optics, self.detector
+        matrix = np.array(optics.pixel_from_mm)
+        copied: tuple[tuple[BaseModel, tuple[str, ...]], ...] = (
+            (self, ("name", "frame", "instrument_id", "source")),
+            (optics, ("focal_length_mm", "aperture_m", "obscuration", "pixel_from_mm", "focal_from_camera")),
+            (detector, ("n_pixel", "n_line", "center_pixel_line", "bits")),
+            (detector, ("gain_e_per_dn", "read_noise_dn", "saturation_dn", "bias_dn", "full_well_e")),
+            (detector, ("dark_current_e_s", "frame_transfer_s")),
+            (detector, ("prnu", "hot_pixel_fraction", "dead_pixel_fraction")),
+            (photometry, ("zero_point_mag", "zero_point_b_v")),
+        )
+        values = {name: getattr(part, name) for part, names in copied for name in names}
+        return values | {
+            "distortion": optics.distortion.build(optics.focal_length_mm, matrix),
+            "psf": PsfPrior(self.psf.sigma_px, self.psf.sigma_sigma_px),
+            "psf_shape": None if self.psf.model is None else self.psf.model.build(folder),
+            "bandpass": None if photometry.bandpass is None else photometry.bandpass.build(),
+            "color_response": None if photometry.color is None else photometry.color.build(),
+            "attitude_sigma": AttitudeSigma(self.attitude_sigma.cross_px, self.attitude_sigma.twist_deg),
+            "exposure_limits": detector.exposure_limits(),
+        }
+
+
+# ---- Camera files.
+
+
+def camera_fields(path: str | PathLike[str]) -> dict[str, Any]:
+    """Return the fields of `opnav_workbench.camera.Camera` that a camera file gives.
+
+    Raises
+    ------
+    CameraError
+        The file cannot be read or breaks the schema.
+    """
+    file = read_model(path, CameraFile, "camera file", CameraError)
+    try:
+        return file.fields(Path(path).parent)
+    except CameraError as error:
+        raise CameraError(f"camera file {path}: {error}") from error

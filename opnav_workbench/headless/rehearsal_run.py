@@ -1,0 +1,122 @@
+"""The blind run of a rehearsal: every picture of a package processed with the package's own kernels, nobody looking.
+
+A picture that is lost, damaged or cannot be solved is an outcome with its reason, never a stop.
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import make_folder, sha256_of
+from opnav_workbench.headless.picture_run import Outcome, process_image
+from opnav_workbench.headless.policy import Policy
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.mission import load_mission
+from opnav_workbench.rehearsal.package import OrtPackage
+from opnav_workbench.session import RESULT_FILE
+from opnav_workbench.simulation.batch import in_processes
+
+__all__ = ["process_package"]
+
+OutcomeCallback = Callable[[Outcome], None]
+
+
+def process_package(
+    package: OrtPackage,
+    out: str | Path,
+    *,
+    jobs: int = 1,
+    again: bool = False,
+    done: OutcomeCallback = lambda _outcome: None,
+) -> tuple[Outcome, ...]:
+    """Process the pictures of a rehearsal and write ``OUT/<picture>/`` for each.
+
+    What has a result already, an analyst's above all, is left as it is.
+
+    Parameters
+    ----------
+    package : OrtPackage
+    out : path
+    jobs : int
+        Processes. A script that asks for more than one must guard its main part (``if __name__ == "__main__"``).
+    again : bool
+        Process all of them anew.
+    done : callable
+        Called with each outcome as soon as it stands, in any order.
+
+    Returns
+    -------
+    tuple of Outcome
+        In the package's order.
+
+    Raises
+    ------
+    KernelError, CatalogError, SessionError
+        Kernels or catalog cannot be opened, or `out` cannot be written.
+    """
+    if jobs < 1:
+        raise SessionError(f"{jobs} jobs; give 1 or more.")
+    folder = make_folder(out)
+    paths = [picture.path for picture in package.pictures]
+    kept = (
+        {}
+        if again
+        else {path: outcome for path in paths if (outcome := _earlier_outcome(path, folder)) is not None}
+    )
+    for outcome in kept.values():
+        done(outcome)
+    left = [path for path in paths if path not in kept]
+    made = _process_pictures(package, left, folder, min(jobs, len(left)), done)
+    found = kept | dict(zip(left, made, strict=True))
+    return tuple(found[path] for path in paths)
+
+
+def _earlier_outcome(path: Path, out: Path) -> Outcome | None:
+    """Return what was made of a picture before; None where nothing, or of another picture of that name."""
+    folder = out / path.stem
+    try:
+        result = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+        same = result["sha256"] == sha256_of(path)
+        reason = "; ".join(result["messages"]) if result["status"] == "failed" else ""
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return Outcome(path, folder, result, reason) if same else None
+
+
+def _process_pictures(
+    package: OrtPackage, paths: Sequence[Path], out: Path, jobs: int, done: OutcomeCallback
+) -> tuple[Outcome, ...]:
+    if jobs > 1:
+        return in_processes(paths, jobs, _start_worker, (package, out), _process_in_worker, done)
+    if not paths:
+        return ()
+    policy = package_policy(package)
+    with KernelSet(package.metakernel):
+        return tuple(_reported(process_image(path, policy, out), done) for path in paths)
+
+
+def package_policy(package: OrtPackage) -> Policy:
+    """Return how the pictures of a package are processed."""
+    return Policy(mission=load_mission(package.mission), catalog=package.catalog, targets=package.targets)
+
+
+def _reported(outcome: Outcome, done: OutcomeCallback) -> Outcome:
+    done(outcome)
+    return outcome
+
+
+# -- several processes ---------------------------------------------------------------------------------------------
+
+_WORKERS: list[tuple[KernelSet, Policy, Path]] = []  # of this process: one, once it has started
+
+
+def _start_worker(package: OrtPackage, out: Path) -> None:
+    kernels = KernelSet(package.metakernel)
+    kernels.__enter__()  # for the life of the process
+    _WORKERS.append((kernels, package_policy(package), out))
+
+
+def _process_in_worker(path: Path) -> Outcome:
+    _, policy, out = _WORKERS[0]
+    return process_image(path, policy, out)

@@ -1,0 +1,337 @@
+"""What a picture's header says: which keyword holds what, and pointing and trajectory from it.
+
+`Header`
+    The header as plain Python values, keywords found in any case.
+`KeywordMap`
+    Which keywords hold time, exposure, pointing, planes: the part of a mission file that speaks of pictures. Absent and
+    "missing" values (``N/A``, -1e32, -999) are None.
+`header_geometry`
+    Attitude and spacecraft state as the header states them. Quaternions are in SPICE's order, scalar first. New Horizons
+    headers give the Sun without stellar aberration (checked against SPICE on headers of 2007, to the 100 km by which the
+    trajectories differ), so the vector turned round is the spacecraft's place.
+`barycentric_from_heliocentric`
+    From the Sun to the solar-system barycenter without kernels: ERFA ``epv00`` after VSOP2000 (Moisson & Bretagnon 2001,
+    Celest. Mech. 80, 205), in which the Earth's places with respect to barycenter and Sun differ by the Sun's own. In
+    2006-2030 that is at most 118 km from DE440's, nearly constant (DE440 counts the Kuiper belt into the barycenter), its
+    velocity 0.3 mm/s.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias
+
+import erfa
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.errors import MissionError
+from opnav_workbench.geometry import AU_KM, matrix_from_quaternion
+from opnav_workbench.image.masks import QUALITY_TABLES
+
+__all__ = [
+    "Header",
+    "HeaderGeometry",
+    "HeaderValue",
+    "KeywordMap",
+    "barycentric_from_heliocentric",
+    "header_geometry",
+    "header_number",
+]
+
+
+# ---- A picture in memory: pixels, masks and what the header says of time and pointing.
+
+HeaderValue: TypeAlias = str | float | int | bool
+
+
+class Header(Mapping[str, HeaderValue]):
+    """The header as read-only plain Python values; keywords in capitals, found in any case.
+
+    Examples
+    --------
+    >>> Header({"EXPTIME": 0.5})["exptime"]
+    0.5
+    """
+
+    __slots__ = ("_values",)
+
+    def __init__(self, values: Mapping[str, HeaderValue]) -> None:
+        self._values = {keyword.upper(): value for keyword, value in values.items()}
+
+    def __getitem__(self, keyword: str) -> HeaderValue:
+        return self._values[keyword.upper()]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        return f"Header({self._values!r})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeaderGeometry:
+    """Pointing and trajectory as the header states them; arrays are read-only.
+
+    Attributes
+    ----------
+    camera_from_j2000 : (3, 3) array
+        Attitude, so that ``v_camera = camera_from_j2000 @ v_j2000``.
+    spacecraft_from_sun_km, spacecraft_velocity_km_s : (3,) array or None
+        Spacecraft with respect to the Sun, J2000.
+    quality : str
+        What the header says of its own geometry ("PREDICT", "RECONSTRUCTED"), or "".
+    """
+
+    camera_from_j2000: FloatArray
+    spacecraft_from_sun_km: FloatArray | None
+    spacecraft_velocity_km_s: FloatArray | None
+    quality: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+# ---- Which header keywords hold what: the part of a mission file that speaks of pictures.
+
+ABSENT_TEXTS = frozenset({"", "N/A", "NA", "UNK", "UNKNOWN", "NULL", "NONE", "TBD"})
+ABSENT_NUMBERS = (-1e32, -999.0)  # New Horizons; many PDS3 products use the second
+SAME_NUMBER = 1e-9  # relative: -1E+32 as printed and as read
+CHOICES = {
+    "quaternion_sense": ("camera_to_j2000", "j2000_to_camera"),
+    "time_reference": ("middle", "start"),
+    "quality_table": tuple(QUALITY_TABLES),
+}
+LENGTHS = {"quaternion": 4, "sun_position": 3, "sun_velocity": 3}
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeywordMap:
+    """Names of the header keywords that hold time, exposure, pointing and trajectory; every one is optional.
+
+    Attributes
+    ----------
+    exposure_s : str
+        Exposure time; times `exposure_scale` it is in seconds.
+    et, utc, sclk : str
+        Time of the picture: TDB seconds past J2000, UTC text, spacecraft clock.
+    time_reference : {"middle", "start"}
+        What `et` and `utc` refer to; a start time is shifted by half the exposure.
+    quaternion : sequence of 4 str
+        SPICE order, scalar first; its sense is `quaternion_sense`.
+    sun_position, sun_velocity : sequence of 3 str
+        Sun with respect to the spacecraft, km and km/s, J2000.
+    target, instrument, geometry_quality : str
+        Text about the picture.
+    bits : str
+        Bits of the digitizer: the highest value that they can hold is saturated.
+    image_extension, error_extension, quality_extension : str or int
+        FITS extensions by name or index; the image is the first two-dimensional one unless named.
+    quality_table : str
+        Name of a table in `opnav_workbench.image.masks.QUALITY_TABLES`.
+    expansion_keyword : str
+        Says how values were squeezed on board; `expansion` has the table of what it may say.
+    expansion : mapping of str to sequence of float
+        DN by stored value.
+    dark_columns : mapping of int to int
+        Width of a raw frame to the number of dark columns at its right end, which are cut off.
+    housekeeping_pixels : int
+        Pixels at the start of line 0 that carry telemetry instead of sky.
+    required : mapping of str to value or values
+        Keywords that tell this mission's frames from others.
+    missing_values : sequence of float
+        Numbers that mean "no value".
+
+    Raises
+    ------
+    MissionError
+        A field has a value that it cannot have; the message names it.
+
+    Examples
+    --------
+    >>> KeywordMap(exposure_s="EXPTIME").value(Header({"EXPTIME": 0.5}), "exposure_s")
+    0.5
+    """
+
+    exposure_s: str | None = None
+    exposure_scale: float = 1.0
+    et: str | None = None
+    utc: str | None = None
+    sclk: str | None = None
+    time_reference: Literal["middle", "start"] = "middle"
+    quaternion: Sequence[str] | None = None
+    quaternion_sense: Literal["camera_to_j2000", "j2000_to_camera"] = "camera_to_j2000"
+    sun_position: Sequence[str] | None = None
+    sun_velocity: Sequence[str] | None = None
+    target: str | None = None
+    instrument: str | None = None
+    geometry_quality: str | None = None
+    bits: str | None = None
+    image_extension: str | int | None = None
+    error_extension: str | int | None = None
+    quality_extension: str | int | None = None
+    quality_table: str = "any_nonzero"
+    expansion_keyword: str | None = None
+    expansion: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    dark_columns: Mapping[int, int] = field(default_factory=dict)
+    housekeeping_pixels: int = 0
+    required: Mapping[str, Any] = field(default_factory=dict)
+    missing_values: Sequence[float] = ABSENT_NUMBERS
+
+    def __post_init__(self) -> None:
+        for name, choices in CHOICES.items():
+            _refuse_keyword(
+                getattr(self, name) in choices, name, getattr(self, name), "one of " + ", ".join(choices)
+            )
+        for name, length in LENGTHS.items():
+            value = getattr(self, name)
+            good = value is None or (not isinstance(value, str) and len(value) == length)
+            _refuse_keyword(good, name, value, f"a list of {length} keywords")
+        scale = self.exposure_scale
+        _refuse_keyword(0.0 < scale < math.inf, "exposure_scale", scale, "a positive number of seconds")
+        for item in fields(self):
+            object.__setattr__(self, item.name, _frozen(getattr(self, item.name)))
+
+    def value(self, header: Header, name: str) -> HeaderValue | None:
+        """Return what the header says for a field of this map, None where it says nothing or "missing"."""
+        keyword = getattr(self, name)
+        return None if keyword is None else self.known(header, keyword)
+
+    def known(self, header: Header, keyword: str) -> HeaderValue | None:
+        """Return the value of a header keyword, None where it is absent or stands for "missing"."""
+        value = header.get(keyword)
+        if isinstance(value, str):
+            text = value.strip()
+            return None if text.upper() in ABSENT_TEXTS else text
+        if value is None or isinstance(value, bool):
+            return value
+        absent = any(math.isclose(value, gone, rel_tol=SAME_NUMBER) for gone in self.missing_values)
+        return None if absent else value
+
+
+def header_number(value: HeaderValue | None) -> float | None:
+    """Return a header value as a float, None where it is absent or no number ("8.87E-5 " is one)."""
+    try:
+        return None if value is None or isinstance(value, bool) else float(value)
+    except ValueError:
+        return None
+
+
+def _refuse_keyword(good: bool, name: str, value: Any, wanted: str) -> None:
+    if not good:
+        raise MissionError(f"keywords: {name} is {value!r}, expected {wanted}.")
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return MappingProxyType(dict(value))
+    return tuple(value) if isinstance(value, list | tuple) else value
+
+
+# ---- Pointing and trajectory from header keywords.
+
+# Quaternions are printed with at least five digits; one that is further from length 1 is no attitude.
+QUATERNION_NORM_TOLERANCE = 1e-3
+# FK5 at J2000 is turned against the ICRS by about 23 mas.
+SYSTEM_REMARK = (
+    "header coordinates are {}, which differs from ICRS by about 0.02 arcsec; no correction is made"
+)
+
+
+def header_geometry(header: Header, keywords: KeywordMap) -> tuple[HeaderGeometry | None, tuple[str, ...]]:
+    """Return what the header says of pointing and trajectory, None without a usable attitude, and remarks.
+
+    Notes
+    -----
+    New Horizons headers give the Sun without stellar aberration (checked against SPICE in 2007 headers to the
+    100 km by which the trajectories differ), so the vector turned round is the spacecraft's place.
+    """
+    messages = _system_remarks(header)
+    if keywords.quaternion is None:
+        return None, messages
+    attitude, problem = _header_attitude(header, keywords)
+    if attitude is None:
+        return None, (*messages, problem)
+    return (
+        HeaderGeometry(
+            attitude,
+            _from_sun(header, keywords, "sun_position"),
+            _from_sun(header, keywords, "sun_velocity"),
+            str(keywords.value(header, "geometry_quality") or ""),
+        ),
+        messages,
+    )
+
+
+def _header_attitude(header: Header, keywords: KeywordMap) -> tuple[FloatArray | None, str]:
+    names = ", ".join(keywords.quaternion or ())
+    quaternion = _header_vector(header, keywords, "quaternion")
+    if quaternion is None:
+        return None, f"no header pointing: {names} are not all in the header"
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) <= QUATERNION_NORM_TOLERANCE:
+        return None, f"no header pointing: the quaternion {names} has length {length:.6g} instead of 1"
+    matrix = matrix_from_quaternion(quaternion)
+    return (matrix.T if keywords.quaternion_sense == "camera_to_j2000" else matrix), ""
+
+
+def _from_sun(header: Header, keywords: KeywordMap, name: str) -> FloatArray | None:
+    sun = _header_vector(header, keywords, name)
+    return None if sun is None else -sun
+
+
+def _header_vector(header: Header, keywords: KeywordMap, name: str) -> FloatArray | None:
+    values = [header_number(keywords.known(header, keyword)) for keyword in getattr(keywords, name) or ()]
+    known = [v for v in values if v is not None and np.isfinite(v)]
+    return np.array(known) if known and len(known) == len(values) else None
+
+
+def _system_remarks(header: Header) -> tuple[str, ...]:
+    system = header.get("RADESYS", header.get("RADECSYS"))
+    if not isinstance(system, str) or system.strip().upper() in ("", "ICRS"):
+        return ()
+    return (SYSTEM_REMARK.format(system.strip()),)
+
+
+# ---- From the Sun to the solar-system barycenter without kernels.
+
+J2000_JD = 2451545.0
+DAY_S = 86400.0
+
+
+def barycentric_from_heliocentric(
+    position_km: ArrayLike, velocity_km_s: ArrayLike, et: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Shift a state with respect to the Sun to one with respect to the solar-system barycenter, J2000.
+
+    Parameters
+    ----------
+    position_km, velocity_km_s : (3,) or (n, 3) array_like
+        With respect to the Sun.
+    et : float or (n,) array_like
+        TDB seconds past J2000.
+
+    Returns
+    -------
+    position_km, velocity_km_s : arrays as given
+        With respect to the solar-system barycenter.
+
+    Notes
+    -----
+    Meant for 1900 to 2100, where the series holds.
+
+    Examples
+    --------
+    >>> position, velocity = barycentric_from_heliocentric([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 0.0)
+    >>> bool(np.linalg.norm(position) < 2.2 * 695_700.0)  # the Sun stays within two of its radii
+    True
+    """
+    heliocentric, barycentric = erfa.epv00(J2000_JD, np.asarray(et, dtype=np.float64) / DAY_S)
+    sun_km = (barycentric["p"] - heliocentric["p"]) * AU_KM
+    sun_km_s = (barycentric["v"] - heliocentric["v"]) * AU_KM / DAY_S
+    return np.asarray(position_km, float) + sun_km, np.asarray(velocity_km_s, float) + sun_km_s

@@ -1,0 +1,123 @@
+"""Cameras as the open kernels know them: attitude, angular rate, frames, CK structures and instrument values.
+
+Attitudes are ``camera_from_j2000``, so that ``v_camera = camera_from_j2000 @ v_j2000``; rates are rad/s in J2000
+components. Any other frame that the kernels define will do as well.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import spiceypy
+
+from opnav_workbench.arrays import FloatArray, readonly
+from opnav_workbench.errors import KernelError
+from opnav_workbench.kernels import pool
+from opnav_workbench.kernels.calls import SpiceRequest, loaded_text, spice_call
+from opnav_workbench.kernels.coverage import CK_FRAME
+
+__all__ = ["camera_attitude", "camera_rate", "ck_structure", "instrument_values", "knows_frame", "rotation"]
+
+
+# ---- Attitudes of cameras and of bodies, from the open `KernelSet`.
+
+
+def camera_attitude(frame: str, et: float) -> FloatArray:
+    """Return ``camera_from_j2000``, shape (3, 3): ``v_camera = camera_from_j2000 @ v_j2000``.
+
+    Parameters
+    ----------
+    frame : str
+        The camera's own SPICE frame, or any other.
+    et : float
+        TDB s past J2000.
+
+    Raises
+    ------
+    KernelError
+        The frame is unknown, or FK, SCLK, LSK or CK data are missing; for a gap, the message says what is
+        covered.
+    """
+    with spice_call(SpiceRequest(f"attitude of {frame}", et, frame=frame), needs_kernels=True):
+        return readonly(spiceypy.pxform("J2000", frame, et), (3, 3), "camera_from_j2000")
+
+
+def rotation(frame: str, other: str, et: float) -> FloatArray:
+    """Return ``other_from_frame``, shape (3, 3), between two frames: ``v_other = other_from_frame @ v_frame``.
+
+    Raises
+    ------
+    KernelError
+        A frame is unknown, or the kernels do not connect them at `et`.
+    """
+    with spice_call(SpiceRequest(f"rotation from {frame} to {other}", et, frame=frame), needs_kernels=True):
+        return readonly(spiceypy.pxform(frame, other, et), (3, 3), "other_from_frame")
+
+
+def camera_rate(frame: str, et: float) -> FloatArray:
+    """Return the angular velocity (3,) of a frame with respect to J2000, rad/s, J2000 components.
+
+    Raises
+    ------
+    KernelError
+        As `camera_attitude`; or the CK holds no angular rates.
+    """
+    with spice_call(SpiceRequest(f"angular rate of {frame}", et, frame=frame), needs_kernels=True):
+        return readonly(spiceypy.xf2rav(spiceypy.sxform("J2000", frame, et))[1], (3,), "rate")
+
+
+def ck_structure(frame: str) -> tuple[int, int] | None:
+    """Return the CK structure that orients a frame, and its clock; None where no CK does (or nobody knows the frame).
+
+    Raises
+    ------
+    KernelError
+        No `KernelSet` is open.
+    """
+    with spice_call(SpiceRequest(f"structure of {frame}"), needs_kernels=True):
+        number = int(spiceypy.namfrm(frame))
+        if number == 0:
+            return None
+        _, frame_class, structure = spiceypy.frinfo(number)
+        if frame_class != CK_FRAME:
+            return None
+        return int(structure), int(spiceypy.ckmeta(int(structure), "SCLK"))
+
+
+def knows_frame(frame: str) -> bool:
+    """Tell whether SPICE, with the kernels that are loaded, knows a frame by this name.
+
+    Raises
+    ------
+    KernelError
+        No `KernelSet` is open.
+    """
+    with spice_call(SpiceRequest(f"frame {frame}"), needs_kernels=True):
+        return int(spiceypy.namfrm(frame)) != 0
+
+
+# ---- Instrument kernels: all that the loaded kernels say about one instrument, as a plain mapping.
+
+
+def instrument_values(instrument_id: int) -> Mapping[str, tuple[float, ...] | tuple[str, ...]]:
+    """Return all pool variables of an instrument, ``INS<id>_*``, by their full names.
+
+    Parameters
+    ----------
+    instrument_id : int
+        NAIF number, such as -98301.
+
+    Raises
+    ------
+    KernelError
+        No loaded IK describes the instrument.
+    """
+    prefix = f"INS{instrument_id}_"
+    with spice_call(f"instrument {instrument_id}", needs_kernels=True):
+        names = sorted(n for n in pool.pool_names(f"{prefix}*"))
+        if not names:
+            raise KernelError(
+                f"no loaded kernel describes instrument {instrument_id} ({prefix}*); "
+                f"load its IK. {loaded_text()}"
+            )
+        found = {name: pool.pool_value(name) for name in names}
+    return MappingProxyType({name: value for name, value in found.items() if value is not None})

@@ -1,0 +1,401 @@
+"""Observables in files, written and read back: ECSV, CSV, JSON; and from a ``result.json`` alone.
+
+ECSV   an astropy table with units and descriptions; an empty text is written as "-", which ECSV could not tell from a
+       masked value
+CSV    a header of comments that says what each column is, then plain comma-separated values. Comment lines begin with
+       ``#`` (pandas: ``read_csv(file, comment="#")``); numbers read back to the bit; an empty cell is an unknown value
+JSON   one object each, arrays as lists, null for what is not known, and the fields explained
+result.json   what it holds of observables, for when the table beside it is lost: no partials but those of the position, no
+       sky covariances
+
+Files are written whole or not at all.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+from astropy import units as u
+from astropy.table import QTable
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import atomic_path, write_json, write_text
+from opnav_workbench.observables.columns import (
+    ALWAYS_ARRAYS,
+    COLUMNS,
+    FIELDS,
+    ExportColumn,
+    row_of,
+    rows_to_observables,
+)
+from opnav_workbench.observables.observable import Observable
+
+__all__ = [
+    "csv_text",
+    "observables_dict",
+    "observables_of_result",
+    "observables_table",
+    "read_csv",
+    "read_ecsv",
+    "read_json",
+    "read_result",
+    "table_observables",
+    "write_csv",
+    "write_ecsv",
+    "write_observables_json",
+]
+
+
+# ---- Observables as an astropy table with units and descriptions, and as an ECSV file.
+
+ECSV_NO_TEXT = "-"  # ECSV cannot tell an empty text from a masked value
+
+
+def observables_table(observables: Sequence[Observable]) -> QTable:
+    """Return observables as a table: one row each, every column with description and, for numbers, unit.
+
+    Unknown numbers are nan. An empty text is written as "-": ECSV cannot tell it from a masked value.
+
+    Examples
+    --------
+    >>> observables_table([]).colnames[:4]
+    ['image', 'utc', 'et', 'body']
+    """
+    rows, table = [row_of(o) for o in observables], QTable()
+    for column in COLUMNS:
+        values = [row[column.name] for row in rows]
+        if column.unit is None:
+            table[column.name] = np.array([text or ECSV_NO_TEXT for text in values], dtype=str)
+        else:
+            table[column.name] = u.Quantity(np.array(values, dtype=float), column.unit)
+        table[column.name].info.description = column.description
+    return table
+
+
+def table_observables(table: QTable, source: str = "table") -> tuple[Observable, ...]:
+    """Return the observables of a table as `observables_table` makes it.
+
+    Parameters
+    ----------
+    table : QTable
+    source : str
+        Its file, for messages.
+
+    Raises
+    ------
+    SessionError
+        See `rows_to_observables`.
+
+    Examples
+    --------
+    >>> table_observables(observables_table([]))
+    ()
+    """
+    known = [column for column in COLUMNS if column.name in table.colnames]
+    rows = ({column.name: _ecsv_cell(row[column.name], column.unit) for column in known} for row in table)
+    return rows_to_observables(rows, source)
+
+
+def _ecsv_cell(value: Any, unit: Any) -> Any:
+    if unit is not None:
+        return float(value.to_value(unit)) if isinstance(value, u.Quantity) else float(value)
+    return "" if str(value) == ECSV_NO_TEXT else str(value)
+
+
+def write_ecsv(observables: Sequence[Observable], path: str | Path) -> None:
+    """Write `observables_table` as ECSV, whole or not at all."""
+    with atomic_path(path) as temporary:
+        observables_table(observables).write(temporary, format="ascii.ecsv", overwrite=True)
+
+
+def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
+    """Read observables that `write_ecsv` wrote.
+
+    Raises
+    ------
+    SessionError
+        The file cannot be read, or holds something else.
+    """
+    try:
+        table = QTable.read(path, format="ascii.ecsv")
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+    ) as error:  # what astropy raises of a bad header
+        reason = " ".join(str(error).split())
+        raise SessionError(
+            f"no observables can be read from {path}: {reason}. Give an ECSV file of observables."
+        ) from error
+    return table_observables(table, str(path))
+
+
+# ---- Observables as CSV: a header of comments that says what each column is, then plain comma-separated ...
+
+CONVENTIONS = (
+    "pixel is horizontal, line vertical; both 0-based, an integer is a pixel's center",
+    "observed minus computed; computed with the solved pointing, center of figure",
+    "vectors and directions: J2000 as in SPICE (ICRF axes); times: TDB seconds past J2000, and UTC",
+    "ra, dec: stellar aberration removed, light time not: from the spacecraft to where the light left the body",
+    "apparent_ra, apparent_dec: as seen, stellar aberration not removed",
+    "partials: bodies are held fixed among each other, so those of any body are of its own place",
+)
+
+
+def csv_text(observables: Sequence[Observable]) -> str:
+    """Return observables as CSV text.
+
+    Examples
+    --------
+    >>> print(csv_text([]).splitlines()[0])
+    # Optical navigation observables of opnav_workbench
+    """
+    stream = io.StringIO()
+    stream.write("# Optical navigation observables of opnav_workbench\n")
+    stream.writelines(f"# {line}\n" for line in CONVENTIONS)
+    stream.writelines(f"# {_column_comment(column)}\n" for column in COLUMNS)
+    writer = csv.DictWriter(stream, [column.name for column in COLUMNS], lineterminator="\n")
+    writer.writeheader()
+    for observable in observables:
+        writer.writerow({name: _csv_cell(value) for name, value in row_of(observable).items()})
+    return stream.getvalue()
+
+
+def _column_comment(column: ExportColumn) -> str:
+    unit = "text" if column.unit is None else column.unit.to_string() or "1"
+    return f"{column.name} [{unit}] {column.description}"
+
+
+def _csv_cell(value: Any) -> str:
+    if isinstance(value, str):
+        return " ".join(value.split())  # one line a row
+    return "" if np.isnan(value) else repr(float(value))
+
+
+def write_csv(observables: Sequence[Observable], path: str | Path) -> None:
+    """Write observables as CSV, whole or not at all."""
+    write_text(path, csv_text(observables))
+
+
+def read_csv(path: str | Path) -> tuple[Observable, ...]:
+    """Read observables that `write_csv` wrote.
+
+    Raises
+    ------
+    SessionError
+        The file cannot be read, or holds something else.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SessionError(
+            f"no observables can be read from {path}: {error}. Give a CSV file of observables."
+        ) from error
+    lines = text.splitlines()
+    start = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    rows = csv.DictReader(lines[start:], restkey="", strict=True)
+    if rows.fieldnames is None or "pixel_c" not in rows.fieldnames:
+        raise SessionError(f"{path} is no table of observables; give a CSV file that opnav export wrote.")
+    try:
+        return rows_to_observables(list(rows), str(path))
+    except csv.Error as error:
+        raise SessionError(f"{path} is damaged ({error}); export the observables again.") from error
+
+
+# ---- Observables as JSON: one object each, arrays as lists, null for what is not known, and the fields ...
+
+JSON_FORMAT, JSON_SCHEMA = "opnav_workbench observables", 1
+FIELD_TYPES = get_type_hints(Observable)
+FIELD_SHAPES = {field.name: field.shape for field in FIELDS}
+
+
+def observables_dict(observables: Sequence[Observable]) -> dict[str, Any]:
+    """Return observables as plain values with a header that explains them.
+
+    Examples
+    --------
+    >>> observables_dict([])["fields"]["observed_px"]["unit"]
+    'pix'
+    """
+    return {
+        "format": JSON_FORMAT,
+        "schema": JSON_SCHEMA,
+        "conventions": list(CONVENTIONS),
+        "fields": {
+            field.name: {
+                "unit": None if field.unit is None else field.unit.to_string(),
+                "shape": list(field.shape),
+                "description": field.description,
+            }
+            for field in FIELDS
+        },
+        "observables": [{f.name: getattr(o, f.name) for f in fields(Observable)} for o in observables],
+    }
+
+
+def write_observables_json(observables: Sequence[Observable], path: str | Path) -> None:
+    """Write observables as JSON, whole or not at all."""
+    write_json(path, observables_dict(observables))
+
+
+def read_json(path: str | Path) -> tuple[Observable, ...]:
+    """Read observables that `write_observables_json` wrote.
+
+    Raises
+    ------
+    SessionError
+        The file cannot be read, or holds something else.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise SessionError(
+            f"no observables can be read from {path}: {error}. Give a JSON file of observables."
+        ) from error
+    if not isinstance(data, dict) or data.get("format") != JSON_FORMAT or data.get("schema") != JSON_SCHEMA:
+        raise SessionError(
+            f"{path} holds no observables of schema {JSON_SCHEMA}; give a file that opnav export --format json wrote."
+        )
+    try:
+        return tuple(Observable(**_json_values(item)) for item in data["observables"])
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise SessionError(f"{path} is damaged ({error!r}); export the observables again.") from error
+
+
+def _json_values(item: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _json_value(name, value) for name, value in item.items()}
+
+
+def _json_value(name: str, value: Any) -> Any:
+    if name == "messages":
+        return tuple(value)
+    if name == "center_cross_px2":
+        return {other: np.array(cross, float) for other, cross in value.items()}
+    if FIELD_TYPES[name] is float:
+        return np.nan if value is None else float(value)
+    return (
+        _json_array(name, value)
+        if FloatArray in (FIELD_TYPES[name], *getattr(FIELD_TYPES[name], "__args__", ()))
+        else value
+    )
+
+
+def _json_array(name: str, value: Any) -> Any:
+    if value is None:
+        return np.full(FIELD_SHAPES[name], np.nan) if name in ALWAYS_ARRAYS else None
+    return np.array(value, dtype=np.float64).reshape(FIELD_SHAPES[name])
+
+
+# ---- Observables from a ``result.json`` alone: what it holds of them, when the table beside it is lost.
+
+RESULT_NUMBERS = (
+    "diameter_px",
+    "measured_diameter_px",
+    "diameter_sigma_px",
+    "range_km",
+    "measured_range_km",
+    "range_sigma_km",
+    "ra_deg",
+    "dec_deg",
+    "apparent_ra_deg",
+    "apparent_dec_deg",
+    "snr",
+)
+
+
+def read_result(path: str | Path) -> dict[str, Any]:
+    """Read a ``result.json``.
+
+    Raises
+    ------
+    SessionError
+        The file cannot be read, or is no result.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise SessionError(
+            f"no result can be read from {path}: {error}. Give a file of opnav process."
+        ) from error
+    if not isinstance(data, dict) or "bodies" not in data or "pointing" not in data:
+        raise SessionError(f"{path} is no result of opnav process (no bodies or pointing in it).")
+    return data
+
+
+def observables_of_result(result: Mapping[str, Any], source: str = "result.json") -> tuple[Observable, ...]:
+    """Return the observables of a result; what it does not hold (other partials, sky covariances) is unknown.
+
+    Parameters
+    ----------
+    result : mapping
+        The content of ``result.json``.
+    source : str
+        For messages.
+
+    Raises
+    ------
+    SessionError
+        The result is damaged.
+
+    Examples
+    --------
+    >>> observables_of_result({"bodies": [], "pointing": None})
+    ()
+    """
+    try:
+        return tuple(_observable_of_body(result, body) for body in result["bodies"])
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise SessionError(f"{source} is damaged ({error!r}); process the picture again.") from error
+
+
+def _observable_of_body(result: Mapping[str, Any], body: Mapping[str, Any]) -> Observable:
+    unknown = np.full((2, 2), np.nan)
+    observed = _result_array(body["observed"], (2,))
+    predicted = _result_array(body["predicted"], (2,))
+    residual = None if observed is None or predicted is None else observed - predicted
+    place = np.full(2, np.nan)
+    covariance = _result_array(body["covariance_px2"], (2, 2))
+    numbers: dict[str, Any] = {name: _result_number(body.get(name)) for name in RESULT_NUMBERS}
+    total = _result_array(body.get("covariance_with_pointing_px2"), (2, 2))
+    return Observable(
+        image=str(result["image"]),
+        utc=str(result["utc"]),
+        et=float(result["et"]),
+        name=str(body["name"]),
+        method=str(body["method"]),
+        status=str(body["status"]),
+        reference_body=str(body.get("reference_body", "")),
+        a_priori_px=place if (a_priori := _result_array(body["a_priori"], (2,))) is None else a_priori,
+        predicted_px=place if predicted is None else predicted,
+        observed_px=observed,
+        residual_px=residual,
+        covariance_px2=unknown if covariance is None else covariance,
+        total_covariance_px2=unknown if total is None else total,
+        partials_px_per_km=_result_array(body.get("partials_px_per_km"), (2, 3)),
+        partials_px_per_rad=None,
+        residual_arcsec=_result_array(body.get("residual_arcsec"), (2,)),
+        messages=tuple(body.get("messages") or ()),
+        center_cross_px2={n: np.array(c, float) for n, c in (body.get("joint_covariance_px2") or {}).items()},
+        attitude_covariance_rad2=_result_array((result["pointing"] or {}).get("covariance_rad2"), (3, 3)),
+        **numbers,
+    )
+
+
+def _result_number(value: Any) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _result_array(value: Any, shape: tuple[int, ...]) -> FloatArray | None:
+    """None and null elements are unknown; an array of nothing else is none."""
+    if value is None:
+        return None
+    array = np.array(value, dtype=np.float64).reshape(shape)
+    return None if np.isnan(array).all() else array

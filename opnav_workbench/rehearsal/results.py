@@ -1,0 +1,157 @@
+"""What a team made of a rehearsal's pictures: the result of each, and the one observable of each body that counts."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import sha256_of
+from opnav_workbench.observables import Observable, read_ecsv
+
+__all__ = ["SURFACE_FROM_PX", "PictureResult", "chosen_observables", "picture_results"]
+
+RESULT_FILE, TABLE_FILE = "result.json", "observables.ecsv"
+RESULT_STATUSES = ("ok", "partial", "failed")
+NOT_REPORTED = "missing"
+SURFACE_FROM_PX = 3.0  # a body wider than this shows its surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureResult:
+    """What a team says of one picture.
+
+    Attributes
+    ----------
+    name : str
+        Of the picture and of its folder.
+    status : {"ok", "partial", "failed", "missing"}
+        That of ``result.json``; "missing": there is none.
+    messages : tuple of str
+    result : mapping
+        The content of ``result.json``; empty where there is none.
+    observables : tuple of Observable
+        Of every body and method.
+    sha256 : mapping of str to str
+        Of the files that count, by name.
+    """
+
+    name: str
+    status: str
+    messages: tuple[str, ...] = ()
+    result: Mapping[str, Any] = field(default_factory=dict)
+    observables: tuple[Observable, ...] = ()
+    sha256: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def solved(self) -> bool:
+        """Whether it claims a pointing from stars."""
+        return self.status in ("ok", "partial") and bool(self.result.get("pointing"))
+
+    @property
+    def sure(self) -> bool:
+        """Whether the star field is recognised beyond doubt."""
+        identification = self.result.get("identification") or {}
+        return self.solved and bool(identification.get("sure", True))
+
+
+def picture_results(names: Iterable[str], results: str | Path) -> tuple[PictureResult, ...]:
+    """Read what a team made of each picture: ``RESULTS/<picture>/{result.json, observables.ecsv}``.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Of the pictures.
+    results : path
+        The folder that ``opnav ort solve`` (or ``opnav process``, or an analyst) wrote.
+
+    Raises
+    ------
+    SessionError
+        The folder is not there, or a file in it is damaged.
+    """
+    folder = Path(results)
+    if not folder.is_dir():
+        raise SessionError(f"no folder of results {folder}; give the one that opnav ort solve wrote.")
+    return tuple(_read(name, folder / name) for name in names)
+
+
+def _read(name: str, folder: Path) -> PictureResult:
+    path, table = folder / RESULT_FILE, folder / TABLE_FILE
+    if not path.is_file():
+        return PictureResult(name, NOT_REPORTED, ("no result.json",))
+    result = _json(path)
+    status = str(result.get("status"))
+    if status not in RESULT_STATUSES:
+        raise SessionError(
+            f"{path}: status {status!r}; expected one of {', '.join(RESULT_STATUSES)}. Process the picture again."
+        )
+    observables = read_ecsv(table) if table.is_file() and status != "failed" else ()
+    hashes = {p.name: sha256_of(p) for p in (path, table) if p.is_file()}
+    messages = tuple(str(words) for words in result.get("messages") or ())
+    return PictureResult(name, status, messages, result, observables, hashes)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SessionError(f"{path} cannot be read: {error}; process the picture again.") from error
+    if not isinstance(content, dict):
+        raise SessionError(f"{path} holds no result; process the picture again.")
+    return content
+
+
+def chosen_observables(
+    pictures: Sequence[PictureResult], disk_sigma_px: float = 0.0
+) -> tuple[tuple[Observable, ...], tuple[str, ...]]:
+    """Return one observable a body and picture, and in words what is left out.
+
+    Of several methods the last that is sure of the body counts: who looks once more means to do better. Pictures without a
+    pointing, or whose star field is not recognised beyond doubt, give none.
+
+    Parameters
+    ----------
+    pictures : sequence of PictureResult
+    disk_sigma_px : float
+        Added (in squares) to the sigmas of disks.
+    """
+    chosen: list[Observable] = []
+    left_out: list[str] = []
+    for picture in pictures:
+        if not picture.sure:
+            left_out.append(f"{picture.name}: {_why_not(picture)}")
+            continue
+        for name in dict.fromkeys(o.name for o in picture.observables):
+            usable = [o for o in picture.observables if o.name == name and _usable(o)]
+            if usable:
+                chosen.append(_weighted(usable[-1], disk_sigma_px))
+            else:
+                status = next(o.status for o in reversed(picture.observables) if o.name == name)
+                left_out.append(f"{name} in {picture.name}: {status.replace('_', ' ')}")
+    return tuple(chosen), tuple(left_out)
+
+
+def _weighted(observable: Observable, disk_sigma_px: float) -> Observable:
+    if not observable.diameter_px > SURFACE_FROM_PX:
+        return observable
+    added = disk_sigma_px**2 * np.eye(2)
+    return replace(
+        observable,
+        covariance_px2=observable.covariance_px2 + added,
+        total_covariance_px2=observable.total_covariance_px2 + added,
+    )
+
+
+def _usable(observable: Observable) -> bool:
+    return observable.status == "ok" and observable.observed_px is not None
+
+
+def _why_not(picture: PictureResult) -> str:
+    if picture.solved:
+        return "its star field is not recognised beyond doubt"
+    reason = picture.messages[0] if picture.messages else "no pointing"
+    return f"{picture.status}: {reason}"

@@ -1,0 +1,458 @@
+"""What a team delivers at the end of a rehearsal: corrections of states and the flyby, each with its covariance.
+
+Its file is checked field by field: a team may write it with programs of its own. The flyby is the one that the
+package's predicted kernels have; corrections of it lie in the axes of its B-plane.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.errors import EstimationError, SessionError
+from opnav_workbench.estimation import BPlane, Estimate, b_plane, b_plane_partials, estimate, straight_line
+from opnav_workbench.estimation.parameters import parameter_count, parse_groups
+from opnav_workbench.files import write_json
+from opnav_workbench.kernels import KernelSet, et_from_utc, state
+from opnav_workbench.mission import load_mission
+from opnav_workbench.rehearsal.results import PictureResult, chosen_observables, picture_results
+from opnav_workbench.version import __version__
+
+if TYPE_CHECKING:
+    from opnav_workbench.rehearsal.package import OrtPackage
+
+__all__ = [
+    "DISK_SIGMA_PX",
+    "SOLUTION_FILE",
+    "OrtSolution",
+    "PredictedFlyby",
+    "predicted_flyby",
+    "solve_rehearsal",
+]
+
+
+# ---- The file of a rehearsal's solution, checked field by field: a team may write it with programs of its ...
+
+# Shapes of arrays; n: number of parameters.
+ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
+    "correction": ("n",),
+    "sigma_before": ("n",),
+    "covariance": ("n", "n"),
+    "b_plane_before": (3,),
+    "b_plane_after": (3,),
+    "b_plane_covariance_before": (3, 3),
+    "b_plane_covariance": (3, 3),
+}
+COVARIANCES = ("covariance", "b_plane_covariance")
+NUMBER_FIELDS = ("chi2_before", "chi2_after", "probability")
+TEXT_FIELDS = ("words", "left_out", "messages")
+OPTIONAL_FIELDS = ("residuals", "pictures", "made_by", *TEXT_FIELDS)
+
+
+def checked_numbers(content: Any, what: str, name: str = "") -> None:
+    """Refuse a number that is not finite, anywhere in nested values.
+
+    Raises
+    ------
+    SessionError
+        It is named.
+
+    Examples
+    --------
+    >>> checked_numbers({"sigma": [1.0, float("nan")]}, "solution.json")
+    Traceback (most recent call last):
+    ...
+    opnav_workbench.errors.SessionError: solution.json: sigma is nan; a solution holds finite numbers only.
+    """
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            checked_numbers(value, what, str(key))
+    elif isinstance(content, np.ndarray):
+        checked_numbers(content.tolist(), what, name)
+    elif isinstance(content, list | tuple):
+        for value in content:
+            checked_numbers(value, what, name)
+    elif isinstance(content, float) and not math.isfinite(content):
+        raise SessionError(f"{what}: {name} is {content}; a solution holds finite numbers only.")
+
+
+def read_solution_file(path: str | Path, schema: str) -> dict[str, Any]:
+    """Return the fields of a solution file.
+
+    Raises
+    ------
+    SessionError
+        It cannot be read, is of another schema, lacks a field, or holds numbers that cannot be meant.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SessionError(f"no solution can be read from {path}: {error}. Run opnav ort solve.") from error
+    if not isinstance(content, dict) or content.pop("schema", None) != schema:
+        raise SessionError(f"{path} is no solution of a rehearsal (schema {schema}).")
+    checked_numbers(content, str(path))
+    try:
+        fields = _checked_fields(content)
+    except KeyError as error:
+        raise SessionError(f"{path} lacks {error.args[0]}; run opnav ort solve again.") from error
+    except (TypeError, ValueError, EstimationError) as error:
+        raise SessionError(f"{path}: {error}") from error
+    return fields
+
+
+def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
+    parameters = tuple(content["parameters"])
+    n = parameter_count(parse_groups(parameters))
+    fields: dict[str, Any] = {
+        "parameters": parameters,
+        "degrees_of_freedom": int(content["degrees_of_freedom"]),
+        **{name: str(content[name]) for name in ("package", "epoch_utc", "b_plane_body")},
+        **{name: float(content[name]) for name in NUMBER_FIELDS},
+    }
+    for name, shape in ARRAY_SHAPES.items():
+        fields[name] = _checked_array(
+            name, content[name], tuple(n if size == "n" else int(size) for size in shape)
+        )
+    for name in OPTIONAL_FIELDS:
+        if name in content:
+            fields[name] = (
+                tuple(content[name]) if isinstance(content[name], Sequence | list) else content[name]
+            )
+    if "made_by" in content:
+        fields["made_by"] = str(content["made_by"])
+    fields["disk_sigma_px"] = float(content.get("disk_sigma_px", 0.0))
+    fields["residuals"] = tuple(_residual_from_row(row) for row in content.get("residuals", ()))
+    return fields
+
+
+def _checked_array(name: str, value: Any, shape: tuple[int, ...]) -> Any:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; expected {shape}")
+    if name in COVARIANCES and not (
+        np.allclose(array, array.T, rtol=1e-9, atol=0.0) and (np.diag(array) > 0.0).all()
+    ):
+        raise ValueError(f"{name} is no covariance: it must be symmetric with a positive diagonal")
+    return array
+
+
+def _residual_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    arrays = {name: np.asarray(row[name], float) for name in ("before", "after", "covariance")}
+    return dict(row) | arrays
+
+
+# ---- The flyby of a rehearsal as its predicted kernels have it, and where corrections of it lie in the ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedFlyby:
+    """The predicted flyby.
+
+    Attributes
+    ----------
+    body : str
+        Of the B-plane.
+    epoch_et : float
+        Of the state and of the estimated corrections, TDB seconds past J2000.
+    epoch_utc : str
+    state : (6,) array
+        Spacecraft relative to the body, J2000, geometric, km and km/s.
+    gm_km3_s2 : float
+    pole : str
+    plane : BPlane
+        Of that state.
+    """
+
+    body: str
+    epoch_et: float
+    epoch_utc: str
+    state: FloatArray
+    gm_km3_s2: float
+    pole: str
+    plane: BPlane
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def values(self) -> FloatArray:
+        """Return (B.T, B.R, linearised time after the epoch), km and s."""
+        return self.plane.in_axes_of(self.plane)
+
+    def moved(self, correction: ArrayLike) -> FloatArray:
+        """Return the same of the state with a correction (6,), in the axes of the predicted flyby."""
+        state = self.state + np.asarray(correction, float)
+        return b_plane(state[:3], state[3:], self.gm_km3_s2, self.pole).in_axes_of(self.plane)
+
+    def covariance(self, correction: ArrayLike, covariance: ArrayLike) -> FloatArray:
+        """Map a covariance (6, 6) of the corrected state to (B.T, B.R, time), (3, 3) km^2, km s, s^2."""
+        state = self.state + np.asarray(correction, float)
+        partials = b_plane_partials(state[:3], state[3:], self.gm_km3_s2, self.pole)
+        return symmetric(partials @ np.asarray(covariance, float) @ partials.T)
+
+
+def predicted_flyby(package: "OrtPackage") -> PredictedFlyby:
+    """Return the flyby that a package's own kernels predict.
+
+    Raises
+    ------
+    KernelError
+        The kernels do not hold spacecraft or body at the epoch.
+    EstimationError
+        There is no flyby.
+    """
+    body = package.b_plane.body
+    spacecraft = load_mission(package.mission).spacecraft_id
+    with KernelSet(package.metakernel):
+        epoch = et_from_utc(package.epoch_utc)
+        found = state(spacecraft, epoch, body)
+    relative = np.concatenate([found.position_km, found.velocity_km_s])
+    plane = b_plane(relative[:3], relative[3:], package.b_plane.gm_km3_s2, package.b_plane.pole)
+    return PredictedFlyby(
+        body, epoch, package.epoch_utc, relative, package.b_plane.gm_km3_s2, package.b_plane.pole, plane
+    )
+
+
+# ---- What a team delivers at the end of a rehearsal: corrections of states and the flyby, each with its ...
+
+SOLUTION_FILE = "solution.json"
+SCHEMA = "opnav_ort_solution_1"
+# What albedo and scattering law of a disk that nobody has seen do to its center, beside what the centerfinder says of its
+# sigma. Measured on limb scans of Pluto, 67 to 179 px wide, without perturbations: six mottled maps (reflectance 0.2 to 0.8)
+# 0.022 px rms, 0.065 px at most, which is 3 of the centerfinder's sigmas in the mean; Lambert's law where a flatter one is
+# expected 0.03 to 0.085 px, always on the same side. The paper's Table 3 has 0.03 and 0.12 arcsec, 0.03 and 0.12 px.
+DISK_SIGMA_PX = 0.05
+# Excess centering error of stars that a calibrated camera stays below.
+EXCESS_PX = 0.05
+# A fit as bad as this or worse comes by chance once in a thousand rehearsals.
+LEAST_PROBABILITY = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrtSolution:
+    """The solution of a rehearsal; arrays are read-only.
+
+    Attributes
+    ----------
+    package : str
+        Name of the rehearsal.
+    epoch_utc : str
+        Of the corrected states.
+    parameters : tuple of str
+        Groups, as `estimation.estimate` names them.
+    correction, sigma_before : (n,) arrays
+        True minus predicted as estimated, and its a priori sigma; km, km/s, J2000.
+    covariance : (n, n) array
+    b_plane_body : str
+    b_plane_before, b_plane_after : (3,) arrays
+        B.T, B.R (km) and linearised time of flight (s after the epoch), in the axes of the predicted flyby.
+    b_plane_covariance_before, b_plane_covariance : (3, 3) arrays
+    chi2_before, chi2_after, probability : float
+        Of the measurements' fit.
+    degrees_of_freedom : int
+    residuals : tuple of mapping
+        ``image, body, kind, et, before, after, covariance, sigmas, used, reason`` of every measurement.
+    words : tuple of str
+        What the pictures determine, best first.
+    left_out, messages : tuple of str
+    pictures : mapping of str to mapping of str to str
+        SHA-256 of the files that it rests on, by picture and file.
+    made_by : str
+    disk_sigma_px : float
+        Added (in squares) to the sigmas of the centers of disks.
+    """
+
+    package: str
+    epoch_utc: str
+    parameters: tuple[str, ...]
+    correction: FloatArray
+    sigma_before: FloatArray
+    covariance: FloatArray
+    b_plane_body: str
+    b_plane_before: FloatArray
+    b_plane_after: FloatArray
+    b_plane_covariance_before: FloatArray
+    b_plane_covariance: FloatArray
+    chi2_before: float
+    chi2_after: float
+    degrees_of_freedom: int
+    probability: float
+    residuals: tuple[Mapping[str, Any], ...] = ()
+    words: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
+    pictures: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    made_by: str = f"opnav_workbench {__version__}"
+    disk_sigma_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return the names of the parameters (n,)."""
+        return tuple(label for group in parse_groups(self.parameters) for label in group.labels)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Return their units (n,)."""
+        return tuple(group.unit for group in parse_groups(self.parameters) for _ in range(group.size))
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Return the standard deviations (n,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def b_plane_sigma(self) -> FloatArray:
+        """Return the standard deviations of B.T, B.R (km) and time (s)."""
+        return np.asarray(np.sqrt(np.diag(self.b_plane_covariance)))
+
+    @property
+    def b_plane_sigma_before(self) -> FloatArray:
+        """Return the same before the pictures were taken."""
+        return np.asarray(np.sqrt(np.diag(self.b_plane_covariance_before)))
+
+    @property
+    def b_plane_shift(self) -> FloatArray:
+        """Return what the correction moves: (B.T, B.R, time), km and s."""
+        return np.asarray(self.b_plane_after - self.b_plane_before)
+
+    def write(self, path: str | Path) -> None:
+        """Write it as JSON, whole or not at all.
+
+        Raises
+        ------
+        SessionError
+            A number of it is not finite, or the file cannot be written.
+        """
+        content = {"schema": SCHEMA} | {name: getattr(self, name) for name in self.__slots__}
+        checked_numbers(content, str(path))
+        write_json(path, content)
+
+    @classmethod
+    def read(cls, path: str | Path) -> "OrtSolution":
+        """Read what `write` wrote, or what a team filled in by hand after its layout.
+
+        Raises
+        ------
+        SessionError
+            It cannot be read, lacks a field, or holds numbers of the wrong shape, or a matrix that is no covariance.
+        """
+        return cls(**read_solution_file(path, SCHEMA))
+
+
+def solve_rehearsal(
+    package: "OrtPackage", results: str | Path, *, disk_sigma_px: float = DISK_SIGMA_PX
+) -> OrtSolution:
+    """Estimate a package's parameters from what a team found in its pictures.
+
+    Parameters
+    ----------
+    package : OrtPackage
+    results : path
+        Folder of the pictures' folders, each with ``result.json`` and ``observables.ecsv``.
+    disk_sigma_px : float
+        Added (in squares) to the sigmas of the centers of disks, for surfaces that nobody knows.
+
+    Raises
+    ------
+    SessionError
+        The folder or a file in it cannot be read.
+    EstimationError
+        No picture gives a center, or the centers contradict each other.
+    """
+    pictures = picture_results((p.name for p in package.pictures), results)
+    observables, left_out = chosen_observables(pictures, disk_sigma_px)
+    flyby = predicted_flyby(package)
+    found = estimate(
+        observables,
+        tuple(package.parameters),
+        epoch_et=flyby.epoch_et,
+        a_priori=dict(package.parameters),
+        target_transition=straight_line,
+        spacecraft_transition=straight_line,
+    )
+    after, after_covariance = found.relative_state(flyby.body)
+    before_covariance = _a_priori_covariance(found)
+    relative = _relative_matrix(found, flyby)
+    return OrtSolution(
+        package=package.name,
+        epoch_utc=package.epoch_utc,
+        parameters=tuple(package.parameters),
+        correction=found.correction,
+        sigma_before=np.sqrt(np.diag(before_covariance)),
+        covariance=found.covariance,
+        b_plane_body=flyby.body,
+        b_plane_before=flyby.values,
+        b_plane_after=flyby.moved(after),
+        b_plane_covariance_before=flyby.covariance(np.zeros(6), relative @ before_covariance @ relative.T),
+        b_plane_covariance=flyby.covariance(after, after_covariance),
+        chi2_before=found.chi2_before,
+        chi2_after=found.chi2_after,
+        degrees_of_freedom=found.degrees_of_freedom,
+        probability=found.probability,
+        residuals=tuple(_residual_row(r) for r in found.residuals),
+        words=tuple(d.words for d in found.directions),
+        left_out=left_out,
+        messages=(*_camera_message(pictures), *_messages(found)),
+        pictures={p.name: p.sha256 for p in pictures if p.sha256},
+        disk_sigma_px=disk_sigma_px,
+    )
+
+
+def _a_priori_covariance(found: Estimate) -> FloatArray:
+    rows = found.a_priori_rows
+    return symmetric(np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64))
+
+
+def _relative_matrix(found: Estimate, flyby: PredictedFlyby) -> FloatArray:
+    """Return d(relative state)/d(parameters), (6, n)."""
+    matrix = np.zeros((6, len(found.correction)))
+    for group in found.groups:
+        mover, _, quantity = group.kind.partition("_")
+        if quantity in ("position", "velocity") and group.moves(flyby.body):
+            rows = slice(0, 3) if quantity == "position" else slice(3, 6)
+            matrix[rows, group.columns] += np.eye(3) * (1.0 if mover == "spacecraft" else -1.0)
+    return matrix
+
+
+def _residual_row(residual: Any) -> dict[str, Any]:
+    return {name: getattr(residual, name) for name in residual.__slots__}
+
+
+def _camera_message(pictures: Sequence[PictureResult]) -> tuple[str, ...]:
+    """Warn of star residuals that no noise explains: a camera error is common to all pictures, and not in the sigmas."""
+    excess = [float(p.result["pointing"].get("excess_sigma_px") or 0.0) for p in pictures if p.solved]
+    large = [value for value in excess if value > EXCESS_PX]
+    if 2 * len(large) <= len(excess) or not large:
+        return ()
+    words = (
+        f"stars of {len(large)} of {len(excess)} pictures are off by {np.median(large):.2f} px more than their noise: the "
+        "camera may not be as calibrated; what is common to all pictures is not in these sigmas (see opnav calibrate)"
+    )
+    return (words,)
+
+
+def _messages(found: Estimate) -> tuple[str, ...]:
+    messages = list(found.messages)
+    if found.probability < LEAST_PROBABILITY:
+        messages.append(
+            f"chi-squared {found.chi2_after:.1f} for {found.degrees_of_freedom} degrees of freedom (probability "
+            f"{found.probability:.1g}): the centers' sigmas are too small, or something is wrong that is not estimated"
+        )
+    if found.probability > 1.0 - LEAST_PROBABILITY:
+        messages.append(
+            f"chi-squared {found.chi2_after:.1f} for {found.degrees_of_freedom} degrees of freedom: the centers agree "
+            "better than their sigmas say; what is added for unknown surfaces may be more than these need"
+        )
+    messages += [
+        f"{r.body} in {r.image}: {r.kind} not used, {r.reason}" for r in found.residuals if not r.used
+    ]
+    return tuple(messages)

@@ -1,0 +1,165 @@
+"""The truth of a rehearsal in the parameters that the team estimates.
+
+It is told as plain values to seal, and in words for the moment of the reveal.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera import Camera
+from opnav_workbench.kernels import state
+from opnav_workbench.rehearsal.case import OrtCase, OrtGeometry
+from opnav_workbench.rehearsal.scenario import OrtScenario
+from opnav_workbench.rehearsal.sealed_truth import picture_truth_values
+from opnav_workbench.simulation import Truth
+from opnav_workbench.stars.pointing import attitude_shift
+
+__all__ = ["sealed_values"]
+
+
+# ---- What was perturbed, in words, for the moment of the reveal.
+
+
+def perturbation_words(
+    scenario: OrtScenario,
+    case: OrtCase,
+    geometry: OrtGeometry,
+    values: Mapping[str, Any],
+    truths: Mapping[str, Truth],
+) -> list[str]:
+    """Return a line for each perturbation; `values` are the sealed ones so far."""
+    lines = [*_state_words(case, geometry), *_flyby_words(scenario, values["b_plane"])]
+    lines += [
+        *_attitude_words(scenario, values["attitude_errors"]),
+        *_light_words(case),
+        *_picture_words(case, truths),
+    ]
+    return lines or ["Nothing was perturbed but the attitude, by its usual errors."]
+
+
+def _state_words(case: OrtCase, geometry: OrtGeometry) -> Iterator[str]:
+    for name, offset in case.offsets.items():
+        mover, _, quantity = name.partition("_")
+        who = f"the target barycenter ({case.target})" if mover == "target" else "the spacecraft"
+        unit, scale = ("km", 1.0) if quantity == "position" else ("m/s", 1e3)
+        size, sunward = scale * float(np.linalg.norm(offset)), scale * float(offset @ geometry.sunward)
+        vector = ", ".join(f"{scale * x:+.4g}" for x in offset)
+        toward = f"; {sunward:+.4g} {unit} of it toward the Sun" if mover == "target" else ""
+        yield f"{quantity.capitalize()} of {who}: {size:.4g} {unit} off the predicted ({vector} J2000{toward})."
+
+
+def _flyby_words(scenario: OrtScenario, flyby: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    t, r, time = (flyby[name]["shift"] for name in ("b_dot_t_km", "b_dot_r_km", "time_of_flight_s"))
+    if any(abs(value) > 1e-6 for value in (t, r, time)):
+        yield (
+            f"Flyby of {scenario.b_plane}: B.T {t:+.1f} km, B.R {r:+.1f} km, time of flight {time:+.2f} s against the "
+            "predicted."
+        )
+
+
+def _attitude_words(scenario: OrtScenario, errors: Mapping[str, Any]) -> Iterator[str]:
+    if scenario.perturbations.attitude is not None:
+        sizes = [float(np.hypot(pixel, line)) for pixel, line, _ in errors.values()]
+        twists = [abs(twist) for *_, twist in errors.values()]
+        yield f"Attitude: off by {min(sizes):.0f} to {max(sizes):.0f} px, and by up to {max(twists):.2f} deg in twist."
+
+
+def _light_words(case: OrtCase) -> Iterator[str]:
+    if case.albedo_seeds:
+        yield f"Albedo: {', '.join(case.albedo_seeds)} mottled, not uniform."
+    if case.focal_length:
+        yield f"Camera: focal length {case.focal_length:+.3%} off the calibration."
+    if case.corner_px:
+        yield f"Camera: distortion of {case.corner_px:+.2f} px at the corners that the calibration does not have."
+
+
+def _picture_words(case: OrtCase, truths: Mapping[str, Truth]) -> Iterator[str]:
+    if case.missing:
+        yield f"Lost images: {', '.join(case.missing)}."
+    if case.truncated:
+        yield f"Images received in part: {', '.join(case.truncated)}."
+    if case.gaps:
+        yield f"Data gaps in {', '.join(case.gaps)}."
+    if case.storm:
+        hits = ", ".join(f"{name} ({len(truths[name].cosmic_rays)} hits)" for name in case.storm)
+        yield f"Cosmic-ray storm in {hits}."
+
+
+# ---- The truth of a rehearsal in the parameters that the team estimates, as plain values to seal.
+
+FLYBY = ("b_dot_t_km", "b_dot_r_km", "time_of_flight_s")
+MISSING = "not received"
+TRUNCATED = "received in part: the file ends early"
+
+
+def sealed_values(
+    scenario: OrtScenario,
+    case: OrtCase,
+    geometry: OrtGeometry,
+    truths: Mapping[str, Truth],
+    cameras: Mapping[str, Camera],
+    spacecraft: int,
+) -> dict[str, Any]:
+    """Return the fields of `OrtTruth` as plain values; inside the active predicted kernels.
+
+    Parameters
+    ----------
+    scenario, case, geometry
+    truths : mapping of str to Truth
+        By picture.
+    cameras : mapping of str to Camera
+        By picture, as calibrated.
+    spacecraft : int
+    """
+    errors = {name: _attitude_error(truth, cameras[name]) for name, truth in truths.items()}
+    values = {
+        "parameters": {name: case.offsets.get(name, np.zeros(3)) for name in scenario.parameters},
+        "predicted_state_km": geometry.relative_state,
+        "relative_state_km": geometry.relative_state + case.relative(),
+        "b_plane": _flyby_values(case, geometry),
+        "states_km": {
+            name: _true_state(truth.et, scenario, case, geometry, spacecraft)
+            for name, truth in truths.items()
+        },
+        "lost": dict.fromkeys(case.missing, MISSING) | dict.fromkeys(case.truncated, TRUNCATED),
+        "attitude_errors": errors,
+        "camera_errors": _camera_errors(case),
+    }
+    return {
+        **values,
+        "words": perturbation_words(scenario, case, geometry, values, truths),
+        "seed": case.seed,
+        "scenario": scenario.model_dump(mode="json"),
+        "pictures": {name: picture_truth_values(truth) for name, truth in truths.items()},
+    }
+
+
+def _flyby_values(case: OrtCase, geometry: OrtGeometry) -> dict[str, dict[str, float]]:
+    nominal = geometry.flyby()
+    predicted = nominal.in_axes_of(nominal)
+    true = geometry.flyby(case.relative()).in_axes_of(nominal)
+    return {
+        name: {"predicted": float(p), "true": float(t), "shift": float(t - p)}
+        for name, p, t in zip(FLYBY, predicted, true, strict=True)
+    }
+
+
+def _true_state(
+    et: float, scenario: OrtScenario, case: OrtCase, geometry: OrtGeometry, spacecraft: int
+) -> FloatArray:
+    seen, later_s = state(spacecraft, et, scenario.b_plane), et - geometry.epoch_et
+    predicted = np.concatenate([seen.position_km, seen.velocity_km_s])
+    return np.asarray(predicted + case.offset("spacecraft", later_s) - case.offset("target", later_s))
+
+
+def _attitude_error(truth: Truth, camera: Camera) -> list[float]:
+    shift = attitude_shift(camera, truth.predicted_camera_from_j2000, truth.camera_from_j2000)
+    return [shift.delta_pixel, shift.delta_line, float(np.degrees(shift.delta_twist_rad))]
+
+
+def _camera_errors(case: OrtCase) -> dict[str, float]:
+    errors = {"focal length, relative": case.focal_length, "distortion at the corners, px": case.corner_px}
+    return {words: value for words, value in errors.items() if value != 0.0}

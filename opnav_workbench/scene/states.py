@@ -1,0 +1,134 @@
+"""The two ends of a line of sight as values: the spacecraft that observes, and the targets it sees.
+
+The observer's state with respect to the solar-system barycenter comes from kernels or from the image header; targets are
+solar-system bodies through SPICE, with light time removed, or stars through their astrometry.
+
+Frame  J2000
+Units  km, km/s, rad
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.errors import ImageError, KernelError
+from opnav_workbench.image import Picture, barycentric_from_heliocentric
+from opnav_workbench.kernels import body_attitude, body_radii_km, state
+from opnav_workbench.targets import TargetState, star_target
+
+__all__ = ["Observer", "body_target", "observer_from_header", "observer_from_kernels", "star_target_at"]
+
+
+# ---- Where the spacecraft is and how fast it moves, with respect to the solar-system barycenter.
+
+SOLAR_SYSTEM_BARYCENTER = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observer:
+    """The spacecraft's barycentric state: what aberration and parallax need.
+
+    Attributes
+    ----------
+    position_km, velocity_km_s : (3,) arrays
+        With respect to the solar-system barycenter, J2000.
+    source : str
+        "kernels" or "header", for the record.
+    """
+
+    position_km: FloatArray
+    velocity_km_s: FloatArray
+    source: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def observer_from_kernels(spacecraft: int, et: float) -> Observer:
+    """Read the spacecraft's barycentric state from the active `KernelSet`.
+
+    Raises
+    ------
+    KernelError
+        No kernel set is active, or its SPKs do not cover the spacecraft at `et`.
+    """
+    geometric = state(spacecraft, et, SOLAR_SYSTEM_BARYCENTER)
+    return Observer(geometric.position_km, geometric.velocity_km_s, "kernels")
+
+
+def observer_from_header(frame: Picture, et: float) -> Observer:
+    """Take the spacecraft's state from the image header (Sun vector there, Sun about the barycenter from ERFA).
+
+    Raises
+    ------
+    ImageError
+        The header has no Sun vector or velocity.
+    """
+    geometry = frame.header_geometry
+    if (
+        geometry is None
+        or geometry.spacecraft_from_sun_km is None
+        or geometry.spacecraft_velocity_km_s is None
+    ):
+        raise ImageError(
+            f"{frame.path.name}: the header gives no spacecraft position and velocity; "
+            "give kernels that cover the spacecraft (--kernels)."
+        )
+    position, velocity = barycentric_from_heliocentric(
+        np.asarray(geometry.spacecraft_from_sun_km), np.asarray(geometry.spacecraft_velocity_km_s), et
+    )
+    return Observer(position, velocity, "header")
+
+
+# ---- Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry.
+
+SUN = 10
+
+
+def body_target(name: str, spacecraft: int, et: float) -> TargetState:
+    """Return a solar-system body's state from the active `KernelSet`, light time removed by iteration (``CN``).
+
+    Radii and orientation are each taken where a PCK has them; a body without radii is a point.
+
+    Raises
+    ------
+    KernelError
+        The ephemeris of the body or the spacecraft does not cover `et`.
+    """
+    seen = state(name, et, spacecraft, correction="CN")
+    emitted = et - seen.light_time_s
+    return TargetState(
+        name=name,
+        position_km=seen.position_km,
+        radii_km=_if_known(lambda: body_radii_km(name)),
+        body_from_j2000=_if_known(lambda: body_attitude(name, emitted)),
+        sun_position_km=_sun_km(name, emitted),
+        velocity_km_s=_if_known(lambda: state(name, emitted, SOLAR_SYSTEM_BARYCENTER).velocity_km_s),
+    )
+
+
+def _sun_km(name: str, et: float) -> FloatArray | None:
+    """Return where the light that falls on a body came from; where the Sun is, if the SPKs do not reach back so far."""
+    lit = _if_known(lambda: state(SUN, et, name, correction="CN").position_km)
+    return lit if lit is not None else _if_known(lambda: state(SUN, et, name).position_km)
+
+
+def _if_known(value: Callable[[], FloatArray]) -> FloatArray | None:
+    """Return what the kernels say, None where they say nothing."""
+    try:
+        return value()
+    except KernelError:
+        return None
+
+
+def star_target_at(name: str, stars: StarTable, row: int, et: float, observer: Observer) -> TargetState:
+    """Return catalog row `row` of `stars` as a target: at its distance, moved to `et`, seen from the observer."""
+    star = stars.take(np.array([row]))
+    direction = star.directions(et, observer.position_km)[0]
+    sky = star.sky_covariance(et, observer.position_km)[0]
+    return star_target(
+        name, direction, float(star.parallax_rad[0]), covariance_rad2=sky, magnitude=float(star.mag[0])
+    )

@@ -1,0 +1,213 @@
+"""How the bodies of the scene look: the model of each, and the picture with all of them as the centerfinders take it.
+
+Surface, shape and light of a body come from mission file and kernels.  In the picture, bodies that are looked for stand
+where they are predicted, the others where they were found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.bodies import BodyCenter, BodyPicture, displaced_model
+from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
+from opnav_workbench.mission import AlbedoMapFile, TargetSurface
+from opnav_workbench.photometry import SUN_B_V
+from opnav_workbench.psf import GaussianPsf, Psf
+from opnav_workbench.render import AlbedoMap, BodyModel, ScatteringLaw, ShapeModel, law_from_mapping
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.pointing import attitude
+from opnav_workbench.session.state import BodyRequest, SessionState
+from opnav_workbench.targets import TargetState
+
+__all__ = [
+    "best_center",
+    "body_model_if_known",
+    "body_picture",
+    "has_albedo_map",
+    "has_scattering_law",
+    "scene_names",
+]
+
+
+# ---- How a target looks: the model of its surface and light that mission file and kernels give.
+
+UNKNOWN_SURFACE = TargetSurface()
+
+
+def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
+    """Return how a target looks.
+
+    A body of unknown orientation, of which no map or shape is known, is drawn as a sphere of the same volume.
+
+    Raises
+    ------
+    OpNavError
+        It cannot be drawn: no size, no Sun, a map or shape whose file is not there.
+    """
+    target = inputs.targets[name]
+    surface = context.mission.target_surfaces.get(name, UNKNOWN_SURFACE)
+    photometry = context.mission.target_photometry.get(name)
+    albedo: float | AlbedoMap = 1.0 if photometry is None else photometry.geometric_albedo or 1.0
+    if surface.albedo_map is not None:
+        albedo = _albedo_map(surface.albedo_map)
+    shape = _shape_of_target(inputs, name, surface)
+    law = _scattering_law(context, name, surface)
+    flux = _flux_e(context, target, SUN_B_V if photometry is None else photometry.b_v)
+    try:
+        return BodyModel(target, law, albedo, shape, flux)
+    except MissionError:
+        round_already = target.radii_km is None or np.ptp(target.radii_km) == 0.0
+        if shape is not None or isinstance(albedo, AlbedoMap) or round_already:
+            raise
+    sphere = replace(target, radii_km=np.full(3, np.cbrt(np.prod(np.asarray(target.radii_km)))))
+    return BodyModel(sphere, law, albedo, flux_e=flux)
+
+
+def has_albedo_map(context: Context, name: str) -> bool:
+    """Tell whether the albedo pattern of a body is known, so that its whole disk counts."""
+    return context.mission.target_surfaces.get(name, UNKNOWN_SURFACE).albedo_map is not None
+
+
+def has_scattering_law(context: Context, name: str) -> bool:
+    """Tell whether the mission states how a body's surface scatters light."""
+    surface, photometry = (
+        context.mission.target_surfaces.get(name),
+        context.mission.target_photometry.get(name),
+    )
+    return bool((surface and surface.law) or (photometry and photometry.law))
+
+
+def _scattering_law(context: Context, name: str, surface: TargetSurface) -> ScatteringLaw:
+    """Return the mission's scattering law; else the one of its phase function; else Lambert's."""
+    photometry = context.mission.target_photometry.get(name)
+    given: dict[str, Any] | None = surface.law
+    try:
+        return law_from_mapping(given or (photometry and photometry.law) or "lambert")
+    except MissionError as error:
+        raise MissionError(f"{context.mission.path}: target_surfaces: {name}: {error}") from error
+
+
+def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> ShapeModel | None:
+    if name in inputs.shapes:
+        return _shape_model(inputs.shapes[name], "km")
+    return None if surface.shape is None else _shape_model(surface.shape, surface.shape_unit)
+
+
+@lru_cache(maxsize=8)
+def _shape_model(path: Path, unit: str) -> ShapeModel:
+    return ShapeModel.from_file(path, unit)
+
+
+@lru_cache(maxsize=8)
+def _albedo_map(file: AlbedoMapFile) -> AlbedoMap:
+    return AlbedoMap.from_file(file.file, **file.model_dump(exclude={"file"}))
+
+
+def _flux_e(context: Context, target: TargetState, b_v: float) -> float | None:
+    """Return the electrons of a body of known magnitude; None where camera or magnitude are not known."""
+    if target.magnitude is None:
+        return None
+    in_band = target.magnitude + float(context.camera.color.offset(b_v))
+    try:
+        return float(context.camera.electrons(in_band, context.frame.exposure_s))
+    except CameraError:
+        return None
+
+
+def body_model_if_known(context: Context, inputs: Inputs, name: str) -> BodyModel | None:
+    """Return how a target looks, None where it cannot be drawn."""
+    try:
+        return body_model(context, inputs, name)
+    except OpNavError:
+        return None
+
+
+# ---- The picture of bodies as the centerfinders take it: signal, noise, attitude, and a model of every body ...
+
+TRUSTED = ("ok", "uncertain")  # statuses of centers that say where a body is
+
+
+def scene_names(inputs: Inputs, state: SessionState, request: BodyRequest) -> tuple[str, ...]:
+    """Return the bodies and target stars of the scene: those expected, and those that stand in the request."""
+    names = dict.fromkeys((*state.targets, *request.scene, *request.together, request.name))
+    return tuple(name for name in names if name in inputs.targets)
+
+
+def body_picture(
+    context: Context, inputs: Inputs, state: SessionState, wanted: Sequence[str], scene: Sequence[str]
+) -> BodyPicture:
+    """Return the picture with the models of a scene.
+
+    Bodies that are looked for stand where they are predicted; the others, where they were found, if they were.
+
+    Raises
+    ------
+    OpNavError
+        One that is looked for cannot be drawn; others that cannot are left out.
+    """
+    models = [
+        body_model(context, inputs, name) if name in wanted else body_model_if_known(context, inputs, name)
+        for name in scene
+    ]
+    picture = _picture(context, inputs, state, tuple(model for model in models if model is not None))
+    moved = [_model_where_found(picture, state, model, wanted) for model in picture.models]
+    if all(new is old for new, old in zip(moved, picture.models, strict=True)):
+        return picture
+    return _picture(context, inputs, state, tuple(moved))
+
+
+def _picture(
+    context: Context, inputs: Inputs, state: SessionState, models: tuple[BodyModel, ...]
+) -> BodyPicture:
+    return BodyPicture(
+        signal_dn=context.signal_dn,
+        noise_dn=context.noise_dn,
+        bad=context.bad,
+        saturated=context.frame.saturated,
+        camera=context.camera,
+        camera_from_j2000=attitude(inputs, state),
+        observer_velocity_km_s=inputs.observer.velocity_km_s,
+        models=models,
+        psf=frame_psf(context, state),
+        sunlight_e=_sunlight(context),
+        noise_model=context.noise_model,
+        excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
+    )
+
+
+def _model_where_found(
+    picture: BodyPicture, state: SessionState, model: BodyModel, wanted: Sequence[str]
+) -> BodyModel:
+    center = best_center(state, model.target.name)
+    if model.target.name in wanted or center is None or center.pixel_line is None:
+        return model
+    try:
+        return displaced_model(picture, model.target.name, center.pixel_line)
+    except CenterfindingError:
+        return model
+
+
+def best_center(state: SessionState, name: str) -> BodyCenter | None:
+    """Return a body's center that is to be trusted most: the last that is ok, else the last uncertain one."""
+    found = [body for body in state.bodies if body.name == name and body.status in TRUSTED]
+    return next((body for body in reversed(found) if body.status == "ok"), found[-1] if found else None)
+
+
+def _sunlight(context: Context) -> float | None:
+    try:
+        return context.camera.sunlight_e(context.frame.exposure_s)
+    except CameraError:
+        return None
+
+
+def frame_psf(context: Context, state: SessionState) -> Psf:
+    """Return the PSF of this frame: a calibrated one, else that of its stars, else the camera file's."""
+    if context.camera.psf_shape is not None or state.psf is None:
+        return context.camera.psf_model
+    shape = state.psf.shape
+    return GaussianPsf(shape.sigma_major_px, shape.sigma_minor_px, shape.angle_rad)

@@ -1,0 +1,313 @@
+"""Inputs of a session: what came from outside the picture (time, observer, a priori attitude, catalog stars, targets).
+
+They are collected once from kernels, image header, catalog and target list, and kept with the session, so that it
+resumes without any of these.  Later steps may add targets and, for a wide search, catalog stars farther around.  As plain
+values they stand in ``session.json`` whole, and in ``journal.jsonl`` as what a step added.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
+from opnav_workbench.errors import ImageError, KernelError, SessionError
+from opnav_workbench.geometry import radec_from_unit
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc
+from opnav_workbench.kernels.dsk_files import shape_file_of
+from opnav_workbench.scene import (
+    Observer,
+    body_target,
+    observer_from_header,
+    observer_from_kernels,
+    star_target_at,
+)
+from opnav_workbench.session.context import Context, faintest_magnitude
+from opnav_workbench.targets import TargetState
+
+__all__ = [
+    "ATTITUDE_SOURCES",
+    "InputSource",
+    "Inputs",
+    "collect_inputs",
+    "inputs_added",
+    "inputs_dict",
+    "inputs_from",
+    "with_inputs_added",
+    "with_target",
+    "with_wide_stars",
+]
+
+
+# ---- The one place where a session's state lives: a frozen value that every step replaces.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inputs:
+    """What came from outside the picture (kernels, header, catalog), kept so that a session resumes without them.
+
+    Attributes
+    ----------
+    et : float
+        Mid-exposure, TDB seconds past J2000.
+    utc : str
+    observer : Observer
+    a_priori_camera_from_j2000 : (3, 3) array
+    attitude_source : str
+        "kernels" or "header".
+    stars : StarTable
+        Catalog rows around the a priori field.
+    targets : mapping of str to TargetState
+    wide_stars : StarTable or None
+        Brightest catalog rows as far around as the widest search goes, once one was needed.
+    shapes : mapping of str to Path
+        Shape models of targets, where the kernels hold one.
+    """
+
+    et: float
+    utc: str
+    observer: Observer
+    a_priori_camera_from_j2000: FloatArray
+    attitude_source: str
+    stars: StarTable
+    targets: MappingProxyType[str, TargetState]
+    wide_stars: StarTable | None = None
+    shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+# ---- Inputs of a session from the world outside the picture: kernels, image header, catalog, target lists.
+
+WIDE_STARS = 1000  # of a wide search: dozens on the detector of any camera, and a session file of a megabyte
+FAINT_MARGIN_MAG = 1.0  # colors, and the zero point's own error
+MAX_CONE_RAD = np.pi
+ATTITUDE_SOURCES = ("auto", "kernels", "header")
+
+
+@dataclass(frozen=True, slots=True)
+class InputSource:
+    """Where inputs come from.
+
+    Attributes
+    ----------
+    catalog : str
+        Catalog spec.
+    target_stars : Path or None
+        Star list for stars that are targets.
+    attitude : {"auto", "kernels", "header"}
+    """
+
+    catalog: str = "bundled"
+    target_stars: Path | None = None
+    attitude: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.attitude not in ATTITUDE_SOURCES:
+            raise SessionError(
+                f"unknown attitude source {self.attitude!r}; choose one of {', '.join(ATTITUDE_SOURCES)}."
+            )
+
+
+def collect_inputs(context: Context, source: InputSource, catalog: Catalog | None = None) -> Inputs:
+    """Collect time, observer, a priori attitude and the catalog stars around the field."""
+    et = _et(context)
+    attitude, origin = _attitude(context, source.attitude, et)
+    inputs = Inputs(
+        et=et,
+        utc=context.frame.utc or "",
+        observer=_observer(context, et),
+        a_priori_camera_from_j2000=attitude,
+        attitude_source=origin,
+        stars=StarTable.empty(),
+        targets=MappingProxyType({}),
+    )
+    return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
+
+
+def with_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> Inputs:
+    """Add one target to the inputs: a star of the target list, else a SPICE body."""
+    target = _star_target(context, source, inputs, name)
+    shape = None
+    if target is None:
+        target, shape = _spice_target(context, inputs, name), shape_file_of(name)
+    return replace(
+        inputs,
+        targets=MappingProxyType({**inputs.targets, name: target}),
+        shapes=inputs.shapes if shape is None else MappingProxyType({**inputs.shapes, name: shape}),
+    )
+
+
+def with_wide_stars(
+    context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
+) -> Inputs:
+    """Add the brightest stars as far around the a priori field as the widest search of the settings goes."""
+    reach_px = max((shift for shift, _ in context.settings.wide_searches), default=0.0)
+    radius = context.camera.half_diagonal_rad + reach_px * context.camera.pixel_scale_rad
+    limit = min(context.settings.mag_limit, faintest_magnitude(context) + FAINT_MARGIN_MAG)
+    stars = _cone(context, catalog or open_catalog(source.catalog), inputs, radius, limit)
+    brightest = np.sort(np.argsort(stars.mag, kind="stable")[:WIDE_STARS])
+    return replace(inputs, wide_stars=stars.take(brightest))
+
+
+def _cone(
+    context: Context, catalog: Catalog, inputs: Inputs, radius_rad: float, mag_limit: float
+) -> StarTable:
+    direction = inputs.a_priori_camera_from_j2000.T @ context.camera.boresight
+    ra, dec = (float(a) for a in radec_from_unit(direction))
+    return catalog.cone(ra, dec, min(radius_rad, MAX_CONE_RAD), mag_limit=mag_limit, et_s=inputs.et)
+
+
+def _et(context: Context) -> float:
+    """Mid-exposure time from the header's ET, UTC or clock reading, in this order."""
+    frame = context.frame
+    if frame.et is not None:
+        return frame.et
+    if KernelSet.active() is not None and frame.utc is not None:
+        return et_from_utc(frame.utc)
+    if KernelSet.active() is not None and frame.sclk is not None:
+        return et_from_sclk(context.mission.clock_id, frame.sclk)
+    raise ImageError(
+        f"{frame.path.name}: the header gives no time but a clock reading ({frame.sclk}); "
+        "give kernels with an LSK and the SCLK of this spacecraft (--kernels)."
+    )
+
+
+def _observer(context: Context, et: float) -> Observer:
+    kernels = KernelSet.active()
+    spacecraft = context.mission.spacecraft_id
+    if kernels is not None and any(c.body == spacecraft for c in kernels.coverage("SPK")):
+        return observer_from_kernels(spacecraft, et)
+    return observer_from_header(context.frame, et)
+
+
+def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str]:
+    kernels, frame_name = KernelSet.active(), context.camera.frame
+    with_ck = kernels is not None and kernels.has_attitude(frame_name)
+    if wanted == "kernels" or (wanted == "auto" and with_ck):
+        return camera_attitude(frame_name, et), "kernels"
+    geometry = context.frame.header_geometry
+    if geometry is None or geometry.camera_from_j2000 is None:
+        raise ImageError(
+            f"{context.frame.path.name}: the header gives no attitude; "
+            f"give kernels with a CK for {frame_name} (--kernels)."
+        )
+    return np.asarray(geometry.camera_from_j2000), "header"
+
+
+def _stars(context: Context, catalog: Catalog, inputs: Inputs) -> StarTable:
+    """Catalog stars in a cone that holds the detector, the search margin and the twist error's reach."""
+    camera, settings = context.camera, context.settings
+    margin = settings.max_shift_px * camera.pixel_scale_rad
+    reach = camera.half_diagonal_rad * (1.0 + np.radians(settings.max_twist_deg)) + margin
+    return _cone(context, catalog, inputs, reach, settings.mag_limit)
+
+
+def _star_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> TargetState | None:
+    path = source.target_stars or context.mission.target_stars
+    if path is None:
+        return None
+    stars = read_star_list(path)
+    names = {str(star).casefold(): row for row, star in enumerate(stars.id)}
+    row = names.get(name.casefold())
+    if row is None:
+        return None
+    return star_target_at(name, stars, row, inputs.et, inputs.observer)
+
+
+def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:
+    if KernelSet.active() is None:
+        raise KernelError(
+            f"target {name}: it is not in the target star list, and no kernels are loaded; give kernels that "
+            "cover the body (--kernels) or a star list (--target-stars)."
+        )
+    if name != name.strip().upper():  # SPICE would take it, and the picture have one body under two names
+        raise KernelError(f"target {name!r}: write the body's name in capitals, {name.strip().upper()}.")
+    return context.mission.with_magnitude(body_target(name, context.mission.spacecraft_id, inputs.et))
+
+
+# ---- Inputs of a session as plain values, and back: whole, and what a step added to them.
+
+
+def inputs_dict(inputs: Inputs) -> dict[str, Any]:
+    """Return inputs as plain values."""
+    return {
+        "et": inputs.et,
+        "utc": inputs.utc,
+        "observer": _columns(inputs.observer),
+        "a_priori_camera_from_j2000": inputs.a_priori_camera_from_j2000,
+        "attitude_source": inputs.attitude_source,
+        "stars": _columns(inputs.stars),
+        "wide_stars": None if inputs.wide_stars is None else _columns(inputs.wide_stars),
+        "targets": {name: _columns(target) for name, target in inputs.targets.items()},
+        "shapes": dict(inputs.shapes),
+    }
+
+
+def _columns(instance: Any) -> dict[str, Any]:
+    return {field.name: getattr(instance, field.name) for field in fields(instance)}
+
+
+def inputs_from(data: Mapping[str, Any]) -> Inputs:
+    """Return inputs from plain values."""
+    return Inputs(
+        et=float(data["et"]),
+        utc=data["utc"],
+        observer=_rebuild(Observer, data["observer"]),
+        a_priori_camera_from_j2000=np.array(data["a_priori_camera_from_j2000"], dtype=np.float64),
+        attitude_source=data["attitude_source"],
+        stars=_star_table(data["stars"]),
+        targets=MappingProxyType({n: _rebuild(TargetState, t) for n, t in data["targets"].items()}),
+        wide_stars=None if data.get("wide_stars") is None else _star_table(data["wide_stars"]),
+        shapes=_path_mapping(data.get("shapes", {})),
+    )
+
+
+def _rebuild(cls: type[Any], values: Mapping[str, Any]) -> Any:
+    arrays = {k: np.array(v, dtype=np.float64) if isinstance(v, list) else v for k, v in values.items()}
+    return cls(**arrays)
+
+
+def _star_table(columns: Mapping[str, Any]) -> StarTable:
+    """Rebuild the catalog rows; null stands for a number that is not known."""
+    text = {"id", "band"}
+    arrays: dict[str, Any] = {
+        name: np.array(values) if name in text else np.array(values, dtype=np.float64)
+        for name, values in columns.items()
+        if name != "motion_known"
+    }
+    arrays["sigma"] = arrays["sigma"].reshape(-1, 5)  # with no star at all, JSON has forgotten the five
+    return StarTable(**arrays, motion_known=np.array(columns["motion_known"], dtype=bool))
+
+
+def inputs_added(before: Inputs | None, inputs: Inputs) -> dict[str, Any]:
+    """Return as plain values what `inputs` hold that `before` does not: targets, and the stars of a wide search."""
+    known = {} if before is None else before.targets
+    targets = {name: _columns(target) for name, target in inputs.targets.items() if name not in known}
+    added: dict[str, Any] = {"targets": targets} if targets else {}
+    shapes = {name: path for name, path in inputs.shapes.items() if name in targets}
+    added |= {"shapes": shapes} if shapes else {}
+    if inputs.wide_stars is not None and (before is None or before.wide_stars is None):
+        added["wide_stars"] = _columns(inputs.wide_stars)
+    return added
+
+
+def with_inputs_added(inputs: Inputs, added: Mapping[str, Any]) -> Inputs:
+    """Return inputs with what `inputs_added` told of a later step."""
+    targets = {name: _rebuild(TargetState, target) for name, target in added.get("targets", {}).items()}
+    wide = added.get("wide_stars")
+    return replace(
+        inputs,
+        targets=MappingProxyType({**inputs.targets, **targets}),
+        wide_stars=inputs.wide_stars if wide is None else _star_table(wide),
+        shapes=MappingProxyType({**inputs.shapes, **_path_mapping(added.get("shapes", {}))}),
+    )
+
+
+def _path_mapping(values: Mapping[str, str]) -> MappingProxyType[str, Path]:
+    return MappingProxyType({name: Path(path) for name, path in values.items()})

@@ -1,0 +1,202 @@
+"""The camera's attitude of a session: the best one known, its covariance, the step that solves it from the stars in use.
+
+Observables rest on the attitude, so they are computed here and follow every new solution.  Steps are pure functions:
+(context, inputs, state, parameters) -> state.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.bodies import BodyCenter, JointCenters
+from opnav_workbench.errors import SessionError
+from opnav_workbench.observables import Observable, center_cross, observe
+from opnav_workbench.scene import predict_body
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.state import (
+    ACCEPTED,
+    BY_HAND,
+    SessionState,
+    StarStatus,
+    has_center,
+    with_decisions,
+)
+from opnav_workbench.stars.pointing import solve_pointing
+from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
+
+__all__ = [
+    "attitude",
+    "attitude_covariance",
+    "field_attitude",
+    "repoint",
+    "with_observables",
+    "with_renewed_observables",
+]
+
+
+# ---- From centers to observables, and the attitude that both rest on. Pure functions of context, inputs and ...
+
+
+def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
+    """Best known ``camera_from_j2000``: solved, else where the analyst put the field, else a priori."""
+    if state.pointing is not None:
+        return state.pointing.camera_from_j2000
+    if state.star_field is not None and state.star_field.search in (BY_HAND, "marked"):
+        return state.star_field.camera_from_j2000
+    return inputs.a_priori_camera_from_j2000
+
+
+def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
+    """Covariance (3, 3) rad^2 that goes with `attitude`; the camera's a priori one before the stars are solved."""
+    return a_priori_covariance(context) if state.pointing is None else state.pointing.covariance_rad2
+
+
+def a_priori_covariance(context: Context) -> FloatArray:
+    """Covariance (3, 3) rad^2 of the a priori attitude, as the camera file has it."""
+    sigma = context.camera.attitude_sigma
+    cross = sigma.cross_px * context.camera.pixel_scale_rad
+    focal = np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2
+    axes = context.camera.focal_from_camera
+    return np.asarray(axes.T @ focal @ axes)
+
+
+def with_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
+    """Turn every body's center into an observable with partials."""
+    return state.replace(observables=tuple(_observable(context, inputs, state, b) for b in state.bodies))
+
+
+def with_renewed_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
+    """Let observables that were computed before follow a new pointing or a new center."""
+    return with_observables(context, inputs, state) if state.observables else state
+
+
+def _observable(context: Context, inputs: Inputs, state: SessionState, center: BodyCenter) -> Observable:
+    target = inputs.targets[center.name]
+    a_priori = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
+    solved = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
+    return observe(
+        target,
+        center,
+        context.camera,
+        attitude(inputs, state),
+        attitude_covariance(context, state),
+        observer_velocity_km_s=inputs.observer.velocity_km_s,
+        a_priori_px=a_priori.pixel_line,
+        diameter_px=solved.diameter_px,
+        image=context.frame.path.name,
+        et=inputs.et,
+        utc=inputs.utc,
+        reference_body=context.mission.reference_body,
+        observer=context.mission.spacecraft_name,
+        center_cross_px2=_center_cross(state, center),
+    )
+
+
+def _center_cross(state: SessionState, center: BodyCenter) -> Mapping[str, FloatArray]:
+    """Return the covariances of a center with those that were found jointly with it."""
+    if center.pixel_line is None:
+        return {}
+    for found in state.joint:
+        if found.method == center.method and center.name in found.names:
+            by_name = {body.name: body for body in state.bodies if body.method == found.method}
+            if all(name in by_name for name in found.names):
+                centers = tuple(by_name[name] for name in found.names)
+                return center_cross(JointCenters(centers, found.covariance_px2), center.name)
+    return {}
+
+
+# ---- Session step: the camera's attitude from the stars in use. Pure: (context, inputs, state, parameters) ...
+
+# A field moved by hand may keep its a priori twist, unless it was turned by more than the camera's twist is off.
+HAND_TWIST_SIGMAS = 3.0
+
+
+def repoint(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Solve the camera attitude from the stars that are in use."""
+    model = parameters["model"]
+    if model not in POINTING_MODELS:
+        raise SessionError(f"unknown pointing model {model!r}; choose one of {', '.join(POINTING_MODELS)}.")
+    if state.a_priori is None or state.centers is None:
+        why = " ".join(state.notes.get("stars", ()))
+        raise SessionError(why or "no star centers yet: call find_stars() first.")
+    candidates = with_decisions(state, state.found_status)
+    usable = np.array([s.status == "used" for s in candidates], dtype=bool) & has_center(state)
+    solved = state.replace(status=candidates)
+    if usable.any():
+        solved = _solved(context, inputs, solved, usable, parameters)
+    else:
+        none = f"no usable star among {len(candidates)} candidates; the a priori pointing stands."
+        solved = solved.replace(pointing=None).noting("pointing", none)
+    # Predictions and O-C rest on the pointing: those already computed follow it.
+    return with_renewed_observables(context, inputs, solved)
+
+
+def _solved(
+    context: Context, inputs: Inputs, state: SessionState, usable: BoolArray, parameters: dict[str, Any]
+) -> SessionState:
+    assert state.a_priori is not None
+    assert state.centers is not None
+    verdicts = [state.decisions.get(star, ("", ""))[0] for star in state.a_priori.id.tolist()]
+    solution = solve_pointing(
+        state.centers.pixel_line,
+        state.centers.covariance_px2,
+        state.a_priori.directions,
+        context.camera,
+        inputs.a_priori_camera_from_j2000,
+        catalog_covariance_px2=state.a_priori.covariance_px2,
+        model=parameters["model"],
+        usable=usable,
+        trusted=[verdict == ACCEPTED for verdict in verdicts],
+        **_start(context, state, bool(parameters.get("a_priori"))),
+    )
+    status = tuple(
+        StarStatus("rejected", reason) if offered and not used else status
+        for status, offered, used, reason in zip(
+            state.status, usable, solution.used, solution.reasons, strict=True
+        )
+    )
+    return state.replace(pointing=solution, status=status).noting("pointing", *solution.messages)
+
+
+def _start(context: Context, state: SessionState, a_priori: bool) -> dict[str, Any]:
+    """How far the a priori attitude is to be trusted: not at all where the field was found far from it."""
+    if not _near_a_priori(context, state):
+        return {"twist_sigma_rad": np.pi, "start": "svd"}
+    twist = {"twist_sigma_rad": np.radians(context.camera.attitude_sigma.twist_deg)}
+    return twist | ({"a_priori_covariance_rad2": a_priori_covariance(context)} if a_priori else {})
+
+
+def _near_a_priori(context: Context, state: SessionState) -> bool:
+    found = state.star_field
+    if found is None or found.search == "a priori":
+        return True
+    most = HAND_TWIST_SIGMAS * np.radians(context.camera.attitude_sigma.twist_deg)
+    return found.search == BY_HAND and abs(found.twist_rad) <= most
+
+
+def repoint_outcome(state: SessionState) -> str:
+    """One line of what came out, for the journal."""
+    pointing = state.pointing
+    if pointing is None:
+        return "pointing not determined"
+    return (
+        f"pointing moved by {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines; "
+        f"rms {pointing.rms_px:.3f} px with {pointing.n_stars} stars"
+    )
+
+
+# ---- Session step: the analyst moves the predicted field by hand, pixel by pixel, until it lies on the stars.
+
+
+def field_attitude(inputs: Inputs, state: SessionState) -> FloatArray:
+    """Return where the field is known best: solved, else identified or moved by hand, else a priori."""
+    if state.pointing is not None:
+        return state.pointing.camera_from_j2000
+    if state.star_field is not None:
+        return state.star_field.camera_from_j2000
+    return inputs.a_priori_camera_from_j2000

@@ -1,0 +1,435 @@
+"""Where the star field lies in the picture, and so which detection is which star.
+
+Before the pointing is solved, detections are matched with the pattern of catalog stars and small bodies: first within
+the limits of the a priori pointing, then farther and farther around it, where only a sure answer counts.  After it, the
+solved pointing says where each star is.  What the analyst says goes before all patterns: two stars marked, named or not
+(`two_star_pointing`), or the field moved by hand, pixel by pixel (`nudge`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera import Camera
+from opnav_workbench.catalog import StarTable
+from opnav_workbench.errors import SessionError
+from opnav_workbench.geometry import angle_between, rotation_from_vector, unit
+from opnav_workbench.scene import (
+    StarPrediction,
+    apparent_stars,
+    camera_magnitudes,
+    predict_body,
+    predict_stars,
+)
+from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
+from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.pointing import field_attitude
+from opnav_workbench.session.state import (
+    BY_HAND,
+    FieldFound,
+    FieldMatch,
+    SessionState,
+    unsearched_statuses,
+    with_decisions,
+)
+from opnav_workbench.stars import Detections, Identification, detect, identify_marked, identify_sky
+
+__all__ = [
+    "brightest",
+    "catalog_stars",
+    "identify_field",
+    "nudge",
+    "nudge_reach_px",
+    "nudged_attitude",
+    "star_detections",
+    "two_star_pointing",
+    "unknown_star_ids",
+]
+
+
+# ---- Which detection is which star: the field's rotation against the a priori pointing.
+
+# A proposal less sure than this is a guess. One star by nearness and brightness reaches 0.9; in fields that have nothing
+# to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
+MIN_CONFIDENCE = 0.8
+MAX_DETECTIONS = 300  # brightest: enough for any pattern
+# An analyst brings the field nearer than this to its stars; the pattern then says how near.
+HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
+# A body larger than this is not a point of the pattern, and its limb would add false detections.
+MAX_POINT_DIAMETER_PX = 3.0
+
+
+def identify_field(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
+    """Locate the star field, from the solved pointing or marked stars if there are, else from the pattern."""
+    if state.a_priori is None:
+        return _unidentified(state, "no star is predicted")
+    if state.pointing is not None:
+        radius = context.settings.refined_radius_px
+        return _expected_stars(
+            context, state.a_priori, state.pointing.camera_from_j2000, state.star_field, radius
+        )
+    if state.star_field is not None and state.star_field.search == "marked":
+        radius = context.settings.search_radius_px
+        return _expected_stars(
+            context, state.a_priori, state.star_field.camera_from_j2000, state.star_field, radius
+        )
+    if state.star_field is not None and state.star_field.search == BY_HAND:
+        return _around_moved_field(context, inputs, state, state.star_field)
+    return _from_pattern(context, inputs, state)
+
+
+def _expected_stars(
+    context: Context,
+    stars: StarPrediction,
+    attitude: FloatArray,
+    found: FieldFound | None,
+    radius_px: float,
+    *messages: str,
+    anew: bool = False,
+) -> FieldMatch:
+    expected = stars.places(context.camera, attitude)
+    visible = context.camera.on_detector(expected)
+    return FieldMatch(found, stars if anew else None, expected, visible, radius_px, messages)
+
+
+def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
+    """Search within the a priori limits, then, where that is not sure, as far as there are stars for."""
+    assert state.a_priori is not None
+    settings, detections = context.settings, star_detections(context)
+    near = _matched_pattern(
+        context, inputs, state, detections, state.a_priori, settings.max_shift_px, settings.max_twist_deg
+    )
+    if not near.sure and inputs.wide_stars is not None:
+        wide = _from_wide_search(context, inputs, state, detections, inputs.wide_stars)
+        if wide is not None:
+            return wide
+    if near.confidence < MIN_CONFIDENCE:
+        return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
+    found = found_field(inputs, near, "a priori")
+    said = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
+    return _expected_stars(
+        context, state.a_priori, found.camera_from_j2000, found, settings.search_radius_px, *said
+    )
+
+
+def _around_moved_field(
+    context: Context, inputs: Inputs, state: SessionState, placed: FieldFound
+) -> FieldMatch:
+    """Take the field where the analyst moved it, more exactly where the pattern agrees."""
+    assert state.a_priori is not None
+    radius = context.settings.search_radius_px
+    answer = _matched_pattern(
+        context, inputs, state, star_detections(context), state.a_priori, HAND_SHIFT_PX, HAND_TWIST_DEG,
+        placed.camera_from_j2000,
+    )  # fmt: skip
+    if answer.sure and answer.rotation is not None:
+        attitude = answer.rotation @ placed.camera_from_j2000
+        found = field_at(context, inputs, attitude, BY_HAND, answer.confidence, sure=True)
+        return _expected_stars(context, state.a_priori, attitude, found, radius)
+    said = f"the field rests on the analyst's hand: {answer.message}"
+    return _expected_stars(context, state.a_priori, placed.camera_from_j2000, placed, radius, said)
+
+
+def _from_wide_search(
+    context: Context, inputs: Inputs, state: SessionState, detections: Detections, catalog: StarTable
+) -> FieldMatch | None:
+    """Search farther; only a sure answer counts, for there is room for many coincidences."""
+    around = _all_directions(context, inputs, catalog)
+    for shift_px, twist_deg in context.settings.wide_searches:
+        answer = _matched_pattern(context, inputs, state, detections, around, shift_px, twist_deg)
+        if not answer.sure:
+            continue
+        found = found_field(inputs, answer, "wide")
+        stars = stars_around(context, inputs, catalog, found.camera_from_j2000)
+        said = (
+            f"the field lies ({answer.shift_px[0]:.0f}, {answer.shift_px[1]:.0f}) px and "
+            f"{np.degrees(answer.twist_rad):.2f} deg off its a priori place: {answer.message}"
+        )
+        radius = context.settings.search_radius_px
+        return _expected_stars(context, stars, found.camera_from_j2000, found, radius, said, anew=True)
+    return None
+
+
+def star_detections(context: Context) -> Detections:
+    """Return the brightest detections of the picture; none where no pixel is usable."""
+    camera, saturated = context.camera, context.frame.saturated
+    if np.all(context.not_stars | saturated | ~np.isfinite(context.signal_dn)):
+        empty = np.empty(0)
+        return Detections(np.empty((0, 2)), empty, empty, empty, np.empty(0, np.int64))
+    return detect(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        camera.psf.sigma_px,
+        DETECTION_SNR,
+        saturated=saturated,
+        max_detections=MAX_DETECTIONS,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Directions:
+    """Stars as directions only, however far off the detector."""
+
+    directions: FloatArray
+    mag: FloatArray
+
+
+def _all_directions(context: Context, inputs: Inputs, catalog: StarTable) -> _Directions:
+    mag, _ = camera_magnitudes(catalog, context.camera)
+    return _Directions(apparent_stars(catalog, inputs.et, inputs.observer), mag)
+
+
+def _matched_pattern(
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    detections: Detections,
+    stars: StarPrediction | _Directions,
+    shift_px: float,
+    twist_deg: float,
+    attitude: FloatArray | None = None,
+) -> Identification:
+    """Match the pattern around `attitude`, by default the a priori one."""
+    directions, mags = _pattern(context.camera, inputs, state, stars)
+    around = inputs.a_priori_camera_from_j2000 if attitude is None else attitude
+    return identify_sky(
+        directions @ around.T,
+        mags,
+        detections,
+        context.camera,
+        max_shift_px=shift_px,
+        max_twist_rad=float(np.radians(twist_deg)),
+        zero_point_mag=zero_point_mag(context),
+    )
+
+
+def _pattern(
+    camera: Camera, inputs: Inputs, state: SessionState, stars: StarPrediction | _Directions
+) -> tuple[FloatArray, FloatArray]:
+    """Directions (J2000) and magnitudes of stars and point-like bodies (magnitude nan where unknown)."""
+    directions, mags = [stars.directions], [stars.mag]
+    for target in (inputs.targets[name] for name in state.targets):
+        body = predict_body(target, inputs.observer, camera, inputs.a_priori_camera_from_j2000)
+        if body.on_detector and body.diameter_px <= MAX_POINT_DIAMETER_PX:
+            directions.append(body.direction[None])
+            mags.append(np.array([np.nan if target.magnitude is None else target.magnitude]))
+    return np.concatenate(directions), np.concatenate(mags)
+
+
+def found_field(inputs: Inputs, answer: Identification, search: str) -> FieldFound:
+    """Return an identification as the session keeps it."""
+    assert answer.rotation is not None
+    attitude = answer.rotation @ inputs.a_priori_camera_from_j2000
+    return FieldFound(attitude, answer.shift_px, answer.twist_rad, answer.confidence, search, answer.sure)
+
+
+def field_at(
+    context: Context, inputs: Inputs, attitude: FloatArray, search: str, confidence: float, *, sure: bool
+) -> FieldFound:
+    """Return the field that an attitude looks at, against the a priori one."""
+    camera = context.camera
+    focal = camera.focal_from_camera
+    between = focal @ attitude @ inputs.a_priori_camera_from_j2000.T @ focal.T  # pixel, line, boresight
+    boresight = between[:, 2]
+    shift = camera.pixel_from_mm @ (camera.focal_length_mm * boresight[:2] / boresight[2])
+    twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    return FieldFound(attitude, shift, twist, confidence, search, sure)
+
+
+def stars_around(
+    context: Context, inputs: Inputs, catalog: StarTable, attitude: FloatArray
+) -> StarPrediction:
+    """Predict the stars around the field that `attitude` looks at; their places stay those of the a priori pointing."""
+    settings = context.settings
+    stars = predict_stars(
+        catalog, inputs.et, inputs.observer, context.camera, attitude, settings.max_shift_px
+    )
+    stars = brightest(stars, settings.max_stars)
+    return stars.predicted_with(context.camera, inputs.a_priori_camera_from_j2000)
+
+
+def brightest(stars: StarPrediction, most: int) -> StarPrediction:
+    """Return the brightest stars, at most `most`, in their order."""
+    if len(stars) <= most:
+        return stars
+    keep = np.sort(np.argsort(stars.mag, kind="stable")[:most])
+    return stars.take(keep)
+
+
+def _why_unsure(answer: Identification) -> str:
+    if len(answer.pairs) == 0:
+        return answer.message
+    stars = "one star" if len(answer.pairs) == 1 else f"{len(answer.pairs)} stars"
+    return f"the likeliest answer, {stars}, has a confidence of {answer.confidence:.2f} only"
+
+
+def _search_limits(context: Context, inputs: Inputs) -> str:
+    """How far was searched, in words."""
+    if inputs.wide_stars is None or not context.settings.wide_searches:
+        return ""
+    shift, twist = context.settings.wide_searches[-1]
+    return f"; nor is it within {shift:g} px and {twist:g} deg"
+
+
+def _unidentified(state: SessionState, why: str, searched: str = "") -> FieldMatch:
+    count = 0 if state.a_priori is None else len(state.a_priori)
+    message = (
+        f"the star field is not identified: {why}{searched}. The a priori pointing stands; take a deeper catalog "
+        "(--catalog), widen the search (max_shift_px), or mark two stars (two_star_pointing)."
+    )
+    return FieldMatch(None, None, np.full((count, 2), np.nan), np.zeros(count, dtype=bool), 0.0, (message,))
+
+
+# ---- Session step: the analyst marks two stars, named or not, and the field follows from them.
+
+
+def two_star_pointing(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Solve shift and twist of the field from two marked stars; `find_stars` then goes on from there."""
+    if state.a_priori is None:
+        raise SessionError("no stars are predicted yet: call predict() first.")
+    catalog = catalog_stars(inputs)
+    answer = _marked_identification(context, inputs, catalog, parameters)
+    if parameters["ids"] is None and answer.confidence < MIN_CONFIDENCE:
+        raise SessionError(
+            f"the two marked stars cannot be told from others of the same separation ({answer.message}); "
+            "name them (ids=[...]), or mark two others, bright and far apart."
+        )
+    found = found_field(inputs, answer, "marked")
+    stars = stars_around(context, inputs, catalog, found.camera_from_j2000)
+    fresh = state.replace(
+        a_priori=stars,
+        centers=None,
+        pointing=None,
+        psf=None,
+        star_field=found,
+        found_status=unsearched_statuses(
+            context.camera.on_detector(stars.places(context.camera, found.camera_from_j2000))
+        ),
+    )
+    said = () if found.sure else (f"the field rests on two marked stars: {answer.message}",)
+    return fresh.replace(status=with_decisions(fresh, fresh.found_status)).noting("stars", *said)
+
+
+def _marked_identification(
+    context: Context, inputs: Inputs, catalog: StarTable, parameters: dict[str, Any]
+) -> Identification:
+    directions = apparent_stars(catalog, inputs.et, inputs.observer)
+    mag, _ = camera_magnitudes(catalog, context.camera)
+    ids = parameters["ids"]
+    if ids is None:
+        named = None
+    elif missing := unknown_star_ids(inputs, ids):
+        raise SessionError(f"no star {', '.join(missing)} in the catalog around this field.")
+    else:
+        rows = [int(np.flatnonzero(catalog.id == star)[0]) for star in ids]
+        named = (rows[0], rows[1])
+    return identify_marked(
+        directions @ inputs.a_priori_camera_from_j2000.T,
+        mag,
+        star_detections(context),
+        context.camera,
+        parameters["places"],
+        named,
+        max_shift_px=max(
+            shift for shift, _ in [(context.settings.max_shift_px, 0.0), *context.settings.wide_searches]
+        ),
+        zero_point_mag=zero_point_mag(context),
+    )
+
+
+def catalog_stars(inputs: Inputs) -> StarTable:
+    """Return every catalog row at hand, those near the a priori field first."""
+    return StarTable.concatenate([inputs.stars, _far_stars(inputs)])
+
+
+def _far_stars(inputs: Inputs) -> StarTable:
+    """Stars of the wide search that are not among the near ones."""
+    if inputs.wide_stars is None:
+        return StarTable.empty()
+    return inputs.wide_stars.take(~np.isin(inputs.wide_stars.id, inputs.stars.id))
+
+
+def unknown_star_ids(inputs: Inputs, ids: Sequence[str]) -> list[str]:
+    """Return those of `ids` that no catalog row at hand has."""
+    known = set(inputs.stars.id.tolist()) | set(_far_stars(inputs).id.tolist())
+    return [star for star in ids if star not in known]
+
+
+def two_star_outcome(state: SessionState) -> str:
+    """One line of what came out, for the journal."""
+    found = state.star_field
+    assert found is not None
+    shift = f"({found.shift_px[0]:+.1f}, {found.shift_px[1]:+.1f}) px"
+    return f"field moved by {shift}, turned by {np.degrees(found.twist_rad):+.2f} deg; confidence {found.confidence:.3f}"
+
+
+# ---- Session step: the analyst moves the predicted field by hand, pixel by pixel, until it lies on the stars.
+
+
+def nudge(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
+    """Move the field from where it is known best; what was found with the older pointing is dropped."""
+    if state.a_priori is None:
+        raise SessionError("no stars are predicted yet: call predict() first.")
+    shift = np.array([parameters["delta_pixel"], parameters["delta_line"]])
+    twist = float(np.radians(parameters["delta_twist_deg"]))
+    attitude = nudged_attitude(context.camera, field_attitude(inputs, state), shift, twist)
+    found = field_at(context, inputs, attitude, BY_HAND, 0.0, sure=False)
+    stars = stars_around(context, inputs, catalog_stars(inputs), attitude)
+    expected = context.camera.on_detector(stars.places(context.camera, attitude))
+    fresh = state.replace(
+        a_priori=stars,
+        centers=None,
+        pointing=None,
+        psf=None,
+        star_field=found,
+        found_status=unsearched_statuses(expected),
+        star_methods=MappingProxyType({}),
+    )
+    return fresh.replace(status=with_decisions(fresh, fresh.found_status)).noting("stars").noting("pointing")
+
+
+def nudged_attitude(
+    camera: Camera, camera_from_j2000: FloatArray, shift_px: FloatArray, twist_rad: float
+) -> FloatArray:
+    """Return the attitude with which the field lies `shift_px` (pixel, line) farther and is turned.
+
+    The twist turns the picture about its boresight, from +pixel toward +line.
+
+    Raises
+    ------
+    SessionError
+        The shift is larger than the detector.
+    """
+    rays = camera.unproject(camera.center_pixel_line + np.array([np.zeros(2), shift_px]))
+    if np.abs(shift_px).max() > max(camera.n_pixel, camera.n_line) or not np.isfinite(rays).all():
+        raise SessionError(
+            f"a nudge by ({shift_px[0]:+.1f}, {shift_px[1]:+.1f}) px is more than {camera.name}'s field; move it in "
+            "smaller steps, or mark two stars (two_star_pointing)."
+        )
+    across, turned = np.cross(*rays), np.cross(*camera.focal_from_camera[:2])
+    angle = float(angle_between(*rays))
+    move = rotation_from_vector(unit(across) * angle) if angle > 0.0 else np.eye(3)
+    return np.asarray(move @ rotation_from_vector(turned * twist_rad) @ camera_from_j2000)
+
+
+def nudge_reach_px(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> float:
+    """Return how far from its a priori place a nudge would bring the field, at least."""
+    shift = np.array([parameters["delta_pixel"], parameters["delta_line"]])
+    here = field_at(context, inputs, field_attitude(inputs, state), BY_HAND, 0.0, sure=False)
+    return float(np.hypot(*(here.shift_px + shift)))
+
+
+def nudge_outcome(state: SessionState) -> str:
+    """One line of what came out, for the journal."""
+    found = state.star_field
+    assert found is not None
+    return f"field moved by hand: ({found.shift_px[0]:+.1f}, {found.shift_px[1]:+.1f}) px from its a priori place"

@@ -1,0 +1,345 @@
+"""Stars measured at the places where they are expected, and the status that each measurement earns.
+
+Centers come coarse from correlation, then from least squares; for all stars of a picture at once, with the PSF they
+agree on, or for a few with a known PSF, their neighbors fitted along.  A star has the status of the first rule that
+concerns it: off the detector, behind a body, saturated, too faint, too far from its place, not converged, cosmic ray,
+blended, of the wrong brightness; else it is used.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.errors import SessionError
+from opnav_workbench.session.context import Context
+from opnav_workbench.session.state import FieldMatch, StarStatus
+from opnav_workbench.stars import (
+    ShapePrior,
+    StarCenters,
+    StarFlag,
+    StarImages,
+    StarTemplate,
+    correlate,
+    default_box_px,
+    extract_template,
+    fit_gaussian,
+    fit_psf,
+    fit_stars,
+    gaussian_template,
+)
+
+__all__ = ["FINAL_METHODS", "StarFitOptions", "centers_with_rows", "fit_all", "fit_some", "star_statuses"]
+
+
+# ---- Star centers at expected places: coarse by correlation, then least squares; for all stars of a frame or ...
+
+InitialMethod = Literal["matched_filter", "cross_correlation"]
+INITIAL_METHODS: tuple[InitialMethod, ...] = get_args(InitialMethod)
+FITTED_METHODS = ("least_squares", "psf_fit")  # neighbors are fitted together
+FINAL_METHODS = (*FITTED_METHODS, *INITIAL_METHODS)
+TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the stars it finds
+
+
+@dataclass(frozen=True, slots=True)
+class StarFitOptions:
+    """How stars are measured.
+
+    Attributes
+    ----------
+    initial, final : str
+    radius_px : float
+        How far from its expected place a star may lie.
+    template : int or None
+        Row of the star that the matched filter takes as its template; None: a well-exposed one.
+    """
+
+    initial: InitialMethod
+    final: str
+    radius_px: float
+    template: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.initial not in INITIAL_METHODS or self.final not in FINAL_METHODS:
+            raise SessionError(
+                f"unknown method {self.initial!r} / {self.final!r}: initial is one of {', '.join(INITIAL_METHODS)}, "
+                f"final one of {', '.join(FINAL_METHODS)}."
+            )
+
+    @property
+    def coarse(self) -> InitialMethod:
+        """The correlation that comes first."""
+        return next((method for method in INITIAL_METHODS if method == self.final), self.initial)
+
+
+def fit_all(
+    context: Context, match: FieldMatch, prior: ShapePrior, how: StarFitOptions
+) -> tuple[StarCenters, ShapePrior]:
+    """Measure all stars of a match at once; return the PSF that they agree on, too."""
+    coarse = _coarse(context, match, match.expected_px, prior, how)
+    if how.final not in FITTED_METHODS:
+        return coarse, prior
+    start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, match.expected_px)
+    if how.final == "psf_fit":
+        return _psf_fit(context, start), prior
+    return fit_stars(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        start,
+        prior,
+        saturated=context.frame.saturated,
+        noise_model=context.noise_model,
+    )
+
+
+def fit_some(
+    context: Context,
+    match: FieldMatch,
+    rows: IntArray,
+    psf: ShapePrior,
+    psf_error: float,
+    how: StarFitOptions,
+) -> StarCenters:
+    """Measure the stars `rows` (k,) of a match with a known PSF; neighbors are fitted with them, but not returned."""
+    near = _with_neighbors(match.expected_px, rows, 2.0 * default_box_px(psf.sigma_px))
+    expected = match.expected_px[near]
+    coarse = _coarse(context, match, expected, psf, how)
+    if how.final in FITTED_METHODS:
+        start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, expected)
+        coarse = (
+            _psf_fit(context, start)
+            if how.final == "psf_fit"
+            else fit_gaussian(
+                context.signal_dn,
+                context.noise_dn,
+                context.not_stars,
+                start,
+                psf,
+                saturated=context.frame.saturated,
+                noise_model=context.noise_model,
+                psf_error=psf_error,
+            )
+        )
+    return center_rows(coarse, np.arange(len(rows)))
+
+
+def _with_neighbors(places: FloatArray, rows: IntArray, reach_px: float) -> IntArray:
+    """Return `rows`, then the rows of all stars near one of them."""
+    distance = np.hypot(*(places[:, None] - places[rows][None]).transpose(2, 0, 1))
+    with np.errstate(invalid="ignore"):
+        near = np.flatnonzero((distance < reach_px).any(axis=1))
+    return np.concatenate([rows, np.setdiff1d(near, rows)])
+
+
+def _coarse(
+    context: Context, match: FieldMatch, expected: FloatArray, prior: ShapePrior, how: StarFitOptions
+) -> StarCenters:
+    return correlate(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        expected,
+        _template(context, match, prior, how),
+        search_radius_px=how.radius_px,
+        method=how.coarse,
+        saturated=context.frame.saturated,
+    )
+
+
+def _psf_fit(context: Context, start: FloatArray) -> StarCenters:
+    return fit_psf(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        start,
+        context.camera.psf_model,
+        saturated=context.frame.saturated,
+        noise_model=context.noise_model,
+    )
+
+
+def _template(context: Context, match: FieldMatch, prior: ShapePrior, how: StarFitOptions) -> StarTemplate:
+    """A Gaussian for cross-correlation; for the matched filter a well-exposed star of this picture, if there is one."""
+    gaussian = gaussian_template(prior.sigma_px, default_box_px(prior.sigma_px))
+    chosen: BoolArray = match.visible
+    if how.template is not None:
+        chosen = np.arange(len(match.visible)) == how.template
+    if how.coarse == "cross_correlation" or not chosen.any():
+        return gaussian
+    centers = correlate(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        match.expected_px[chosen],
+        gaussian,
+        search_radius_px=match.radius_px,
+        saturated=context.frame.saturated,
+    )
+    clean = centers.usable & (centers.flags == 0)
+    if how.template is None:
+        clean &= centers.snr > TEMPLATE_SNR
+    if not clean.any():
+        return gaussian
+    best = int(np.argmax(np.where(clean, centers.snr, -np.inf)))
+    radius = default_box_px(prior.sigma_px) / 2.0
+    return extract_template(context.signal_dn, context.not_stars, centers.pixel_line[best], radius)
+
+
+# -- rows of centers -----------------------------------------------------------------------------------------------
+
+NOT_MEASURED = {"flags": int(StarFlag.NOT_FINITE), "degrees_of_freedom": 0.0}
+PER_STAR = tuple(
+    field.name for field in fields(StarCenters) if field.name not in ("method", "psf_error", "images")
+)
+
+
+def center_rows(centers: StarCenters, rows: IntArray) -> StarCenters:
+    """Return some rows of centers."""
+    images = centers.images
+    if images is not None:
+        images = replace(
+            images, **{f.name: v[rows] for f in fields(images) if (v := getattr(images, f.name)) is not None}
+        )
+    return replace(centers, images=images, **{name: getattr(centers, name)[rows] for name in PER_STAR})
+
+
+def centers_with_rows(base: StarCenters | None, n: int, rows: IntArray, fresh: StarCenters) -> StarCenters:
+    """Return the centers of n stars: `fresh` in `rows`, those of `base` (its rows come first) elsewhere, else none."""
+    columns: dict[str, Any] = {}
+    for name in PER_STAR:
+        new = getattr(fresh, name)
+        column = np.full((n, *new.shape[1:]), NOT_MEASURED.get(name, np.nan)).astype(new.dtype)
+        if base is not None:
+            column[: len(base)] = getattr(base, name)
+        column[rows] = new
+        columns[name] = column
+    images = _images_with_rows(None if base is None else base.images, n, rows, fresh.images)
+    kept = fresh if base is None else base
+    return replace(kept, images=images, **columns)
+
+
+def _images_with_rows(
+    base: StarImages | None, n: int, rows: IntArray, fresh: StarImages | None
+) -> StarImages | None:
+    if fresh is None:
+        return None
+    size = max(fresh.size, 0 if base is None else base.size)
+    first = np.zeros((n, 2), dtype=np.int64)
+    planes = {name: np.full((n, size, size), empty) for name, empty in (("data_dn", np.nan), ("model_dn", np.nan),
+              ("sigma_dn", np.inf))}  # fmt: skip
+    for images, at in ((base, np.arange(0 if base is None else len(base))), (fresh, rows)):
+        if images is None:
+            continue
+        first[at] = images.first
+        for name, plane in planes.items():
+            plane[at] = {"sigma_dn": np.inf}.get(name, np.nan)
+            plane[at, : images.size, : images.size] = getattr(images, name)
+    return StarImages(first=first, **planes)
+
+
+# ---- What is to be thought of each star's center: its status, and why.
+
+UNSEPARATED_SIGMAS = (
+    1.5  # a joint fit tells stars apart that are farther from each other than this, in sigmas of the PSF
+)
+MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
+StatusRule = tuple[BoolArray, str, Callable[[int], str]]  # whom it concerns, status, and why
+NOT_CONVERGED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
+
+
+def star_statuses(
+    context: Context,
+    mag: FloatArray,
+    match: FieldMatch,
+    centers: StarCenters,
+    psf: ShapePrior,
+    how: StarFitOptions,
+    behind: Sequence[str],
+) -> tuple[StarStatus, ...]:
+    """Give every star its status, the first that applies.
+
+    Parameters
+    ----------
+    mag : (n,) array
+        Predicted magnitudes.
+    match : FieldMatch
+        Where the stars were expected.
+    centers : StarCenters
+        (n,) measured with `psf` in the way of `how`.
+    behind : (n,) sequence of str
+        Body that stands before each star; empty for none.
+    """
+    settings, radius_px = context.settings, how.radius_px
+    blend_px = UNSEPARATED_SIGMAS * psf.sigma_px if how.final in FITTED_METHODS else settings.blend_radius_px
+    blended = _blended(match.expected_px, mag, blend_px, settings.blend_magnitude)
+    moved = np.hypot(*(centers.pixel_line - match.expected_px).T)
+    magnitude_error = _magnitude_error(context, mag, centers, match)
+    snr, flags = centers.snr, centers.flags
+    with np.errstate(invalid="ignore"):
+        faint = ~(np.isfinite(snr) & (snr >= settings.min_snr))
+        far = moved > radius_px + 1.0
+    unlike = np.abs(magnitude_error) > settings.max_magnitude_error
+    verdicts: tuple[StatusRule, ...] = (
+        (~match.visible, "off_detector", lambda _: "outside the detector with the pointing found"),
+        (_on_bodies(context, match), "not_detected", lambda _: "behind a body, or lost in its light"),
+        (_has(flags, StarFlag.SATURATED), "saturated", lambda _: "its core is saturated"),
+        (faint & _occulted(behind), "not_detected", lambda i: f"behind {behind[i]}"),
+        (faint, "not_detected", lambda i: f"SNR {snr[i]:.1f} is below {settings.min_snr:g}"),
+        (far, "not_detected", lambda _: f"nothing within {radius_px:.1f} px of its expected place"),
+        (_has(flags, NOT_CONVERGED), "rejected", lambda _: "the fit did not converge"),
+        (_has(flags, StarFlag.COSMIC_RAY), "rejected", lambda _: "sharper than a star can be: a cosmic ray"),
+        (blended, "blended", lambda _: f"another star within {blend_px:.1f} px"),
+        (unlike, "rejected", lambda i: f"{magnitude_error[i]:+.1f} mag off its catalog brightness"),
+    )
+    return tuple(_first_rule(verdicts, i) for i in range(len(mag)))
+
+
+def _first_rule(verdicts: Sequence[StatusRule], i: int) -> StarStatus:
+    for holds, status, reason in verdicts:
+        if holds[i]:
+            return StarStatus(status, reason(i))
+    return StarStatus("used")
+
+
+def _occulted(behind: Sequence[str]) -> BoolArray:
+    return np.array([bool(name) for name in behind], dtype=bool)
+
+
+def _has(flags: IntArray, wanted: StarFlag) -> BoolArray:
+    return np.asarray((flags & int(wanted)) != 0)
+
+
+def _on_bodies(context: Context, match: FieldMatch) -> BoolArray:
+    """Tell which stars are expected where a body's light covers the picture."""
+    n_line, n_pixel = context.extended.shape
+    seen = match.visible & np.isfinite(match.expected_px).all(axis=1)
+    pixel, line = np.rint(np.where(seen[:, None], match.expected_px, 0.0)).astype(int).T
+    covered = context.extended[np.clip(line, 0, n_line - 1), np.clip(pixel, 0, n_pixel - 1)]
+    return np.asarray(seen & covered)
+
+
+def _blended(pixel_line: FloatArray, mag: FloatArray, radius_px: float, fainter_by: float) -> BoolArray:
+    distance = np.hypot(*(pixel_line[:, None] - pixel_line[None]).transpose(2, 0, 1))
+    near = (distance < radius_px) & ~np.eye(len(mag), dtype=bool)
+    matters: BoolArray = (near & (mag[None, :] < mag[:, None] + fainter_by)).any(axis=1)
+    return matters
+
+
+def _magnitude_error(
+    context: Context, mag: FloatArray, centers: StarCenters, match: FieldMatch
+) -> FloatArray:
+    """Magnitude from the fitted flux minus the catalog's, about the frame's median (or the camera's zero point)."""
+    with np.errstate(invalid="ignore"):
+        good = match.visible & (centers.snr > context.settings.min_snr) & (centers.flux_dn > 0.0)
+        rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / context.frame.exposure_s
+    error = -2.5 * np.log10(rate) - mag
+    if good.sum() >= MIN_STARS_FOR_ZERO_POINT:
+        error = error - np.median(error[good])
+    elif context.camera.zero_point_mag is not None:
+        error = error + context.camera.zero_point_mag
+    else:
+        error = np.zeros_like(error)
+    return np.where(np.isfinite(error), error, np.inf)

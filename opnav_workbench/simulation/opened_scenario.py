@@ -1,0 +1,299 @@
+"""What all pictures of a scenario share, opened once per process: mission, catalog, surfaces of bodies.
+
+`OpenedScenario.check` looks at every picture before the first is made, and names the line of the scenario that is
+wrong; `OpenedScenario.inputs` collects what one picture is made of.
+"""
+
+import contextlib
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera import Camera
+from opnav_workbench.catalog import Catalog, StarTable, open_catalog
+from opnav_workbench.errors import OpNavError
+from opnav_workbench.geometry import apparent_direction, radec_from_unit
+from opnav_workbench.kernels import body_id, camera_attitude, et_from_utc
+from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.psf import GaussianPsf, Psf
+from opnav_workbench.render import BodyModel
+from opnav_workbench.scene import Observer
+from opnav_workbench.simulation.attitude_path import AttitudePath, CameraMotion, kernel_path, moving_path
+from opnav_workbench.simulation.detector_properties import detector_values
+from opnav_workbench.simulation.flight_fits import dark_columns_of
+from opnav_workbench.simulation.picture import PictureInputs
+from opnav_workbench.simulation.scenario import PictureEntry, PictureScenario
+from opnav_workbench.simulation.surfaces import Surface, surface_of
+from opnav_workbench.simulation.true_state import (
+    flown_kernels,
+    predicted_attitude,
+    true_attitude,
+    true_observer,
+    true_target,
+)
+from opnav_workbench.yaml_file import Location
+
+__all__ = ["OpenedScenario", "ScenarioPicture", "naming_field", "picture_seed"]
+
+CONE_SHARE = 1.05  # of the half diagonal: distortion, aberration, and the light of stars just outside
+STILL_BODY_PX = 0.02  # a body that moves less against the sky is drawn without a trail of its own
+BODY_STEP_PX = 0.25  # between the copies of a body that moves
+SEED_BYTES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioPicture:
+    """One picture to make.
+
+    Attributes
+    ----------
+    index : int
+        Of its entry in the scenario.
+    picture : PictureEntry
+        With one time.
+    """
+
+    index: int
+    picture: PictureEntry
+
+    def place(self, field: str) -> Location:
+        """Return where a field of this picture stands in the file."""
+        return ("pictures", self.index, field)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenedScenario:
+    """A scenario with everything opened that its pictures need; use it inside an active `KernelSet`."""
+
+    scenario: PictureScenario
+    mission: Mission
+    catalog: Catalog
+    surfaces: Mapping[str, Surface]
+    _cameras: dict[str, Camera] = field(
+        default_factory=dict, repr=False
+    )  # read once, by the cards that tell them
+
+    @classmethod
+    def open(cls, scenario: PictureScenario) -> "OpenedScenario":
+        """Open mission, catalog, albedo maps and shapes.
+
+        Raises
+        ------
+        MissionError
+            One of them is not there or not usable; the message names the line of the scenario.
+        """
+        with naming_field(scenario, ("mission",)):
+            mission = load_mission(scenario.source(scenario.mission))
+        with naming_field(scenario, ("catalog",)):
+            catalog = open_catalog(scenario.catalog)
+        surfaces = {}
+        for i, body in enumerate(scenario.bodies):
+            with naming_field(scenario, ("bodies", i, "name")):
+                body_id(body.name)
+            surfaces[body.name.upper()] = surface_of(body, scenario, ("bodies", i))
+        return cls(scenario, mission, catalog, surfaces)
+
+    def check(self, tasks: Sequence[ScenarioPicture]) -> None:
+        """Refuse what would fail later: cameras, exposures, times, targets.
+
+        Raises
+        ------
+        MissionError
+            The message names the line of the scenario, and what is allowed.
+        """
+        for i, offset in enumerate(self.scenario.perturbations.bodies):
+            with naming_field(self.scenario, ("perturbations", "bodies", i, "name")):
+                body_id(offset.name)
+        for task in tasks:
+            camera = self.camera(task)
+            self._check_exposure(task, camera)
+            with naming_field(
+                self.scenario,
+                task.place("start" if self.scenario.pictures[task.index].utc is None else "utc"),
+            ):
+                et = self._et(task)
+                true_observer(self.mission.spacecraft_id, et, self.scenario.perturbations)
+                predicted_attitude(self.scenario.attitude.predicted, camera, et)
+            plan = self.scenario.attitude.actual
+            if plan.kernels is not None:
+                with naming_field(self.scenario, ("attitude", "actual", "kernels")):
+                    true_attitude(plan, np.eye(3), camera, et, 0, self.scenario.folder)
+            self._bodies(task, camera, et)
+
+    def camera(self, task: ScenarioPicture) -> Camera:
+        """Return the camera of a picture, by its name or its header cards."""
+        picture, scenario = task.picture, self.scenario
+        place = "header" if picture.camera is None else "camera"
+        with naming_field(scenario, task.place(place)):
+            cards = self._header(task)
+            key = repr(sorted(cards.items()))
+            camera = self._cameras.get(key) or self._cameras.setdefault(key, self.mission.camera_for(cards))
+            for name in ("zero_point_mag", "gain_e_per_dn", "read_noise_dn"):
+                camera.require(name)
+            detector_values(camera, scenario.detector, picture.exposure_s, picture.level)
+        return camera
+
+    def inputs(self, task: ScenarioPicture) -> PictureInputs:
+        """Collect what one picture is made of.
+
+        Raises
+        ------
+        OpNavError
+            As `check` does.
+        """
+        scenario, picture, camera = self.scenario, task.picture, self.camera(task)
+        et, seed = self._et(task), picture_seed(scenario.seed, picture.name)
+        predicted = predicted_attitude(scenario.attitude.predicted, camera, et)
+        path = self._path(camera, predicted, et, picture.exposure_s, seed)
+        return PictureInputs(
+            name=picture.name,
+            camera=camera,
+            et=et,
+            exposure_s=picture.exposure_s,
+            observer=true_observer(self.mission.spacecraft_id, et, scenario.perturbations),
+            predicted_camera_from_j2000=predicted,
+            path=path,
+            stars=self._stars(camera, path.middle, et),
+            bodies=self._bodies(task, camera, et),
+            body_tracks_px=tuple(self._track(n, task, camera, path) for n in self.targets(task)),
+            psf=self._psf(camera),
+            effects=scenario.detector,
+            switches=scenario.switches,
+            level=picture.level,
+            dark_columns=dark_columns_of(self.mission, camera) if picture.level == "raw" else 0,
+            seed=seed,
+            header=self._header(task),
+        )
+
+    def settings(self, task: ScenarioPicture) -> dict[str, Any]:
+        """Return what the truth file keeps of the scenario: all of it but the other pictures."""
+        content = self.scenario.model_dump(mode="json", exclude={"pictures"})
+        return content | {"picture": task.picture.model_dump(mode="json", exclude_none=True)}
+
+    # -- one by one ------------------------------------------------------------------------------------------------
+
+    def _et(self, task: ScenarioPicture) -> float:
+        assert task.picture.utc is not None  # a series has been expanded
+        return et_from_utc(task.picture.utc.isoformat())
+
+    def _header(self, task: ScenarioPicture) -> dict[str, str | int | float]:
+        """Header cards that tell mission and camera, and those that the scenario adds."""
+        cards = {key: _one_value(value) for key, value in self.mission.keywords.get("required", {}).items()}
+        named = task.picture.camera
+        if named is not None:
+            choices = {choice.file.stem: choice for choice in self.mission.cameras}
+            if named not in choices:
+                raise self.scenario.fault(
+                    task.place("camera"),
+                    f"unknown camera {named!r}; {self.mission.name} has {', '.join(choices)}",
+                )
+            cards |= {key: _one_value(value) for key, value in choices[named].match.items()}
+        return cards | task.picture.header
+
+    def _check_exposure(self, task: ScenarioPicture, camera: Camera) -> None:
+        limits, exposure = camera.exposure_limits, task.picture.exposure_s
+        if limits is not None and not limits.min_s <= exposure <= limits.max_s:
+            raise self.scenario.fault(
+                task.place("exposure_s"),
+                f"{exposure:g} s; {camera.name} takes {limits.min_s:g} to {limits.max_s:g} s",
+            )
+
+    def _path(
+        self, camera: Camera, predicted: FloatArray, et: float, exposure_s: float, seed: int
+    ) -> AttitudePath:
+        plan, folder = self.scenario.attitude, self.scenario.folder
+        true = true_attitude(plan.actual, predicted, camera, et, seed, folder)
+        moving = CameraMotion(**plan.motion.model_dump(exclude={"from_kernels"}))
+        if not plan.motion.from_kernels:
+            return moving_path(camera, true, et, exposure_s, motion=moving, seed=seed)
+        with (
+            naming_field(self.scenario, ("attitude", "motion", "from_kernels")),
+            flown_kernels(plan.actual, folder),
+        ):
+            path = kernel_path(camera, et, exposure_s, motion=moving, seed=seed)
+            return path.turned(true @ camera_attitude(camera.frame, et).T)
+
+    def _stars(self, camera: Camera, attitude: FloatArray, et: float) -> StarTable:
+        ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))
+        radius = CONE_SHARE * camera.half_diagonal_rad
+        return self.catalog.cone(ra, dec, radius, mag_limit=self.scenario.magnitude_limit, et_s=et)
+
+    def _psf(self, camera: Camera) -> Psf:
+        widths = self.scenario.psf_sigma_px
+        return camera.psf_model if widths is None else GaussianPsf(*widths)
+
+    def targets(self, task: ScenarioPicture) -> tuple[str, ...]:
+        """Return the names of the bodies in a picture."""
+        named = task.picture.targets
+        return tuple(body.name for body in self.scenario.bodies) if named is None else named
+
+    def _bodies(self, task: ScenarioPicture, camera: Camera, et: float) -> tuple[BodyModel, ...]:
+        models = []
+        for name in self.targets(task):
+            options = self.scenario.body(name)
+            place: Location = task.place("targets")
+            for i, body in enumerate(self.scenario.bodies):
+                place = ("bodies", i, "brightness") if body is options else place
+            surface = self.surfaces.get(name.upper())
+            with naming_field(self.scenario, place):
+                surface = surface or surface_of(options, self.scenario, place)
+                target = true_target(name, self.mission.spacecraft_id, et, self.scenario.perturbations)
+                models.append(surface.model(target, self.mission, camera, task.picture.exposure_s))
+        return tuple(models)
+
+    def _track(
+        self, name: str, task: ScenarioPicture, camera: Camera, path: AttitudePath
+    ) -> FloatArray | None:
+        """Return how a body moves on the detector during the exposure; None: as the sky does, or out of sight."""
+        et, half_s = self._et(task), 0.5 * task.picture.exposure_s
+        start, stop = (self._direction(name, et + t) for t in (-half_s, half_s))
+        if np.linalg.norm(stop - start) < STILL_BODY_PX * camera.pixel_scale_rad:
+            return None
+        if path.is_still:
+            moved = np.diff(camera.project(np.stack([start, stop]) @ path.middle.T), axis=0)
+            if not np.isfinite(moved).all():
+                return None
+            count = 2 * int(np.ceil(np.linalg.norm(moved) / BODY_STEP_PX)) + 1
+            return np.asarray(((np.arange(count) + 0.5) / count - 0.5)[:, None] * moved)
+        time = (path.et - et) / (2.0 * half_s) + 0.5
+        places = path.places(camera, (start + time[:, None] * (stop - start))[None])[0]
+        return np.asarray(places - places[len(path) // 2]) if np.isfinite(places).all() else None
+
+    def _direction(self, name: str, et: float) -> FloatArray:
+        truth, spacecraft = self.scenario.perturbations, self.mission.spacecraft_id
+        observer: Observer = true_observer(spacecraft, et, truth)
+        target = true_target(name, spacecraft, et, truth)
+        return apparent_direction(target.direction, observer.velocity_km_s)
+
+
+def picture_seed(seed: int, name: str) -> int:
+    """Return a picture's own seed, from the scenario's and its name: no matter which others are made, or where.
+
+    Examples
+    --------
+    >>> picture_seed(1, "a") == picture_seed(1, "a"), picture_seed(1, "a") == picture_seed(1, "b")
+    (True, False)
+    """
+    return int.from_bytes(hashlib.sha256(f"{seed}/{name}".encode()).digest()[:SEED_BYTES], "big")
+
+
+def _one_value(value: object) -> str | int | float:
+    """Return a card's value, or the first of several that would do."""
+    chosen = value[0] if isinstance(value, list | tuple) else value
+    assert isinstance(chosen, str | int | float)
+    return chosen
+
+
+@contextlib.contextmanager
+def naming_field(scenario: PictureScenario, place: Location) -> Iterator[None]:
+    """Tell which field of the scenario an error comes from."""
+    try:
+        yield
+    except OpNavError as error:
+        if str(error).startswith("picture scenario"):  # it says so already
+            raise
+        raise scenario.fault(place, str(error)) from error

@@ -1,0 +1,168 @@
+"""Predicted and true state: what header and kernels say, and how camera, spacecraft and bodies really are.
+
+The kernels that the navigator has are wrong by a known amount. An offset of a barycenter moves everything that
+belongs to it. Light then takes longer or shorter, and the body is seen where it was at that other time.
+"""
+
+import math
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera import Camera
+from opnav_workbench.geometry import (
+    SPEED_OF_LIGHT_KM_S,
+    camera_from_j2000,
+    matrix_from_quaternion,
+    pointing_angles,
+    rotation_from_vector,
+    unit,
+    unit_from_radec,
+)
+from opnav_workbench.kernels import KernelSet, body_id, camera_attitude, state
+from opnav_workbench.kernels.making.aiming import aim
+from opnav_workbench.scene import Observer, body_target, observer_from_kernels
+from opnav_workbench.simulation.randomness import picture_random
+from opnav_workbench.simulation.scenario import ActualAttitude, BodyOffset, Perturbations, PredictedAttitude
+from opnav_workbench.simulation.scenario_file import path_beside
+from opnav_workbench.targets import TargetState
+
+__all__ = ["flown_kernels", "predicted_attitude", "true_attitude", "true_observer", "true_target"]
+
+
+# ---- Predicted and true attitude of a picture: what the header says, and how the camera really stood.
+
+
+def predicted_attitude(plan: PredictedAttitude, camera: Camera, et: float) -> FloatArray:
+    """Return ``camera_from_j2000`` (3, 3) as the header will have it.
+
+    Raises
+    ------
+    KernelError
+        The plan takes it from the kernels, and they have no CK for the camera then.
+    """
+    if plan.quaternion_camera_from_j2000 is not None:
+        return matrix_from_quaternion(plan.quaternion_camera_from_j2000)
+    if plan.ra_deg is not None and plan.dec_deg is not None:
+        ra, dec, twist = (math.radians(a) for a in (plan.ra_deg, plan.dec_deg, plan.twist_deg))
+        return camera_from_j2000(ra, dec, twist, camera.focal_from_camera)
+    return camera_attitude(camera.frame, et)
+
+
+def true_attitude(
+    plan: ActualAttitude, predicted: FloatArray, camera: Camera, et: float, seed: int, folder: Path
+) -> FloatArray:
+    """Return ``camera_from_j2000`` (3, 3) as the camera really stands at mid-exposure.
+
+    Parameters
+    ----------
+    plan : ActualAttitude
+    predicted : (3, 3) array
+    camera : Camera
+    et : float
+    seed : int
+        Of the picture.
+    folder : Path
+        Where relative paths of kernels count from.
+
+    Raises
+    ------
+    KernelError
+        The plan takes it from other kernels, and they do not have it.
+    """
+    if plan.source == "random":
+        return misaligned_attitude(predicted, camera, picture_random(seed, "attitude_error"))
+    if plan.source == "error":
+        return shifted_attitude(predicted, camera, plan.shift_px, plan.twist_deg)
+    if plan.source == "kernels":
+        with flown_kernels(plan, folder):
+            return camera_attitude(camera.frame, et)
+    return predicted
+
+
+def flown_kernels(plan: ActualAttitude, folder: Path) -> AbstractContextManager[object]:
+    """Return a context in which the kernels of the attitude as flown are open; nothing where the plan names none."""
+    return nullcontext() if plan.kernels is None else KernelSet(path_beside(plan.kernels, folder))
+
+
+def misaligned_attitude(predicted: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
+    """Turn an attitude by a random error about the pixel, line and boresight axes, of the camera's a priori size."""
+    sigma = camera.attitude_sigma
+    cross = sigma.cross_px * camera.pixel_scale_rad
+    error = rng.normal(0.0, [cross, cross, math.radians(sigma.twist_deg)])
+    return rotation_from_vector(camera.focal_from_camera.T @ error) @ predicted
+
+
+def shifted_attitude(
+    predicted: FloatArray, camera: Camera, shift_px: tuple[float, float], twist_deg: float
+) -> FloatArray:
+    """Move the boresight's sky on the detector, and add to the twist; see `delta_pixel, delta_line, delta_twist`."""
+    ra, dec, twist = pointing_angles(predicted, camera.focal_from_camera)
+    pixel, line = (shift * camera.pixel_scale_rad for shift in shift_px)
+    turned = twist + math.radians(twist_deg)
+    return aim(unit_from_radec(ra, dec), turned, camera.focal_from_camera, (pixel, line))
+
+
+# ---- Where spacecraft and bodies truly are, when the kernels that the navigator has are wrong by a known ...
+
+SUN = 10
+SOLAR_SYSTEM_BARYCENTER = 0
+LAST_BARYCENTER = 9  # NAIF: 1..9 are the barycenters of the planets' systems
+SYSTEM_SIZE = 100  # NAIF: 901..999 belong to barycenter 9
+
+
+def true_observer(spacecraft: int, et: float, truth: Perturbations) -> Observer:
+    """Return the spacecraft's true barycentric state.
+
+    Raises
+    ------
+    KernelError
+        The active kernels do not cover the spacecraft.
+    """
+    known = observer_from_kernels(spacecraft, et)
+    offset = truth.spacecraft
+    return replace(
+        known,
+        position_km=known.position_km + np.array(offset.position_km),
+        velocity_km_s=known.velocity_km_s + np.array(offset.velocity_km_s),
+    )
+
+
+def true_target(name: str, spacecraft: int, et: float, truth: Perturbations) -> TargetState:
+    """Return a body's true state as the spacecraft truly sees it, light time removed.
+
+    Raises
+    ------
+    KernelError
+        A body is unknown or not covered by the active kernels.
+    """
+    known = body_target(name, spacecraft, et)
+    body = body_offset_km(name, et, truth.bodies)
+    moved = known.position_km + body - np.array(truth.spacecraft.position_km)
+    if not (body.any() or any(truth.spacecraft.position_km)):
+        return known
+    later_s = (np.linalg.norm(moved) - known.range_km) / SPEED_OF_LIGHT_KM_S
+    moved = moved - later_s * state(name, et, SOLAR_SYSTEM_BARYCENTER).velocity_km_s
+    sun = None if known.sun_position_km is None else known.sun_position_km - body
+    return replace(known, position_km=moved, sun_position_km=sun)
+
+
+def body_offset_km(name: str, et: float, offsets: tuple[BodyOffset, ...]) -> FloatArray:
+    """Return the sum (3,) of all offsets that move a body, J2000."""
+    number = body_id(name)
+    moving = [offset for offset in offsets if _moves(body_id(offset.name), number)]
+    return np.asarray(np.sum([np.zeros(3), *(_vector_km(offset, et) for offset in moving)], axis=0))
+
+
+def _moves(moved: int, body: int) -> bool:
+    return moved == body or (0 < moved <= LAST_BARYCENTER and body // SYSTEM_SIZE == moved)
+
+
+def _vector_km(offset: BodyOffset, et: float) -> FloatArray:
+    along_sun = np.zeros(3)
+    if offset.toward_sun_km:
+        along_sun = offset.toward_sun_km * unit(state(SUN, et, offset.name).position_km)
+    return np.asarray(np.array(offset.offset_km) + along_sun)

@@ -1,0 +1,272 @@
+"""Blind detection of stars: matched filter over the whole image, local maxima of its signal-to-noise ratio.
+
+With weights w = 1 / noise^2 (0 where masked) and the PSF T at each pixel, flux = (w d * T) / (w * T^2) and its sigma
+is (w * T^2)^-1/2: masked pixels and uneven noise cost what they must. Both correlations are separable for a round PSF.
+
+A star off the center of its pixel answers less to the filter than one on it, 15 to 30 % where the PSF is
+undersampled; how much less, and how far off it is, follow from the answers of the pixels around. Of saturated stars
+the filter sees only the wings: their cores say where they are, and take the place of what was found around them.
+
+References: Zackay & Ofek (2017), doi:10.3847/1538-4357/836/2/187; sharpness after Stetson (1987), doi:10.1086/131977.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import ndimage
+from scipy.ndimage import correlate1d
+from scipy.spatial import cKDTree
+from scipy.special import erf
+
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.stars.boxes import Pixels, check_image
+from opnav_workbench.stars.flags import StarFlag, combine_flags
+
+__all__ = ["Detections", "detect"]
+
+
+# ---- What blind detection finds in an image.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detections:
+    """Sources of an image, brightest first."""
+
+    pixel_line: FloatArray  # (m, 2) good to about 0.1 px
+    flux_dn: FloatArray  # (m,) total flux of a star with the given PSF
+    snr: FloatArray  # (m,)
+    sharpness: FloatArray  # (m,) largest pixel's part of the flux in its 3 x 3, over the most a star can have
+    flags: IntArray  # (m,) sum of StarFlag
+    limit_dn: float = float("nan")  # total flux of a star at the threshold, where the noise is usual
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def __len__(self) -> int:
+        return len(self.flags)
+
+    def take(self, rows: IntArray | BoolArray) -> "Detections":
+        """Return some of the detections, in the given order."""
+        return Detections(
+            self.pixel_line[rows], self.flux_dn[rows], self.snr[rows], self.sharpness[rows], self.flags[rows],
+            self.limit_dn,
+        )  # fmt: skip
+
+
+# ---- Saturated stars in a detection list: the filter sees only their wings, their cores say where they are.
+
+WING_SIGMAS = 4.0  # a core's wings, beyond its own radius, in which detections are parts of the same star
+
+
+def replace_saturated(found: Detections, saturated: BoolArray, sigma_px: float) -> Detections:
+    """Return the detections with one at the middle of each saturated core, in place of those around it.
+
+    Its flux is that of the brightest detection it replaces (of all, where it replaces none), a lower limit; it is
+    flagged SATURATED.
+    """
+    if not saturated.any():
+        return found
+    labels, count = ndimage.label(saturated, structure=np.ones((3, 3)))
+    rows = np.arange(1, count + 1)
+    middle = np.array(ndimage.center_of_mass(saturated, labels, rows))[:, ::-1]
+    radius = np.sqrt(np.bincount(labels.ravel(), minlength=count + 1)[1:] / np.pi) + WING_SIGMAS * sigma_px
+    near = cKDTree(found.pixel_line.reshape(-1, 2)).query_ball_point(middle, radius)
+    kept = np.setdiff1d(np.arange(len(found)), np.concatenate([*near, []]).astype(np.int64))
+    brightest = float(np.max(found.flux_dn, initial=1.0))
+    flux = np.array([float(found.flux_dn[n].max()) if n else brightest for n in near])
+    snr = np.array([float(found.snr[n].max()) if n else float(np.max(found.snr, initial=1.0)) for n in near])
+    return replace(
+        found,
+        pixel_line=np.vstack([found.pixel_line[kept], middle]),
+        flux_dn=np.r_[found.flux_dn[kept], flux],
+        snr=np.r_[found.snr[kept], snr],
+        sharpness=np.r_[found.sharpness[kept], np.ones(count)],
+        flags=np.r_[found.flags[kept], np.full(count, int(StarFlag.SATURATED))],
+    )
+
+
+# ---- Blind detection of stars: matched filter over the whole image, local maxima of its signal-to-noise ...
+
+DETECTION_SNR = 6.0  # in 10^6 pixels noise exceeds it in one frame of a thousand
+KERNEL_SIGMAS = 3.0
+MIN_COVERAGE = 0.3  # part of a star's information that must lie on usable pixels
+MEDIAN_SAMPLES = 200_000  # pixels that suffice for the median of an image
+# A star centered on a pixel is the sharpest that the PSF allows; noise is allowed this many sigmas beyond it.
+COSMIC_RAY_SIGMAS = 3.0
+COSMIC_RAY_MARGIN = 0.1  # for a PSF sharper than described: field, focus, temperature
+PHASES = np.linspace(-0.5, 0.5, 41)  # places of a star within its pixel for which the answers are tabulated
+
+
+def detect(
+    image_dn: ArrayLike,
+    noise_dn: ArrayLike,
+    bad: ArrayLike | None,
+    sigma_px: float,
+    threshold_snr: float = DETECTION_SNR,
+    *,
+    saturated: ArrayLike | None = None,
+    max_detections: int | None = None,
+) -> Detections:
+    """Find everything that stands out of the noise like a star.
+
+    Parameters
+    ----------
+    image_dn : (n_line, n_pixel) array_like
+        Image with its uneven background removed; a constant level may be left (the median is subtracted).
+    noise_dn : (n_line, n_pixel) array_like or float
+        Expected 1-sigma noise of the pixels.
+    bad, saturated : (n_line, n_pixel) array_like of bool, optional
+        Pixels to leave out; stars with saturated pixels are found by what is left of them, and flagged.
+    sigma_px : float
+        PSF, before integration over the pixels.
+    threshold_snr : float
+        Smallest signal-to-noise ratio of the matched filter.
+    max_detections : int, optional
+        Keep the brightest only.
+
+    Returns
+    -------
+    Detections
+        Single pixels too sharp for a star are flagged COSMIC_RAY but kept: where the PSF is undersampled a
+        star centered on its pixel looks the same.
+
+    Raises
+    ------
+    CenterfindingError
+        Arrays of the wrong shape, or a PSF or threshold that is not positive.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(1).normal(0.0, 1.0, (64, 64))
+    >>> image[30:33, 40:43] += 50.0 * np.outer([0.25, 0.5, 0.25], [0.25, 0.5, 0.25])
+    >>> found = detect(image, 1.0, None, sigma_px=0.7)
+    >>> len(found), np.rint(found.pixel_line[0]).tolist()
+    (1, [41.0, 31.0])
+    """
+    if not (0.0 < sigma_px < np.inf and 0.0 < threshold_snr < np.inf):
+        raise CenterfindingError(
+            f"PSF sigma and threshold must be positive, got {sigma_px} px and {threshold_snr}."
+        )
+    pixels = check_image(image_dn, noise_dn, bad, saturated)
+    weight = 1.0 / pixels.noise_dn**2
+    usable = weight > 0.0
+    data = np.where(usable, pixels.image_dn - _image_median(pixels.image_dn, usable), 0.0)
+    kernel = _kernel(sigma_px)
+    information = _separable(weight, kernel**2)
+    covered = information > MIN_COVERAGE * _full_information(weight, kernel)
+    flux_sigma = 1.0 / np.sqrt(np.where(covered, information, np.inf))
+    snr = _separable(weight * data, kernel) * flux_sigma
+    line, pixel = _local_maxima(snr, threshold_snr)
+    steps = np.array([-1, 0, 1])
+    patch = snr[line[:, None, None] + steps[:, None], pixel[:, None, None] + steps]
+    offset, answer = _PixelPhase(kernel, sigma_px).of(patch)
+    sharpness, sharpness_sigma = _sharpness(pixels, data, line, pixel, kernel)
+    too_sharp = sharpness > 1.0 + COSMIC_RAY_MARGIN + COSMIC_RAY_SIGMAS * sharpness_sigma
+    peak = snr[line, pixel]
+    found = Detections(
+        pixel_line=np.column_stack([pixel, line]) + offset,
+        flux_dn=peak * flux_sigma[line, pixel] / answer,
+        snr=peak,
+        sharpness=sharpness,
+        flags=_flags(pixels, line, pixel, too_sharp),
+        limit_dn=threshold_snr * float(np.median(flux_sigma[covered])) if covered.any() else float("nan"),
+    )
+    found = replace_saturated(found, pixels.saturated, sigma_px)
+    return found.take(np.argsort(-found.flux_dn, kind="stable")[:max_detections])
+
+
+class _PixelPhase:
+    """Where a star lies within its pixel, and what part of its flux the filter answers with there.
+
+    Along an axis the filter's answers to a star at phase x, one pixel before, on and after its own, depend on x
+    only; the vertex of the parabola through them is tabulated against x, and read backward.
+    """
+
+    def __init__(self, kernel: FloatArray, sigma_px: float) -> None:
+        half = len(kernel) // 2
+        edges = np.arange(-half - 1, half + 3) - 0.5
+        star = 0.5 * np.diff(erf((edges - PHASES[:, None]) / (np.sqrt(2.0) * sigma_px)), axis=1)
+        answers = np.stack([star[:, k : k + len(kernel)] @ kernel for k in range(3)], axis=1)
+        self._answer = answers[:, 1] / np.sum(kernel**2)
+        self._vertex = _vertex(answers)
+
+    def of(self, patch: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places (n, 2) within the pixel and parts of the flux (n,) from answers (n, 3, 3)."""
+        vertex = np.column_stack([_vertex(patch.sum(axis=1)), _vertex(patch.sum(axis=2))])
+        phase = np.interp(vertex, self._vertex, PHASES)
+        return phase, np.interp(phase, PHASES, self._answer).prod(axis=1)
+
+
+def _vertex(three: FloatArray) -> FloatArray:
+    """Vertex (n,) of the parabolas through values (n, 3) at -1, 0, 1; 0 where they have no top."""
+    before, here, after = three.T
+    bend = 2.0 * here - before - after
+    return np.asarray(np.where(bend > 0.0, 0.5 * (after - before) / np.where(bend > 0.0, bend, 1.0), 0.0))
+
+
+def _image_median(image: FloatArray, usable: BoolArray) -> float:
+    step = max(1, int(np.sqrt(image.size / MEDIAN_SAMPLES)))
+    sample = image[::step, ::step][usable[::step, ::step]]
+    return float(np.median(sample if sample.size else image[usable]))
+
+
+def _kernel(sigma_px: float) -> FloatArray:
+    """Return the flux of a centered star in each column of pixels; (2 half + 1,)."""
+    half = max(1, int(np.ceil(KERNEL_SIGMAS * sigma_px)))
+    edges = np.arange(-half, half + 2) - 0.5
+    return np.asarray(0.5 * np.diff(erf(edges / (np.sqrt(2.0) * sigma_px))))
+
+
+def _separable(image: FloatArray, kernel: FloatArray) -> FloatArray:
+    along = correlate1d(image, kernel, axis=1, mode="constant")
+    return np.asarray(correlate1d(along, kernel, axis=0, mode="constant"))
+
+
+def _full_information(weight: FloatArray, kernel: FloatArray) -> float:
+    return float(np.median(weight[weight > 0.0][:MEDIAN_SAMPLES]) * np.sum(kernel**2) ** 2)
+
+
+def _local_maxima(snr: FloatArray, threshold: float) -> tuple[IntArray, IntArray]:
+    """Lines and pixels above the threshold and above their eight neighbors (of equal ones, the first)."""
+    line, pixel = np.nonzero(snr[1:-1, 1:-1] >= threshold)
+    line, pixel = line + 1, pixel + 1
+    here, top = snr[line, pixel], np.ones(len(line), bool)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            neighbor = snr[line + dy, pixel + dx]
+            if (dy, dx) < (0, 0):
+                top &= here > neighbor
+            elif (dy, dx) > (0, 0):
+                top &= here >= neighbor
+    return line[top], pixel[top]
+
+
+def _sharpness(
+    pixels: Pixels, data: FloatArray, line: IntArray, pixel: IntArray, kernel: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Part of the 3 x 3 flux in the largest pixel, over that of a star on the pixel's center; its sigma."""
+    steps = np.array([-1, 0, 1])
+    window = line[:, None, None] + steps[:, None], pixel[:, None, None] + steps
+    patch = data[window].reshape(len(line), 9)
+    noise = np.where(np.isfinite(pixels.noise_dn[window]), pixels.noise_dn[window], 0.0).reshape(len(line), 9)
+    middle = len(kernel) // 2
+    most = (kernel[middle] / kernel[middle - 1 : middle + 2].sum()) ** 2
+    total = np.maximum(patch.sum(axis=1), np.sqrt(np.sum(noise**2, axis=1)))
+    total = np.where(total > 0.0, total, 1.0)
+    fraction = patch.max(axis=1) / total
+    return fraction / most, np.sqrt(np.sum(noise**2, axis=1)) / (total * most)
+
+
+def _flags(pixels: Pixels, line: IntArray, pixel: IntArray, too_sharp: BoolArray) -> IntArray:
+    steps = np.array([-1, 0, 1])
+    window = line[:, None, None] + steps[:, None], pixel[:, None, None] + steps
+    n_line, n_pixel = pixels.image_dn.shape
+    conditions = {
+        StarFlag.SATURATED: pixels.saturated[window].any(axis=(1, 2)),
+        StarFlag.BAD_PIXELS: pixels.bad[window].any(axis=(1, 2)),
+        StarFlag.EDGE: (line < 2) | (pixel < 2) | (line >= n_line - 2) | (pixel >= n_pixel - 2),
+        StarFlag.COSMIC_RAY: too_sharp,
+    }
+    return combine_flags(conditions, len(line))

@@ -1,0 +1,36 @@
+"""Camera attitude from the stars in a picture: `solve_pointing` checks the input, solves, and words the outcome.
+
+``attitude_fit``
+    Iterated weighted least squares, its covariance, and the a priori attitude as a measurement.
+``attitude_steps``
+    Two characterizations of an attitude step: Euler angles, and a shift and rotation of the picture.
+``closed_form``
+    Wahba's problem (SVD, q-method): an attitude to start from.
+``residuals``
+    What the residuals tell: the excess over the centers' covariances, and outliers.
+``solution``
+    What comes out: `PointingSolution`, its steps, and what a change of attitude does to the picture.
+``solver``
+    `solve_pointing` itself.
+"""
+
+from opnav_workbench.stars.pointing.attitude_steps import PointingModel
+from opnav_workbench.stars.pointing.closed_form import wahba
+from opnav_workbench.stars.pointing.solution import (
+    PictureShift,
+    PointingSolution,
+    attitude_shift,
+    iteration_table,
+)
+from opnav_workbench.stars.pointing.solver import PointingStart, solve_pointing
+
+__all__ = [
+    "PictureShift",
+    "PointingModel",
+    "PointingSolution",
+    "PointingStart",
+    "attitude_shift",
+    "iteration_table",
+    "solve_pointing",
+    "wahba",
+]

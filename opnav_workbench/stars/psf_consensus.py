@@ -1,0 +1,161 @@
+"""The PSF of a picture from its well-exposed stars, and the fit that uses it: fit, consensus, fit again.
+
+A star alone does not tell its shape where the image is undersampled, but all stars of a picture share optics and
+smear. From each star's fit the prior is taken out, the stars' own measurements are combined robustly with their
+scatter, and the result is the tighter prior of a second fit. The stars also tell how well a Gaussian describes the PSF.
+
+Reference: the scatter between stars follows DerSimonian & Laird (1986), doi:10.1016/0197-2456(86)90046-2, with medians.
+"""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.psf import shape_from_ellipse
+from opnav_workbench.stars.flags import StarFlag
+from opnav_workbench.stars.least_squares import SEARCH_RADIUS_PX, fit_gaussian
+from opnav_workbench.stars.picture_fit import misfit_factor
+from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
+
+__all__ = ["estimate_psf_error", "fit_stars", "shape_from_stars"]
+
+WELL_EXPOSED_SNR = 30.0  # from here a star's shape is known to a few percent
+MIN_SIGMA_LOG_SCALE = 0.03  # width and ellipticity differ between stars by at least this: field, color, smear
+MIN_SIGMA_ELLIPTICITY = 0.03
+OUTLIER_SIGMAS = 4.0
+MAD_TO_SIGMA = 1.4826
+MAX_PSF_ERROR = 0.3
+
+SHAPE_SPOILED = (
+    StarFlag.NOT_CONVERGED | StarFlag.SATURATED | StarFlag.EDGE | StarFlag.BAD_PIXELS | StarFlag.LOW_SNR
+    | StarFlag.BLENDED | StarFlag.COSMIC_RAY | StarFlag.NOT_FINITE
+)  # fmt: skip
+
+
+def shape_from_stars(
+    centers: StarCenters, prior: ShapePrior, *, min_snr: float = WELL_EXPOSED_SNR
+) -> ShapePrior:
+    """Combine the shapes of a frame's well-exposed stars into a tighter prior for all its stars.
+
+    Parameters
+    ----------
+    centers : StarCenters
+        From `fit_gaussian` with `prior`.
+    prior : ShapePrior
+        The prior of that fit; returned unchanged where no star is good enough.
+    min_snr : float
+        Stars below, and flagged ones, have no say.
+
+    Returns
+    -------
+    ShapePrior
+        Its sigmas hold the scatter from star to star and the uncertainty of the mean; never wider than
+        `prior`.
+    """
+    good = well_exposed(centers, min_snr)
+    if not good.any():
+        return prior
+    fitted = shape_from_ellipse(centers.shape[good])
+    variance = np.diagonal(centers.shape_covariance[good], axis1=1, axis2=2)
+    prior_variance = 1.0 / prior.information
+    combined = [
+        _combine_parameter(fitted[:, k], variance[:, k], float(prior.mean[k]), float(prior_variance[k]))
+        for k in range(3)
+    ]
+    (scale, sigma_scale), (e1, sigma_e1), (e2, sigma_e2) = combined
+    return ShapePrior(
+        log_scale=scale,
+        sigma_log_scale=min(max(sigma_scale, MIN_SIGMA_LOG_SCALE), prior.sigma_log_scale),
+        ellipticity=np.array([e1, e2]),
+        sigma_ellipticity=min(max(sigma_e1, sigma_e2, MIN_SIGMA_ELLIPTICITY), prior.sigma_ellipticity),
+    )
+
+
+def estimate_psf_error(centers: StarCenters, *, min_snr: float = WELL_EXPOSED_SNR) -> float:
+    """Return the relative error of the Gaussian PSF model that the misfit of well-exposed stars tells of.
+
+    The excess of chi-square over its degrees of freedom is f^2 sum(star^2 / variance), and the sum is close
+    to the square of the star's signal-to-noise ratio. 0 where the fits agree with the noise.
+    """
+    good = well_exposed(centers, min_snr)
+    if not good.any():
+        return 0.0
+    chi2, freedom = centers.chi2_reduced[good], centers.degrees_of_freedom[good]
+    if np.median(misfit_factor(chi2, freedom)) <= 1.0:
+        return 0.0
+    error = np.sqrt(np.maximum(chi2 - 1.0, 0.0) * freedom) / centers.snr[good]
+    return float(min(np.median(error), MAX_PSF_ERROR))
+
+
+def well_exposed(centers: StarCenters, min_snr: float = WELL_EXPOSED_SNR) -> BoolArray:
+    """True for stars that may speak for the PSF of their frame; (n,)."""
+    clean = (centers.flags & int(SHAPE_SPOILED)) == 0
+    with np.errstate(invalid="ignore"):
+        return np.asarray(clean & (centers.snr >= min_snr))
+
+
+def fit_stars(
+    image_dn: ArrayLike,
+    noise_dn: ArrayLike,
+    bad: ArrayLike | None,
+    start_pixel_line: ArrayLike,
+    prior: ShapePrior,
+    *,
+    box_px: int | None = None,
+    background: Literal["level", "plane"] = "level",
+    saturated: ArrayLike | None = None,
+    noise_model: NoiseModel | None = None,
+    search_radius_px: float = SEARCH_RADIUS_PX,
+    joint: bool = True,
+    mask_hits: bool = True,
+) -> tuple[StarCenters, ShapePrior]:
+    """Fit all stars of a frame twice: with `prior`, then with the PSF that its well-exposed stars agree on.
+
+    Parameters
+    ----------
+    image_dn, noise_dn, bad, start_pixel_line, prior, box_px, background, saturated, noise_model,
+    search_radius_px, joint, mask_hits
+        As in `fit_gaussian`.
+
+    Returns
+    -------
+    centers : StarCenters
+        Of the second fit; `psf_error` is what the first one measured.
+    consensus : ShapePrior
+        The PSF of this frame.
+
+    Raises
+    ------
+    CenterfindingError
+        As in `fit_gaussian`.
+    """
+
+    def fit(shape: ShapePrior, psf_error: float) -> StarCenters:
+        return fit_gaussian(
+            image_dn, noise_dn, bad, start_pixel_line, shape, box_px=box_px, background=background,
+            saturated=saturated, noise_model=noise_model, psf_error=psf_error,
+            search_radius_px=search_radius_px, joint=joint, mask_hits=mask_hits,
+        )  # fmt: skip
+
+    first = fit(prior, 0.0)
+    consensus = shape_from_stars(first, prior)
+    return fit(consensus, estimate_psf_error(first)), consensus
+
+
+def _combine_parameter(
+    fitted: FloatArray, variance: FloatArray, mean: float, prior_variance: float
+) -> tuple[float, float]:
+    """Combine one shape parameter over the stars with its prior; return value and sigma for a single star."""
+    # A fit's posterior is its own measurement times the prior; divide the prior out again.
+    information = np.maximum(1.0 / variance - 1.0 / prior_variance, 1e-6 / prior_variance)
+    own = (fitted / variance - mean / prior_variance) / information
+    median = np.median(own)
+    spread = (MAD_TO_SIGMA * np.median(np.abs(own - median))) ** 2
+    scatter = max(spread - float(np.median(1.0 / information)), 0.0)
+    weight = 1.0 / (1.0 / information + scatter)
+    weight = np.where((own - median) ** 2 * weight <= OUTLIER_SIGMAS**2, weight, 0.0)
+    total = weight.sum() + 1.0 / prior_variance
+    value = (np.sum(weight * own) + mean / prior_variance) / total
+    return float(value), float(np.sqrt(scatter + 1.0 / total))

@@ -1,0 +1,90 @@
+"""The workbench in JupyterLab: what an analyst touches.  Imported only where there is a notebook.
+
+Come in by `workbench` (a session, several, a list of images or a campaign), by `ImageView` (the picture alone), or by
+`Bridge` (any bokeh document kept in step with the page); lessons by `lessons.Lesson`. Nothing of bokeh or ipywidgets is
+imported before one of them is asked for.
+
+Opening
+``app``
+    `workbench`, and the notebook's widgets around the picture.
+``parameters``
+    The checked parameters of workbench.ipynb.
+``image_queue``
+    The list of images: where each stands, opened when its turn comes.
+
+Deciding
+``controller``
+    The workbench without a browser: events in, HTML out.
+``actions``
+    Every action with its keys, label and tooltip.
+``tabs``
+    What every tab has, and the runner of steps that the tabs share.
+``stars_tab``
+    Star boxes accepted and rejected.
+``pointing_tab``
+    The solution, two stars marked by hand, the nudge.
+``bodies_tab``
+    Body centers by every method.
+``circle_tool``
+    The analyst's circle of a body.
+``limb_scan_choice``
+    Limb scans chosen by number, click or box, and their page.
+``observables_tab``
+    Observables, export, notes, journal.
+
+Writing the pages
+``markup``
+    Pieces of HTML: text, button, image, and the message without a kernel.
+``plots``
+    Plots as SVG, and the residuals of the stars.
+``status_line``
+    What happened last, in plain words; errors and their log.
+
+The picture
+``viewer``
+    What the workbench asks of the picture: a protocol.
+``image_view``
+    The picture of a session, and what it is blinked against.
+``view_models``
+    The bokeh models of a view: glyphs, themes, state.
+``overlays``
+    Stars, bodies, masks and sky grid as plain tables.
+``readout``
+    RA and Dec under the cursor, as series that the page evaluates.
+``stretch``
+    From DN to shades: stretches, limits, colour maps, PNGs.
+``bridge``
+    One bokeh document kept in step with every page.
+
+Teaching
+``lessons``
+    Exercises, answers judged with hints, figures with sliders.
+
+static/ holds the page's side of ``bridge`` and ``image_view`` (JavaScript, CSS), workbench_shell.* that of ``app``.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from opnav_workbench.workbench.app import workbench
+    from opnav_workbench.workbench.bridge import Bridge
+    from opnav_workbench.workbench.image_view import ImageView
+
+__all__ = ["Bridge", "ImageView", "workbench"]
+
+# Loaded on first use: nothing of bokeh or ipywidgets is imported before something is to be shown.
+_HOMES = {"Bridge": "bridge", "ImageView": "image_view", "workbench": "app"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module  # noqa: PLC0415
+
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,179 @@
+"""`workbench`: opens the workbench on a session, several, a list of images or a campaign, and shows it in the notebook.
+
+The page is five widgets: header, list of images, picture, panel of the tab, status line. Each region shows HTML from
+Python and reports what the person does (workbench_shell.js); all deciding is done by `WorkbenchController`.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import anywidget
+import ipywidgets
+import traitlets
+
+from opnav_workbench.campaign import Campaign
+from opnav_workbench.errors import SessionError
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.controller import REGIONS, WorkbenchController
+from opnav_workbench.workbench.image_queue import ImageQueue
+from opnav_workbench.workbench.image_view import ImageView
+from opnav_workbench.workbench.markup import with_still_picture
+from opnav_workbench.workbench.status_line import Status
+
+__all__ = ["queue_of", "workbench"]
+
+
+# ---- The workbench's regions in the notebook: each shows HTML from Python and reports what the person does.
+
+HERE = Path(__file__).parent
+
+
+class Region(anywidget.AnyWidget):
+    """One part of the page.
+
+    Parameters
+    ----------
+    name : str
+    heard : callable
+        Called with what the page reports.
+
+    Attributes
+    ----------
+    keymap, picture_keys : list of str
+        Keys that the whole workbench handles, set on one of its regions; and those of them that the picture handles by
+        itself while it has the focus.
+    """
+
+    _esm = "\n".join(
+        (HERE / name).read_text(encoding="utf-8") for name in ("static/keys.js", "workbench_shell.js")
+    )
+    _css = (HERE / "workbench_shell.css").read_text(encoding="utf-8")
+    name = traitlets.Unicode("").tag(sync=True)
+    html = traitlets.Unicode("").tag(sync=True)
+    keymap = traitlets.List(traitlets.Unicode()).tag(sync=True)
+    picture_keys = traitlets.List(traitlets.Unicode()).tag(sync=True)
+
+    def __init__(self, name: str, heard: Callable[[Mapping[str, Any]], None]) -> None:
+        super().__init__(name=name)
+        self._heard = heard
+        self.on_msg(self._message)
+
+    def _message(self, _: object, content: Mapping[str, Any], __: object) -> None:
+        self._heard(content)
+        self.send({"heard": content.get("act", "")})  # the page then knows that the kernel lives
+
+
+class WorkbenchBox(ipywidgets.Box):  # type: ignore[misc]  # ipywidgets has no types
+    """The regions around the picture; a front end without a kernel shows a message and the picture.
+
+    Parameters
+    ----------
+    children : sequence of Widget
+    picture : callable
+        Returns the PNG of the picture.
+    """
+
+    def __init__(self, children: Sequence[ipywidgets.Widget], picture: Callable[[], bytes]) -> None:
+        super().__init__(children=tuple(children))
+        self.add_class("opnav-workbench")
+        self._picture = picture
+
+    def _repr_mimebundle_(self, **options: Any) -> Any:
+        return with_still_picture(super()._repr_mimebundle_(**options), self._picture)
+
+
+# ---- The workbench: an analyst steps through images in JupyterLab, with a key for everything.
+
+Images = ImageSession | Campaign | ImageQueue | Sequence[ImageSession]
+
+
+class Workbench:
+    """What `workbench` returns: show it as a cell's value, or with ``display``.
+
+    Attributes
+    ----------
+    controller : WorkbenchController
+        Everything but the page.
+    """
+
+    def __init__(self, queue: ImageQueue, out: Path | None = None) -> None:
+        status = Status()
+        self.view = ImageView(None, status=status)
+        self.controller = WorkbenchController(queue, self.view, out, status)
+        self.regions = {name: Region(name, self.controller.handle) for name in REGIONS}
+        self.regions["header"].picture_keys = [key for action in self.view.actions for key in action.keys]
+        self.regions["header"].keymap = self.controller.registry.keys
+        self.controller.painted = self._paint
+        picture = self.view.widget
+        picture.add_class("opnav-picture")
+        regions = self.regions
+        self.box = WorkbenchBox(
+            [regions["header"], regions["queue"], picture, regions["panel"], regions["status"]],
+            self.view.picture,
+        )
+        self.controller.refresh()
+
+    @property
+    def session(self) -> ImageSession:
+        """The session of the image at hand."""
+        return self.controller.queue.session
+
+    def _paint(self, html: Mapping[str, str]) -> None:
+        for name, shown in html.items():
+            self.regions[name].html = shown  # sent only where it differs
+
+    def _repr_mimebundle_(self, **options: Any) -> Any:
+        return self.box._repr_mimebundle_(**options)
+
+
+def workbench(images: Images, out: str | Path | None = None) -> Workbench:
+    """Open the workbench on one session, several, a list of images, or a campaign.
+
+    Everything done in it is a call of an `ImageSession` method and stands in that session's journal; with a folder,
+    each decision is on disk when it is shown.
+
+    Parameters
+    ----------
+    images : ImageSession, sequence of them, ImageQueue, or Campaign
+        A campaign offers the images that need an analyst, or all if none does.
+    out : path, optional
+        Folder of the sessions' folders, for sessions that do not save themselves yet.
+
+    Returns
+    -------
+    Workbench
+
+    Raises
+    ------
+    SessionError
+        There is no image.
+
+    Examples
+    --------
+    ::
+
+        session = opnav.ImageSession.open("lor_0299.fit", mission="new_horizons")
+        workbench(session, out="run")
+    """
+    return Workbench(queue_of(images, out), None if out is None else Path(out))
+
+
+def queue_of(images: Images, out: str | Path | None = None) -> ImageQueue:
+    """Return the list of images that `workbench` was given.
+
+    Raises
+    ------
+    SessionError
+        There is no image.
+    """
+    if isinstance(images, ImageQueue):
+        return images
+    if isinstance(images, ImageSession):
+        return ImageQueue.of_sessions([images], out)
+    if isinstance(images, Campaign):
+        folders = [e.folder for e in (images.attention() or images.entries()) if e.resumable]
+        if not folders:
+            raise SessionError("no image of this campaign can be resumed: its run folders hold no session.")
+        return ImageQueue.of_folders(folders)
+    return ImageQueue.of_sessions(images, out)

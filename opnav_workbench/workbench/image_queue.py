@@ -1,0 +1,256 @@
+"""The list of images: where each stands, opened when its turn comes, resumed where it was left.
+
+A list is made of open sessions, of picture files, or of folders of saved sessions; with a folder each decision is on disk
+when it is shown.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from opnav_workbench.errors import OpNavError, SelectionPending, SessionError
+from opnav_workbench.files import inside
+from opnav_workbench.image.picture_files import picture_files, picture_names
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.markup import text
+
+__all__ = ["ImageQueue", "QueueItem"]
+
+# Sign and word of each status: neither color nor sign stands alone.
+PROGRESS_SIGNS = {"new": "○", "open": "◔", "stars": "◑", "pointed": "◕", "done": "●", "failed": "✕"}
+PROGRESS_WORDS = {
+    "new": "not opened",
+    "open": "opened",
+    "stars": "stars found",
+    "pointed": "pointing solved",
+    "done": "observables ready",
+    "failed": "cannot be opened",
+}
+
+
+def session_progress(session: ImageSession) -> str:
+    """Return how far a session has come: ``open``, ``stars``, ``pointed`` or ``done``."""
+    state = session.state
+    if state.observables:
+        return "done"
+    if state.pointing is not None:
+        return "pointed"
+    return "open" if state.centers is None else "stars"
+
+
+@dataclass(slots=True)
+class QueueItem:
+    """One image of the list.
+
+    Attributes
+    ----------
+    name : str
+    open : callable
+        Opens or resumes its session.
+    folder : Path or None
+        Where its decisions are saved at once; None: nowhere.
+    """
+
+    name: str
+    open: Callable[[], ImageSession]
+    folder: Path | None = None
+    session: ImageSession | None = None
+    error: str = ""
+
+    @property
+    def status(self) -> str:
+        """Where it stands; one of `WORDS`."""
+        if self.error:
+            return "failed"
+        return "new" if self.session is None else session_progress(self.session)
+
+
+class ImageQueue:
+    """Images in order, one of them at hand.
+
+    Parameters
+    ----------
+    items : sequence of QueueItem
+
+    Raises
+    ------
+    SessionError
+        There is none.
+    """
+
+    def __init__(self, items: Sequence[QueueItem]) -> None:
+        if not items:
+            raise SessionError("the workbench needs at least one image or session.")
+        self.items = list(items)
+        self.index = 0
+        self.opening: Callable[[ImageSession], None] = lambda _: None  # told of every session that is opened
+
+    @property
+    def item(self) -> QueueItem:
+        """The image at hand."""
+        return self.items[self.index]
+
+    @property
+    def opened(self) -> ImageSession | None:
+        """The session at hand, if it is open."""
+        return self.item.session
+
+    @property
+    def session(self) -> ImageSession:
+        """The session at hand, opened now if it was not.
+
+        Raises
+        ------
+        OpNavError
+            The image cannot be opened; the list shows it.
+        """
+        item = self.item
+        if item.session is None:
+            try:
+                session = item.open()
+                if item.folder is not None and session.folder is None:
+                    session.autosave(item.folder)
+            except OpNavError as error:
+                item.error = str(error)
+                raise
+            item.session, item.error = session, ""
+            self.opening(session)
+        return item.session
+
+    def go(self, index: int) -> None:
+        """Take another image; beyond the ends it stays."""
+        self.index = min(max(index, 0), len(self.items) - 1)
+
+    def sessions(self) -> Iterator[ImageSession]:
+        """Open one image after the other; afterwards the same one is at hand as before."""
+        here = self.index
+        try:
+            for number in range(len(self.items)):
+                self.index = number
+                yield self.session
+        finally:
+            self.index = here
+
+    def require(self, *needs: str) -> None:
+        """Stop where a decision is still to be made in any of the images; see `ImageSession.require`.
+
+        Raises
+        ------
+        SelectionPending
+            One line: which image, and what is missing.
+        """
+        for session in self.sessions():
+            try:
+                session.require(*needs)
+            except SelectionPending as error:
+                raise SelectionPending(f"{session.context.frame.path.name}: {error}") from None
+
+    @classmethod
+    def of_sessions(cls, sessions: Iterable[ImageSession], out: str | Path | None = None) -> "ImageQueue":
+        """Make a list of open sessions; with `out` each saves its decisions into ``OUT/<stem>`` from now on."""
+        items = []
+        for session in sessions:
+            stem = session.context.frame.path.stem
+            folder = session.folder or (None if out is None else inside(out, stem))
+            item = QueueItem(session.context.frame.path.name, lambda s=session: s, folder)  # type: ignore[misc]
+            items.append(item)
+        return cls(items)
+
+    @classmethod
+    def of_images(
+        cls,
+        images: Iterable[str | Path],
+        mission: Any,
+        out: str | Path,
+        *,
+        folders: Sequence[str] = (),
+        targets: Sequence[str] | None = None,
+        predict: bool = True,
+        **options: Any,
+    ) -> "ImageQueue":
+        """Make a list of picture files; each is resumed from its folder in `out` where it was worked on before.
+
+        Parameters
+        ----------
+        images : paths
+            Pictures; a folder stands for all pictures in it.
+        mission : str, path or Mission
+        out : path
+            Folder of the sessions' folders.
+        folders : sequence of str
+            Names of the sessions' folders, one a picture; left out: as `picture_names` gives them.
+        targets : sequence of str, optional
+            Bodies expected in every picture; None: the mission's own, with kernels.
+        predict : bool
+            Predict stars and targets when a picture is opened for the first time.
+        **options
+            As for `ImageSession.open`.
+
+        Raises
+        ------
+        SessionError
+            A picture is not there, two would share a folder, or a folder lies outside `out`.
+        """
+
+        def opener(path: Path, folder: Path) -> Callable[[], ImageSession]:
+            def opened() -> ImageSession:
+                session = ImageSession.open_or_resume(folder, path, mission, **options)
+                if predict and not session.journal:
+                    predict_scene(session, targets)
+                return session
+
+            return opened
+
+        paths = picture_files(images)
+        if folders and len(folders) != len(paths):
+            raise SessionError(
+                f"{len(folders)} folders were given for {len(paths)} pictures; give one each, or none."
+            )
+        items = []
+        for path, name in zip(paths, folders or picture_names(paths).values(), strict=True):
+            folder = inside(out, name)
+            items.append(QueueItem(path.name, opener(path, folder), folder))
+        return cls(items)
+
+    @classmethod
+    def of_folders(cls, folders: Iterable[str | Path]) -> "ImageQueue":
+        """Make a list of sessions that were saved, each in its folder; they go on there."""
+
+        def opener(folder: Path) -> Callable[[], ImageSession]:
+            return lambda: ImageSession.resume(folder)
+
+        return cls([QueueItem(Path(f).name, opener(Path(f)), Path(f)) for f in folders])
+
+    def html(self) -> str:
+        """Return the list for the page."""
+        rows = []
+        for number, item in enumerate(self.items):
+            here = ' class="here" aria-current="true" data-reveal' if number == self.index else ""
+            words = item.error or PROGRESS_WORDS[item.status]
+            rows.append(
+                f'<li{here} data-act="go" data-arg="{number}" title="{text(item.name)}: {text(words)}">'
+                f'<span class="sign {item.status}">{PROGRESS_SIGNS[item.status]}</span>'
+                f'<span class="name">{text(item.name)}</span><span class="words">{text(words)}</span></li>'
+            )
+        return f'<ol class="queue" data-count="{len(rows)}">{"".join(rows)}</ol>'
+
+
+def predict_scene(session: ImageSession, targets: Sequence[str] | None = None) -> None:
+    """Predict the stars and take the targets into the scene; a target that nothing is known of is left out, and said so.
+
+    Parameters
+    ----------
+    session : ImageSession
+    targets : sequence of str, optional
+        None: the mission's own, where kernels are open.
+    """
+    session.predict()
+    if targets is None:
+        targets = session.context.mission.default_targets if KernelSet.active() is not None else ()
+    for name in targets:
+        try:
+            session.add_target(name)
+        except OpNavError as error:
+            session.skip_target(name, str(error))

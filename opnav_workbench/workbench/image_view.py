@@ -1,0 +1,432 @@
+"""The picture of a session in the notebook: stretch, zoom, magnifier, readout, overlays and blink.
+
+Flow      session -> pixels once, overlays at each `refresh` -> page;  page -> clicks and drags in (pixel, line)
+Pictures  the image itself, what the session's solutions explain (background, fitted stars, fitted bodies), and the
+          difference; the latter two are made when first asked for. Each one's pixels are sent once, as uint16 where
+          they are counts, else float32
+
+Everything that needs no session happens in the page (static/image_view.js): no pixel is sent twice, and the readout
+never asks Python.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.errors import OpNavError
+from opnav_workbench.report.drawing import STRIP_ASPECT, round_scale
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.actions import VIEW_ACTIONS
+from opnav_workbench.workbench.bridge import Bridge
+from opnav_workbench.workbench.overlays import (
+    LONGEST_VECTOR,
+    body_marks,
+    mask_runs,
+    sky_grid,
+    star_marks,
+    vector_columns,
+)
+from opnav_workbench.workbench.readout import sky_readout
+from opnav_workbench.workbench.status_line import Status
+from opnav_workbench.workbench.stretch import DEFAULT_LIMITS, limits_of, picture_png
+from opnav_workbench.workbench.view_models import (
+    DEFAULT_THEME,
+    THEMES,
+    PictureModels,
+    ViewState,
+    label_columns,
+    layer_columns,
+    lines_columns,
+    page_setup,
+    ring_columns,
+)
+from opnav_workbench.workbench.viewer import Layer
+
+__all__ = ["ImageView", "difference_picture", "modeled_picture"]
+
+
+# ---- The pictures of a view: the frame itself, and others to blink it against; each one's pixels are sent ...
+
+DATA_KEY = "data"  # key of the frame itself
+MAX_UINT16 = 65535
+
+
+class PictureSet:
+    """Pictures by key, in the bridge's document; their labels and limits in the view's state.
+
+    Parameters
+    ----------
+    bridge : Bridge
+    state : ViewState
+    """
+
+    def __init__(self, bridge: Bridge, state: Any) -> None:
+        self._bridge, self._state = bridge, state
+        self._pixels: dict[str, Any] = {}
+        self._told: dict[str, dict[str, Any]] = {}
+        self._makers: dict[str, tuple[Callable[[], FloatArray], bool]] = {}
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Limits of the frame by their name, DN."""
+        low, high = self._told[DATA_KEY]["limits"][name]
+        return low, high
+
+    def put(
+        self, key: str, image_dn: ArrayLike, label: str, usable: BoolArray | None, same_limits: bool
+    ) -> None:
+        """Add or replace a picture; see `ImageView.set_image`."""
+        image = np.asarray(image_dn)
+        n_pixel, n_line = json.loads(self._state.setup)["size"]
+        if image.shape != (n_line, n_pixel):
+            raise OpNavError(f"picture {key!r} has shape {image.shape}; the frame has {n_pixel} x {n_line}.")
+        limits = self._told[DATA_KEY]["limits"] if same_limits else limits_of(image, usable)
+        with self._bridge.batch():
+            column = {"dn": [_compact(image)]}
+            if key in self._pixels:
+                self._pixels[key].data = column
+            else:
+                self._pixels[key] = ColumnDataSource(column, name=f"opnav-pixels:{key}")
+                self._bridge.document.add_root(self._pixels[key])
+            self._tell({key: {"label": label or key, "limits": limits, "ready": True}})
+
+    def offer(self, key: str, label: str, make: Callable[[], FloatArray], same_limits: bool) -> None:
+        """Offer a picture that is made when the analyst first asks for it."""
+        self._makers[key] = make, same_limits
+        self._tell({key: {"label": label, "limits": {}, "ready": False}})
+
+    def make(self, key: str) -> None:
+        """Make a picture that was offered, if it is not up to date."""
+        if key in self._makers and not self._told[key]["ready"]:
+            make, same_limits = self._makers[key]
+            self.put(key, make(), self._told[key]["label"], None, same_limits)
+
+    def outdate(self) -> None:
+        """The session has changed: what is made from it is made anew when it is asked for."""
+        for key in self._makers:
+            self._told[key]["ready"] = False
+        self._tell({})
+        self.make(self._state.image)
+
+    def forget(self) -> None:
+        """Drop all pictures."""
+        for source in self._pixels.values():
+            source.data = {"dn": []}
+        self._told, self._makers = {}, {}
+        self._state.image = DATA_KEY
+
+    def _tell(self, images: dict[str, dict[str, Any]]) -> None:
+        self._told |= images
+        self._state.images = json.dumps(self._told)
+
+
+def _compact(image: np.ndarray) -> np.ndarray:
+    """Return the smallest type that holds the picture: counts as uint16, anything else as float32."""
+    whole = np.isfinite(image).all() and (image == np.floor(image)).all()
+    counts = whole and image.min() >= 0 and image.max() <= MAX_UINT16
+    return np.ascontiguousarray(image.astype(np.uint16 if counts else np.float32))
+
+
+# ---- The whole frame as the session's solutions explain it: background, fitted stars, fitted bodies.
+
+
+def modeled_picture(session: ImageSession) -> FloatArray:
+    """Return the modelled picture (n_line, n_pixel), DN.
+
+    A star's model counts in its own box, a body's in its sub-array; where boxes overlap each pixel takes the larger
+    star, because each box holds its star alone.
+    """
+    model = np.zeros_like(session.context.signal_dn)
+    if session.state.a_priori is not None and session.state.centers is not None:
+        for box in session.star_boxes():
+            _add_model(model, box.first_px, box.model_dn)
+    for body in session.state.bodies:
+        if body.pictures is not None:
+            _add_model(model, body.pictures.window[:2], body.pictures.model_dn)
+    return model + session.context.background.level_dn
+
+
+def difference_picture(session: ImageSession) -> FloatArray:
+    """Return picture minus model (n_line, n_pixel), DN; nan in bad pixels."""
+    frame = session.context.frame
+    return np.where(frame.bad, np.nan, frame.image_dn - modeled_picture(session))
+
+
+def _add_model(model: FloatArray, first_px: tuple[int, int], part: FloatArray) -> None:
+    pixel, line = first_px
+    rows = np.arange(line, line + part.shape[0])
+    columns = np.arange(pixel, pixel + part.shape[1])
+    ok_rows = (rows >= 0) & (rows < model.shape[0])
+    ok_columns = (columns >= 0) & (columns < model.shape[1])
+    there = np.ix_(rows[ok_rows], columns[ok_columns])
+    values = part[np.ix_(ok_rows, ok_columns)]
+    model[there] = np.fmax(model[there], np.nan_to_num(values))
+
+
+# ---- The picture of a session in the notebook: stretch, zoom, magnifier, readout, overlays and blink.
+
+SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies"]
+EMPTY_SIZE = 512  # a view without a session shows a blank square
+STRIP_SHAPE, STRIP_MARGIN = (
+    3.0,
+    1.15,
+)  # of a strip's frame: width over height, and what is shown over its lines
+
+
+class ImageView:
+    """A picture that shows a session; see `workbench_viewer.Viewer` for what the workbench asks of it.
+
+    Parameters
+    ----------
+    session : ImageSession, optional
+    status : Status, optional
+        Where failures are told; default a line below the picture.
+    theme : {"standard", "CAVIAR"}
+
+    Examples
+    --------
+    ::
+
+        view = ImageView(session)
+        view.on_click(lambda pixel, line: print(pixel, line))
+        view                                  # as a cell's value
+    """
+
+    actions = VIEW_ACTIONS
+
+    def __init__(
+        self, session: ImageSession | None = None, *, status: Status | None = None, theme: str = DEFAULT_THEME
+    ) -> None:
+        self.session: ImageSession | None = None
+        self.state: Any = ViewState(name="opnav-state", groups=list(SHOWN_AT_FIRST), theme=theme)
+        self.models = PictureModels()
+        self.models.use_theme(theme)
+        self._vectors: Mapping[str, Any] = {}
+        self._layers: dict[str, Layer] = {}
+        self.bridge = Bridge(
+            *self.models.roots, self.state, picture=self.picture, status=status, parts=("bokeh",)
+        )
+        self.images = PictureSet(self.bridge, self.state)
+        self._listen_to_page()
+        for action in VIEW_ACTIONS:
+            for key in action.keys:
+                self.bridge.bind_key(key, page=action.name)
+        if session is None:
+            self._blank()
+        else:
+            self.show(session)
+
+    def _listen_to_page(self) -> None:
+        reactions: dict[str, Callable[[Any], object]] = {
+            "image": self.images.make,
+            "theme": self.models.use_theme,
+            "vector_scale": lambda scale: self._draw_vectors(),  # noqa: ARG005
+        }
+        for name, react in reactions.items():
+            self.state.on_change(name, self.bridge.guarded(_on_new_value(react)))
+
+    @property
+    def widget(self) -> Any:
+        """The notebook widget."""
+        return self.bridge.widget
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        return self.bridge._repr_mimebundle_(**kwargs)
+
+    def picture(self) -> bytes:
+        """Return the picture as a small PNG, for front ends without a live kernel."""
+        if self.session is None:
+            return picture_png(np.zeros((EMPTY_SIZE, EMPTY_SIZE)), 0.0, 1.0)
+        low, high = self.images.limits(DEFAULT_LIMITS)
+        return picture_png(self.session.context.frame.image_dn, low, high)
+
+    # -- what is shown -----------------------------------------------------------------------------------------
+
+    def show(self, session: ImageSession) -> None:
+        """Show a session: its pixels, and everything that it knows."""
+        frame = session.context.frame
+        with self.bridge.batch():
+            self.session = session
+            self.images.forget()
+            self._begin(frame.image_dn.shape)
+            self.set_image(DATA_KEY, frame.image_dn, label="image", usable=~(frame.bad | frame.saturated))
+            for key, mask in (("bad", frame.bad), ("saturated", frame.saturated)):
+                self.models.fill(key, mask_runs(mask))
+            self.provide("model", "model", lambda: modeled_picture(session), same_limits=True)
+            self.provide("difference", "image − model", lambda: difference_picture(session))
+            self._layers.clear()
+            self.layer("", Layer())
+            self.circle(None)
+            self.focus(None)
+            self.state.vector_scale = 0.0  # chosen anew
+            self.refresh()
+            self.bridge.redraw()
+
+    def _blank(self) -> None:
+        self._begin((EMPTY_SIZE, EMPTY_SIZE))
+        self.set_image(DATA_KEY, np.zeros((EMPTY_SIZE, EMPTY_SIZE)), label="no image")
+
+    def _begin(self, shape: tuple[int, ...]) -> None:
+        n_line, n_pixel = shape
+        strip = n_pixel > STRIP_ASPECT * n_line
+        self.state.setup = json.dumps({"size": [n_pixel, n_line], "strip": strip} | page_setup())
+        self._look_at_all(n_pixel, n_line)
+
+    def _look_at_all(self, n_pixel: int, n_line: int) -> None:
+        """Show the whole frame, of a strip all lines; a page whose frame has another shape adds or drops lines."""
+        strip = n_pixel > STRIP_ASPECT * n_line
+        width = STRIP_MARGIN * STRIP_SHAPE * n_line if strip else max(n_pixel, n_line)
+        height = width / STRIP_SHAPE if strip else width
+        x, y = 0.5 * n_pixel - 0.5, 0.5 * n_line - 0.5
+        self.models.x_range.update(start=x - 0.5 * width, end=x + 0.5 * width)
+        self.models.y_range.update(start=y + 0.5 * height, end=y - 0.5 * height)
+
+    def refresh(self) -> None:
+        """Bring the overlays to the session's present state; the pixels are not sent again."""
+        session = self.session
+        if session is None:
+            return
+        with self.bridge.batch():
+            camera, attitude = session.context.camera, session.camera_from_j2000
+            self.state.camera = json.dumps(sky_readout(camera, attitude).as_page_values())
+            stars = star_marks(session)
+            for kind in ("predicted", "missing", "used", "rejected"):
+                self.models.fill(kind, getattr(stars, kind))
+            places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
+            size = session.context.frame.image_dn.shape[::-1]
+            self.models.fill("star_labels", label_columns(places, stars.labels["text"], (9.0, -5.0), size))
+            self._vectors = stars.vectors
+            self._draw_vectors()
+            self._draw_bodies(session)
+            grid = sky_grid(camera, attitude)
+            self.models.fill("grid", lines_columns(grid.lines_px))
+            self.models.fill("grid_labels", label_columns(grid.places_px, grid.labels, (3.0, -3.0)))
+            self.images.outdate()
+
+    def _draw_vectors(self) -> None:
+        if not len(self._vectors) or self.session is None:
+            return
+        if self.state.vector_scale <= 0.0:
+            self.state.vector_scale = _vector_scale(self._vectors, self.session.context.frame.image_dn.shape)
+        self.models.fill("vectors", vector_columns(dict(self._vectors), self.state.vector_scale))
+
+    def _draw_bodies(self, session: ImageSession) -> None:
+        marks = body_marks(session)
+        self.models.fill("body_predicted", lines_columns([m.predicted_limb_px for m in marks]))
+        self.models.fill("body", lines_columns([m.limb_px for m in marks]))
+        self.models.fill("terminator", lines_columns([m.terminator_px for m in marks]))
+        self.models.fill("pole", lines_columns([m.pole_px for m in marks]))
+        places = [m.center_px for m in marks] + [m.pole_px[-1] for m in marks if len(m.pole_px)]
+        names = [m.name for m in marks] + ["N" for m in marks if len(m.pole_px)]
+        above = [-6.0 if number % 2 == 0 else 16.0 for number in range(len(names))]  # neighbours stay apart
+        self.models.fill("body_labels", label_columns(places, names, (9.0, above)))
+        self.state.bodies = json.dumps([m.as_page_values() for m in marks])
+        if self.state.body not in [m.name for m in marks]:
+            self.state.body = marks[0].name if marks else ""
+
+    # -- pictures to blink between -----------------------------------------------------------------------------
+
+    def set_image(
+        self,
+        key: str,
+        image_dn: ArrayLike,
+        *,
+        label: str = "",
+        usable: BoolArray | None = None,
+        same_limits: bool = False,
+    ) -> None:
+        """Add or replace a picture of the frame's size.
+
+        Parameters
+        ----------
+        key : str
+        image_dn : (n_line, n_pixel) array
+        label : str
+            What the menu calls it; default the key.
+        usable : (n_line, n_pixel) array of bool, optional
+            Pixels that choose the limits.
+        same_limits : bool
+            Use the limits of the frame itself, so that blinking shows what differs.
+        """
+        self.images.put(key, image_dn, label, usable, same_limits)
+
+    def provide(
+        self, key: str, label: str, make: Callable[[], FloatArray], *, same_limits: bool = False
+    ) -> None:
+        """Offer a picture that is made when the analyst first asks for it."""
+        self.images.offer(key, label, make, same_limits)
+
+    # -- what the tools draw -----------------------------------------------------------------------------------
+
+    def layer(self, name: str, layer: Layer) -> None:
+        """Draw a tool's lines and labels, replacing what it had drawn."""
+        self._layers[name] = layer
+        segments, labels = layer_columns(self._layers.values(), THEMES[self.state.theme])
+        with self.bridge.batch():
+            self.models.fill("segments", segments)
+            self.models.fill("tool_labels", labels)
+
+    def circle(self, center_px: ArrayLike | None, radius_px: float = 0.0) -> None:
+        """Draw the analyst's circle; None takes it away."""
+        self.models.fill("circle", ring_columns(center_px, radius_px))
+
+    def focus(self, place_px: ArrayLike | None, radius_px: float = 0.0) -> None:
+        """Ring the object under decision, and bring it into view; None takes the ring away."""
+        with self.bridge.batch():
+            self.models.fill("focus", ring_columns(place_px, radius_px))
+            if place_px is not None:
+                self._bring_into_view(np.asarray(place_px, float))
+
+    def _bring_into_view(self, place: FloatArray) -> None:
+        for at, view in zip(place, (self.models.x_range, self.models.y_range), strict=True):
+            low, high = sorted((view.start, view.end))
+            if not low <= at <= high:
+                shift = at - 0.5 * (low + high)
+                view.start, view.end = view.start + shift, view.end + shift
+
+    # -- what the analyst does ---------------------------------------------------------------------------------
+
+    def do(self, name: str) -> str:
+        """Carry out one of `actions` in the page that was used last; return what to say."""
+        self.bridge.do(name)
+        return ""
+
+    def drag_mode(self, on: bool, shape: str = "box") -> None:
+        """Let a left drag draw a `shape` (box, circle or line) and report its ends (on), or move the picture (off)."""
+        self.state.drag = shape if on else ""
+
+    def on_click(self, callback: Callable[[float, float], object]) -> None:
+        """Call ``callback(pixel, line)`` at each click."""
+        self.bridge.on_event("tap", callback)
+
+    def on_drag(self, callback: Callable[[float, float, float, float], object]) -> None:
+        """Call ``callback(pixel0, line0, pixel1, line1)`` at the end of each drag in drag mode."""
+        self.bridge.on_event("drag", callback)
+
+    def listen(
+        self,
+        tapped: Callable[[float, float], None],
+        dragged: Callable[[float, float, float, float], None],
+    ) -> None:
+        """Report clicks and drags; see `on_click` and `on_drag`."""
+        self.on_click(tapped)
+        self.on_drag(dragged)
+
+
+def _on_new_value(react: Callable[[Any], object]) -> Callable[[str, Any, Any], None]:
+    """Return what bokeh calls (its three names count) for what needs the new value alone."""
+
+    def changed(attr: str, old: Any, new: Any) -> None:  # noqa: ARG001
+        react(new)
+
+    return changed
+
+
+def _vector_scale(vectors: Mapping[str, Any], shape: tuple[int, ...]) -> float:
+    """A round number that makes the longest vector a good part of the picture."""
+    longest = float(np.hypot(vectors["d_pixel"], vectors["d_line"]).max(initial=0.0))
+    return round_scale(LONGEST_VECTOR * min(shape) / longest) if longest > 0.0 else 1.0

@@ -1,0 +1,411 @@
+"""The bokeh models that Python and the page share: picture, magnifier, panner, the glyphs of every overlay, the state.
+
+State    what is shown and how; both sides may change it, and it survives a reload
+Themes   for each kind of mark a colour, a shape and a dash, so that colour is never the only sign (Okabe & Ito; or as
+         CAVIAR's users know them)
+Tools    lines, labels and rings of the tabs' tools, as columns for the figure
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import Bool, Float, List, String
+from bokeh.model import DataModel
+from bokeh.models import ColumnDataSource, ImageRGBA, PanTool, Range1d, RangeTool, WheelZoomTool
+from bokeh.models.annotations import Arrow, BoxAnnotation, VeeHead
+from bokeh.plotting import figure
+from numpy.typing import ArrayLike
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.workbench.actions import VIEW_ACTIONS
+from opnav_workbench.workbench.overlays import Columns
+from opnav_workbench.workbench.stretch import COLORMAPS, LIMITS, STRETCHES
+from opnav_workbench.workbench.viewer import Layer
+
+__all__ = [
+    "DEFAULT_THEME",
+    "THEMES",
+    "PictureModels",
+    "ViewState",
+    "label_columns",
+    "layer_columns",
+    "lines_columns",
+    "page_setup",
+    "ring_columns",
+]
+
+
+# ---- How marks look: for each kind a colour, a shape and a dash, so that colour is never the only sign.
+
+
+@dataclass(frozen=True, slots=True)
+class MarkStyle:
+    """One kind of mark.
+
+    Attributes
+    ----------
+    color : str
+    shape : str
+        A bokeh marker, or what static/image_view.js draws in the legend: ``line``, ``arrow``, ``hatch``, ``dots``.
+    dash : str
+        ``solid``, ``dashed``, ``dotted`` or ``dotdash``.
+    """
+
+    color: str
+    shape: str
+    dash: str = "solid"
+
+
+Theme = MappingProxyType[str, MarkStyle]
+
+# Colours of Okabe & Ito, which colour-blind readers can tell apart; the same as in the report's figure.
+_STANDARD: dict[str, MarkStyle] = {
+    "predicted": MarkStyle("#F0E442", "circle"),
+    "used": MarkStyle("#56B4E9", "x"),
+    "rejected": MarkStyle("#D55E00", "square_x"),
+    "missing": MarkStyle("#CC79A7", "inverted_triangle"),
+    "residual": MarkStyle("#009E73", "arrow"),
+    "body": MarkStyle("#CC79A7", "line"),
+    "body_predicted": MarkStyle("#F0E442", "line", "dashed"),
+    "terminator": MarkStyle("#E69F00", "line", "dotdash"),
+    "pole": MarkStyle("#56B4E9", "line", "dotted"),
+    "bad": MarkStyle("#56B4E9", "hatch"),
+    "saturated": MarkStyle("#E69F00", "dots"),
+    "grid": MarkStyle("#8FA3B5", "line", "dotted"),
+    "circle": MarkStyle("#E69F00", "line", "dashed"),
+    "focus": MarkStyle("#FFFFFF", "circle"),
+    "tool_used": MarkStyle("#56B4E9", "line"),
+    "tool_unused": MarkStyle("#9AA5B1", "line", "dotted"),
+    "tool_rejected": MarkStyle("#D55E00", "line", "dashed"),
+    "tool_focus": MarkStyle("#F0E442", "line"),
+}
+# Those who come from CAVIAR know predicted stars as yellow, detected ones as red and missing ones as blue.
+_CAVIAR = _STANDARD | {
+    "predicted": MarkStyle("#FFFF00", "circle"),
+    "used": MarkStyle("#FF3030", "x"),
+    "rejected": MarkStyle("#FF9DF0", "square_x"),
+    "missing": MarkStyle("#4D8CFF", "inverted_triangle"),
+}
+
+THEMES: MappingProxyType[str, Theme] = MappingProxyType(
+    {"standard": MappingProxyType(_STANDARD), "CAVIAR": MappingProxyType(_CAVIAR)}
+)
+DEFAULT_THEME = "standard"
+
+# Overlays that can be switched on and off, with what each shows (kinds of the themes).
+OVERLAY_GROUPS: dict[str, tuple[str, ...]] = {
+    "predicted": ("predicted", "missing"),
+    "observed": ("used", "rejected"),
+    "magnitudes": (),
+    "residuals": ("residual",),
+    "bodies": ("body", "body_predicted", "terminator", "pole"),
+    "masks": ("bad", "saturated"),
+    "grid": ("grid",),
+}
+
+
+# ---- What a view shows and how, in one bokeh model: both the page and Python may change it, and it survives ...
+
+
+class ViewState(DataModel):
+    """State of an `ImageView`; what has structure is JSON text."""
+
+    image = String("data", help="Key of the picture that is shown.")
+    partner = String("", help="Key of the picture that it blinks against; empty: none.")
+    stretch = String("asinh")
+    limits = String("sky", help="One of stretch.LIMITS.")
+    low = Float(0.0, help="Limits where `limits` is manual, DN.")
+    high = Float(1.0)
+    colormap = String("gray")
+    inverted = Bool(False)
+    contrast = Float(1.0)
+    bias = Float(0.5)
+    groups = List(String, help="Overlays that are shown.")
+    vector_scale = Float(1.0, help="Residual vectors are drawn so many times as long.")
+    theme = String("standard", help="One of themes.THEMES.")
+    drag = String(
+        "", help="What a left drag does: empty: pan; else the shape that it draws: box, circle or line."
+    )
+    body = String("", help="The body that the readout measures from.")
+    setup = String("{}", help="Size, colour maps, legend: what the page must know once a picture.")
+    images = String("{}", help="Label and limits of each picture, by key.")
+    camera = String("null", help="SkyReadout.as_page_values().")
+    bodies = String("[]", help="Name, place and radius of each body.")
+
+
+def page_setup() -> dict[str, Any]:
+    """Return what the page must know of menus, colour maps, marks and actions; plain values."""
+    looks = {
+        theme: {kind: [look.color, look.shape, look.dash] for kind, look in marks.items()}
+        for theme, marks in THEMES.items()
+    }
+    return {
+        "stretches": list(STRETCHES),
+        "limits": list(LIMITS),
+        "themes": list(THEMES),
+        "colormaps": {name: "".join(c.lstrip("#") for c in colors) for name, colors in COLORMAPS.items()},
+        "groups": {name: list(kinds) for name, kinds in OVERLAY_GROUPS.items()},
+        "looks": looks,
+        "actions": {action.name: [action.label, action.hint] for action in VIEW_ACTIONS},
+    }
+
+
+# ---- What the workbench's tools draw over the picture, as columns for `PictureModels.fill`.
+
+FOCUS_WIDTH, LINE_WIDTH = 3.0, 1.5  # screen px
+RIGHT_EDGE, TOP_EDGE = 0.91, 0.03  # shares of the picture beyond which it would cut a text
+LABEL_BELOW_PX = 16.0  # screen px
+
+
+def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Columns]:
+    """Return the columns of all layers' segments, and of their labels."""
+    shown = list(layers)
+    ends = np.array([s for layer in shown for s in layer.segments], dtype=float).reshape(-1, 4)
+    styles = [style for layer in shown for style in layer.styles]
+    looks = [theme[f"tool_{style}"] for style in styles]
+    segments: Columns = {name: ends[:, i] for i, name in enumerate(("x0", "y0", "x1", "y1"))}
+    segments["color"] = [look.color for look in looks]
+    segments["dash"] = [look.dash for look in looks]
+    segments["width"] = [FOCUS_WIDTH if style == "focus" else LINE_WIDTH for style in styles]
+    labels = [label for layer in shown for label in layer.labels]
+    return segments, label_columns(
+        [label[:2] for label in labels], [label[2] for label in labels], (4.0, -4.0)
+    )
+
+
+def label_columns(
+    places: Iterable[Any],
+    texts: Sequence[str],
+    offset: tuple[float, float | Sequence[float]],
+    size: Sequence[int] = (),
+) -> Columns:
+    """Return the columns of texts beside places (pixel, line).
+
+    Parameters
+    ----------
+    places : (pixel, line) of each
+    texts : sequence of str
+    offset : (right, down)
+        Screen px; down may be one for each text.
+    size : (n_pixel, n_line)
+        Of the picture: a text near its right edge stands left of its place, one near the top below it.
+
+    Examples
+    --------
+    >>> columns = label_columns([(10.0, 50.0), (99.0, 2.0)], ["a", "b"], (9.0, -5.0), (100, 100))
+    >>> columns["side"], columns["x_offset"].tolist(), columns["y_offset"].tolist()
+    (['left', 'right'], [9.0, -9.0], [-5.0, 16.0])
+    """
+    array = np.array(list(places), dtype=float).reshape(-1, 2)
+    right, down = (
+        np.full(len(array), offset[0]),
+        np.broadcast_to(np.asarray(offset[1], float), len(array)).copy(),
+    )
+    turned = np.zeros(len(array), bool)
+    if len(size):
+        turned = array[:, 0] > RIGHT_EDGE * size[0]
+        down[array[:, 1] < TOP_EDGE * size[1]] = LABEL_BELOW_PX
+    return {
+        "pixel": array[:, 0],
+        "line": array[:, 1],
+        "text": list(texts),
+        "x_offset": np.where(turned, -right, right),
+        "y_offset": down,
+        "side": ["right" if one else "left" for one in turned],
+    }
+
+
+def ring_columns(place_px: ArrayLike | None, radius_px: float) -> Columns:
+    """Return the columns of one ring, or of none."""
+    if place_px is None:
+        return {"pixel": [], "line": [], "radius": []}
+    pixel, line = np.asarray(place_px, float)
+    return {"pixel": [float(pixel)], "line": [float(line)], "radius": [float(radius_px)]}
+
+
+# ---- The bokeh models of a view: picture, magnifier and panner, and the glyphs of every overlay.
+
+STAR_SIZES = {"predicted": 15, "used": 10, "rejected": 11, "missing": 13}  # screen px
+LABEL_BACKGROUND = "#101418"  # under labels, so that they stay readable over bright bodies
+NO_PICTURE = np.zeros((1, 1), np.uint32)
+
+
+def _source(*columns: str) -> Any:
+    return ColumnDataSource({name: [] for name in columns})
+
+
+class PictureModels:
+    """All models of one view; the page fills the picture itself in (static/image_view.js)."""
+
+    def __init__(self) -> None:
+        self.x_range: Any = Range1d(start=-0.5, end=0.5)
+        self.y_range: Any = Range1d(start=0.5, end=-0.5)
+        self.picture = _figure("opnav-picture", self.x_range, self.y_range)
+        self.picture.add_tools(PanTool(), wheel := WheelZoomTool())
+        self.picture.toolbar.active_scroll = wheel
+        self.magnifier = _figure("opnav-magnifier", Range1d(start=0, end=1), Range1d(start=1, end=0))
+        self.panner = _figure("opnav-panner", Range1d(start=0, end=1), Range1d(start=1, end=0))
+        box = BoxAnnotation(
+            fill_color="#E69F00",
+            fill_alpha=0.08,
+            line_color="#E69F00",
+            line_width=2,
+            line_dash="solid",
+            tags=["own-colors"],
+        )
+        self.panner.add_tools(RangeTool(x_range=self.x_range, y_range=self.y_range, overlay=box))
+        for plot in (self.magnifier, self.panner):
+            plot.axis.visible = False
+        for plot, name in ((self.picture, "shown"), (self.magnifier, "magnified"), (self.panner, "overview")):
+            _add_image(plot, f"opnav-{name}")
+        self.sources: dict[str, Any] = {}
+        self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
+        cursor = ColumnDataSource({"pixel": [0.0], "line": [0.0]}, name="opnav-cursor")
+        self.magnifier.rect(
+            "pixel", "line", 1, 1, source=cursor, fill_color=None, line_color="#E69F00", line_width=1.5
+        )
+        self._add_masks()
+        self._add_lines()
+        self._add_stars()
+        self._add_tools()
+
+    @property
+    def roots(self) -> tuple[Any, ...]:
+        """What is shown."""
+        return self.picture, self.magnifier, self.panner
+
+    def fill(self, name: str, columns: Columns) -> None:
+        """Replace a source's columns, if they differ."""
+        source = self.sources[name]
+        old = source.data
+        if old.keys() != columns.keys() or not all(_same(old[key], columns[key]) for key in columns):
+            source.data = columns
+
+    def use_theme(self, name: str) -> None:
+        """Give every mark the look that a theme has for it."""
+        for kind, glyphs in self._glyphs.items():
+            look = THEMES[name][kind]
+            for glyph in glyphs:
+                glyph.line_color, glyph.line_dash = look.color, look.dash
+                if kind == "residual":
+                    glyph.end.fill_color = look.color
+                if hasattr(glyph, "marker"):
+                    glyph.marker = look.shape
+                if hasattr(glyph, "hatch_color"):
+                    glyph.hatch_color = look.color
+
+    # -- overlays ----------------------------------------------------------------------------------------------
+
+    def _add_masks(self) -> None:
+        for kind, pattern in (("bad", "right_diagonal_line"), ("saturated", "dot")):
+            source = self.sources[kind] = _source("left", "right", "top", "bottom")
+            source.name = f"opnav-{kind}"  # the readout tells what masks the pixel
+            renderer = self.picture.quad(
+                left="left", right="right", top="top", bottom="bottom", source=source, name="overlay:masks",
+                fill_color=None, hatch_pattern=pattern, hatch_scale=6, line_width=1,
+            )  # fmt: skip
+            self._glyphs[kind] = [renderer.glyph]
+
+    def _add_lines(self) -> None:
+        for kind, group, width in (
+            ("grid", "grid", 1),
+            ("body_predicted", "bodies", 1.5),
+            ("body", "bodies", 1.5),
+            ("terminator", "bodies", 1.5),
+            ("pole", "bodies", 1.5),
+        ):
+            source = self.sources[kind] = _source("pixel", "line")
+            self._glyphs[kind] = [
+                plot.multi_line(
+                    "pixel", "line", source=source, name=f"overlay:{group}", line_width=width
+                ).glyph
+                for plot in self._plots(group)
+            ]
+        self._add_text("grid_labels", "grid", "grid")
+        self._add_text("body_labels", "bodies", "body")
+
+    def _plots(self, group: str) -> tuple[Any, ...]:
+        return (self.picture,) if group == "grid" else (self.picture, self.magnifier)
+
+    def _add_stars(self) -> None:
+        vectors = self.sources["vectors"] = _source("pixel", "line", "end_pixel", "end_line")
+        head = VeeHead(size=7, fill_color=THEMES[DEFAULT_THEME]["residual"].color, line_color=None)
+        arrow: Any = Arrow(
+            x_start="pixel", y_start="line", x_end="end_pixel", y_end="end_line", source=vectors, end=head,
+            name="overlay:residuals", tags=["own-colors"],
+        )  # fmt: skip
+        arrow.line_width = 1.5
+        self.picture.add_layout(arrow)
+        self._glyphs["residual"] = [arrow]
+        for kind, size in STAR_SIZES.items():
+            group = next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds)
+            source = self.sources[kind] = _source("pixel", "line")
+            self._glyphs[kind] = [
+                plot.scatter(
+                    "pixel", "line", source=source, name=f"overlay:{group}", size=size,
+                    fill_color=None, line_width=1.6, marker=THEMES[DEFAULT_THEME][kind].shape,
+                ).glyph
+                for plot in (self.picture, self.magnifier)
+            ]  # fmt: skip
+        self._add_text("star_labels", "magnitudes", "predicted")
+
+    def _add_text(self, name: str, group: str, kind: str) -> None:
+        source = self.sources[name] = _source("pixel", "line", "text", "x_offset", "y_offset", "side")
+        self.picture.text(
+            "pixel", "line", "text", source=source, name=f"overlay:{group}", text_font_size="11px",
+            text_color=THEMES[DEFAULT_THEME][kind].color, background_fill_color=LABEL_BACKGROUND,
+            background_fill_alpha=0.75, padding=1, x_offset="x_offset", y_offset="y_offset", text_align="side",
+        )  # fmt: skip
+
+    def _add_tools(self) -> None:
+        segments = self.sources["segments"] = _source("x0", "y0", "x1", "y1", "color", "dash", "width")
+        self.picture.segment(
+            "x0", "y0", "x1", "y1", source=segments, line_color="color", line_dash="dash", line_width="width"
+        )
+        self._add_text("tool_labels", "tools", "focus")
+        for kind in ("circle", "focus"):
+            source = self.sources[kind] = _source("pixel", "line", "radius")
+            ring = self.picture.circle(
+                "pixel", "line", radius="radius", source=source, fill_color=None, line_width=2
+            )
+            cross = self.picture.scatter(
+                "pixel", "line", source=source, marker="cross", size=9 if kind == "circle" else 0
+            )
+            self._glyphs[kind] = [ring.glyph]
+            cross.glyph.line_color = THEMES[DEFAULT_THEME][kind].color
+
+
+def _figure(name: str, x_range: Any, y_range: Any) -> Any:
+    plot = figure(
+        name=name, x_range=x_range, y_range=y_range, frame_width=400, frame_height=400, tools="",
+        toolbar_location=None, min_border=2, outline_line_width=1, lod_threshold=None,
+    )  # fmt: skip
+    plot.grid.visible = False
+    plot.axis.major_label_text_font_size = "10px"
+    plot.axis.minor_tick_line_color = None
+    plot.axis.major_tick_in = 0
+    return plot
+
+
+def _add_image(plot: Any, name: str) -> None:
+    source = ColumnDataSource(
+        {"image": [NO_PICTURE], "x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}, name=name
+    )
+    plot.add_glyph(source, ImageRGBA(image="image", x="x", y="y", dw="dw", dh="dh"))
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(_same(x, y) for x, y in zip(a, b, strict=True))
+    return bool(a is b or (not isinstance(a, np.ndarray) and not isinstance(b, np.ndarray) and a == b))
+
+
+def lines_columns(lines: list[FloatArray]) -> Columns:
+    """Return lines (n, 2) of (pixel, line) as columns for `PictureModels.fill`; empty ones are left out."""
+    shown = [line for line in lines if len(line)]
+    return {"pixel": [line[:, 0] for line in shown], "line": [line[:, 1] for line in shown]}

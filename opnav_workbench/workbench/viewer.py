@@ -1,0 +1,73 @@
+"""What the workbench asks of the picture: a small protocol, so that a fake picture serves the tests."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.actions import Action
+
+__all__ = ["Layer", "Viewer"]
+
+Segment = tuple[float, float, float, float]  # pixel, line of both ends
+Label = tuple[float, float, str]
+
+
+class Layer:
+    """Lines and labels that a tool draws over the picture.
+
+    Parameters
+    ----------
+    segments : sequence of (pixel, line, pixel, line)
+    styles : sequence of str
+        One per segment: ``used``, ``unused``, ``rejected`` or ``focus``.
+    labels : sequence of (pixel, line, text)
+    """
+
+    __slots__ = ("labels", "segments", "styles")
+
+    def __init__(
+        self, segments: Sequence[Segment] = (), styles: Sequence[str] = (), labels: Sequence[Label] = ()
+    ) -> None:
+        self.segments, self.styles, self.labels = tuple(segments), tuple(styles), tuple(labels)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Layer):
+            return NotImplemented
+        return (self.segments, self.styles, self.labels) == (other.segments, other.styles, other.labels)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Viewer(Protocol):
+    """A picture that shows a session and reports clicks and drags in pixels and lines."""
+
+    @property
+    def actions(self) -> Sequence[Action]:
+        """Its own actions, for the registry."""
+
+    def show(self, session: ImageSession) -> None:
+        """Show another session's picture."""
+
+    def refresh(self) -> None:
+        """Bring the overlays to the session's present state."""
+
+    def do(self, name: str) -> str:
+        """Carry out one of its own actions; return what to say."""
+
+    def drag_mode(self, on: bool, shape: str = "box") -> None:
+        """A drag draws a shape (``box``, ``circle``) and reports its ends (on), or moves the picture (off)."""
+
+    def layer(self, name: str, layer: Layer) -> None:
+        """Draw a tool's layer, replacing what it had drawn."""
+
+    def circle(self, center_px: FloatArray | None, radius_px: float = 0.0) -> None:
+        """Draw the analyst's circle; None takes it away."""
+
+    def focus(self, place_px: FloatArray | None, radius_px: float = 0.0) -> None:
+        """Ring the object under decision, and bring it into view."""
+
+    def listen(
+        self, tapped: Callable[[float, float], None], dragged: Callable[[float, float, float, float], None]
+    ) -> None:
+        """Report clicks (pixel, line) and, in drag mode, drags (from, to)."""

@@ -1,0 +1,137 @@
+"""Click-to-circle, two stars by hand, nudges: shapes half drawn, and the session steps they become."""
+
+import numpy as np
+import pytest
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.workbench.circle_tool import CircleTool, DrawnCircle, typed_circle
+from opnav_workbench.workbench.pointing_tab import TwoStarMarks
+
+
+def test_two_clicks_on_one_place_make_no_circle():
+    tool = CircleTool()
+    assert tool.clicked(10.0, 20.0) is None
+    with pytest.raises(SessionError, match=r"radius is 0\.0 px; click the center, then a place on the limb"):
+        tool.clicked(10.0, 20.0)
+    assert tool.clicked(10.0, 60.0) == DrawnCircle(10.0, 20.0, 40.0)
+
+
+def test_typed_numbers_adjust_the_circle():
+    circle = DrawnCircle(10.0, 20.0, 5.0)
+    assert typed_circle(circle, "line", "21.5") == DrawnCircle(10.0, 21.5, 5.0)
+    with pytest.raises(SessionError, match="radius must be a number of pixels, not '0'"):
+        typed_circle(circle, "radius", "0")
+    with pytest.raises(SessionError, match="pixel must be a number of pixels, not 'nan'"):
+        typed_circle(circle, "pixel", "nan")
+    assert circle.grown(-10.0).radius_px == 1.0
+
+
+@pytest.fixture
+def body_hands(star_hands):
+    star_hands.press("3")
+    star_hands.send("add_body", value="pluto")
+    return star_hands
+
+
+def test_circle_by_two_clicks_is_a_step_and_arrows_move_it(body_hands):
+    body_hands.press("k")
+    assert body_hands.viewer.dragging
+    body_hands.tap(480.0, 50.0)
+    body_hands.tap(480.0, 63.0)
+    circle = body_hands.session.state.circles["PLUTO"]
+    np.testing.assert_allclose([*circle.center_px, circle.radius_px], [480.0, 50.0, 13.0])
+    assert body_hands.viewer.circled == (480.0, 50.0, 13.0)
+    assert not body_hands.viewer.dragging
+    body_hands.press("ArrowRight", "Shift+ArrowUp", ">")
+    circle = body_hands.session.state.circles["PLUTO"]
+    np.testing.assert_allclose([*circle.center_px, circle.radius_px], [481.0, 49.9, 14.0])
+    body_hands.send("circle_field", arg="radius", value="20")
+    assert body_hands.session.state.circles["PLUTO"].radius_px == 20.0
+    body_hands.press("w")
+    assert "PLUTO" not in body_hands.session.state.circles
+    body_hands.press("Ctrl+z")
+    assert body_hands.session.state.circles["PLUTO"].radius_px == 20.0
+
+
+def test_circle_by_drag(body_hands):
+    body_hands.press("k")
+    body_hands.drag(300.0, 40.0, 330.0, 80.0)
+    assert body_hands.session.state.circles["PLUTO"].radius_px == 50.0
+
+
+def test_undo_drops_a_center_without_radius_before_any_step(body_hands):
+    steps = body_hands.steps
+    body_hands.press("k")
+    body_hands.tap(480.0, 50.0)
+    body_hands.press("Ctrl+z")
+    assert body_hands.steps == steps
+    assert "dropped" in body_hands.said
+
+
+def test_circle_needs_a_body(hands_on, demo_truths):
+    hands = hands_on(demo_truths[0].picture)
+    hands.press("3", "k")
+    assert hands.said == "no body is expected in this picture; add one by its name."
+
+
+def test_center_is_found_and_shown(body_hands):
+    body_hands.press("2", "p", "3", "f")
+    assert body_hands.session.state.bodies[-1].status == "ok"
+    assert body_hands.session.state.observables
+    assert "1 sigma, frame ±" in body_hands.panel
+    method = body_hands.session.state.bodies[-1].method
+    assert body_hands.said.startswith(f"PLUTO, {method.replace('_', ' ')}: pixel")
+    body_hands.press("4")
+    assert f'<td title="{method}">PLUTO</td><td>ok</td>' in body_hands.panel
+
+
+def test_marks_and_names():
+    marks = TwoStarMarks().marked(1.0, 2.0)
+    assert not marks.complete
+    assert "second star" in marks.prompt
+    marks = marks.marked(30.0, 40.0)
+    assert marks.complete
+    assert marks.names() is None
+    with pytest.raises(SessionError, match="only HIP 1 is named; name both stars, or neither"):
+        marks.named(0, " HIP 1 ").names()
+    assert marks.named(0, "HIP 1").named(1, "HIP 2").names() == ["HIP 1", "HIP 2"]
+    assert marks.back().places == ((1.0, 2.0),)
+    assert marks.marked(5.0, 6.0).places == ((5.0, 6.0),)  # a third begins again
+    assert [label[2] for label in marks.layer().labels] == ["star 1", "star 2"]
+
+
+def test_two_stars_by_hand_solve_the_field(star_hands):
+    boxes = sorted(star_hands.controller.stars.boxes, key=lambda b: b.mag)[:2]
+    star_hands.press("2", "w")
+    for box in boxes:
+        star_hands.tap(*box.observed_px)
+    for which, box in enumerate(boxes):
+        star_hands.send("two_star_name", arg=str(which), value=box.id)
+    star_hands.send("two_star_solve")
+    assert star_hands.steps[-2:] == ["two_star_pointing", "find_stars"]
+    assert star_hands.session.state.mask("used").sum() == 15
+    assert star_hands.controller.bench.tool == ""
+
+
+def test_undo_takes_back_a_mark_before_any_step(star_hands):
+    steps = star_hands.steps
+    star_hands.press("2", "w")
+    star_hands.tap(100.0, 50.0)
+    star_hands.press("Ctrl+z")
+    assert star_hands.controller.desk.marks.places == ()
+    assert star_hands.steps == steps
+
+
+def test_arrow_keys_nudge_the_field_only_with_the_tool(star_hands):
+    star_hands.press("2", "ArrowLeft")
+    assert star_hands.steps[-1] == "find_stars"
+    star_hands.press("j", "ArrowLeft", "Shift+ArrowDown", ">")
+    entries = [e for e in star_hands.session.standing if e.step == "nudge"]
+    assert [tuple(e.parameters.values()) for e in entries] == [
+        (-1.0, 0.0, 0.0),
+        (0.0, 10.0, 0.0),
+        (0.0, 0.0, 0.05),
+    ]
+    assert "field moved" in star_hands.panel
+    star_hands.press("Ctrl+z", "Ctrl+z", "Ctrl+z")
+    assert star_hands.steps[-1] == "find_stars"

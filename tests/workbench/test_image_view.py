@@ -1,0 +1,178 @@
+"""The image view's Python side, without a page."""
+
+import json
+
+import numpy as np
+import pytest
+
+from opnav_workbench.errors import OpNavError
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_MISSION
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, ActionRegistry
+from opnav_workbench.workbench.image_view import ImageView
+from opnav_workbench.workbench.view_models import THEMES
+from opnav_workbench.workbench.viewer import Layer, Viewer
+
+
+@pytest.fixture(scope="module")
+def sessions(demo_truths):
+    opened = []
+    with KernelSet(DEMO_KERNELS):
+        for truth in demo_truths:
+            session = ImageSession.open(truth.picture, DEMO_MISSION)
+            session.add_target("PLUTO")
+            session.predict()
+            session.find_stars()
+            session.repoint()
+            opened.append(session)
+    return opened
+
+
+@pytest.fixture
+def view(sessions):
+    return ImageView(sessions[0])
+
+
+def pixels(view, key="data"):
+    return view.bridge.document.get_model_by_name(f"opnav-pixels:{key}").data["dn"][0]
+
+
+def test_view_serves_the_workbench(view):
+    asked: Viewer = view
+    assert asked.actions is VIEW_ACTIONS
+    ActionRegistry([*WORKBENCH_ACTIONS, *VIEW_ACTIONS])  # no key means two things
+
+
+def test_pixels_are_exact(view, sessions):
+    np.testing.assert_allclose(pixels(view), sessions[0].context.frame.image_dn, rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("values", "dtype"),
+    [
+        ([0, 65535], "uint16"),
+        ([-1, 5], "float32"),
+        ([0.5, 5], "float32"),
+        ([0, 65536], "float32"),
+        ([np.nan, 1], "float32"),
+    ],
+)
+def test_counts_travel_as_uint16(view, values, dtype):
+    image = np.zeros(pixels(view).shape)
+    image[0, :2] = values
+    view.set_image("other", image)
+    assert pixels(view, "other").dtype == dtype
+    np.testing.assert_array_equal(pixels(view, "other")[0, :2], np.array(values))
+
+
+def test_picture_of_another_size_is_refused(view):
+    with pytest.raises(OpNavError, match=r"shape \(3, 4\); the frame has 256 x 256"):
+        view.set_image("other", np.zeros((3, 4)))
+
+
+def test_home_shows_the_whole_square_or_all_lines_of_a_strip(view, sessions):
+    x, y = view.models.x_range, view.models.y_range
+    assert (x.start, x.end, y.start, y.end) == (
+        -0.5,
+        255.5,
+        255.5,
+        -0.5,
+    )  # lines downwards, pixels as wide as high
+    view.show(sessions[1])
+    assert y.start - y.end == pytest.approx(1.15 * 128)
+    assert x.end - x.start == pytest.approx(3.0 * (y.start - y.end))
+
+
+def test_model_is_made_when_asked_for_and_again_after_a_step(view, sessions):
+    assert not json.loads(view.state.images)["model"]["ready"]
+    view.state.image = "model"
+    assert json.loads(view.state.images)["model"]["ready"]
+    before = pixels(view, "model")
+    star = sessions[0].state.a_priori.id[0]
+    sessions[0].reject_stars([star], "test")
+    view.refresh()
+    assert pixels(view, "model") is not before
+    sessions[0].undo()
+    same = json.loads(view.state.images)
+    assert same["model"]["limits"] == same["data"]["limits"]  # blinking then shows what differs
+
+
+def test_refresh_that_changes_nothing_sends_nothing(view):
+    view.refresh()
+    sent = []
+
+    def heard(event):
+        sent.append(event)
+
+    view.bridge.document.on_change(heard)
+    view.refresh()
+    assert sent == []
+
+
+def test_another_session_replaces_everything(view, sessions):
+    view.circle([10, 10], 5)
+    view.layer("scans", Layer([(0, 0, 1, 1)], ["used"]))
+    view.show(sessions[1])
+    assert pixels(view).shape == (128, 5024)
+    assert json.loads(view.state.setup)["strip"]
+    assert (
+        len(view.models.sources["circle"].data["pixel"])
+        == len(view.models.sources["segments"].data["x0"])
+        == 0
+    )
+
+
+def test_tools_draw_their_layers(view):
+    view.layer("a", Layer([(0, 0, 1, 1), (2, 2, 3, 3)], ["used", "rejected"], [(5, 6, "one")]))
+    view.layer("b", Layer([(9, 9, 8, 8)], ["focus"]))
+    drawn = view.models.sources["segments"].data
+    assert drawn["x0"].tolist() == [0, 2, 9]
+    assert len(set(drawn["color"])) == 3
+    assert len(set(drawn["dash"])) >= 2  # colour is never the only sign
+    view.layer("a", Layer())
+    assert view.models.sources["segments"].data["x0"].tolist() == [9]
+    assert view.models.sources["tool_labels"].data["text"] == []
+
+
+def test_focus_brings_a_place_into_view(view):
+    view.models.x_range.update(start=0.0, end=20.0)
+    view.models.y_range.update(start=20.0, end=0.0)
+    view.focus([100.0, 10.0], 6.0)
+    assert (view.models.x_range.start, view.models.x_range.end) == (90.0, 110.0)
+    assert (view.models.y_range.start, view.models.y_range.end) == (20.0, 0.0)
+    view.focus(None)
+    assert len(view.models.sources["focus"].data["pixel"]) == 0
+
+
+def test_themes_tell_kinds_apart_without_colour():
+    for looks in THEMES.values():
+        stars = [looks[kind] for kind in ("predicted", "used", "rejected", "missing")]
+        assert len({look.shape for look in stars}) == 4
+        lines = [looks[kind] for kind in ("body", "body_predicted", "terminator", "pole")]
+        assert len({look.dash for look in lines}) == 4
+
+
+def test_theme_can_be_changed(view):
+    view.state.theme = "CAVIAR"
+    (glyph, *_) = view.models._glyphs["used"]
+    assert glyph.line_color == THEMES["CAVIAR"]["used"].color
+
+
+def test_view_without_a_session():
+    view = ImageView()
+    view.refresh()
+    assert view.picture().startswith(b"\x89PNG")
+    assert pixels(view).shape == (512, 512)
+
+
+def test_clicks_and_drags_are_reported(view):
+    heard = []
+    view.listen(lambda *at: heard.append(at), lambda *ends: heard.append(ends))
+    view.bridge.receive({"kind": "event", "page": "p", "name": "tap", "values": [1.5, 2.0]})
+    view.bridge.receive({"kind": "event", "page": "p", "name": "drag", "values": [1, 2, 3, 4]})
+    assert heard == [(1.5, 2.0), (1, 2, 3, 4)]
+    view.drag_mode(True, "circle")
+    assert view.state.drag == "circle"
+    view.drag_mode(False)
+    assert view.state.drag == ""
