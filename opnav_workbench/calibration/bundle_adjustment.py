@@ -1,4 +1,4 @@
-"""The bundle adjustment of star frames, linearized: rows of stars and of a priori attitudes, columns of camera and of frames.
+"""The bundle adjustment of star frames, linearized: rows of stars and a priori attitudes, columns of camera and frames.
 
     star of frame i       observed - project(camera, A_i d) = d(px)/d(camera) dc + d(px)/d(eps) eps_i + noise
     a priori attitude i   theta_i - M mu = noise_i,  theta_i the rotation vector from the a priori to the solved one

@@ -205,8 +205,8 @@ def reveal(package: "OrtPackage", key: str | os.PathLike[str] | None = None) -> 
     values = _decrypted(package, Path(package.key_path if key is None else key))
     if values.get("format") != TRUTH_FORMAT:
         raise SessionError(
-            f"the truth of {package.folder} has format {values.get('format')!r}, this version reads {TRUTH_FORMAT!r}; open it "
-            "with the version that made it."
+            f"the truth of {package.folder} has format {values.get('format')!r}, this version reads {TRUTH_FORMAT!r}; "
+            "open it with the version that made it."
         )
     if values["public_sha256"] != package.public_sha256:
         raise SessionError(
