@@ -69,6 +69,8 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
     A mission's spacecraft, cameras and header keywords.
 ``yaml_file``
     YAML files into validated models, with errors that name line and field.
+``templating``
+    HTML templates: one environment for each folder of them, everything escaped.
 ``files``
     Files written whole or not at all.
 ``resources``
