@@ -3,7 +3,7 @@
 Parameters of a scene of n bodies, in this order: centers (pixel 0, line 0, pixel 1, ...), logarithms of the range over
 the a priori one (where sizes are solved for), brightness scales, and one level under all.
 
-Flow   state -> light of each body and its derivatives (`scene_light`) -> scales and level -> step -> ... -> `SceneFit`
+Flow   state -> light of each body and its derivatives (`light_scene`) -> scales and level -> step -> ... -> `SceneFit`
 
 All linear parameters (brightness scales, level) are solved with each step. Weights are 1 / variance of the noise, the
 shot noise that of the model: shot noise of the data would pull the fit to pixels that happen to be dark. Each step's
@@ -255,7 +255,7 @@ class SceneFit:
     residual_dn, weight : (n_line, n_pixel) arrays
         Data minus model and level; 1 / variance, 0 for pixels not used.
     columns : (p, n_line, n_pixel) array
-        Derivatives of the model with respect to the parameters, see `scene_light`.
+        Derivatives of the model with respect to the parameters, see `light_scene`.
     information : (p, p) array
         Normal matrix.
     hits : (n_line, n_pixel) array of bool

@@ -94,7 +94,7 @@ class RecordStore:
     records : (n,) ndarray of `STAR`
         Sorted by `keys`.
     keys : (n,) ndarray
-        Their `sky.sort_keys`.
+        Their `sort_keys`.
     bands : sequence of str
         What the column ``band`` counts in.
     names : callable
@@ -156,7 +156,7 @@ def _records(found: Candidates) -> Records:
 Progress = Callable[[float], None]  # told the fraction done, 0 to 1
 
 MAGIC = b"OPNAVSTR"
-LAYOUT = 1  # raise it whenever `records.STAR` or the meaning of one of its columns changes
+LAYOUT = 1  # raise it whenever `STAR_RECORD` or the meaning of one of its columns changes
 PREFIX = struct.Struct("<8sII")
 HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 23

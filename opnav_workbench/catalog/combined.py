@@ -243,7 +243,7 @@ def split_specs(spec: str, kinds: Sequence[str]) -> list[str]:
 
 
 class CombinedCatalog(Catalog):
-    """The union of catalogs by the rule of `catalog.combine`, applied to what lies in the region asked for.
+    """The union of catalogs by the rule of `combine_stars`, applied to what lies in the region asked for.
 
     Parameters
     ----------

@@ -115,7 +115,7 @@ class Catalog(ABC):
         -------
         StarTable
             Stars of equal magnitude in the order of the catalog; where a star's motion is unknown it is the mean
-            one of such stars (see `mean_motion`), with `motion_known` False and the sigma of a single star.
+            one of such stars (see `mean_motion_rad_yr`), with `motion_known` False and the sigma of a single star.
 
         Raises
         ------

@@ -61,7 +61,7 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
         UCAC4 and Hipparcos-2 in a folder: ``tycho2:DIR``, ``ucac2:DIR``, ``ucac4:DIR``, ``hip2:DIR`` (or the file);
         ``npz:FILE`` (see `catalog.npz` for its arrays); ``astrometry-net:GLOB`` (index files, optionally with
         ``?epoch=JYEAR``); ``vizier:NAME`` (asked over the network, kept on disk). Specs joined by ``+`` are one
-        catalog, see `catalog.combine`.
+        catalog, see `catalog.combined`.
     progress : callable, optional
         Told the fraction done, 0 to 1, where a text catalog is converted into its cache file at first use.
 

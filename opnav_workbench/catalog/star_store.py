@@ -126,7 +126,7 @@ def _declination_band(dec_rad: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(bands, LAST_BAND))
 
 
-# ---- Where a catalog keeps its stars: what the one search of `indexed` asks of any of them.
+# ---- Where a catalog keeps its stars: what the one search of `IndexedCatalog` asks of any of them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -64,7 +64,7 @@ class StarTable:
     motion_known : (n,) bool
         False where the catalog gives no motion and `sigma` holds what such a star may do.
     v_mag, v_sigma : (n,) float, optional
-        Johnson V and its 1 sigma, measured or transformed from the catalog's bands (see `catalog.bands`);
+        Johnson V and its 1 sigma, measured or transformed from the catalog's bands (see `catalog.johnson`);
         nan where unknown, as where left out.
     b_v, b_v_sigma : (n,) float, optional
         Johnson B-V and its 1 sigma, likewise.

@@ -56,7 +56,7 @@ class NightRecord:
     session : str
         Digest of the session as the night left it; another one tells of an analyst's work since.
     fault, reason : str
-        As in `night_worker.Verdict`.
+        As in `night_workers.NotebookOutcome`.
     seconds, peak_mb : float
     tries : int
     """

@@ -128,7 +128,7 @@ def process_picture(values: Mapping[str, Any], stop: threading.Event | None = No
     Returns
     -------
     dict
-        A `Verdict` as plain values.  A picture that failed, with any fault, has a ``result.json`` that says why.
+        A `NotebookOutcome` as plain values. A picture that failed, with any fault, has a ``result.json`` that says why.
     """
     job, stop = NotebookRequest(**values), stop or threading.Event()
     for count in range(1, job.retries + 2):

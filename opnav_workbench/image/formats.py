@@ -385,7 +385,7 @@ def _vicar_header(label: Mapping[Any, Any]) -> dict[str, HeaderValue]:
     return values
 
 
-# ---- From a file to a `Frame`: which format, which planes, which time; every failure is one `ImageError` ...
+# ---- From a file to a `Picture`: which format, which planes, which time; every failure is one `ImageError` ...
 
 GZIP_START = b"\x1f\x8b"
 SHOWN_BYTES = 24

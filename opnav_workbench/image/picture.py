@@ -96,7 +96,7 @@ class Picture:
         return replace(self, saturated=mask)
 
 
-# ---- From the arrays and header of a file to a `Frame`: mission, planes, exposure, mid-exposure time.
+# ---- From the arrays and header of a file to a `Picture`: mission, planes, exposure, mid-exposure time.
 
 # s: UTC texts are printed to a millisecond, and two sources of leap seconds agree to less.
 TIME_DISAGREEMENT_S = 0.002
@@ -106,7 +106,7 @@ ISO_CALENDAR = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}(\.\d+)?")
 def picture_from_stored(
     path: Path, sha256: str, source: StoredPicture, keywords: KeywordMap, saturation_dn: float | None
 ) -> Picture:
-    """Make a `Frame` of what a reader found.
+    """Make a `Picture` of what a reader found.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def _without_time(name: str, header: Header, keywords: KeywordMap) -> str:
     return "no time in the header but the spacecraft clock" if looked_for else "no time keyword is known"
 
 
-# ---- From a file to a `Frame`: which format, which planes, which time; every failure is one `ImageError` ...
+# ---- From a file to a `Picture`: which format, which planes, which time; every failure is one `ImageError` ...
 
 
 def read_image(

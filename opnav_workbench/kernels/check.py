@@ -36,7 +36,7 @@ from opnav_workbench.kernels.time import et_from_sclk, et_from_utc
 __all__ = ["CoverageRow", "KernelCheck", "KindCheck", "check_kernels"]
 
 
-# ---- Windows, gaps and overlaps of everything in the loaded kernels that moves or turns, and what of it is ...
+# ---- Windows, gaps and overlaps of everything in the loaded kernels that moves or turns.
 
 SPACECRAFT_IDS = range(-999, 0)  # NAIF: structures and instruments of a spacecraft have longer numbers
 

@@ -21,7 +21,7 @@ from opnav_workbench.kernels.time import packaged_leap_seconds
 __all__ = ["BriefRow", "BriefVariable", "KernelBrief", "brief"]
 
 
-# ---- What a kernel's makers say in it: the comment area of a binary kernel, the text above a text kernel's ...
+# ---- What a kernel's makers say in it.
 
 COMMENT_LINES = 12  # that are looked at and not blank: a title and where it comes from
 COMMENT_LINES_READ = 60
@@ -56,7 +56,7 @@ def _binary_lines(file: KernelFile) -> Iterable[str]:
         stop(handle)
 
 
-# ---- What a single kernel holds, as NAIF's brief, ckbrief and dskbrief tell it: who, when, of which type, ...
+# ---- What a single kernel holds, as NAIF's brief, ckbrief and dskbrief tell it.
 
 TOUCHING_S = 1e-6  # segments nearer than this are told as one; ticks of flight clocks are longer
 

@@ -143,7 +143,7 @@ def unknown_name(name: str) -> str:
     return f"no kernels named {name!r}, and no such file: {meant}names are: {offered}; or give a path."
 
 
-# ---- The kernel sets that come with the package: what they are, when they are valid, and whether they are ...
+# ---- The kernel sets that come with the package.
 
 HEAD_KEYS = ("description", "span")
 

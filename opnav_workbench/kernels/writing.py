@@ -338,7 +338,7 @@ def _add_spk_segment(handle: int, s: SpkSegment) -> None:
     write(handle, s.target, s.center, s.frame, *s.coverage_et, title, s.degree, len(et), states, et)
 
 
-# ---- Attitudes as CK files of type 3: quaternions and angular rates, interpolated within intervals and never ...
+# ---- Attitudes as CK files of type 3.
 
 
 def write_ck(

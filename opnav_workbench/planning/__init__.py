@@ -23,7 +23,7 @@ Enter by `plan_sequence`, which plans the pictures of a sequence (`load_sequence
     One picture: what is expected of it, and whether it is good.
 ``plan``
     A whole sequence planned.
-``report_table``
+``table``
     A plan as table and files.
 """
 

@@ -1,8 +1,8 @@
 """How well a planned picture's stars will determine the camera's attitude.
 
 The covariance is the one that `opnav_workbench.stars.pointing.solve_pointing` itself would state for stars that
-stand exactly where they are predicted: the inverse of the information that their centers, with catalog errors, hold on three angles,
-the a priori twist entering where the stars alone determine it less well.
+stand exactly where they are predicted: the inverse of the information that their centers, with catalog errors, hold
+on three angles, the a priori twist entering where the stars alone determine it less well.
 """
 
 from dataclasses import dataclass

@@ -42,7 +42,7 @@ from opnav_workbench.yaml_file import Location
 __all__ = ["OpenedSequence", "confirming_inputs", "open_sequence", "reason_of"]
 
 
-# ---- The planner's desk: mission, catalog and surfaces opened once, and what each planned picture is made of.
+# ---- Mission, catalog and surfaces opened once, and what each planned picture is made of.
 
 SUN = 10
 
@@ -225,7 +225,7 @@ def confirming_inputs(
 
     Parameters
     ----------
-    desk : Desk
+    desk : OpenedSequence
     picture : PlannedPicture
     number : int
         Of the trial: noise and catalog errors are drawn anew for each; the same number gives the same picture.
@@ -237,7 +237,7 @@ def confirming_inputs(
     Raises
     ------
     OpNavError
-        As `Desk.inputs`.
+        As `OpenedSequence.inputs`.
     """
     inputs = desk.inputs(picture, seed_name=f"{picture.name}_{number:04d}")
     planned = inputs.predicted_camera_from_j2000

@@ -3,7 +3,7 @@
 Flow   expected light -> background and noise at each star -> Cramer-Rao bound of its center and flux -> status
 Units  DN, px, mag
 
-The bound is that of `opnav_workbench.starcenters.cramer_rao`, which the star centerfinders reach: the PSF known,
+The bound is that of `opnav_workbench.stars.cramer_rao`, which the star centerfinders reach: the PSF known,
 free are flux, center and background level. How deep the catalog goes around a field is told too: pictures show
 fainter stars than a shallow one has.
 """

@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 
-# ---- Approach pictures of the demonstration: what a spacecraft in the active kernel set sees, with a sealed ...
+# ---- Approach pictures of the demonstration.
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,7 +133,7 @@ def copy_mission(scenario: OrtScenario, folder: Path) -> tuple[Mission, str]:
     return mission, f"{MISSION_FOLDER}/{mission.path.name}"
 
 
-# ---- A sequence's own pointing: where the commanded attitudes put the target, written as a CK over the other ...
+# ---- A sequence's own pointing.
 
 HOLD_S = 2.0  # the attitude is held so long before and after an exposure
 POINTING_CK = "sequence_predicted.bc"

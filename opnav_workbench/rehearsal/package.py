@@ -146,7 +146,7 @@ def read_content(folder: Path) -> OrtContent:
     return content
 
 
-# ---- Packages of operational readiness tests: a folder that tells a team what it would be told in flight, ...
+# ---- Packages of operational readiness tests.
 
 BRIEFING_FILE = "briefing.md"
 BRIEFING_PAGE_FILE = "briefing.html"

@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 
-# ---- How a rehearsal's scenario states its perturbations: each as a number, or as a distribution that the ...
+# ---- How a rehearsal's scenario states its perturbations.
 
 
 class Distribution(Strict):
@@ -190,7 +190,7 @@ def _given(amounts: Sequence[Distribution]) -> bool:
     return any(amount != NOTHING for amount in amounts)
 
 
-# ---- Scenarios of operational readiness tests (ORT): what a team rehearses, and what the director hides from ...
+# ---- Scenarios of operational readiness tests (ORT).
 
 Sigma = PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 

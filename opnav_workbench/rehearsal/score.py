@@ -313,7 +313,7 @@ def score_rehearsal(
     *,
     delivery: Delivery | None = None,
 ) -> OrtScore:
-    """Hold what a team delivered against the truth, and grade it by `ort_score_grade.RULE`.
+    """Hold what a team delivered against the truth, and grade it by `RULE`.
 
     Parameters
     ----------

@@ -271,7 +271,7 @@ def _arrays(values: Mapping[str, Any]) -> dict[str, FloatArray]:
     return arrays
 
 
-# ---- The log of reveals: what stood in a team's files when the truth was opened, so that a later change ...
+# ---- The log of reveals.
 
 LOG_SUFFIX = ".reveals.jsonl"
 DELIVERED_FILES = ("result.json", "observables.ecsv")

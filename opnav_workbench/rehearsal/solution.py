@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 
-# ---- The file of a rehearsal's solution, checked field by field: a team may write it with programs of its ...
+# ---- The file of a rehearsal's solution, checked field by field.
 
 # Shapes of arrays; n: number of parameters.
 ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
@@ -147,7 +147,7 @@ def _residual_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
     return dict(row) | arrays
 
 
-# ---- The flyby of a rehearsal as its predicted kernels have it, and where corrections of it lie in the ...
+# ---- The flyby of a rehearsal as its predicted kernels have it.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,7 +219,7 @@ def predicted_flyby(package: "OrtPackage") -> PredictedFlyby:
     )
 
 
-# ---- What a team delivers at the end of a rehearsal: corrections of states and the flyby, each with its ...
+# ---- What a team delivers at the end of a rehearsal.
 
 SOLUTION_FILE = "solution.json"
 SCHEMA = "opnav_ort_solution_1"

@@ -224,7 +224,7 @@ def _is_false_star(row: Mapping[str, Any], place: FloatArray, index: Mapping[str
     return off > FALSE_PX and float(np.abs(_star_sigmas(row, true)).max()) > FALSE_SIGMAS
 
 
-# ---- One picture of a rehearsal against its truth: was it lost, where did it point, what was found, missed, ...
+# ---- One picture of a rehearsal against its truth.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -417,7 +417,7 @@ def _disk_covariance_px2(entry: Mapping[str, Any], sigma_px: float) -> FloatArra
     return np.asarray(sigma_px**2 * wide * np.eye(2))
 
 
-# ---- The delivered solution against the truth: parameters, flyby, fit, and whether the pictures support its ...
+# ---- The delivered solution against the truth.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -493,7 +493,7 @@ class Decisions(BaseModel):
 
         In a session without any step, a recorded session of the picture is taken again whole. Else the decisions on
         stars, circles, scans and notes are made; those for every picture skip stars that are not in its field, and
-        methods are left to whoever looks for the bodies (see `method_of`).
+        methods are left to whoever looks for the bodies (see `methods_of`).
 
         Raises
         ------

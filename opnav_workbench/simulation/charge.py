@@ -117,7 +117,7 @@ def _count_by_inversion(mean: FloatArray, w: FloatArray) -> FloatArray:
     return counts.reshape(mean.shape)
 
 
-# ---- Smear of a frame-transfer detector without shutter: light that falls while the charge moves along its ...
+# ---- Smear of a frame-transfer detector without shutter.
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +275,7 @@ def draw_cosmic_rays(
     return CosmicRayHits(start, end, np.rint(loss * path_px * pixel_mm * UM_PER_MM))
 
 
-# ---- Blooming: charge above the full well spills along its column, half up and half down, until pixels take ...
+# ---- Blooming: charge above the full well spills along its column, half up and half down.
 
 
 def bloom(electrons: FloatArray, full_well_e: float, *, spill: bool = True) -> FloatArray:

@@ -141,7 +141,7 @@ def _transfer(
     return transfer_s, ChargeTransfer.of(transfer_s, scrub_s, exposure_s, toward_first=first)
 
 
-# ---- What belongs to the camera and is the same in every picture: flat field, hot and dead pixels, bias ...
+# ---- What belongs to the camera and is the same in every picture.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

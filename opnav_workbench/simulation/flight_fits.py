@@ -68,7 +68,7 @@ def quality_plane(exposed: Exposure, table: str, housekeeping_pixels: int = 0) -
     return np.where(lost, codes.lost, plane).astype(np.int16)
 
 
-# ---- FITS files as the mission writes them, so that flight readers take a simulated picture for one of their ...
+# ---- FITS files as the mission writes them.
 
 LARGEST_RAW = 65535  # what 16 bits hold
 

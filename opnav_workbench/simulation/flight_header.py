@@ -49,7 +49,7 @@ from opnav_workbench.yaml_file import read_model
 __all__ = ["FlightRecord", "flight_cards", "utc_text", "wcs_cards"]
 
 
-# ---- What a flight header can say of a picture: quantities by name, worked out from the predicted attitude ...
+# ---- What a flight header can say of a picture.
 
 SUN, EARTH = 10, 399
 ALONG_BORESIGHT = 0.5  # cosine above which an axis has no useful position angle
@@ -269,7 +269,7 @@ def _vectors(name: str, seen: State | None, sign: float = 1.0) -> Iterator[tuple
     yield f"{name}_range_km", None if seen is None else float(np.linalg.norm(seen.position_km))
 
 
-# ---- Headers as the mission writes them: cards from a template, then whatever the mission's keyword map asks ...
+# ---- Headers as the mission writes them.
 
 HEADER_FOLDER = "headers"
 QUANTITY = "="  # a value that begins so is a quantity's name
@@ -386,7 +386,7 @@ def _keyword_cards(record: FlightRecord) -> Iterator[Card]:
             yield from (Card(k, v) for k, v in zip(keywords, vector.tolist(), strict=True))
 
 
-# ---- World coordinates of a picture for its FITS header: a tangent plane at the predicted boresight, with ...
+# ---- World coordinates of a picture for its FITS header.
 
 WCS_GRID = 33  # points along each side of the detector for the fits
 SIP_ORDERS = (2, 3, 4, 5, 6, 7)

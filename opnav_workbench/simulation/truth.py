@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 
-# ---- The table of what a picture shows: a row for every star and body, with its place, its light and its ...
+# ---- The table of what a picture shows.
 
 # Every column of the table: unit and description, in the order of the file.
 TRUTH_COLUMNS: dict[str, tuple[Any, str]] = {
@@ -164,7 +164,7 @@ def _truth_rows(**columns: Any) -> QTable:
     return table
 
 
-# ---- What a simulated picture really shows: three files beside the picture, none of which a flight reader ...
+# ---- What a simulated picture really shows.
 
 SUFFIXES = (".truth.json", ".truth.ecsv", ".truth.fits")
 
@@ -189,7 +189,7 @@ class Truth:
     settings : mapping
         What made the picture, as plain values: effects, attitude, perturbations.
     exposure : mapping
-        What the detector did: `Exposed.summary`.
+        What the detector did: `Exposure.summary`.
     cosmic_rays : CosmicRayHits
     noiseless_electrons : (n_line, n_pixel) array or None
         None where it was not asked for.

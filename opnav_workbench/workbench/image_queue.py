@@ -61,7 +61,7 @@ class QueueItem:
 
     @property
     def status(self) -> str:
-        """Where it stands; one of `WORDS`."""
+        """Where it stands; one of `PROGRESS_WORDS`."""
         if self.error:
             return "failed"
         return "new" if self.session is None else session_progress(self.session)

@@ -178,7 +178,7 @@ STRIP_SHAPE, STRIP_MARGIN = (
 
 
 class ImageView:
-    """A picture that shows a session; see `workbench_viewer.Viewer` for what the workbench asks of it.
+    """A picture that shows a session; see `viewer.Viewer` for what the workbench asks of it.
 
     Parameters
     ----------

@@ -436,11 +436,11 @@ class Lesson:
         self.verdicts: dict[str, Feedback] = {}
 
     def check(self, name: str, answer: Any, expected: Any, **options: Any) -> Feedback:
-        """Judge a number, an array, a text or a bool; see `lesson_checks.check`."""
+        """Judge a number, an array, a text or a bool; see `lessons.check`."""
         return self._keep(check(name, self.answers.get(name, answer), expected, **options))
 
     def check_claim(self, name: str, answer: Any, judge: Callable[[Any], str], **options: Any) -> Feedback:
-        """Judge an answer of which there are many right ones; see `lesson_checks.check_claim`."""
+        """Judge an answer of which there are many right ones; see `lessons.check_claim`."""
         return self._keep(check_claim(name, self.answers.get(name, answer), judge, **options))
 
     def check_function(
@@ -451,7 +451,7 @@ class Lesson:
         cases: Any,
         **options: Any,
     ) -> Feedback:
-        """Judge a function; see `lesson_checks.check_function`."""
+        """Judge a function; see `lessons.check_function`."""
         if name in self.answers:
             function = _function(self.answers[name])
         return self._keep(check_function(name, function, reference, cases, **options))

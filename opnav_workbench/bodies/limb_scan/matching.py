@@ -260,7 +260,7 @@ def correlation_peaks(correlation: FloatArray, lag_px: FloatArray) -> tuple[Floa
 
 # ---- What all scans share beside the center: how the surface darkens toward the limb, and how wide the PSF ...
 
-LAW, BLUR = 0, 1  # share of another law (`scan_law`); variance added to the PSF, px^2
+LAW, BLUR = 0, 1  # share of another law (`AdjustedLaw`); variance added to the PSF, px^2
 LAW_SIGMA = 0.5  # a priori: half the way from Lambert to Lommel-Seeliger
 BLUR_SIGMA = 0.5  # a priori, of the PSF's variance: a width known to a quarter
 SIGNIFICANT = 5.0  # sigmas

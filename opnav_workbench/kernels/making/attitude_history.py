@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 
-# ---- Attitudes of a camera over time: nodes, between which it turns evenly, in intervals with gaps between ...
+# ---- Attitudes of a camera over time.
 
 AttitudeLaw = Callable[[FloatArray], FloatArray]  # epochs (n,) -> camera_from_j2000 (n, 3, 3)
 

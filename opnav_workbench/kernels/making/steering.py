@@ -39,7 +39,7 @@ from opnav_workbench.kernels.time import et_from_utc_datetime
 __all__ = ["window_attitudes"]
 
 
-# ---- Directions to a target over time as Chebyshev series: few calls of SPICE, and none of the rounding of ...
+# ---- Directions to a target over time as Chebyshev series.
 
 DEGREE = 15
 POINTS = 33  # twice as many as terms: rounding averages out, and an even miss shows
