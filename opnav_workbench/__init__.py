@@ -77,6 +77,8 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
     Where the package's own files and the user's cache stand.
 ``arrays``
     Read-only arrays inside frozen results.
+``constants``
+    Constants of nature, of the sky and of statistics, with their sources.
 ``errors``
     One root error, one leaf per thing that can be wrong.
 ``version``

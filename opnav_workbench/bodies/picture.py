@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.geometry import AU_KM, geometric_direction, unit
+from opnav_workbench.geometry import geometric_direction, unit
 from opnav_workbench.image import estimate_background
 from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.render import BodyModel, LunarLambert, ScatteringLaw, ShapeModel, render_bodies

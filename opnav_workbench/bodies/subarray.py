@@ -11,6 +11,7 @@ from scipy.ndimage import binary_dilation
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, Circle
+from opnav_workbench.constants import MAD_TO_SIGMA
 
 __all__ = ["Cutout", "SubArray", "choose_subarray", "cut_out", "find_hit_pixels", "search_radius"]
 
@@ -208,6 +209,6 @@ def _excess(in_sigmas: FloatArray, line: np.ndarray, pixel: np.ndarray) -> Float
     enough = known.sum(axis=0) >= len(NEIGHBOURS) // 3
     around = np.where(known | ~enough, np.where(enough, around, 0.0), np.nan)
     middle = np.nanmedian(around, axis=0)
-    scatter = 1.4826 * np.nanmedian(np.abs(around - middle), axis=0)
+    scatter = MAD_TO_SIGMA * np.nanmedian(np.abs(around - middle), axis=0)
     away = np.abs(in_sigmas[line, pixel] - middle)
     return np.asarray(np.where(enough, away / np.maximum(scatter, 1.0), 0.0))

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.constants import FWHM_PER_SIGMA, PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import EmpiricalPsf, GaussianPsf, Psf
 from opnav_workbench.psf.empirical import cells_from_stars
@@ -30,7 +31,6 @@ __all__ = ["PsfCalibration", "PsfFrame", "stack_psf"]
 # Second moments, pixel included, that differ by more than this part are those of another smear or focus: a stack of both
 # would fit neither to better than the Gaussian does.
 SHAPE_TOLERANCE = 0.2
-PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 MIN_SIGMA_PX = 0.15  # below this a Gaussian is one pixel, whatever its sigma
 
 
@@ -142,7 +142,6 @@ class PsfCalibration:
 # ---- An empirical PSF stacked from the bright stars of many frames.
 
 CELLS_PER_FWHM = 4.0  # keep shares good to 4e-4 (see `EmpiricalPsf`)
-FWHM_PER_SIGMA = 2.3548
 STARS_PER_CELL = 4.0  # of a pixel: phases are random, so cells would stay empty with fewer
 MIN_OVERSAMPLING, MAX_OVERSAMPLING = 2, 8  # one cell a pixel is a picture of one phase
 SMOOTHNESS = (1e-3, 1e-2, 1e-1, 1.0)  # of which the best is taken
@@ -356,7 +355,7 @@ def _result(
 
 def _oversampling(n_stars: int, sigma_px: float, wanted: int | None) -> tuple[int, tuple[str, ...]]:
     most = int(np.sqrt(n_stars / STARS_PER_CELL))
-    width = FWHM_PER_SIGMA * np.sqrt(sigma_px**2 + 1.0 / 12.0)
+    width = FWHM_PER_SIGMA * np.sqrt(sigma_px**2 + PIXEL_VARIANCE_PX2)
     ideal = min(int(np.ceil(CELLS_PER_FWHM / width)), MAX_OVERSAMPLING) if wanted is None else wanted
     ideal = max(ideal, MIN_OVERSAMPLING)
     if most < MIN_OVERSAMPLING:

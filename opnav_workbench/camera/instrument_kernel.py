@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera.distortion import BrownDistortion, OwenDistortion
+from opnav_workbench.constants import ARCSEC_PER_RAD, RAD_PER_DEG
 from opnav_workbench.errors import CameraError
 
 __all__ = ["camera_fields_from_ik"]
@@ -29,10 +30,10 @@ MM_PER_UM = 1e-3
 PER_MICRO = 1e6
 LENGTH_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "millimeters": 1.0, "meters": 1000.0}
 ANGLE_IN_RAD = {
-    "DEGREES": np.pi / 180.0,
+    "DEGREES": RAD_PER_DEG,
     "RADIANS": 1.0,
-    "ARCMINUTES": np.pi / 10800.0,
-    "ARCSECONDS": np.pi / 648000.0,
+    "ARCMINUTES": 60.0 / ARCSEC_PER_RAD,
+    "ARCSECONDS": 1.0 / ARCSEC_PER_RAD,
 }
 IFOV_TOLERANCE = (
     0.03  # pixel size over focal length and IFOV differ by up to 0.3 % in flight kernels; a wrong unit by 10x

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.constants import MAD_TO_SIGMA
 
 __all__ = ["Screened", "screen"]
 
 FALSE_ALARM = 0.01  # of a series without outliers: one in a hundred shows one nevertheless
 MIN_POINTS = 6  # of fewer, half may be wrong without anybody knowing which half
-MAD_TO_SIGMA = 1.482602
 MAD_EFFICIENCY = 0.37  # asymptotic, against the standard deviation: its scatter is that of 0.37 n points
 LINE_POINTS = 10  # a slope from fewer points follows the outlier
 BISQUARE = 4.685  # sigmas: 95 % as good as least squares where there is no outlier

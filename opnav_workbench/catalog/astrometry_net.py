@@ -39,14 +39,10 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_bands, johnson_from_gaia, johnson_from_tycho
-from opnav_workbench.catalog.proper_motion import (
-    RAD_PER_DEG,
-    RAD_PER_MAS,
-    UNKNOWN_MOTION_MAS_YR,
-    unknown_parallax_sigma_mas,
-)
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
 from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
 

@@ -65,14 +65,13 @@ from opnav_workbench.catalog.cache import (
 from opnav_workbench.catalog.hipparcos import HIPPARCOS_JYEAR, HipparcosStars, read_hipparcos
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_gaia
 from opnav_workbench.catalog.proper_motion import (
-    RAD_PER_DEG,
-    RAD_PER_MAS,
     UNKNOWN_MOTION_MAS_YR,
     sky_offset_rad,
     two_epoch_motion_rad_yr,
     unknown_parallax_sigma_mas,
 )
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog, sort_keys
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import et_from_jyear, propagate, unit_from_radec
 

@@ -28,10 +28,11 @@ from scipy.spatial import cKDTree
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.interface import Catalog, select
 from opnav_workbench.catalog.johnson import Johnson
-from opnav_workbench.catalog.proper_motion import RAD_PER_MAS, two_epoch_motion_rad_yr, with_mean_motion
+from opnav_workbench.catalog.proper_motion import two_epoch_motion_rad_yr, with_mean_motion
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.region import Region
 from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.geometry import et_from_jyear, jyear_from_et, radec_from_unit
 
 __all__ = ["CombinedCatalog", "combine_stars", "same_stars", "split_specs"]

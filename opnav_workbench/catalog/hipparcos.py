@@ -46,9 +46,9 @@ from opnav_workbench.catalog.cache import (
 )
 from opnav_workbench.catalog.cds_text import TextRows, read_rows, source_files
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_hipparcos
-from opnav_workbench.catalog.proper_motion import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
+from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["HIPPARCOS_JYEAR", "HipparcosStars", "open_hip2", "read_hipparcos"]

@@ -25,11 +25,10 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.geometry import tangent_basis, unit_from_radec
 
 __all__ = [
-    "RAD_PER_DEG",
-    "RAD_PER_MAS",
     "UNKNOWN_MOTION_MAS_YR",
     "mean_motion_rad_yr",
     "sky_offset_rad",
@@ -43,8 +42,6 @@ __all__ = [
 
 # ---- What stands in for astrometry that a catalog does not give: values of zero with honest sigmas.
 
-RAD_PER_DEG = np.pi / 180.0
-RAD_PER_MAS = np.pi / (180.0 * 3.6e6)
 
 # One axis, 1 sigma, for a star of which no motion is known. Between Tycho-2 (J2000) and Gaia (J2016) 68 % of
 # the 356,000 bundled stars without a motion (magnitude 7 to 10) moved by less than 12.4 mas/yr an axis.

@@ -35,14 +35,10 @@ from opnav_workbench.catalog.cache import (
 )
 from opnav_workbench.catalog.cds_text import TextRows, read_rows, source_files
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_hipparcos, johnson_from_tycho
-from opnav_workbench.catalog.proper_motion import (
-    RAD_PER_DEG,
-    RAD_PER_MAS,
-    UNKNOWN_MOTION_MAS_YR,
-    unknown_parallax_sigma_mas,
-)
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["open_tycho2"]

@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import johnson_from_ucac
-from opnav_workbench.catalog.proper_motion import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.catalog.zones import (
-    FASTEST_RAD_YR,
     UCAC_BAND,
     ZoneLayout,
     ZoneStore,
     astrometry_columns,
     open_zones,
 )
+from opnav_workbench.constants import FASTEST_STAR_RAD_YR, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["UCAC2_RECORD", "open_ucac2"]
@@ -72,7 +71,7 @@ def open_ucac2(argument: str) -> StoredCatalog:
             "bands": [UCAC_BAND],
         },
         store=ZoneStore(folder, files, LAYOUT, None if index is None else _zone_counts(index)),
-        motion=MotionBound(FASTEST_RAD_YR, 2000.0, 2000.0),
+        motion=MotionBound(FASTEST_STAR_RAD_YR, 2000.0, 2000.0),
     )
 
 

@@ -21,18 +21,17 @@ from opnav_workbench.catalog.johnson import (
     johnson_from_tycho,
     johnson_from_ucac,
 )
-from opnav_workbench.catalog.proper_motion import RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.catalog.zones import (
-    FASTEST_RAD_YR,
     UCAC_BAND,
     ZoneLayout,
     ZoneStore,
     astrometry_columns,
     open_zones,
 )
+from opnav_workbench.constants import FASTEST_STAR_RAD_YR, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["UCAC4_RECORD", "open_ucac4"]
@@ -90,7 +89,7 @@ def open_ucac4(argument: str) -> StoredCatalog:
             "high_motion_file": None if fast is None else str(fast),
         },
         store=ZoneStore(folder, files, layout, _zone_counts(index) if index else None),
-        motion=MotionBound(FASTEST_RAD_YR, 1998.0, 2004.0),
+        motion=MotionBound(FASTEST_STAR_RAD_YR, 1998.0, 2004.0),
     )
 
 

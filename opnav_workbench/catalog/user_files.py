@@ -35,8 +35,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import johnson_from_bands
 from opnav_workbench.catalog.proper_motion import (
-    RAD_PER_DEG,
-    RAD_PER_MAS,
     UNKNOWN_MOTION_MAS_YR,
     unknown_parallax_sigma_mas,
     unstated_motion_sigma_mas_yr,
@@ -44,6 +42,7 @@ from opnav_workbench.catalog.proper_motion import (
 )
 from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.yaml_file import read_model
 

@@ -23,6 +23,7 @@ from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.region import Region
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.catalog.vizier_tables import TABLES, VizierTable, plain_columns, stars_from_rows
+from opnav_workbench.constants import FASTEST_STAR_RAD_YR
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.geometry import angle_between, jyear_from_et, radec_from_unit, unit_from_radec
@@ -30,7 +31,6 @@ from opnav_workbench.resources import cache_root
 
 __all__ = ["VizierCatalog", "open_vizier"]
 
-FASTEST_RAD_YR = math.radians(10.4 / 3600.0)  # Barnard's star
 # Added to a cone that is fetched, so that the next pictures of a sequence are served by it too.
 FETCH_MARGIN = 1.1
 TIMEOUT_S = 120.0
@@ -179,7 +179,7 @@ class VizierCatalog(Catalog):
             The cone is not on disk and the service cannot be asked; the message has the command to fetch it.
         """
         years = 0.0 if et_s is None else abs(float(jyear_from_et(et_s)) - self._layout.epoch_jyear)
-        reach = min(region.radius_rad + years * FASTEST_RAD_YR, math.pi)
+        reach = min(region.radius_rad + years * FASTEST_STAR_RAD_YR, math.pi)
         ra, dec = (math.degrees(float(angle)) for angle in radec_from_unit(region.center))
         limit = None if math.isinf(mag_limit) else mag_limit
         stars = stars_from_rows(self._rows(FetchedCone(ra, dec, math.degrees(reach), limit)), self._layout)

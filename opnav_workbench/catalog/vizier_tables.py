@@ -30,13 +30,10 @@ from opnav_workbench.catalog.johnson import (
     johnson_from_tycho,
     johnson_from_ucac,
 )
-from opnav_workbench.catalog.proper_motion import (
-    RAD_PER_MAS,
-    UNKNOWN_MOTION_MAS_YR,
-    unknown_parallax_sigma_mas,
-)
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["TABLES", "VizierTable", "stars_from_rows"]

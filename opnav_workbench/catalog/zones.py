@@ -25,17 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
-from opnav_workbench.catalog.proper_motion import (
-    RAD_PER_DEG,
-    RAD_PER_MAS,
-    UNKNOWN_MOTION_MAS_YR,
-    unknown_parallax_sigma_mas,
-)
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
 from opnav_workbench.catalog.star_store import GUARD_RAD, Candidates, ra_spans
 from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
-__all__ = ["FASTEST_RAD_YR", "UCAC_BAND", "ZoneLayout", "ZoneStore", "astrometry_columns", "open_zones"]
+__all__ = ["UCAC_BAND", "ZoneLayout", "ZoneStore", "astrometry_columns", "open_zones"]
 
 
 # ---- Catalogs of binary zone files, as UCAC2 and UCAC4 are: read where they stand, nothing converted or held ...
@@ -43,7 +39,6 @@ __all__ = ["FASTEST_RAD_YR", "UCAC_BAND", "ZoneLayout", "ZoneStore", "astrometry
 ROW_BITS = 24  # row number = zone * 2**24 + record; the largest zone has 0.3 million records
 THREE_DIGITS = np.array([f"{value:03d}" for value in range(1000)])
 TURN_MAS = 1_296_000_000
-FASTEST_RAD_YR = 10_400.0 * RAD_PER_MAS  # Barnard's star; no star moves faster
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from rich.table import Table
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog, StarQuality, StarTable, catalog_status, open_catalog, open_vizier
-from opnav_workbench.catalog.proper_motion import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.cli.terminal import folding_table
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path, json_text
 from opnav_workbench.geometry import et_from_jyear, radec_from_unit

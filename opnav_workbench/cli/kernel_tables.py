@@ -17,6 +17,7 @@ from rich.text import Text
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.cli.terminal import folding_table
+from opnav_workbench.constants import DAY_S, HOUR_S, MINUTE_S
 from opnav_workbench.kernels import (
     CoverageRow,
     FetchedKernels,
@@ -174,7 +175,6 @@ ALL_BUT = 0.999  # a cell covered this far is drawn full: windows end within a s
 SHOWN_FILES = 3
 SHOWN_NAMES = 4  # of bodies that share a gap, or that nobody asked about
 SHOWN_STRETCHES = 2  # gaps or overlaps of one row: those nearest to the time asked, or else the longest
-DAY_S, HOUR_S, MINUTE_S = 86_400.0, 3_600.0, 60.0
 
 
 def print_check(console: Console, check: KernelCheck) -> None:

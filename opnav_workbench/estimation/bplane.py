@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.constants import OBLIQUITY_J2000_RAD
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.batch import Estimate
 from opnav_workbench.observables.differences import jacobian_by_differences
@@ -40,9 +41,8 @@ __all__ = [
 
 # ---- The B-plane of a flyby: where the incoming asymptote would pierce the plane through the body across it.
 
-OBLIQUITY_RAD = np.radians(84381.448 / 3600.0)  # IAU 1976, as SPICE's ECLIPJ2000
 POLES = {
-    "ecliptic": (0.0, -np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)),
+    "ecliptic": (0.0, -np.sin(OBLIQUITY_J2000_RAD), np.cos(OBLIQUITY_J2000_RAD)),
     "j2000": (0.0, 0.0, 1.0),
 }
 PARALLEL_SINE = 1e-8  # sine of the angle between asymptote and pole below which T has no direction

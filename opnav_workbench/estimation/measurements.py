@@ -20,10 +20,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.parameters import ParameterGroup, parameter_count
 from opnav_workbench.estimation.state_transition import Transition
-from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, tangent_basis, unit, unit_from_radec
+from opnav_workbench.geometry import tangent_basis, unit, unit_from_radec
 from opnav_workbench.observables import Observable, joint_covariance_px2
 
 __all__ = ["Dynamics", "Measurements", "measurements_of"]

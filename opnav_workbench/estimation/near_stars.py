@@ -24,13 +24,11 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, symmetric
 from opnav_workbench.catalog import StarTable, open_catalog
 from opnav_workbench.catalog.quality import StarQuality
+from opnav_workbench.constants import ARCSEC_PER_RAD, AU_KM, KM_S_PER_AU_YEAR, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.geometry import (
-    ARCSEC_PER_RAD,
-    AU_KM,
-    KM_S_PER_AU_YEAR,
-    SPEED_OF_LIGHT_KM_S,
     angle_between,
+    et_from_jyear,
     jyear_from_et,
     propagate,
     propagate_covariance,
@@ -221,7 +219,7 @@ def _with_common_names(stars: StarTable) -> StarTable:
 def _is_among(stars: StarTable, row: int, others: StarTable) -> bool:
     """Whether a star is one of the others, at the epoch of each."""
     one = stars.take([row])
-    et = (others.epoch_jyear - 2000.0) * 365.25 * 86400.0
+    et = et_from_jyear(others.epoch_jyear)
     places = np.concatenate([one.directions(float(t)) for t in et])
     there = np.concatenate([others.take([i]).directions(float(t)) for i, t in enumerate(et)])
     return bool((angle_between(places, there) < SAME_STAR_RAD).any())

@@ -30,8 +30,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly, symmetric
+from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import EstimationError
-from opnav_workbench.geometry import ARCSEC_PER_RAD, radec_from_unit, tangent_basis, unit, unit_from_radec
+from opnav_workbench.geometry import radec_from_unit, tangent_basis, unit, unit_from_radec
 
 __all__ = ["Triangulation", "triangulate"]
 
@@ -353,11 +354,12 @@ def triangulate(
     --------
     Two stars at 1.3 and 2.4 parsecs, seen from 47 au with errors of 0.1 arcsec:
 
-    >>> parsec, au, arcsec = 3.0857e13, 149597870.7, np.pi / 648000
+    >>> from opnav_workbench.constants import AU_KM
+    >>> parsec, arcsec = 3.0857e13, 1.0 / ARCSEC_PER_RAD
     >>> stars = np.array([[1.3, 0.0, 0.0], [0.0, 2.4, 0.0]]) * parsec
-    >>> truth = np.array([13.5, -42.0, -16.5]) * au
+    >>> truth = np.array([13.5, -42.0, -16.5]) * AU_KM
     >>> fix = triangulate(unit(stars - truth), stars, (0.1 * arcsec) ** 2)
-    >>> print((fix.position_km / au).round(6), (fix.sigma_km / au).round(3))
+    >>> print((fix.position_km / AU_KM).round(6), (fix.sigma_km / AU_KM).round(3))
     [ 13.5 -42.  -16.5] [0.24  0.13  0.114]
     """
     given = checked_sightings(

@@ -12,12 +12,7 @@ Come in by the functions that the package exports, such as `apparent_direction`,
     A star's direction at an epoch and from a place, with its covariance.
 """
 
-from opnav_workbench.geometry.aberration import (
-    SPEED_OF_LIGHT_KM_S,
-    Convention,
-    apparent_direction,
-    geometric_direction,
-)
+from opnav_workbench.geometry.aberration import Convention, apparent_direction, geometric_direction
 from opnav_workbench.geometry.conics import (
     Ellipse,
     ellipse_from_conic,
@@ -27,7 +22,6 @@ from opnav_workbench.geometry.conics import (
     terminator_points,
 )
 from opnav_workbench.geometry.rotations import (
-    ARCSEC_PER_RAD,
     angle_between,
     camera_from_j2000,
     checked_rotation,
@@ -42,22 +36,9 @@ from opnav_workbench.geometry.rotations import (
     unit_from_radec,
     vector_from_rotation,
 )
-from opnav_workbench.geometry.spacemotion import (
-    AU_KM,
-    JULIAN_YEAR_S,
-    KM_S_PER_AU_YEAR,
-    et_from_jyear,
-    jyear_from_et,
-    propagate,
-    propagate_covariance,
-)
+from opnav_workbench.geometry.spacemotion import et_from_jyear, jyear_from_et, propagate, propagate_covariance
 
 __all__ = [
-    "ARCSEC_PER_RAD",
-    "AU_KM",
-    "JULIAN_YEAR_S",
-    "KM_S_PER_AU_YEAR",
-    "SPEED_OF_LIGHT_KM_S",
     "Convention",
     "Ellipse",
     "angle_between",

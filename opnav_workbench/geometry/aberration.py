@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.geometry.rotations import unit
 
-__all__ = ["SPEED_OF_LIGHT_KM_S", "Convention", "apparent_direction", "geometric_direction"]
+__all__ = ["Convention", "apparent_direction", "geometric_direction"]
 
-SPEED_OF_LIGHT_KM_S = 299792.458
 Convention = Literal["spice", "relativistic"]
 
 

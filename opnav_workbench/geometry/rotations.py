@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from opnav_workbench.arrays import FloatArray
 
 __all__ = [
-    "ARCSEC_PER_RAD",
     "angle_between",
     "camera_from_j2000",
     "checked_rotation",
@@ -28,7 +27,6 @@ __all__ = [
     "vector_from_rotation",
 ]
 
-ARCSEC_PER_RAD = 648000.0 / np.pi
 
 # Largest |m m^T - 1|: lets matrices through that were printed with 7 digits, stops swapped or scaled axes.
 ORTHOGONALITY_TOLERANCE = 1e-6

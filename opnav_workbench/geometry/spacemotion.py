@@ -21,23 +21,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, symmetric
-from opnav_workbench.geometry.aberration import SPEED_OF_LIGHT_KM_S
+from opnav_workbench.constants import AU_KM, J2000_JYEAR, JULIAN_YEAR_S, KM_S_PER_AU_YEAR, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.geometry.rotations import radec_from_unit, tangent_basis, unit, unit_from_radec
 
 __all__ = [
-    "AU_KM",
-    "JULIAN_YEAR_S",
-    "KM_S_PER_AU_YEAR",
     "et_from_jyear",
     "jyear_from_et",
     "propagate",
     "propagate_covariance",
 ]
-
-AU_KM = 149597870.7  # IAU 2012 resolution B2
-JULIAN_YEAR_S = 365.25 * 86400.0
-KM_S_PER_AU_YEAR = AU_KM / JULIAN_YEAR_S  # 4.7404705, which the Hipparcos volumes call A_V
-J2000_JYEAR = 2000.0
 
 
 def jyear_from_et(et_s: ArrayLike) -> FloatArray:

@@ -12,6 +12,7 @@ squares, which bears nearly half of wrong values, Rousseeuw & Van Driessen (2006
 Sets", doi:10.1007/s10618-005-0024-4.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.constants import MAD_TO_SIGMA, PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import ImageError
 
 __all__ = ["Background", "column_level", "estimate_background", "pixel_noise"]
@@ -276,9 +278,9 @@ SKY_TOLERANCE_SIGMA = 0.5
 # ... unless the tiles scatter more by themselves: then five times their scatter about the surface.
 SKY_TOLERANCE_SCATTER = 5.0
 NOISE_SMOOTHING_TILES = 3  # median filter: a tile's noise is known to 2 %, its neighbours share it
-UNIFORM_SIGMA = 12.0**-0.5  # DN: of a value rounded to a whole number; no picture of whole numbers is quieter
+# DN: of a value rounded to a whole number; no picture of whole numbers is quieter
+UNIFORM_SIGMA = math.sqrt(PIXEL_VARIANCE_PX2)
 NOISE_FREE_SHARE = 1e-6  # of the range of values: keeps the weights of a simulation without noise finite
-MAD_TO_SIGMA = 1.482602
 
 
 @dataclass(frozen=True, slots=True, eq=False)

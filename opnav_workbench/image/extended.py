@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.image.background import Background, estimate_background
 
 __all__ = ["extended_light", "sky_and_bodies"]
@@ -29,7 +30,6 @@ EDGE_SIGMAS = 3.0
 EDGE_FROM_PX, EDGE_TO_PX = 2.0, 6.0  # from the rim, to both sides
 BLOCK_PX = 16  # of the search for the darkest part, which then is the sky
 DARKEST_PERCENTILE = 2.0
-MAD_TO_SIGMA = 1.482602
 
 
 def sky_and_bodies(

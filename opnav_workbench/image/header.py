@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.constants import AU_KM, DAY_S, J2000_JD
 from opnav_workbench.errors import MissionError
-from opnav_workbench.geometry import AU_KM, matrix_from_quaternion
+from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.image.masks import QUALITY_TABLES
 
 __all__ = [
@@ -300,9 +301,6 @@ def _system_remarks(header: Header) -> tuple[str, ...]:
 
 # ---- From the Sun to the solar-system barycenter without kernels.
 
-J2000_JD = 2451545.0
-DAY_S = 86400.0
-
 
 def barycentric_from_heliocentric(
     position_km: ArrayLike, velocity_km_s: ArrayLike, et: ArrayLike
@@ -328,7 +326,8 @@ def barycentric_from_heliocentric(
     Examples
     --------
     >>> position, velocity = barycentric_from_heliocentric([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 0.0)
-    >>> bool(np.linalg.norm(position) < 2.2 * 695_700.0)  # the Sun stays within two of its radii
+    >>> from opnav_workbench.constants import SUN_RADIUS_KM
+    >>> bool(np.linalg.norm(position) < 2.2 * SUN_RADIUS_KM)  # the Sun stays within two of its radii
     True
     """
     heliocentric, barycentric = erfa.epv00(J2000_JD, np.asarray(et, dtype=np.float64) / DAY_S)

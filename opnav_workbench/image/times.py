@@ -9,10 +9,10 @@ import re
 import numpy as np
 from astropy.time import Time
 
+from opnav_workbench.constants import DAY_S, J2000_JD
+
 __all__ = ["et_from_text", "text_from_et"]
 
-J2000_JD = 2451545.0
-DAY_S = 86400.0
 DAY_OF_YEAR = re.compile(r"(\d{4})-(\d{3})[T ](.+)")
 CLOCK = re.compile(r"\d{1,2}:\d{2}")  # a date alone would silently mean midnight
 

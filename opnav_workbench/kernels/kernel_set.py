@@ -21,6 +21,7 @@ from typing import Any
 
 import yaml
 
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels.files import KernelFile
 from opnav_workbench.kernels.loading import (
@@ -42,7 +43,7 @@ __all__ = ["KernelSet", "KernelSetInfo", "kernel_sets", "known_names", "scenario
 # ---- Kernels built from scenario files: made once per scenario and package version, kept in the user's cache.
 
 BUILDING = ".building-"
-STALE_BUILD_S = 86_400.0  # a build takes seconds to minutes; what is a day old was killed
+STALE_BUILD_S = DAY_S  # a build takes seconds to minutes; what is a day old was killed
 HASH_DIGITS = 12
 NAMED_FILE = re.compile(rb"\bfile:\s*['\"]?([^\s'\",}]+)")  # tables and shapes that a scenario names
 

@@ -14,12 +14,11 @@ from pathlib import Path
 
 import spiceypy
 
+from opnav_workbench.constants import DAY_S, J2000_JD
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call
 
 __all__ = [
-    "DAY_S",
-    "J2000_JD",
     "et_from_jd",
     "et_from_sclk",
     "et_from_tdb_datetime",
@@ -128,8 +127,6 @@ def packaged_leap_seconds() -> AbstractContextManager[Path]:
 
 
 # ---- Calendar times and Julian dates of scenario files as ephemeris time (TDB seconds past J2000).
-DAY_S = 86400.0
-J2000_JD = 2451545.0
 J2000_EPOCH = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 

@@ -14,14 +14,9 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies import BodyCenter, JointCenters
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import (
-    ARCSEC_PER_RAD,
-    apparent_direction,
-    geometric_direction,
-    radec_from_unit,
-    tangent_basis,
-)
+from opnav_workbench.geometry import apparent_direction, geometric_direction, radec_from_unit, tangent_basis
 from opnav_workbench.observables.observable import LIGHT_TIMES, Observable
 from opnav_workbench.observables.partials import (
     aberration_jacobian,

@@ -27,8 +27,9 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, apparent_direction
+from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.observables.differences import STEP_COUNT, STEP_RATIO, limit_of_slopes
 
 __all__ = [

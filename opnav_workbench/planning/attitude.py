@@ -11,8 +11,9 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import ARCSEC_PER_RAD, radec_from_unit, tangent_basis
+from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.planning.stars import StarPlan
 from opnav_workbench.stars.pointing import solve_pointing
 from opnav_workbench.stars.pointing.attitude_fit import LinearizedProblem

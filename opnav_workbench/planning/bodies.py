@@ -19,8 +19,8 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies import choose_method
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.model import sky_jacobian
+from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.geometry import ARCSEC_PER_RAD
 from opnav_workbench.kernels import KernelSet, body_id, body_name
 from opnav_workbench.observables import attitude_partials
 from opnav_workbench.photometry import SUN_B_V

@@ -18,6 +18,7 @@ from scipy import sparse
 from scipy.linalg import solveh_banded
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, readonly
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.psf.protocol import Psf
@@ -34,7 +35,6 @@ SMOOTHNESS = (
 PASSES = 3
 OUTLIER_SIGMAS = 6.0  # a neighbor star or a cosmic ray; a 6-sigma pixel by chance is one in 10^9
 MODEL_ERROR = 0.05  # of a pixel's light: shot noise, errors of the center and of the cells themselves
-SIGMA_PER_MAD = 1.4826
 
 
 def cells_from_stars(
@@ -95,7 +95,7 @@ def cells_from_stars(
         coefficients = _solve_cells(rows, heavy * (data - known)[keep], n_cell, smoothness)
         model = known + design @ coefficients
         residual = np.abs(data - model)
-        sigma = SIGMA_PER_MAD * float(np.median(residual[keep]))
+        sigma = MAD_TO_SIGMA * float(np.median(residual[keep]))
         keep = residual <= OUTLIER_SIGMAS * np.hypot(sigma, MODEL_ERROR * model)
     cells = _spline_values(coefficients.reshape(n_cell, n_cell))
     return cells if base is None else cells + _cells_of_base(base, oversampling, half)

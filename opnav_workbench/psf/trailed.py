@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
+from opnav_workbench.constants import FWHM_PER_SIGMA
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.empirical import EmpiricalPsf
 from opnav_workbench.psf.protocol import Psf, PsfGradient, cell_shift, checked_centers, covering_boxes
 
 __all__ = ["TrailedPsf"]
 
-SIGMA_TO_FWHM = 2.3548
 CELLS_PER_FWHM = 12  # see `EmpiricalPsf`
 MIN_CELLS = 4
 COPIES_PER_SIGMA = 2.0  # copies half a sigma apart make a trail that is smooth to 1e-8
@@ -100,7 +100,7 @@ class TrailedPsf:
         """
         if self.psf.at(np.zeros(2)) is not self.psf:
             return self
-        fwhm_px = SIGMA_TO_FWHM * float(self.psf.sigma_px.min())
+        fwhm_px = FWHM_PER_SIGMA * float(self.psf.sigma_px.min())
         cells = max(MIN_CELLS, int(np.ceil(CELLS_PER_FWHM / fwhm_px)))
         return EmpiricalPsf(self.kernel(cells), cells)
 

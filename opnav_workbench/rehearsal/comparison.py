@@ -18,7 +18,8 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.model import sky_jacobian
-from opnav_workbench.geometry import ARCSEC_PER_RAD, matrix_from_quaternion
+from opnav_workbench.constants import ARCSEC_PER_RAD
+from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.simulation import Truth
 from opnav_workbench.stars.pointing import attitude_shift
 

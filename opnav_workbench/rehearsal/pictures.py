@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.distortion import DirectDistortion, Distortion
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.files import make_folder
-from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.rehearsal.case import OrtCase, perturbation_random
 from opnav_workbench.rehearsal.scenario import OrtEntry, OrtScenario

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.constants import AU_KM, SUN_RADIUS_KM
 from opnav_workbench.errors import MissionError
-from opnav_workbench.geometry import AU_KM
 from opnav_workbench.render.ellipsoid import Ellipsoid, Surface, SurfacePoints, column_dot
 from opnav_workbench.render.maps import AlbedoMap
 from opnav_workbench.render.scattering import Lambert, ScatteringLaw
@@ -22,7 +22,6 @@ __all__ = ["BodyModel", "IntegratedLight", "PlacedBody", "integrate_light"]
 
 # ---- One body to render: its model, and that model placed before the camera and under the Sun.
 
-SUN_RADIUS_KM = 695_700.0
 PATTERN_PX = 0.25  # map cells are averaged up to this size: the spacing of rays in a divided pixel
 COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 

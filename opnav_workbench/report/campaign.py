@@ -18,6 +18,7 @@ from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.campaign import Completeness, Series, Trends
 from opnav_workbench.campaign.stacking import Growth, Stacked
 from opnav_workbench.campaign.stacking.grid import resample
+from opnav_workbench.constants import DAY_S, HOUR_S
 
 __all__ = ["stack_figure", "trends_figure"]
 
@@ -26,8 +27,6 @@ __all__ = ["stack_figure", "trends_figure"]
 
 PIXEL_COLOR, LINE_COLOR, TWIST_COLOR, GREY = "#0072B2", "#D55E00", "#009E73", "0.6"
 OUTLIER_COLOR = "#CC79A7"
-DAY_S = 86_400.0
-HOUR_S = 3_600.0
 FEW_DAYS = 3.0  # below this the axis counts hours
 PANEL_HEIGHT, WIDTH = 2.7, 12.0
 

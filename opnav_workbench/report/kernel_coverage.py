@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.kernels import CoverageRow, KernelCheck, utc_from_et
 from opnav_workbench.report.drawing import write_png
 
@@ -20,7 +21,6 @@ NARROWEST = 0.002  # of the axis: a shorter window would not be seen
 ROW_INCH, MARGIN_INCH, WIDTH_INCH = 0.28, 1.3, 10.0
 BAR_HEIGHT = 0.7
 N_TICKS = 5
-DAY_S = 86_400.0
 
 
 def write_coverage(check: KernelCheck, path: str | Path) -> None:

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.files import write_text
 from opnav_workbench.planning import (
     Approach,
@@ -41,7 +42,6 @@ GRADE_SIGNS = {"good": "o", "marginal": "s", "bad": "X"}
 TARGET_COLORS = ("#D55E00", "#0072B2", "#CC79A7", "#E69F00")
 NAMED = 8  # the brightest stars get their magnitudes
 CHART_INCH, STRIP_ASPECT = 5.6, 4.0
-DAY_S = 86_400.0
 LEAST_RING_PX = 0.018  # of the detector: a ring that is seen
 
 

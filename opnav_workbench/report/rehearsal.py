@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.estimation import error_ellipse
 from opnav_workbench.rehearsal.score import OrtScore
 from opnav_workbench.rehearsal.solution import OrtSolution
@@ -38,7 +39,6 @@ DARK = {"pixel": "#56B4E9", "line": "#E69F00", "before": "#9aa7b8", "solved": "#
 DARK_INK, DARK_GROUND = "#e4e9f0", "#14181f"
 MARKERS = ("o", "s", "^", "D", "v", "P")
 SIGMAS = (1.0, 3.0)
-DAY_S = 86_400.0
 CLOSE_UP = 5.0  # sigmas to either side
 
 

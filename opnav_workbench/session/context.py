@@ -7,6 +7,7 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import Background, KeywordMap, Picture, pixel_noise, read_image, sky_and_bodies
 from opnav_workbench.mission import Mission
@@ -91,7 +92,7 @@ def faintest_magnitude(context: Context) -> float:
     if zero_point is None or noise.size == 0:
         return float("inf")
     # A PSF of this width spreads its light over as many pixels.
-    pixels = 4.0 * np.pi * (context.camera.psf.sigma_px**2 + 1.0 / 12.0)
+    pixels = 4.0 * np.pi * (context.camera.psf.sigma_px**2 + PIXEL_VARIANCE_PX2)
     return zero_point - 2.5 * float(np.log10(DETECTION_SNR * np.median(noise) * np.sqrt(pixels)))
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CameraError
 from opnav_workbench.simulation.charge import CosmicRayHits, bloom, draw_cosmic_rays, poisson_counts
 from opnav_workbench.simulation.detector_properties import (
@@ -56,7 +57,7 @@ def draw_lost_data(settings: LostData, shape: tuple[int, int], rng: np.random.Ge
 
 # ---- The detector: from the light that falls on each pixel to data numbers.
 
-ROUNDING_VARIANCE = 1.0 / 12.0  # DN^2, of a value rounded to a whole number
+ROUNDING_VARIANCE = PIXEL_VARIANCE_PX2  # DN^2, of a value rounded to a whole number
 
 
 @dataclass(frozen=True, slots=True, eq=False)

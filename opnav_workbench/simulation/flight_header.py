@@ -30,6 +30,7 @@ from pydantic import Field
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import DAY_S, HOUR_S, MINUTE_S
 from opnav_workbench.errors import KernelError, MissionError
 from opnav_workbench.geometry import (
     angle_between,
@@ -54,7 +55,6 @@ __all__ = ["FlightRecord", "flight_cards", "utc_text", "wcs_cards"]
 SUN, EARTH = 10, 399
 ALONG_BORESIGHT = 0.5  # cosine above which an axis has no useful position angle
 NO_ANGLE = -999.0
-J2000_JD, DAY_S = 2451545.0, 86400.0
 
 Value = TypeVar("Value")
 
@@ -157,7 +157,7 @@ def _julian_date(record: FlightRecord, et: float) -> float:
     day, clock = utc_text(record.et).split("T")
     hours, minutes, seconds = (float(part) for part in clock.split(":"))
     midnight = datetime.fromisoformat(day).toordinal() + 1721424.5
-    return midnight + (3600.0 * hours + 60.0 * minutes + seconds + (et - record.et)) / DAY_S
+    return midnight + (HOUR_S * hours + MINUTE_S * minutes + seconds + (et - record.et)) / DAY_S
 
 
 def _pointing_quantities(record: FlightRecord) -> Iterator[tuple[str, Any]]:

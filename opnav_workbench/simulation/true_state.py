@@ -13,8 +13,8 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.geometry import (
-    SPEED_OF_LIGHT_KM_S,
     camera_from_j2000,
     matrix_from_quaternion,
     pointing_angles,

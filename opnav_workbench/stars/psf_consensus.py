@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.psf import shape_from_ellipse
 from opnav_workbench.stars.flags import StarFlag
 from opnav_workbench.stars.least_squares import SEARCH_RADIUS_PX, fit_gaussian
@@ -25,7 +26,6 @@ WELL_EXPOSED_SNR = 30.0  # from here a star's shape is known to a few percent
 MIN_SIGMA_LOG_SCALE = 0.03  # width and ellipticity differ between stars by at least this: field, color, smear
 MIN_SIGMA_ELLIPTICITY = 0.03
 OUTLIER_SIGMAS = 4.0
-MAD_TO_SIGMA = 1.4826
 MAX_PSF_ERROR = 0.3
 
 SHAPE_SPOILED = (

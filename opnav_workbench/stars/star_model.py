@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.psf import Psf, TrailedPsf, box_integrals, box_values, covering_boxes, ellipse_from_shape
 from opnav_workbench.stars.boxes import Boxes
 from opnav_workbench.stars.levenberg_marquardt import ModelEvaluation
@@ -30,7 +31,6 @@ SCALE_RANGE_SIGMAS = 5.0  # how far from its prior the log scale may go
 # A fitted scale this fraction of the PSF's is a cosmic ray, where the PSF is wide enough to tell.
 COSMIC_RAY_SCALE = 0.5
 RESOLVED_SIGMA_PX = 0.6
-PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 
 
 class StarProfile(Protocol):

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.geometry import AU_KM, angle_between
+from opnav_workbench.constants import AU_KM
+from opnav_workbench.geometry import angle_between
 from opnav_workbench.photometry import SUN_V_MAG
 from opnav_workbench.targets.target_state import TargetState
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.constants import ARCSEC_PER_RAD, AU_KM
 from opnav_workbench.errors import CatalogError, KernelError
-from opnav_workbench.geometry import ARCSEC_PER_RAD, AU_KM, radec_from_unit, tangent_basis
+from opnav_workbench.geometry import radec_from_unit, tangent_basis
 
 __all__ = ["MIN_PARALLAX_RAD", "TargetState", "star_target"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import SessionError
-from opnav_workbench.geometry import ARCSEC_PER_RAD
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 from opnav_workbench.workbench.actions import ActionRegistry

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from PIL import Image
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.constants import MAD_TO_SIGMA
 
 __all__ = [
     "COLORMAPS",
@@ -55,7 +56,6 @@ ZSCALE_SAMPLES = 4000
 SKY_SIGMAS = (-1.5, 30.0)
 SKY_PERCENTILE = 99.7
 ZSCALE_LEAST = 5  # pixels; astropy fits a line through them
-SIGMA_FROM_MAD = 1.4826
 SIGMAS_1_TO_99 = 4.65  # between the percentiles of a normal distribution
 
 
@@ -102,7 +102,7 @@ def limits_of(image_dn: FloatArray, usable: BoolArray | None = None) -> dict[str
 
 def _sky(values: FloatArray) -> tuple[float, float]:
     middle, bright, low, high = np.percentile(values, (50.0, SKY_PERCENTILE, 1.0, 99.0))
-    sigma = SIGMA_FROM_MAD * np.median(np.abs(values - middle))
+    sigma = MAD_TO_SIGMA * np.median(np.abs(values - middle))
     if sigma == 0.0:  # noise below the digital step: most pixels share one value
         sigma = (high - low) / SIGMAS_1_TO_99
     return middle + SKY_SIGMAS[0] * sigma, max(middle + SKY_SIGMAS[1] * sigma, bright)

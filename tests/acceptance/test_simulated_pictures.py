@@ -15,6 +15,7 @@ from astropy.io import fits
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.image import KeywordMap
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
@@ -35,7 +36,6 @@ from opnav_workbench.simulation import (
 from opnav_workbench.simulation.attitude_path import moving_path
 
 ARCSEC = np.pi / 648000.0
-AU_KM = 149597870.7
 READY = {
     "m7": ("new_horizons/m7_2006", "new_horizons/m7_2006", ""),
     "pluto_charon": ("new_horizons/pluto_charon", "new_horizons/pluto_approach", "PLUTO,CHARON"),

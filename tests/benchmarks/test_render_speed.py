@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import AU_KM, rotation_from_vector
+from opnav_workbench.constants import AU_KM
+from opnav_workbench.geometry import rotation_from_vector
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import (
     AlbedoMap,

@@ -8,9 +8,9 @@ from astropy.table import Table
 
 from opnav_workbench.catalog import StarTable, open_catalog
 from opnav_workbench.catalog.combined import CombinedCatalog, combine_stars, same_stars
-from opnav_workbench.catalog.proper_motion import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.user_files import open_npz
+from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 EPOCHS = (2016.0, 2000.0)

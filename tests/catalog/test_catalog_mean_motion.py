@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from opnav_workbench.catalog import open_catalog
-from opnav_workbench.catalog.proper_motion import RAD_PER_MAS, mean_motion_rad_yr, with_mean_motion
+from opnav_workbench.catalog.proper_motion import mean_motion_rad_yr, with_mean_motion
+from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.geometry import tangent_basis, unit_from_radec
 
 FIELDS = [

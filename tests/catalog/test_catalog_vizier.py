@@ -8,11 +8,12 @@ import pytest
 from astropy import units as u
 from astropy.table import MaskedColumn, Table
 
-from opnav_workbench.catalog.proper_motion import RAD_PER_MAS, UNKNOWN_MOTION_MAS_YR
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.specs import open_catalog
 from opnav_workbench.catalog.vizier import VizierCatalog
 from opnav_workbench.catalog.vizier_tables import TABLES
+from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 # Proxima Cen (Gaia DR3) and two invented companions: one with two parameters only, one with a poor fit.

@@ -12,17 +12,12 @@ import pytest
 
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import (
-    SPEED_OF_LIGHT_KM_S,
-    apparent_direction,
-    camera_from_j2000,
-    radec_from_unit,
-)
+from opnav_workbench.constants import DAY_S, SPEED_OF_LIGHT_KM_S
+from opnav_workbench.geometry import apparent_direction, camera_from_j2000, radec_from_unit
 from opnav_workbench.observables import Observable, joint_covariance_px2, observe
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import TargetState
 
-DAY_S = 86400.0
 ENCOUNTER_ET = 490146664.0
 ALONG = np.array([-0.036, -0.962, -0.2706])  # nearly the direction that New Horizons flew in
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation import estimate, observability
 from opnav_workbench.estimation.measurements import Dynamics, measurements_of
@@ -13,7 +14,6 @@ from opnav_workbench.estimation.parameters import parameter_count, parse_groups
 from opnav_workbench.estimation.state_transition import straight_line
 from opnav_workbench.observables.differences import jacobian_by_differences
 
-DAY_S = 86400.0
 ENCOUNTER_ET = 490146664.0
 OFFSET_KM = 4500.0
 DAYS = np.linspace(11.0, 2.2, 8)

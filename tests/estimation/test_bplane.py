@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import spiceypy
 
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation import (
     b_plane,
@@ -18,7 +19,6 @@ from opnav_workbench.observables.differences import jacobian_by_differences
 
 GM_JUPITER, GM_PLUTO = 126712764.1, 975.5
 ENCOUNTER_ET = 490146664.0
-DAY_S = 86400.0
 
 
 def hyperbola(s, t, b_dot_t, b_dot_r, v_infinity, gm, anomaly):

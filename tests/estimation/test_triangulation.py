@@ -14,16 +14,10 @@ from astropy.time import Time
 from scipy.optimize import minimize
 
 from opnav_workbench.catalog import StarTable, read_star_list
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation import best_pairs, nearest_stars, star_positions, triangulate
-from opnav_workbench.geometry import (
-    AU_KM,
-    angle_between,
-    radec_from_unit,
-    rotation_from_vector,
-    tangent_basis,
-    unit,
-)
+from opnav_workbench.geometry import angle_between, radec_from_unit, rotation_from_vector, tangent_basis, unit
 from opnav_workbench.resources import kernels_meta_dir
 
 ARCSEC = np.pi / 648000.0

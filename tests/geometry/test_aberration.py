@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from opnav_workbench import geometry as geo
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 
-C = geo.SPEED_OF_LIGHT_KM_S
+C = SPEED_OF_LIGHT_KM_S
 ROUNDING_RAD = 1e-14
 ARCSEC = np.pi / 180 / 3600
 CONVENTIONS = pytest.mark.parametrize("convention", ["spice", "relativistic"])

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from opnav_workbench import geometry as geo
+from opnav_workbench.constants import AU_KM, JULIAN_YEAR_S
 
 MAS = np.pi / 180 / 3600e3
 ARCSEC = 1e3 * MAS
 C_KM_S = 299792.458
-FAR_OUT_KM = 47.1 * geo.AU_KM * np.array([0.21, -0.86, -0.46])  # like New Horizons in 2020
+FAR_OUT_KM = 47.1 * AU_KM * np.array([0.21, -0.86, -0.46])  # like New Horizons in 2020
 
 
 class Star(NamedTuple):
@@ -123,15 +124,13 @@ class _FlownStar:
 
     def catalogue(self):
         """Position, motion and distance as measured from the barycenter at J2000.0."""
-        half = geo.JULIAN_YEAR_S / 2
+        half = JULIAN_YEAR_S / 2
         before, now, after = (self.seen_from(np.zeros(3), et) for et in (-half, 0.0, half))
         ra, dec = geo.radec_from_unit(now)
         east, north = geo.tangent_basis(ra, dec)
         turn = geo.unit(after) - geo.unit(before)
-        rv = (np.linalg.norm(after) - np.linalg.norm(before)) / geo.JULIAN_YEAR_S
-        return Star(
-            float(ra), float(dec), turn @ east, turn @ north, geo.AU_KM / np.linalg.norm(now), float(rv)
-        )
+        rv = (np.linalg.norm(after) - np.linalg.norm(before)) / JULIAN_YEAR_S
+        return Star(float(ra), float(dec), turn @ east, turn @ north, AU_KM / np.linalg.norm(now), float(rv))
 
 
 @pytest.mark.parametrize("observer_km", [np.zeros(3), FAR_OUT_KM, -2 * FAR_OUT_KM])
@@ -277,7 +276,7 @@ def test_covariance_agrees_with_monte_carlo():
 def test_parallax_error_grows_with_the_distance_of_the_observer():
     """1 mas of parallax is 40 mas of direction from 40 au abeam, toward the side away from the observer."""
     covariance = np.diag([0.0, 0.0, MAS, 0.0, 0.0]) ** 2
-    ours = geo.propagate_covariance(covariance, 2016.0, 0.0, 0.0, 0.0, [0.0, 40 * geo.AU_KM, 0.0])
+    ours = geo.propagate_covariance(covariance, 2016.0, 0.0, 0.0, 0.0, [0.0, 40 * AU_KM, 0.0])
     np.testing.assert_allclose(ours, [[(40 * MAS) ** 2, 0.0], [0.0, 0.0]], rtol=1e-9, atol=1e-30)
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import spiceypy as spice
 
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import ImageError
-from opnav_workbench.geometry import AU_KM, radec_from_unit
+from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.image import KeywordMap, barycentric_from_heliocentric, estimate_background, read_image
 
 pytestmark = pytest.mark.realdata

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import KernelError, MissionError, OpNavError
 from opnav_workbench.kernels import (
     KernelSet,
@@ -31,7 +32,6 @@ from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.kernels.making.scenario import load_scenario
 from opnav_workbench.kernels.time import et_from_tdb_datetime
 
-AU_KM = 149597870.7
 PIXEL_RAD = 10e-6 / 0.1
 ATTITUDE_TOLERANCE_RAD = 1e-12
 MINI = {

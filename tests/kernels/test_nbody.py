@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import spiceypy
 
+from opnav_workbench.constants import AU_KM, DAY_S
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.kernels.making.forces import PLANETS, ForceModel, PointMass, planet_ephemeris
@@ -13,8 +14,6 @@ from opnav_workbench.kernels.making.nbody import Impulse, propagate
 from opnav_workbench.kernels.writing import SpkSegment, write_spk
 
 ET = 489024000.0  # 2015-07-01
-DAY_S = 86400.0
-AU_KM = 149597870.7
 SUN_GM = PLANETS[0].gm_km3_s2
 ROCK = 2999999
 ROCK_GM = 5e-3

@@ -8,6 +8,7 @@ import spiceypy
 import yaml
 
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import AU_KM, DAY_S
 from opnav_workbench.geometry.rotations import angle_between
 from opnav_workbench.kernels import (
     KernelSet,
@@ -32,8 +33,6 @@ SCENARIOS = {
     for name in ("new_horizons/pluto_approach", "new_horizons/m7_2006", "osiris_rex/bennu_approach")
 }
 BUILD_LIMIT_S = 15.0
-AU_KM = 149597870.7
-DAY_S = 86400.0
 KM_PER_MILE = 1.609344
 BENNU = 2101955
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import spiceypy
 
+from opnav_workbench.constants import AU_KM, DAY_S
 from opnav_workbench.errors import MissionError
 from opnav_workbench.kernels import KernelSet, et_from_utc
 from opnav_workbench.kernels.making import trajectories
@@ -17,8 +18,6 @@ from opnav_workbench.kernels.making.forces import planet_ephemeris
 from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.kernels.writing import SpkSegment
 
-AU_KM = 149597870.7
-DAY_S = 86400.0
 SUN_GM = 132712440041.27942
 COMET, ROCK = 1000999, 3999999
 PARTS = {

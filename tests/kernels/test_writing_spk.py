@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import spiceypy
 
+from opnav_workbench.constants import HOUR_S
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels.writing import SpkSegment, write_spk
 
 GM_KM3_S2 = 975.5
 POSITION_TOLERANCE_KM = 1e-6
 VELOCITY_TOLERANCE_KM_S = 1e-12
-HOUR_S = 3600.0
 TARGET, CENTER = -999, 9
 
 

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opnav_workbench.bodies import BodyCenter
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import SPEED_OF_LIGHT_KM_S, apparent_direction, camera_from_j2000, limb_points
+from opnav_workbench.geometry import apparent_direction, camera_from_j2000, limb_points
 from opnav_workbench.observables import (
     analytic_position_partials,
     analytic_target_partials,

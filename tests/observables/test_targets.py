@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import CatalogError, KernelError
-from opnav_workbench.geometry import AU_KM, camera_from_j2000, unit_from_radec
+from opnav_workbench.geometry import camera_from_j2000, unit_from_radec
 from opnav_workbench.observables import numerical_position_partials
 from opnav_workbench.targets import MIN_PARALLAX_RAD, TargetState, center_of_light_radii, star_target
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import fftconvolve
 
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import AU_KM, geometric_direction, rotation_from_vector, unit
+from opnav_workbench.constants import AU_KM
+from opnav_workbench.geometry import geometric_direction, rotation_from_vector, unit
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, Lambert, render_bodies
 from opnav_workbench.resources import kernels_meta_dir

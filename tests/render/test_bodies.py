@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import AU_KM, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.geometry import AU_KM, SPEED_OF_LIGHT_KM_S, apparent_direction, unit
+from opnav_workbench.geometry import apparent_direction, unit
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, LommelSeeliger, render_bodies
 from opnav_workbench.scene import Observer, predict_body

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import MissionError
-from opnav_workbench.geometry import AU_KM
 from opnav_workbench.render import Hapke, Lambert, LommelSeeliger, LunarLambert, Minnaert, law_from_mapping
 from opnav_workbench.targets import lambert_phase_function, lommel_seeliger_phase_function
 

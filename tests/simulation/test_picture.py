@@ -7,8 +7,8 @@ import pytest
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import CameraError
-from opnav_workbench.geometry import AU_KM
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, Lambert
 from opnav_workbench.resources import kernels_meta_dir

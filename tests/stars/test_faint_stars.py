@@ -7,6 +7,7 @@ search of a hundred. The stars have wings; the matched filter's template is a re
 import numpy as np
 import pytest
 
+from opnav_workbench.constants import FWHM_PER_SIGMA
 from opnav_workbench.psf import MoffatPsf, add_sources
 from opnav_workbench.stars import correlate, extract_template, flux_at_snr, gaussian_template
 
@@ -16,7 +17,6 @@ FWHM_PX, BETA = 2.0, 2.5
 SEARCH_PX, FOUND_PX = 6.0, 1.5
 FALSE_ALARM = 0.01
 EMPTY_FIELDS = 6  # 9600 searches, some 100 false alarms
-FWHM_PER_SIGMA = 2.3548
 
 
 @pytest.fixture(scope="module")

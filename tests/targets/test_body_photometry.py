@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.integrate import dblquad
 
-from opnav_workbench.geometry import AU_KM
+from opnav_workbench.constants import AU_KM
 from opnav_workbench.mission import load_mission
 from opnav_workbench.targets import (
     Photometry,

@@ -23,6 +23,7 @@ from opnav_workbench.bodies.place_search import CorrelationPeak, search_place
 from opnav_workbench.bodies.results import BodyFlag
 from opnav_workbench.bodies.silhouette import Outline, Silhouette
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction, geometric_direction
 
@@ -391,7 +392,7 @@ def _lag_scatter_px(
 ) -> float:
     away = np.einsum("ij,ij->i", pieces.normal, pieces.point_px - outline.center_px)
     residual = lags.lag_px - pieces.normal @ motion[:2] + away * motion[2]
-    return 1.4826 * float(np.median(np.abs(residual[follow])))
+    return MAD_TO_SIGMA * float(np.median(np.abs(residual[follow])))
 
 
 def _horizon(

@@ -30,6 +30,7 @@ from scipy.special import chdtri
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.results import FreeEllipse
 from opnav_workbench.camera import Camera
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import Ellipse, unit
 
@@ -101,7 +102,6 @@ def horizon_position(
 OUTLIER_SIGMAS = 4.0  # of noise and roughness together: 6e-5 of good points
 ROUNDS = 12  # of leaving out and taking back
 DOUBT = 0.01  # residuals larger than this share of mere noise would give count as roughness
-NORMAL_MAD = 1.4826
 FIRST_LENGTH = 2.0  # pieces, to start from
 SHORTEST, SHORTEST_PULL = 0.2, 1.0
 MOST_RELIEF_TRIALS = 80
@@ -204,7 +204,7 @@ def _robust_start(shift: FloatArray, sigma: FloatArray, design: FloatArray, used
     solution = np.zeros(design.shape[1])
     for _ in range(ROUNDS):
         residual = shift - design @ solution
-        scale = max(NORMAL_MAD * float(np.median(np.abs(residual[used] / sigma[used]))), 1.0)
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual[used] / sigma[used]))), 1.0)
         width = sigma * np.sqrt(1.0 + (residual / (2.0 * scale * sigma)) ** 2)
         solution = _weighted(shift, width, design, used)[0]
     return solution
@@ -212,7 +212,7 @@ def _robust_start(shift: FloatArray, sigma: FloatArray, design: FloatArray, used
 
 def _excess_scatter(residual: FloatArray, sigma: FloatArray) -> float:
     """Return the width of the residuals' core beyond the noise, from their median."""
-    core = NORMAL_MAD * float(np.median(np.abs(residual)))
+    core = MAD_TO_SIGMA * float(np.median(np.abs(residual)))
     return float(np.sqrt(max(core**2 - float(np.median(sigma)) ** 2, 0.0)))
 
 

@@ -15,12 +15,12 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetr
 from opnav_workbench.bodies.limb_scan.fan import ScanSampler
 from opnav_workbench.bodies.limb_scan.matching import ScanMatch
 from opnav_workbench.bodies.limb_scan.view import CORRELATION_RAD
+from opnav_workbench.constants import MAD_TO_SIGMA
 
 __all__ = ["CenterStep", "ErrorSources", "OffsetErrors", "offset_errors", "solve_center"]
 
 OUTLIER_SIGMAS = 4.0
 ROUNDS = 10
-MAD_SIGMA = 1.4826
 FEWEST = 3
 MAX_REJECTED = 0.4  # of the scans: more outliers than that are the rule
 # A common distance of all offsets from zero, beyond this many sigmas, is not noise: the body has another size, and a limb
@@ -206,7 +206,7 @@ def _without_outliers(match: ScanMatch, sigma: FloatArray, chosen: BoolArray) ->
         weight = np.where(used, 1.0 / sigma**2, 0.0)
         step = _estimator(match.motion, weight) @ match.offset_px
         residual = np.abs(match.offset_px - match.motion @ step) / sigma
-        spread = max(MAD_SIGMA * float(np.median(residual[used])), 1.0)
+        spread = max(MAD_TO_SIGMA * float(np.median(residual[used])), 1.0)
         near = chosen & (residual < OUTLIER_SIGMAS * spread)
         if near.sum() < max(FEWEST, int(chosen.sum()) - limit):
             return used

@@ -34,14 +34,13 @@ from opnav_workbench.bodies.results import (
     describe_body_flags,
 )
 from opnav_workbench.bodies.silhouette import Silhouette
+from opnav_workbench.constants import FWHM_PER_SIGMA
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["find_limb_scan"]
 
 
 # ---- The result of a limb scan: center, flags and status, pictures, and what every scan showed.
-
-FWHM = 2.355  # of a Gaussian, in sigmas
 
 LAG_PX = 5.0  # to each side: what an analyst looks at
 POOR_CHI2 = 4.0
@@ -51,9 +50,6 @@ WEAK_SIGMA_PX = 0.3
 WEAK_RATIO = 10.0  # of the axes of the error ellipse, if the larger one matters
 WEAK_MATTERS_PX = 0.05
 LIMIT_PX = 1.0
-FWHM = (
-    2.3548  # of a Gaussian, in sigmas: a crescent nowhere wider shows no limb and no terminator, but a thread
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +188,7 @@ def _cut(run: ScanRun, center: FloatArray) -> bool:
 def _thin(run: ScanRun) -> bool:
     """Tell whether the lit part is nowhere wider than the camera resolves."""
     width = float(np.median(run.fan.limb_px)) * (1.0 + np.cos(run.picture.phase_rad(run.name)))
-    return bool(width < max(FWHM * float(np.min(run.picture.psf.sigma_px)), 1.0))
+    return bool(width < max(FWHM_PER_SIGMA * float(np.min(run.picture.psf.sigma_px)), 1.0))
 
 
 def _misfit_words(run: ScanRun) -> str:

@@ -20,6 +20,7 @@ from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, symmetri
 from opnav_workbench.bodies import BodyCenter, find_unresolved
 from opnav_workbench.bodies.unresolved import NEIGHBOUR_SIGMAS
 from opnav_workbench.campaign.stacking.combining import Stacked, average
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.psf import Psf, covering_boxes
 from opnav_workbench.stars import ShapePrior
@@ -253,7 +254,7 @@ class _FitBox:
         image, _ = self.image(self._middle())
         light = np.maximum(image, 0.0) / np.maximum(image, 0.0).sum()
         offset = self.points - light @ self.points
-        variance = 0.5 * float(light @ (offset**2).sum(axis=1)) - 1.0 / 12.0
+        variance = 0.5 * float(light @ (offset**2).sum(axis=1)) - PIXEL_VARIANCE_PX2
         return ShapePrior.round_psf(max(variance, 0.04) ** 0.5, SHAPE_ERROR)
 
     def noise_factor(self) -> float:

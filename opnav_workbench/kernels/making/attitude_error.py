@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.constants import HOUR_S
 from opnav_workbench.geometry.rotations import pointing_angle_arrays, unit_from_radec
 from opnav_workbench.kernels.making.aiming import aim, turn_about_boresight, turn_across
 from opnav_workbench.kernels.making.attitude_history import (
@@ -28,7 +29,6 @@ from opnav_workbench.kernels.time import et_from_utc_datetime
 
 __all__ = ["flown_attitudes", "jitter_of"]
 
-HOUR_S = 3600.0
 DRIFT_TOLERANCE_RAD = 1e-9  # of even turns between attitudes, as for the plan
 AXES = ("pixel", "line", "twist")
 # Many sines together seldom exceed four times their rms; a few never exceed the sum of their amplitudes.

@@ -25,13 +25,9 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import AU_KM, SPEED_OF_LIGHT_KM_S, SUN_RADIUS_KM
 
-__all__ = ["AU_KM", "EPHEMERIS_NAMES", "PLANETS", "SUN", "ForceModel", "PointMass", "planet_ephemeris"]
-
-
-# ---- Calendar times and Julian dates of scenario files as ephemeris time (TDB seconds past J2000).
-
-AU_KM = 149597870.7  # IAU 2012
+__all__ = ["EPHEMERIS_NAMES", "PLANETS", "SUN", "ForceModel", "PointMass", "planet_ephemeris"]
 
 
 # ---- The Sun, the planets and the Moon as point masses, and the ephemeris that says where they are.
@@ -69,7 +65,7 @@ class PointMass:
 
 
 PLANETS = (
-    PointMass(SUN, 132712440041.27942, 695700.0),
+    PointMass(SUN, 132712440041.27942, SUN_RADIUS_KM),
     PointMass(1, 22031.868551400003, 2440.53),
     PointMass(2, 324858.592, 6051.8),
     PointMass(399, 398600.43550702266, 6378.1366),
@@ -96,7 +92,6 @@ def planet_ephemeris() -> Path:
 
 # ---- Accelerations.
 
-SPEED_OF_LIGHT_KM_S = 299792.458
 SOLAR_SYSTEM_BARYCENTER = 0
 # A power of two: adding it to an epoch of this century rounds nothing, so that the difference of velocities is clean.
 STENCIL_S = 128.0

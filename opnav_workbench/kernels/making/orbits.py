@@ -13,9 +13,10 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import AU_KM, DAY_S, SOLAR_CONSTANT_W_M2, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import MissionError
 from opnav_workbench.kernels.calls import spice_call
-from opnav_workbench.kernels.making.forces import AU_KM, PLANETS, SUN, ForceModel, PointMass
+from opnav_workbench.kernels.making.forces import PLANETS, SUN, ForceModel, PointMass
 from opnav_workbench.kernels.making.nbody import Impulse, OrbitArc, propagate
 from opnav_workbench.kernels.making.scenario import (
     ElementsOrbit,
@@ -25,7 +26,7 @@ from opnav_workbench.kernels.making.scenario import (
     PropagatedOrbit,
     Scenario,
 )
-from opnav_workbench.kernels.time import DAY_S, et_from_jd, et_from_tdb_datetime, et_from_utc_datetime
+from opnav_workbench.kernels.time import et_from_jd, et_from_tdb_datetime, et_from_utc_datetime
 
 __all__ = ["conic_elements", "conic_states", "epoch_et", "propagated_arcs"]
 
@@ -77,8 +78,8 @@ def _mean_motion(periapsis_km: float, eccentricity: float, gm_km3_s2: float) -> 
 
 # ---- Propagated trajectories of a scenario: initial state and forces as the file says them, for `nbody`.
 
-# Solar constant (IAU 2015 B3, 1361 W/m^2) over the speed of light, in kN/m^2: km/s^2 on 1 m^2 and 1 kg.
-RADIATION_KPA = 1361.0 / 299792458.0 * 1e-3
+# Solar constant over the speed of light, in kN/m^2: km/s^2 on 1 m^2 and 1 kg.
+RADIATION_KPA = SOLAR_CONSTANT_W_M2 / (SPEED_OF_LIGHT_KM_S * 1e3) * 1e-3
 EARTH_SYSTEM = {3, 301, 399}  # the barycenter is not a third body beside its two
 # Other names of the same masses, for lists of perturbers.
 SINGLE_PLANETS = (replace(PLANETS[1], body=199), replace(PLANETS[2], body=299))

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import AU_KM, DAY_S
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.files import inside
-from opnav_workbench.kernels.making.forces import AU_KM
 from opnav_workbench.kernels.making.scenario import StateTable
-from opnav_workbench.kernels.time import DAY_S, et_from_jd, et_from_tdb_datetime, et_from_utc_datetime
+from opnav_workbench.kernels.time import et_from_jd, et_from_tdb_datetime, et_from_utc_datetime
 
 __all__ = ["read_states", "table_states"]
 

@@ -17,10 +17,11 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.constants import AU_KM, DAY_S, J2000_JD
 from opnav_workbench.errors import KernelError, MissionError
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call
 from opnav_workbench.kernels.loading import LoadedKernels, kernel_files
-from opnav_workbench.kernels.making.forces import AU_KM, PLANETS, planet_ephemeris
+from opnav_workbench.kernels.making.forces import PLANETS, planet_ephemeris
 from opnav_workbench.kernels.making.orbits import conic_elements, conic_states, propagated_arcs
 from opnav_workbench.kernels.making.scenario import (
     ElementsOrbit,
@@ -34,7 +35,7 @@ from opnav_workbench.kernels.making.scenario import (
     Trajectory,
 )
 from opnav_workbench.kernels.making.state_tables import read_states, table_states
-from opnav_workbench.kernels.time import DAY_S, J2000_JD, et_from_utc_datetime
+from opnav_workbench.kernels.time import et_from_utc_datetime
 from opnav_workbench.kernels.writing import WINDOW_STATES, SpkExcerpt, SpkSegment, spk_excerpts, write_spk
 
 __all__ = ["BuildFolders", "spk_segments"]
