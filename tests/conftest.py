@@ -1,10 +1,17 @@
-"""Shared fixtures: where flight data for development is found, and a user cache of each test run's own."""
+"""Shared fixtures: which tests run, where flight data is found, what is made once a run, and a cache of the run's own."""
 
 import os
+import pickle
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from filelock import FileLock
 
 from opnav_workbench.catalog.ucac4 import UCAC4_RECORD
 from opnav_workbench.kernels import KernelSet
@@ -19,12 +26,80 @@ from opnav_workbench.rehearsal import (
 from opnav_workbench.simulation.truth import Truth
 
 DATA_VARIABLE = "OPNAV_DATA"
+SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run
+LEFT_OUT = pytest.StashKey[int]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--all", action="store_true", help="the long tests too, and every trial: what CI runs")
 
 
 def pytest_configure() -> None:
     """One thread of linear algebra in each of xdist's processes, which inherit this: there is one a core already."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+
+
+# ---- The short run and the whole: `slow` marks what the short run leaves out
+
+
+def is_whole(config: pytest.Config) -> bool:
+    """Whether every test asked for runs with every trial: with --all, and where tests are named or chosen by -m."""
+    named = any("::" in argument for argument in config.args)
+    return bool(config.getoption("--all") or config.getoption("markexpr") or named)
+
+
+def is_long(item: pytest.Item) -> bool:
+    """Whether a test is marked slow, or is a case of a test so marked that its `keep` does not name."""
+    case = item.callspec.id if hasattr(item, "callspec") else None
+    return any(case is None or case not in mark.kwargs.get("keep", ()) for mark in item.iter_markers("slow"))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    config.stash[LEFT_OUT] = 0
+    if is_whole(config):
+        return
+    left_out = [item for item in items if is_long(item)]
+    items[:] = [item for item in items if not is_long(item)]
+    config.hook.pytest_deselected(items=left_out)
+    config.stash[LEFT_OUT] = len(left_out)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):  # one of xdist's processes, which tell the first one
+        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, 0)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", 0)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    if number := config.stash.get(LEFT_OUT, 0):
+        terminalreporter.write_line(f"{number} long tests left out; run all with --all")
+
+
+@dataclass(frozen=True)
+class Trials:
+    """How many trials a statistical test makes, and bounds that follow: all with --all, a share in the short run."""
+
+    share: float
+
+    def __call__(self, number: int) -> int:
+        return max(round(number * self.share), 1)
+
+    def within(self, bound: float) -> float:
+        """Return a bound on a mean's distance from its expectation, set for all trials: chance goes as 1 / sqrt(N)."""
+        return bound / sqrt(self.share)
+
+
+@pytest.fixture(scope="session")
+def trials(pytestconfig: pytest.Config) -> Trials:
+    return Trials(1.0 if is_whole(pytestconfig) else SHORT_SHARE)
+
+
+# ---- Flight data, and what is made once a run
 
 
 def _find_data() -> Path | None:
@@ -43,12 +118,39 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def demo_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Truth]:
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """Return a function that makes something costly once a run, whichever of xdist's processes comes first.
+
+    `made_once(name, make)` calls `make(folder)` and returns what it returned, in all processes; files in the folder are
+    shared by all of them, so tests only read them.
+    """
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def get(name: str, make: Callable[[Path], Any]) -> Any:
+        folder, kept = shared / f"shared_{name}", shared / f"shared_{name}.pickle"
+        with FileLock(f"{folder}.lock"):
+            if not kept.exists():  # the pickle comes last: a folder without one is what a failure left
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                kept.with_suffix(".new").write_bytes(pickle.dumps(make(folder)))
+                kept.with_suffix(".new").replace(kept)
+        return pickle.loads(kept.read_bytes())
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def demo_truths(made_once: Callable[..., Any]) -> tuple[Truth, Truth]:
     """The two demo pictures (LORRI 4x4 with 4 stars, MVIC with 15), simulated once, and what they really show."""
-    mission, folder = load_mission(DEMO_MISSION), tmp_path_factory.mktemp("demo")
-    with KernelSet(DEMO_KERNELS):
-        lorri, mvic = (simulate_picture(r, mission, DEMO_CATALOG, folder) for r in DEMO_PICTURES)
-    return lorri, mvic
+
+    def make(folder: Path) -> tuple[Truth, Truth]:
+        mission = load_mission(DEMO_MISSION)
+        with KernelSet(DEMO_KERNELS):
+            lorri, mvic = (simulate_picture(r, mission, DEMO_CATALOG, folder) for r in DEMO_PICTURES)
+        return lorri, mvic
+
+    return made_once("demo", make)
 
 
 @pytest.fixture(scope="session")

@@ -28,6 +28,7 @@ def test_demo_agrees_with_its_truth(tmp_path):
         assert (tmp_path / picture / "summary.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_demo_is_bit_identical_when_repeated(tmp_path):
     results = []
     for run in ("a", "b"):
@@ -84,6 +85,7 @@ def test_notebook_has_parameters_and_no_outputs(notebook):
     assert any("parameters" in cell["metadata"].get("tags", ()) for cell in source["cells"])
 
 
+@pytest.mark.slow(keep=["first_picture.ipynb"])
 @pytest.mark.parametrize("notebook", sorted(set(ALL_NOTEBOOKS) - WITH_TESTS_OF_THEIR_OWN))
 def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

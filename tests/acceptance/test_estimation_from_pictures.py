@@ -56,6 +56,7 @@ def observables(folders):
     return [o for table in sorted(folders.glob("*/observables.ecsv")) for o in read_ecsv(table)]
 
 
+@pytest.mark.slow
 def test_observables_are_those_of_the_pictures(observables):
     assert [(o.name, o.status) for o in observables] == [
         ("PLUTO", "ok"),

@@ -45,6 +45,7 @@ def _check_fix(result: dict[str, Any], most_au: float) -> None:
     assert result["chi2"] < result["degrees_of_freedom"] + 5.0 * np.sqrt(2.0 * result["degrees_of_freedom"])
 
 
+@pytest.mark.slow
 def test_simulated_pictures(tmp_path, monkeypatch):
     """Without any data: the page says that it is simulated, and centers and position agree with the truth."""
     monkeypatch.chdir(tmp_path)
@@ -65,6 +66,7 @@ def test_simulated_pictures(tmp_path, monkeypatch):
         assert (tmp_path / "run" / figure).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize("deep", [True, False])
 def test_the_six_flight_pictures(data_dir, tmp_path, monkeypatch, deep):

@@ -176,6 +176,7 @@ def test_direction_of_proxima_against_gaia_and_trajectory(targeted):
     assert np.hypot(*residuals.mean(axis=0)) < 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["matched_filter", "cross_correlation", "psf_fit"])
 def test_proxima_frames_solve_with_every_centerfinder(data_dir, catalog, camera, tmp_path, method):
     results = _run(data_dir, catalog, tmp_path, "--centers", method)

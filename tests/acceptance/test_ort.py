@@ -69,6 +69,7 @@ def graded(package, team):
     return score_rehearsal(rehearsal, truth, team, solution, delivery=delivery)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["pluto_final_approach", *(pytest.param(n, marks=pytest.mark.slow) for n in list(SCENARIOS)[1:])]
 )
@@ -162,6 +163,7 @@ def test_edit_after_the_reveal_shows(team):
     assert score.delivery.opened_before
 
 
+@pytest.mark.slow
 def test_truth_needs_the_key(team, tmp_path):
     """Nothing in the package but the sealed file knows the truth, and that file does not open without the key."""
     package, folder = team

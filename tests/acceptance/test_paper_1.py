@@ -103,6 +103,7 @@ def check_simulated_c_kernel_returns_the_boresight(geometry):
     assert planned.meta["spk_error_m"] < 1.0
 
 
+@pytest.mark.slow
 def test_geometry_and_kernels(tmp_path):
     tables = executed(NOTEBOOKS[0], tmp_path)
     check_eight_kinds_of_kernel_are_made(tables)
@@ -158,6 +159,7 @@ def check_bennu_is_below_a_pixel_and_stars_suffice(images):
         assert abs(rows[f"Bennu, measured less true {axis}"][1]) < 0.05
 
 
+@pytest.mark.slow
 def test_simulated_images(tmp_path):
     tables = executed(NOTEBOOKS[1], tmp_path)
     check_vega_gives_the_zero_point_of_the_headers(tables)
@@ -201,6 +203,7 @@ def check_differences_are_those_of_the_shape_not_of_the_noise(stars):
     assert 1.5 < fifty["reduced chi-squared"] < 3.0
 
 
+@pytest.mark.slow
 def test_star_centers(tmp_path):
     tables = executed(NOTEBOOKS[2], tmp_path)
     check_three_algorithms_agree_as_in_table_1(tables)
@@ -208,6 +211,7 @@ def test_star_centers(tmp_path):
     check_differences_are_those_of_the_shape_not_of_the_noise(tables)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_table_1_from_a_real_picture(data_dir, tmp_path):
     picture = data_dir / "images/lorri_interstellar/lor_0449855931_0x633_pwcs2.fits"

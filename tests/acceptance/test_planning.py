@@ -61,6 +61,7 @@ def pictures(bennu):
 # -- the paper's case ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_figure_3_has_enough_bright_stars_and_a_sub_pixel_asteroid(pictures):
     figure = pictures["figure_3"]
     assert figure["verdict"] == "good"
@@ -86,6 +87,7 @@ def test_pictures_around_that_day_have_stars_too(pictures):
         assert count >= 3 or any("star" in reason or "cover" in reason for reason in picture["reasons"])
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_with_tycho2_every_picture_of_the_approach_has_enough_stars(data_dir, tmp_path):
     catalog = f"npz:{data_dir / 'stars/tycho2.npz'}"
@@ -199,6 +201,7 @@ def check(plan, errors, names):
     return ratios
 
 
+@pytest.mark.slow
 def test_lorri_unresolved_is_as_predicted(tmp_path):
     """Pluto (1 px) and Charon (half a pixel) among four stars, measured as unresolved bodies by the session."""
     plan, errors = processed(LORRI, {"PLUTO": "unresolved", "CHARON": "unresolved"}, TRIALS, tmp_path)
@@ -206,6 +209,7 @@ def test_lorri_unresolved_is_as_predicted(tmp_path):
     check(plan, errors, ["PLUTO", "CHARON"])
 
 
+@pytest.mark.slow
 def test_a_disk_of_a_few_pixels_is_as_predicted(tmp_path):
     """Pluto 5.5 px wide at an SNR of 900 on 2015-06-26, measured by the method that the session chooses."""
     sequence = load_sequence(
@@ -241,6 +245,7 @@ def test_a_disk_of_a_few_pixels_is_as_predicted(tmp_path):
     assert LOW < scatter_ratio(target.center_sigma_px, errors) < HIGH
 
 
+@pytest.mark.slow
 def test_lorri_resolved_is_as_predicted():
     """Pluto 76 px wide on 2015-07-09: noise realisations of its disk, each measured with its rendered model."""
     sequence = load_sequence(

@@ -144,6 +144,7 @@ def test_processing_gives_back_the_truth(pictures, truths, tmp_path, name):
     assert all(abs(row.error) < 0.05 for row in rows[:2])  # px
 
 
+@pytest.mark.slow
 def test_bodies_of_every_size_are_found_with_the_method_that_suits_them(pictures, truths, tmp_path):
     """Albedo unknown: the limb gives Pluto's center to 0.1 px, where a whole disk of wrong albedo is off by more."""
     for name in ("limb", "pluto_charon"):

@@ -249,6 +249,7 @@ def test_a_lesson_is_kept_without_outputs_and_with_its_exercises(lesson):
     assert "**Goal.**" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lesson", LESSONS)
 def test_a_lesson_knows_right_from_wrong(lesson, tmp_path):
     executed = run(three_students(lesson), tmp_path)
@@ -267,6 +268,7 @@ def test_a_lesson_knows_right_from_wrong(lesson, tmp_path):
     assert all(picture.stat().st_size > 5_000 for picture in pictures)
 
 
+@pytest.mark.slow
 def test_a_teacher_gives_answers_as_parameters(tmp_path):
     notebook = nbformat.read(TEACHING / "03_star_centers.ipynb", as_version=4)
     right = [answers[0] for answers in ANSWERS["03_star_centers"]]

@@ -71,6 +71,7 @@ def rendering_of(picture):
     return lambda: model_picture(picture, window, {"PLUTO": TRUE_PX})
 
 
+@pytest.mark.slow(keep=["200px-least_squares"])
 @pytest.mark.parametrize("method", ["cross_correlation", "least_squares", "limb_scan", "ellipse"])
 def test_center_against_one_rendering(benchmark, fastest, resolved, method):
     finder = getattr(bodies, f"find_{method}", None)

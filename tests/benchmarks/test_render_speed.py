@@ -54,6 +54,7 @@ def naive(camera, model, diameter_px):
     return light.reshape(2 * half, NAIVE, 2 * half, NAIVE).mean(axis=(1, 3))
 
 
+@pytest.mark.slow
 def test_ellipsoid_of_500_px(benchmark, fastest, camera):
     model = BodyModel(body(camera, 500.0), LommelSeeliger())
     (naive_s, rough), (adaptive_s, _) = fastest(
@@ -80,6 +81,7 @@ def test_pluto_with_a_map_and_charon_in_a_lorri_frame(benchmark, fastest, camera
     assert rendering.electrons.sum() == pytest.approx(total, rel=3e-3)
 
 
+@pytest.mark.slow
 def test_shape_of_50_000_plates(benchmark, fastest, camera):
     n = 160
     latitude, longitude = np.linspace(-0.5, 0.5, n + 1) * np.pi, np.arange(n) * 2.0 * np.pi / n

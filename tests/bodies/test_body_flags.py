@@ -145,6 +145,7 @@ def pair(body_stage):
     return large, small
 
 
+@pytest.mark.slow
 def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     rng, light = np.random.default_rng(8), body_stage.light(*pair)
     true = np.concatenate([TRUE, BEFORE])

@@ -72,6 +72,7 @@ def trials(stage, add_noise, diameter, phase, true, count, **options):
     return np.array(errors), np.array(pulls), np.array(sizes)
 
 
+@pytest.mark.slow
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise):
     error, pull, size = trials(binned_stage, add_noise, 40.0, 60.0, np.array([127.31, 126.84]), 40)
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=0.25)  # 80 components

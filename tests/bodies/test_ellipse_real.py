@@ -28,6 +28,7 @@ def opened(data_dir, mission, name, **options):
     return frame, loaded.camera_for(frame.header)
 
 
+@pytest.mark.slow
 def test_enceladus_full_disk(data_dir):
     """Cassini on its way to Enceladus; the circle, the Sun and the equator's direction are the analyst's.
 

@@ -88,6 +88,7 @@ def _check(scans, disks):
     assert np.median(np.hypot(*scans.T)) * BETTER < disk
 
 
+@pytest.mark.slow
 def test_two_mottled_maps(pluto):
     _check(*_table(pluto, [AlbedoMap(mottled_map(seed, 0.2, 0.8)) for seed in (1, 2)]))
 
@@ -97,6 +98,7 @@ def test_twenty_mottled_maps(pluto):
     _check(*_table(pluto, [AlbedoMap(mottled_map(seed, 0.2, 0.8)) for seed in range(1, 21)]))
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_the_published_map_of_hubble(pluto, data_dir):
     """The pattern of Buie et al. (2010), stretched to albedos 0.1 to 0.8, at two longitudes."""

@@ -66,6 +66,7 @@ def check_trials(result, lowest, highest):
     assert np.abs(error.mean(axis=0)).max() < 0.005
 
 
+@pytest.mark.slow
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise):
     true = np.array([127.31, 126.84])
     model = binned_stage.body(6.0, 75.0, true, TRIAXIAL)
@@ -157,6 +158,7 @@ def test_cosmic_rays_and_bad_pixels_do_not_move_it(body_stage):
         )
 
 
+@pytest.mark.slow
 def test_a_pattern_the_model_lacks_is_in_sigma(body_stage):
     """Maps of Pluto's contrast: sigma must be of the order of the error, not 100 times smaller."""
     squares, shares = [], []

@@ -55,6 +55,7 @@ def test_body_is_found_where_it_is():
     assert body.snr > 50.0
 
 
+@pytest.mark.slow
 def test_errors_are_what_the_covariance_says():
     rng, errors = np.random.default_rng(2), []
     for _ in range(500):

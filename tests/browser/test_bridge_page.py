@@ -4,6 +4,10 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 SETUP = """
 from bokeh.models import Button, ColumnDataSource, Div, TextInput, Row, Column
 from bokeh.plotting import figure

@@ -12,6 +12,8 @@ from opnav_workbench.rehearsal import DEMO_MISSION
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.stretch import COLORMAPS, limits_of, shades
 
+pytestmark = pytest.mark.slow
+
 ARCSEC_DEG = 1.0 / 3600.0
 OPEN = """
 import opnav_workbench as opnav

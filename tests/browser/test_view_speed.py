@@ -2,6 +2,8 @@
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 SETUP = """
 import numpy as np
 from opnav_workbench.workbench import ImageView

@@ -29,6 +29,8 @@ from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import load_picture_scenario, simulate
 
+pytestmark = pytest.mark.slow
+
 LORRI_PIXEL_RAD = 4.9636e-6
 UTC = "2015-07-12T08:46:57"
 RESOLVED_KERNELS = "new_horizons/pluto_approach"

@@ -42,6 +42,7 @@ def stacked():
     return stack_psf(frames, PRIOR)
 
 
+@pytest.mark.slow
 def test_the_stack_is_the_true_psf(stacked):
     """Pixel shares at any phase against the truth; a Gaussian is off by 0.03 and more."""
     rng = np.random.default_rng(2)

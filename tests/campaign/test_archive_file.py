@@ -131,6 +131,7 @@ def test_a_folder_that_cannot_be_is_one_line(tmp_path):
         Campaign(tmp_path / "file" / "c.sqlite")
 
 
+@pytest.mark.slow
 def test_several_processes_ingest_at_once(make_run, tmp_path):
     """Four processes that begin with no archive, each with runs of its own and all with the same eight."""
     common = [make_run(tmp_path / f"common{i}", i) for i in range(8)]
@@ -148,6 +149,7 @@ def test_several_processes_ingest_at_once(make_run, tmp_path):
     assert pragma(path, "integrity_check") == "ok"
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_nothing_is_half_there(make_run, tmp_path):
     """SIGKILL at some moment of an ingest of 40 runs; what stands is whole, and going on gives the undisturbed archive."""
     runs = tmp_path / "runs"

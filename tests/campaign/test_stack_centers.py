@@ -38,6 +38,7 @@ def trials(make_sky, count, *, geometries=10, **options):
             yield _fitted(box, truth + rng.uniform(-0.3, 0.3, 2)), truth
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_their_sigmas(make_sky):
     """500 stacks of undersampled pictures at random phases: error over sigma 0.9 to 1.1, bias below 0.1 sigma."""
     errors, fluxes, chi2, flux = [], [], [], 35.0
@@ -70,6 +71,7 @@ def test_the_signal_grows_as_the_root_of_the_number(make_sky, exposed):
     assert bound < growth.flux_sigma_dn[-1] < 1.1 * bound
 
 
+@pytest.mark.slow
 def test_a_target_too_faint_for_each_picture_is_found_in_their_stack(make_sky, exposed):
     rng = np.random.default_rng(5)
     found = wrong = 0
@@ -116,6 +118,7 @@ def test_hits_are_masked_and_the_target_is_not(make_sky, exposed):
     assert "none is masked" in two.messages[0]
 
 
+@pytest.mark.slow
 def test_a_star_field_is_taken_away(make_sky, exposed):
     """Target among eighty stars that it passes: the errors fall to what the noise and the templates leave."""
     errors, plain, fits = [], [], []

@@ -56,6 +56,7 @@ def faint_charon(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_faint_moon_in_simulated_pictures(faint_charon, tmp_path):
     """No picture shows it (SNR 4 each); the stack does, within its sigmas of the truth, and goes into the archive."""
     answer = invoke("stack", faint_charon / "run", "-t", "CHARON", "--kernels", KERNELS, "-o", tmp_path)
@@ -104,6 +105,7 @@ def test_a_stack_on_the_stars(faint_charon, tmp_path):
         assert file["COUNT"].data.max() == 3
 
 
+@pytest.mark.slow
 def test_runs_that_cannot_be_stacked_are_named(faint_charon, make_run, tmp_path):
     make_run(tmp_path / "gone", 1)  # its picture is nowhere
     answer = invoke(
@@ -121,6 +123,7 @@ def test_runs_that_cannot_be_stacked_are_named(faint_charon, make_run, tmp_path)
     assert isinstance(failed.exception, SessionError | KernelError)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_real_pictures_fall_on_each_other(data_dir, tmp_path):
     """Three LORRI pictures of Proxima Centauri, pixels apart: stars agree to 0.1 px, noise falls as it should."""

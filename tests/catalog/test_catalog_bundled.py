@@ -215,6 +215,7 @@ def open_and_count(_: int) -> int:
     return int(bundled.open_bundled().describe()["n_stars"])
 
 
+@pytest.mark.slow
 def test_two_processes_may_build_at_once(tmp_path, monkeypatch, catalog) -> None:
     monkeypatch.setenv("OPNAV_CACHE", str(tmp_path))
     with multiprocessing.get_context("spawn").Pool(2) as pool:

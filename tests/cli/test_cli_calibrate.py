@@ -109,6 +109,7 @@ def test_no_picture_that_can_be_solved(tmp_path, capsys, monkeypatch):
     assert "empty.fits" in said
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_psf_of_real_frames_explains_their_stars(data_dir, tmp_path):
     """LORRI 4x4, Proxima and Wolf 359 fields: the second set is smeared otherwise and must be left out."""

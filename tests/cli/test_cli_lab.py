@@ -122,12 +122,14 @@ def test_taken_port_is_told(tmp_path):
             lab_server.LabServer(tmp_path / "workbench.ipynb", port)
 
 
+@pytest.mark.slow
 def test_server_that_does_not_start_says_why(tmp_path):
     server = lab_server.LabServer(tmp_path / "workbench.ipynb", options=["--ServerApp.ip=256.0.0.1"])
     with pytest.raises(SessionError, match=r"JupyterLab did not start"), server:
         pass
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_everything(tmp_path):
     """The program as a person runs it: address on the screen, then Ctrl-C."""
     for name in ("lorri_4x4.fit", "mvic_framing.fit"):  # as if simulated before

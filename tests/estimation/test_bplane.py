@@ -203,6 +203,7 @@ def test_numbers_of_the_rehearsal_with_the_kernels():
     assert shift[2] == pytest.approx(-315.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_estimate_in_the_b_plane_over_many_trials(approach, noise_of):
     """4500 km found from pictures: the flyby moves by as much, with a covariance that 200 trials confirm."""
     offset = 4500.0 * approach().toward_sun

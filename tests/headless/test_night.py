@@ -50,6 +50,7 @@ def statuses(out: Path) -> dict[str, str]:
     return {row["name"]: row["status"] for row in json.loads((out / "summary.json").read_text())["images"]}
 
 
+@pytest.mark.slow
 def test_every_fault_is_named_and_costs_its_picture_only(tmp_path, stand_in):
     folder = pictures(tmp_path / "in", a="fine", b="raise", c="crash", e="memory", f="once")
     night = night_of(folder, stand_in, tmp_path / "out", memory_limit_mb=600.0)
@@ -80,6 +81,7 @@ def test_time_limit_is_named(tmp_path, stand_in):
     assert "time_limit_s" in verdict.reason
 
 
+@pytest.mark.slow
 def test_page_asks_the_network_for_nothing(tmp_path, stand_in):
     night = night_of(pictures(tmp_path / "in", a="fine", **{"b_<i>": "raise"}), stand_in, tmp_path / "out")
     write_night_summary(night)
@@ -93,6 +95,7 @@ def test_page_asks_the_network_for_nothing(tmp_path, stand_in):
     assert "@import" not in report
 
 
+@pytest.mark.slow
 def test_done_is_not_done_twice_and_changes_are_done_again(tmp_path, stand_in):
     folder, out = pictures(tmp_path / "in", a="fine", b="fine too"), tmp_path / "out"
     night = night_of(folder, stand_in, out)
@@ -115,6 +118,7 @@ def test_an_analysts_session_is_left_alone(tmp_path, stand_in):
     assert [p.state for p in plan_night(night.plan.spec, out).pictures] == ["kept"]
 
 
+@pytest.mark.slow
 def test_killed_and_started_again_the_archive_is_the_same(tmp_path, stand_in):
     texts = {f"p{i:02d}": f"picture {i}" for i in range(4)}
     folder = pictures(tmp_path / "in", **texts)
@@ -137,6 +141,7 @@ def test_killed_and_started_again_the_archive_is_the_same(tmp_path, stand_in):
         assert len(killed.entries()) == 4
 
 
+@pytest.mark.slow
 def test_stopped_by_hand_what_is_finished_is_kept(tmp_path, stand_in):
     folder, out = pictures(tmp_path / "in", a="fine", b="sleep", c="sleep"), tmp_path / "out"
     spec = NightSpec(images=(str(folder),), mission="new_horizons", notebook=str(stand_in))
@@ -154,6 +159,7 @@ def test_stopped_by_hand_what_is_finished_is_kept(tmp_path, stand_in):
     assert read_queue(out).images == ()
 
 
+@pytest.mark.slow
 def test_a_second_night_in_the_same_folder_is_refused(tmp_path, stand_in):
     folder, out = pictures(tmp_path / "in", a="fine"), tmp_path / "out"
     spec = NightSpec(images=(str(folder),), mission="new_horizons", notebook=str(stand_in))

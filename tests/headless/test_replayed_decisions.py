@@ -67,6 +67,7 @@ def _bytes(folder):
     return (folder / "result.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_the_analysts_session_comes_out_bit_identical_headless(analysed, picture, tmp_path):
     file = write_decisions(tmp_path / "decisions.yaml", Decisions.from_session(analysed, who="M. Jones"))
     decided = replace(POLICY, decisions=load_decisions(file))
@@ -124,6 +125,7 @@ def test_several_pictures_share_a_file(analysed, demo_truths, tmp_path):
     assert [n.text for n in images[other.context.frame.sha256].notes] == ["the other one", "second thoughts"]
 
 
+@pytest.mark.slow
 def test_what_a_person_adds_to_a_recorded_session_is_carried_out_too(analysed, picture, tmp_path):
     """A rejection without a place in the order is made when the stars are first found."""
     path = analysed.write_decisions(tmp_path / "d.yaml")
@@ -139,6 +141,7 @@ def test_what_a_person_adds_to_a_recorded_session_is_carried_out_too(analysed, p
     assert outcome.result["pointing"]["n_stars"] == analysed.state.pointing.n_stars - 1
 
 
+@pytest.mark.slow
 def test_hand_written_decisions_guide_the_automatic_policy(picture, tmp_path):
     with KernelSet(DEMO_KERNELS):
         session = open_picture(picture, POLICY)

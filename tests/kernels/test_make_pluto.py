@@ -108,6 +108,7 @@ def test_body_frames_and_light_time_to_the_sun(loaded):
     assert longitude == pytest.approx(1.47, abs=0.05)
 
 
+@pytest.mark.slow
 def test_opens_by_name_and_again_from_the_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("OPNAV_CACHE", str(tmp_path))
     with KernelSet("new_horizons/pluto_approach") as kernels:

@@ -38,6 +38,7 @@ def test_lambert(stage, brute_force, center_of, phase_deg):
     np.testing.assert_allclose(center_of(found), center_of(reference), atol=CENTER_PX)
 
 
+@pytest.mark.slow
 def test_limb_and_terminator_of_a_large_disk(stage, brute_force):
     # Two cut-outs of a body of 300 px: the sunward limb, and the terminator where it meets the limb.
     model = stage.model(300.0, 75.0, LommelSeeliger(), axes=TRIAXIAL)

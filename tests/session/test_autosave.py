@@ -59,6 +59,7 @@ def saved(opened, tmp_path) -> ImageSession:
 # -- every step is on disk -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_step_can_be_resumed_as_soon_as_it_returns(opened, tmp_path):
     folder = tmp_path / "run"
     opened.autosave(folder)
@@ -109,6 +110,7 @@ def test_a_crash_between_saving_and_emptying_does_no_harm(saved):
     assert ImageSession.resume(saved.folder).journal == saved.journal
 
 
+@pytest.mark.slow
 def test_autosave_goes_on_where_a_resumed_session_stopped(saved):
     folder, count = saved.folder, len(saved.journal)
     saved.autosave(None)
@@ -122,6 +124,7 @@ def test_autosave_goes_on_where_a_resumed_session_stopped(saved):
     assert len(ImageSession.resume(folder).journal) == count + 2
 
 
+@pytest.mark.slow
 def test_open_or_resume(truth, kernels, tmp_path):
     first = ImageSession.open_or_resume(tmp_path, truth.picture, "new_horizons")
     first.predict()
@@ -153,6 +156,7 @@ def test_kill_9_loses_nothing_that_had_returned(demo_truths, tmp_path):
     assert ImageSession.resume(folder).journal == resumed.journal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left", [1, 20, -1])
 def test_a_torn_last_line_is_left_out_with_a_note(saved, left):
     """Cut within the last line, at its start, in its middle, before its end."""
@@ -226,6 +230,7 @@ def test_a_second_process_is_refused_in_one_line_that_names_the_first(demo_truth
     ImageSession.resume(folder).autosave(folder)
 
 
+@pytest.mark.slow
 def test_a_second_session_of_the_same_process_takes_over(saved):
     """A notebook's cell that is run again makes a new session; the older one must not write into its journal."""
     folder = saved.folder
@@ -256,6 +261,7 @@ def test_a_file_system_without_locks_goes_by_the_word_of_the_file(opened, tmp_pa
     opened.autosave(tmp_path)
 
 
+@pytest.mark.slow
 def test_another_session_is_not_overwritten(saved, truth, kernels):
     fresh = ImageSession.open(truth.picture, "new_horizons")
     folder = saved.folder
@@ -266,6 +272,7 @@ def test_another_session_is_not_overwritten(saved, truth, kernels):
     assert ImageSession.resume(folder).journal == saved.journal
 
 
+@pytest.mark.slow
 def test_newer_steps_of_the_session_are_not_overwritten(saved):
     folder = saved.folder
     saved.autosave(None)

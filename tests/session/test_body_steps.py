@@ -133,6 +133,7 @@ def test_unknown_methods_are_answered_with_the_known(near):
         near.find_body("PLUTO", circle=(1.0, 2.0))
 
 
+@pytest.mark.slow
 def test_a_shape_among_the_kernels_is_drawn(near, resolved_truths, tmp_path):
     """An octahedron in Pluto's place: not its shape, and its least squares say so."""
     r = 1188.3

@@ -42,6 +42,7 @@ def _one_line(caught: pytest.ExceptionInfo[SessionError]) -> str:
 # -- resuming ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_resume_without_kernels_is_bit_identical(finished, folder):
     """The bodies were found one after the other: the replay must not know the second while finding the first."""
     resumed = ImageSession.resume(folder)
@@ -62,6 +63,7 @@ def test_undo_works_after_resume(finished, folder):
     assert _without_kernels(resumed) == _without_kernels(finished)
 
 
+@pytest.mark.slow
 def test_resume_with_undone_steps_and_decisions(opened, go, tmp_path):
     go(opened)
     star = str(opened.state.a_priori.id[opened.state.mask("used")][0])
@@ -84,6 +86,7 @@ def test_resuming_twice_writes_the_same_files(folder, tmp_path):
     assert (tmp_path / "observables.ecsv").read_bytes() == (folder / "observables.ecsv").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_field_without_stars_resumes(truth, kernels, tmp_path):
     np.savez(tmp_path / "far.npz", ra_deg=[10.0], dec_deg=[80.0], mag=[5.0])
     session = ImageSession.open(truth.picture, "new_horizons", catalog=f"npz:{tmp_path / 'far.npz'}")

@@ -49,6 +49,7 @@ def test_a_new_step_clears_what_could_be_redone_but_not_the_journal(opened):
     assert opened.state.user_notes == ("second",)
 
 
+@pytest.mark.slow
 def test_what_was_undone_can_be_redone_after_resuming(opened, tmp_path):
     opened.predict()
     opened.find_stars()
@@ -128,6 +129,7 @@ def untouched(demo_truths) -> ImageSession:
         return ImageSession.open(demo_truths[0].picture, "new_horizons")
 
 
+@pytest.mark.slow
 @settings(
     max_examples=12,
     deadline=None,

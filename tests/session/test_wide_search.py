@@ -86,6 +86,7 @@ def test_a_field_far_off_is_found_by_a_wider_search(truth, tmp_path, shift_px, t
         assert result["pointing"][name] == pytest.approx(sum(step[name] for step in steps), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_wide_search_is_resumed_and_goes_on_as_usual(truth, tmp_path):
     session = processed(pointed_off(truth, (-700.0, 600.0), -75.0, tmp_path))
     session.repoint()
@@ -236,6 +237,7 @@ def test_pictures_of_one_or_two_stars_are_right_or_not_ok(truth, tmp_path, count
         assert error_px < 4.0  # the marks are off by that
 
 
+@pytest.mark.slow
 def test_a_catalog_of_another_epoch_or_a_wrong_camera_is_never_confidently_wrong(truth, tmp_path):
     session = ImageSession.open(truth.picture, MISSION)
     stars = session.inputs.stars

@@ -31,6 +31,7 @@ def pairs(star_mosaic, unit_gaussian, sigma, separation, ratio, snr, seed):
     return image, truth, truth + common + rng.normal(0.0, 0.05, truth.shape)
 
 
+@pytest.mark.slow(keep=["0.7-2.5-0.5-40"])
 @pytest.mark.parametrize(
     ("sigma", "separation", "ratio", "snr"), [(1.0, 2.0, 1.0, 50), (1.0, 1.5, 1.0, 100), (0.7, 2.5, 0.5, 40)]
 )
@@ -58,6 +59,7 @@ def test_blended_stars_are_measured_as_well_as_they_say(
     assert np.median(np.hypot(*(fit.pixel_line - truth)[bright].T)) < 0.6 * alone
 
 
+@pytest.mark.slow
 def test_a_free_shape_is_shared_by_the_group(star_mosaic, unit_gaussian):
     image, truth, start = pairs(star_mosaic, unit_gaussian, 1.0, 2.5, 0.6, 60, 2)
     prior = ShapePrior.round_psf(1.1, 0.1, 0.05)
@@ -69,6 +71,7 @@ def test_a_free_shape_is_shared_by_the_group(star_mosaic, unit_gaussian):
     np.testing.assert_allclose(np.median(fit.background_dn), 20.0, atol=0.5)
 
 
+@pytest.mark.slow
 def test_a_faint_neighbor_is_not_put_onto_the_bright_star(star_mosaic, unit_gaussian):
     image, truth, start = pairs(star_mosaic, unit_gaussian, 1.0, 3.0, 0.2, 60, 3)
     fit = fit_psf(image, NOISE_DN, None, start, GaussianPsf(1.0, 1.0), noise_model=NOISE)
@@ -77,6 +80,7 @@ def test_a_faint_neighbor_is_not_put_onto_the_bright_star(star_mosaic, unit_gaus
     np.testing.assert_allclose(np.median(fit.flux_dn[PAIRS:] / fit.flux_dn[:PAIRS]), 0.2, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_listed_neighbor_that_is_not_there_costs_next_to_nothing(star_mosaic, unit_gaussian):
     image, truth, _ = pairs(star_mosaic, unit_gaussian, 1.0, 3.0, 0.0, 30, 4)
     start = truth + np.tile(np.random.default_rng(5).uniform(-0.3, 0.3, (PAIRS, 2)), (2, 1))

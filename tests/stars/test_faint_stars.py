@@ -41,6 +41,7 @@ def searches():
         )
 
 
+@pytest.mark.slow
 def test_the_matched_filter_finds_more_faint_stars_at_equal_false_alarm_rate(sky):
     rng, truth, start = sky
     shape = (40 * SPACING, 40 * SPACING)

@@ -110,6 +110,7 @@ def test_click_far_from_stars_changes_nothing(star_hands):
     assert star_hands.steps == steps
 
 
+@pytest.mark.slow
 def test_everything_shown_as_decided_is_on_disk(star_hands):
     star_hands.press("a", "r", "3", "a")
     folder = star_hands.controller.queue.item.folder

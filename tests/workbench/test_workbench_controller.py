@@ -220,6 +220,7 @@ def test_notes_stand_in_the_journal(star_hands):
     assert "smear in the &lt;lower&gt; left" in star_hands.panel
 
 
+@pytest.mark.slow
 def test_export_writes_everything(star_hands):
     star_hands.press("A", "p", "3")
     star_hands.send("add_body", value="PLUTO")
@@ -240,6 +241,7 @@ def test_without_a_folder_export_says_what_is_missing(hands_on, demo_truths):
     assert hands.said == "there is no folder to export into: workbench(..., out=FOLDER)."
 
 
+@pytest.mark.slow
 def test_whole_pass_takes_at_most_40_keys(hands_on, demo_truths, tmp_path):
     """Find, confirm ten stars and the rest, repoint, both bodies, export."""
     hands = hands_on(demo_truths[1].picture, out=tmp_path)
@@ -252,6 +254,7 @@ def test_whole_pass_takes_at_most_40_keys(hands_on, demo_truths, tmp_path):
     assert len(keys) <= 40
 
 
+@pytest.mark.slow
 def test_items_of_a_queue_open_once(demo_truths, kernels):
     opened = []
 

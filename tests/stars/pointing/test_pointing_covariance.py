@@ -37,6 +37,7 @@ def errors_and_sigmas(camera, star_field, rng, counts, model="euler", trials=TRI
     return np.array(errors), np.array(distances)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "model"),
     [
@@ -65,6 +66,7 @@ def test_error_over_sigma_within_five_percent_on_each_axis(cameras, star_field):
     assert np.all((ratio > SHARP_RATIO[0]) & (ratio < SHARP_RATIO[1])), ratio
 
 
+@pytest.mark.slow
 def test_twist_error_has_the_predicted_sign_and_correlation(cameras, star_field):
     """One star off the boresight: the a priori twist's error must show up in the cross axes as predicted."""
     camera, rng = cameras["lorri"], np.random.default_rng(32)
@@ -87,6 +89,7 @@ def test_twist_error_has_the_predicted_sign_and_correlation(cameras, star_field)
     assert sampled == pytest.approx(predicted, abs=0.03)
 
 
+@pytest.mark.slow
 def test_two_close_stars_with_the_a_priori_twist(cameras, star_field):
     camera, rng = cameras["lorri"], np.random.default_rng(33)
     places = np.array([[500.0, 300.0], [560.0, 330.0]])
@@ -103,6 +106,7 @@ def test_two_close_stars_with_the_a_priori_twist(cameras, star_field):
     assert np.mean(distances) / 3.0 == pytest.approx(1.0, abs=0.12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lorri", "pinhole"])
 def test_scatter_reaches_the_cramer_rao_bound(cameras, star_field, name):
     """The bound is inv(J^T W J) with the Jacobian taken by differences of the camera alone."""
