@@ -23,7 +23,7 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
     What runs without a person: the automatic policy, nights of pictures, recorded decisions.
 ``cli``
     The ``opnav`` program.
-``report_scan_run``
+``report``
     Figures and pages that a navigator shows.
 ``campaign``
     Many pictures: their archive, their trends and their stack.
@@ -73,6 +73,8 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
     HTML templates: one environment for each folder of them, everything escaped.
 ``files``
     Files written whole or not at all.
+``processes``
+    Many items on several processes, each of which opens what it needs once.
 ``resources``
     Where the package's own files and the user's cache stand.
 ``arrays``

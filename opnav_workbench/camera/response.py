@@ -154,6 +154,18 @@ class CameraResponse:
             )
         return float(value)
 
+    def require_photometry(self) -> None:
+        """Raise CameraError where a number is not known that every measured or predicted brightness needs."""
+        for name in ("zero_point_mag", "gain_e_per_dn", "read_noise_dn"):
+            self.require(name)
+
+    def exposure_fault(self, exposure_s: float) -> str:
+        """Return why the camera cannot take an exposure of this length; empty where it can."""
+        limits = self.exposure_limits
+        if limits is None or limits.min_s <= exposure_s <= limits.max_s:
+            return ""
+        return f"{exposure_s:g} s; {self.name} takes {limits.min_s:g} to {limits.max_s:g} s"
+
     def electrons(self, mag: ArrayLike, exposure_s: float) -> FloatArray:
         """Return the electrons that sources leave in an exposure.
 

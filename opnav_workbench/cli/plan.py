@@ -58,7 +58,7 @@ def print_plan(console: Console, plan: Plan) -> None:
     wide = console.width >= WIDE_COLUMNS
     if plan.pictures:
         console.print(_picture_table(plan.pictures, wide))
-        rows = [(p.name, target) for p in plan.pictures if p.prospect for target in p.prospect.targets]
+        rows = [(p.name, target) for p in plan.pictures if p.prediction for target in p.prediction.targets]
         if rows:
             console.print(_target_table(rows, wide))
             _print_limb_note(console, rows)
@@ -89,7 +89,7 @@ def _picture_table(pictures: Sequence[PicturePlan], wide: bool) -> Table:
 
 
 def _picture_cells(plan: PicturePlan) -> list[str]:
-    p = plan.prospect
+    p = plan.prediction
     if p is None:
         return ["–"] * 10
     usable, pointing = p.stars.mag[p.stars.usable], p.pointing
@@ -97,7 +97,7 @@ def _picture_cells(plan: PicturePlan) -> list[str]:
     sigmas = ["–"] * 3
     if pointing is not None:
         sigmas = [*(_three_digits(s) for s in pointing.sigma_px), f"{pointing.twist_sigma_deg:.4f}"]
-    best = "–" if p.best is None else _three_digits(p.best.best_s)
+    best = "–" if p.best_exposure is None else _three_digits(p.best_exposure.best_s)
     sky = [f"{p.limit_mag:.1f}", f"{p.elongation_deg:.0f}", f"{p.ra_deg:.3f}", f"{p.dec_deg:+.3f}"]
     return [f"{len(usable)}/{len(p.stars)}", *sigmas, mags, *sky, best]
 
@@ -153,8 +153,8 @@ def _print_reasons(console: Console, pictures: Sequence[PicturePlan]) -> None:
         if plan.verdict.reasons:
             words = f"[{GRADE_STYLES[grade]}]{grade}[/] {escape(plan.name)}: {escape(plan.verdict.words)}"
             console.print(words, highlight=False, soft_wrap=True)
-        if plan.prospect is not None and plan.prospect.visitors:
-            names = ", ".join(v.name for v in plan.prospect.visitors)
+        if plan.prediction is not None and plan.prediction.other_bodies:
+            names = ", ".join(v.name for v in plan.prediction.other_bodies)
             console.print(f"[dim]also in the field[/] {escape(plan.name)}: {escape(names)}", highlight=False)
 
 

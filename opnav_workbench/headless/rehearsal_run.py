@@ -3,8 +3,10 @@
 A picture that is lost, damaged or cannot be solved is an outcome with its reason, never a stop.
 """
 
+import contextlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from opnav_workbench.errors import SessionError
@@ -13,9 +15,9 @@ from opnav_workbench.headless.picture_run import Outcome, process_image
 from opnav_workbench.headless.policy import Policy
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
+from opnav_workbench.processes import in_processes
 from opnav_workbench.rehearsal.package import OrtPackage
 from opnav_workbench.session import RESULT_FILE
-from opnav_workbench.simulation.batch import in_processes
 
 __all__ = ["process_package"]
 
@@ -67,7 +69,8 @@ def process_package(
     for outcome in kept.values():
         done(outcome)
     left = [path for path in paths if path not in kept]
-    made = _process_pictures(package, left, folder, min(jobs, len(left)), done)
+    opening, work = partial(_package_opened, package), partial(_process_picture, out=folder)
+    made = in_processes(left, jobs, opening, work, done)
     found = kept | dict(zip(left, made, strict=True))
     return tuple(found[path] for path in paths)
 
@@ -84,39 +87,16 @@ def _earlier_outcome(path: Path, out: Path) -> Outcome | None:
     return Outcome(path, folder, result, reason) if same else None
 
 
-def _process_pictures(
-    package: OrtPackage, paths: Sequence[Path], out: Path, jobs: int, done: OutcomeCallback
-) -> tuple[Outcome, ...]:
-    if jobs > 1:
-        return in_processes(paths, jobs, _start_worker, (package, out), _process_in_worker, done)
-    if not paths:
-        return ()
-    policy = package_policy(package)
+@contextlib.contextmanager
+def _package_opened(package: OrtPackage) -> Iterator[Policy]:
     with KernelSet(package.metakernel):
-        return tuple(_reported(process_image(path, policy, out), done) for path in paths)
+        yield package_policy(package)
+
+
+def _process_picture(policy: Policy, path: Path, out: Path) -> Outcome:
+    return process_image(path, policy, out)
 
 
 def package_policy(package: OrtPackage) -> Policy:
     """Return how the pictures of a package are processed."""
     return Policy(mission=load_mission(package.mission), catalog=package.catalog, targets=package.targets)
-
-
-def _reported(outcome: Outcome, done: OutcomeCallback) -> Outcome:
-    done(outcome)
-    return outcome
-
-
-# -- several processes ---------------------------------------------------------------------------------------------
-
-_WORKERS: list[tuple[KernelSet, Policy, Path]] = []  # of this process: one, once it has started
-
-
-def _start_worker(package: OrtPackage, out: Path) -> None:
-    kernels = KernelSet(package.metakernel)
-    kernels.__enter__()  # for the life of the process
-    _WORKERS.append((kernels, package_policy(package), out))
-
-
-def _process_in_worker(path: Path) -> Outcome:
-    _, policy, out = _WORKERS[0]
-    return process_image(path, policy, out)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.geometry import angle_between
@@ -70,7 +70,7 @@ class Approach:
     search : ApproachSearch
     et : (n,) array
     mag, snr, diameter_px, range_km, phase_deg, elongation_deg : (n,) arrays
-        V; SNR of a single picture; ...
+        V; SNR of a single picture; of the target as the spacecraft sees it.
     keep_out : (n,) array of bool
         The Sun forbids it.
     detections : tuple of Detection
@@ -87,7 +87,7 @@ class Approach:
     range_km: FloatArray
     phase_deg: FloatArray
     elongation_deg: FloatArray
-    keep_out: FloatArray
+    keep_out: BoolArray
     detections: tuple[Detection, ...]
     problem: str = ""
 
@@ -96,10 +96,10 @@ class Approach:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Watch:
-    """What does not change over a search."""
+class _SearchGeometry:
+    """What does not change over a search: camera, detector and the target's surface."""
 
-    desk: OpenedSequence
+    opened: OpenedSequence
     search: ApproachSearch
     camera: Camera
     surface: Surface
@@ -107,14 +107,14 @@ class _Watch:
     psf: Psf
 
     def body(self, et: float) -> BodyModel:
-        target = self.desk.target(self.search.target, et)
-        return self.surface.model(target, self.desk.workshop.mission, self.camera, self.search.exposure_s)
+        target = self.opened.target(self.search.target, et)
+        return self.surface.model(target, self.opened.mission, self.camera, self.search.exposure_s)
 
-    def row(self, et: float) -> tuple[float, ...]:
+    def conditions(self, et: float) -> tuple[float, ...]:
         """Flux (DN), noise (DN), V, range, phase, elongation, diameter."""
         model = self.body(et)
         target = model.target
-        elongation = self.desk.elongation_deg(target.direction, et)
+        elongation = self.opened.elongation_deg(target.direction, et)
         sun = target.sun_position_km
         phase = np.nan if sun is None else float(np.degrees(angle_between(sun, -target.position_km)))
         radius = 0.0 if target.radii_km is None else float(np.cbrt(np.prod(target.radii_km)))
@@ -142,7 +142,7 @@ class _Watch:
         drawn = render_bodies(
             [model],
             self.camera,
-            self.desk.attitude(self.looking, self.camera, self.desk.et(self.looking)),
+            self.opened.attitude(self.planned_picture, self.camera, self.opened.et(self.planned_picture)),
             np.zeros(3),
             psf=self.psf,
             sunlight_e=self.camera.sunlight_e(self.search.exposure_s),
@@ -151,7 +151,7 @@ class _Watch:
         return drawn.bodies[0].flux_e / self.values.gain_e_per_dn
 
     @property
-    def looking(self) -> PlannedPicture:
+    def planned_picture(self) -> PlannedPicture:
         return PlannedPicture.model_validate(
             {
                 "name": self.search.name,
@@ -164,8 +164,8 @@ class _Watch:
 
     def noise_dn(self, elongation_deg: float) -> float:
         """Noise of a pixel of sky."""
-        effects, t, gain = self.desk.sequence.detector, self.search.exposure_s, self.values.gain_e_per_dn
-        stray = self.desk.stray_light_dn_s(elongation_deg) * gain * t if self.search.stray_light else 0.0
+        effects, t, gain = self.opened.sequence.detector, self.search.exposure_s, self.values.gain_e_per_dn
+        stray = self.opened.stray_light_dn_s(elongation_deg) * gain * t if self.search.stray_light else 0.0
         sky = 0.0 if effects.sky is None else effects.sky.rate_e_s * t + effects.sky.level_dn * gain
         dark = self.values.dark_e_s * (t + 0.5 * self.values.transfer_s)
         return float(np.sqrt(self.values.read_noise_dn**2 + (sky + stray + dark) / gain**2))
@@ -185,69 +185,68 @@ class _Watch:
         _, snr = star_bounds(places, flux, noise, self.psf, model)
         return np.asarray(snr.reshape(count, -1).mean(axis=1))
 
-    def needed_dn(self, snr: float, noise_dn: float) -> float:
+    def needed_flux_dn(self, snr: float, noise_dn: float) -> float:
         """Flux that has this SNR."""
         box = default_box_px(float(self.psf.sigma_px.max()))
         model = NoiseModel(self.values.read_noise_dn, self.values.gain_e_per_dn)
         return flux_at_snr(snr, self.psf, noise_dn, box_px=box, noise_model=model)
 
 
-def search_approach(desk: OpenedSequence, search: ApproachSearch) -> Approach:
+def search_approach(opened: OpenedSequence, search: ApproachSearch) -> Approach:
     """Search the time span for the first detection.
 
     A target, camera or time that cannot be had is told in `Approach.problem`.
     """
     et = np.linspace(et_from_utc(search.start.isoformat()), et_from_utc(search.stop.isoformat()), EPOCHS)
     try:
-        watch = _watch(desk, search)
-        rows = np.array([watch.row(float(t)) for t in et])
+        geometry = _search_geometry(opened, search)
+        rows = np.array([geometry.conditions(float(t)) for t in et])
     except OpNavError as error:
         empty = np.zeros(0)
         return Approach(
             search, empty, empty, empty, empty, empty, empty, empty, empty.astype(bool), (), str(error)
         )
     flux, noise, mag, range_km, phase, elongation, diameter = rows.T
-    keep_out = elongation < desk.sequence.sun.keep_out_deg
+    keep_out = elongation < opened.sequence.sun.keep_out_deg
     stacks = dict.fromkeys((1, search.stack))
-    snr = watch.snr(np.maximum(flux, LEAST_DN), noise)
-    detections = tuple(_detection(watch, n, et, rows, snr) for n in stacks)
+    snr = geometry.snr(np.maximum(flux, LEAST_DN), noise)
+    detections = tuple(_detection(geometry, n, et, rows, snr) for n in stacks)
     return Approach(search, et, mag, snr, diameter, range_km, phase, elongation, keep_out, detections)
 
 
-def _watch(desk: OpenedSequence, search: ApproachSearch) -> _Watch:
-    camera = desk.workshop.mission.camera_named(search.camera)
-    for number in ("zero_point_mag", "gain_e_per_dn", "read_noise_dn"):
-        camera.require(number)
-    limits = camera.exposure_limits
-    if limits is not None and not limits.min_s <= search.exposure_s <= limits.max_s:
-        raise CameraError(
-            f"exposure of {search.exposure_s:g} s; {camera.name} takes {limits.min_s:g} to {limits.max_s:g} s."
-        )
-    scenario = desk.workshop.scenario
+def _search_geometry(opened: OpenedSequence, search: ApproachSearch) -> _SearchGeometry:
+    camera = opened.mission.camera_named(search.camera)
+    camera.require_photometry()
+    fault = camera.exposure_fault(search.exposure_s)
+    if fault:
+        raise CameraError(f"exposure of {fault}.")
+    scenario = opened.opened_scenario.scenario
     surface = surface_of(scenario.body(search.target), scenario, ("search",))
-    values = detector_values(camera, desk.sequence.detector, search.exposure_s)
+    values = detector_values(camera, opened.sequence.detector, search.exposure_s)
     psf = camera.psf_model.at(camera.center_pixel_line)
-    return _Watch(desk, search, camera, surface, values, psf)
+    return _SearchGeometry(opened, search, camera, surface, values, psf)
 
 
-def _detection(watch: _Watch, stack: int, et: FloatArray, rows: FloatArray, snr: FloatArray) -> Detection:
+def _detection(
+    geometry: _SearchGeometry, stack: int, et: FloatArray, rows: FloatArray, snr: FloatArray
+) -> Detection:
     """Find the first time at which `stack` pictures reach the threshold."""
-    search = watch.search
+    search = geometry.search
     single = search.snr / np.sqrt(stack)
 
     def excess(time: float) -> float:
-        flux, noise, *_ = watch.row(time)
-        return float(watch.snr(np.array([flux]), np.array([noise]))[0] / single - 1.0)
+        flux, noise, *_ = geometry.conditions(time)
+        return float(geometry.snr(np.array([flux]), np.array([noise]))[0] / single - 1.0)
 
     above = np.flatnonzero(snr >= single)
-    limit = _limiting_mag(watch, single, rows[above[0] if above.size else -1])
+    limit = _limiting_mag(geometry, single, rows[above[0] if above.size else -1])
     what = "a single picture" if stack == 1 else f"{stack} stacked pictures"
     if not above.size:
         words = f"{what}: {search.target} is not detected before {search.stop.isoformat()} (magnitude {limit:.1f} needed)"
         return Detection(stack, "", np.nan, np.nan, np.nan, np.nan, limit, words)
     k = int(above[0])
     epoch = float(et[0]) if k == 0 else brentq(excess, float(et[k - 1]), float(et[k]), xtol=PRECISION_S)
-    _, _, mag, range_km, phase, elongation, _ = watch.row(epoch)
+    _, _, mag, range_km, phase, elongation, _ = geometry.conditions(epoch)
     utc = utc_from_et(epoch, 0)
     seen = "detected" if k else "detected already"
     words = (
@@ -256,11 +255,11 @@ def _detection(watch: _Watch, stack: int, et: FloatArray, rows: FloatArray, snr:
     if k == 0:
         reach = range_km * 10.0 ** (0.2 * (limit - mag))
         words += f", where the search begins; with the same Sun and phase it would be from {reach:.3g} km on"
-    if elongation < watch.desk.sequence.sun.keep_out_deg:
+    if elongation < geometry.opened.sequence.sun.keep_out_deg:
         words += f"; but the Sun is {elongation:.0f}° away, inside the keep-out angle"
     return Detection(stack, utc, mag, range_km, phase, elongation, limit, words)
 
 
-def _limiting_mag(watch: _Watch, snr: float, row: FloatArray) -> float:
+def _limiting_mag(geometry: _SearchGeometry, snr: float, row: FloatArray) -> float:
     flux, noise, mag = row[:3]
-    return float(mag - 2.5 * np.log10(watch.needed_dn(snr, noise) / flux))
+    return float(mag - 2.5 * np.log10(geometry.needed_flux_dn(snr, noise) / flux))

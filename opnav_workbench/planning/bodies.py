@@ -29,7 +29,8 @@ from opnav_workbench.planning.light import ExpectedLight, star_psf
 from opnav_workbench.planning.opened_sequence import OpenedSequence
 from opnav_workbench.render import RenderedBody
 from opnav_workbench.render.focal_plane import render_moving
-from opnav_workbench.scene import BodyPrediction, Observer, predict_body
+from opnav_workbench.scene import BodyPrediction, predict_body
+from opnav_workbench.simulation import PictureInputs
 
 __all__ = [
     "BodyLight",
@@ -154,7 +155,7 @@ def plan_target(light: ExpectedLight, index: int, pointing: PointingPlan | None)
     center, snr, peak, saturated = None, 0.0, float("nan"), 0.0
     if seen is not None:
         center, snr = center_bound(light, seen)
-        level = light.picture.exposed.image_dn
+        level = light.picture.exposure.image_dn
         lit = seen.electrons > 0.1 * seen.electrons.max(initial=0.0)
         peak = float(seen.cut(level)[lit].max(initial=0.0))
         saturated = float(seen.cut(light.saturated.astype(float))[lit].mean()) if lit.any() else 0.0
@@ -305,26 +306,24 @@ def natural_bodies() -> tuple[str, ...]:
 
 
 def other_bodies(
-    desk: OpenedSequence,
+    opened: OpenedSequence,
+    inputs: PictureInputs,
     names: Sequence[str],
     targets: Sequence[str],
     drawn: Sequence[str],
-    camera: Camera,
-    attitude: FloatArray,
-    observer: Observer,
-    et: float,
 ) -> tuple[OtherBody, ...]:
     """Return the bodies of `names` that are in the field, or whose disk reaches into it, and are no targets."""
+    camera, attitude = inputs.camera, inputs.path.middle
     own, shown = ({body_id(name) for name in group} for group in (targets, drawn))
     found = []
     for name in names:
         if body_id(name) in own:
             continue
         try:
-            state = desk.workshop.mission.with_magnitude(desk.target(name, et))
+            state = opened.mission.with_magnitude(opened.target(name, inputs.et))
         except OpNavError:  # the kernels do not have it then
             continue
-        seen = predict_body(state, observer, camera, attitude)
+        seen = predict_body(state, inputs.observer, camera, attitude)
         size = float(np.nan_to_num(seen.diameter_px))
         if not camera.on_detector(seen.pixel_line, 0.5 * size):
             continue

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.observables import attitude_partials
 from opnav_workbench.planning.attitude import plan_pointing
 from opnav_workbench.planning.bodies import BodyLight, TargetPlan, body_light, center_bound
@@ -17,7 +17,6 @@ from opnav_workbench.planning.light import ExpectedLight, star_psf
 from opnav_workbench.planning.stars import StarPlan, star_bounds
 from opnav_workbench.psf import Psf
 from opnav_workbench.psf.protocol import covering_boxes
-from opnav_workbench.psf.trailed import TrailedPsf
 
 __all__ = ["BestExposure", "best_exposure"]
 
@@ -41,12 +40,13 @@ class BestExposure:
     best_s : float
         Of the smallest error; nan where no exposure gives one.
     limited_by : str
-        What ends it: "saturation of NAME", "longest exposure of the camera" or "motion and background".
+        What ends it: "saturation of NAME" or "saturation", "longest exposure allowed", "motion, background and bright
+        stars", or "no exposure determines it".
     """
 
     exposure_s: FloatArray
     sigma_px: FloatArray
-    stars: FloatArray
+    stars: IntArray
     best_s: float
     limited_by: str
 
@@ -56,6 +56,8 @@ class BestExposure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ExposureSearch:
+    """What every trial exposure shares."""
+
     light: ExpectedLight
     stars: StarPlan
     psf: Psf
@@ -63,6 +65,7 @@ class _ExposureSearch:
     star_peak: FloatArray  # share of a star's light in its brightest pixel
     sky_e: FloatArray  # at each star, without it, scaling with the exposure
     smear_e: FloatArray
+    smear_plane_e: FloatArray  # of the whole detector
     index: int | None
     seen: BodyLight | None
     min_snr: float
@@ -85,9 +88,9 @@ def best_exposure(
     min_snr : float
         Below this a star is not used.
     """
-    task = _exposure_search(light, stars, index, min_snr)
+    search = _exposure_search(light, stars, index, min_snr)
     grid = _exposure_grid(light)
-    rows = [_error_px(task, target, t / light.inputs.exposure_s) for t in grid]
+    rows = [_error_px(search, target, t / light.inputs.exposure_s) for t in grid]
     sigma, count, full = (np.array(column) for column in zip(*rows, strict=True))
     if not np.isfinite(sigma).any():
         return BestExposure(grid, sigma, count, float("nan"), "no exposure determines it")
@@ -118,7 +121,8 @@ def _exposure_search(
     pixel, line = np.rint(stars.pixel_line).astype(np.int64).T
     line = np.clip(line, 0, light.inputs.camera.n_line - 1)
     pixel = np.clip(pixel, 0, light.inputs.camera.n_pixel - 1)
-    below, smear = light.without_stars_e[line, pixel], _smear(light)[line, pixel]
+    plane = _smear(light)
+    below, smear = light.without_stars_e[line, pixel], plane[line, pixel]
     return _ExposureSearch(
         light=light,
         stars=stars,
@@ -127,6 +131,7 @@ def _exposure_search(
         star_peak=peak,
         sky_e=np.maximum(below - smear, 0.0),
         smear_e=smear,
+        smear_plane_e=plane,
         index=index,
         seen=None if index is None else body_light(light, index),
         min_snr=min_snr,
@@ -141,26 +146,26 @@ def _smear(light: ExpectedLight) -> FloatArray:
     return np.maximum(light.expected_e - transfer.remove(light.expected_e), 0.0)
 
 
-def _error_px(task: _ExposureSearch, target: TargetPlan | None, ratio: float) -> tuple[float, int, bool]:
+def _error_px(search: _ExposureSearch, target: TargetPlan | None, ratio: float) -> tuple[float, int, bool]:
     """Return the error, px, the number of stars, and whether the target is saturated, at `ratio` times the exposure."""
-    light, camera = task.light, task.light.inputs.camera
+    light, camera = search.light, search.light.inputs.camera
     limit_e = _limit_dn(light) * light.values.gain_e_per_dn * SATURATION_MARGIN
-    flux_e = ratio * task.stars.flux_dn * light.values.gain_e_per_dn
-    below = ratio * task.sky_e + task.smear_e
-    bright = flux_e * task.star_peak + below < limit_e
-    covariance, snr = _star_bounds(task, flux_e, below, ratio)
-    use = task.offered & bright & (snr >= task.min_snr)
-    stars = replace(task.stars, covariance_px2=covariance)
+    flux_e = ratio * search.stars.flux_dn * light.values.gain_e_per_dn
+    below = ratio * search.sky_e + search.smear_e
+    bright = flux_e * search.star_peak + below < limit_e
+    covariance, snr = _star_bounds(search, flux_e, below, ratio)
+    use = search.offered & bright & (snr >= search.min_snr)
+    stars = replace(search.stars, covariance_px2=covariance)
     pointing = plan_pointing(stars, camera, light.inputs.path.middle, use, guarded=False)
     if pointing is None:
         return float("nan"), int(use.sum()), False
-    if target is None or task.seen is None:
+    if target is None or search.seen is None:
         return float(np.sqrt(np.mean(pointing.sigma_px**2))), int(use.sum()), False
-    smear = task.seen.cut(_smear(light))
-    mean = ratio * np.maximum(task.seen.cut(light.expected_e) - smear, 0.0) + smear
-    if float(mean[task.seen.electrons > 0.1 * task.seen.electrons.max()].max(initial=0.0)) > limit_e:
+    smear = search.seen.cut(search.smear_plane_e)
+    mean = ratio * np.maximum(search.seen.cut(light.expected_e) - smear, 0.0) + smear
+    if float(mean[search.seen.electrons > 0.1 * search.seen.electrons.max()].max(initial=0.0)) > limit_e:
         return float("nan"), int(use.sum()), True
-    center, _ = center_bound(light, task.seen, ratio, mean)
+    center, _ = center_bound(light, search.seen, ratio, mean)
     by_attitude = attitude_partials(target.prediction.direction, camera, light.inputs.path.middle)
     total = center + by_attitude @ pointing.covariance_rad2 @ by_attitude.T
     return float(np.sqrt(0.5 * np.trace(total))), int(use.sum()), False
@@ -174,13 +179,9 @@ def _limit_dn(light: ExpectedLight) -> float:
 
 
 def _star_bounds(
-    task: _ExposureSearch, flux_e: FloatArray, below_e: FloatArray, ratio: float
+    search: _ExposureSearch, flux_e: FloatArray, below_e: FloatArray, ratio: float
 ) -> tuple[FloatArray, FloatArray]:
-    light, psf = task.light, task.psf
-    gain = light.values.gain_e_per_dn
-    if not light.inputs.path.is_still:  # a steady motion goes farther in a longer exposure
-        offsets = ratio * light.inputs.path.offsets_px(light.inputs.camera)
-        weights = light.inputs.path.weights
-        psf = TrailedPsf(light.inputs.psf, offsets - weights @ offsets, weights).tabulated()
+    light, gain = search.light, search.light.values.gain_e_per_dn
+    psf = search.psf if light.inputs.path.is_still else star_psf(light.inputs, ratio)
     noise = np.sqrt(light.variance_dn2(below_e))
-    return star_bounds(task.stars.pixel_line, flux_e / gain, noise, psf, light.noise_model)
+    return star_bounds(search.stars.pixel_line, flux_e / gain, noise, psf, light.noise_model)

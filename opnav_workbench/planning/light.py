@@ -50,7 +50,7 @@ class ExpectedLight:
     @property
     def expected_e(self) -> FloatArray:
         """Mean photo-electrons, all light."""
-        return self.picture.exposed.expected_electrons
+        return self.picture.exposure.expected_electrons
 
     @property
     def dark_e(self) -> float:
@@ -66,11 +66,11 @@ class ExpectedLight:
     def saturated(self) -> BoolArray:
         """Pixels that even without noise stand at the end of the converter, the full well or the camera's range."""
         level = self.inputs.camera.saturation_dn
-        exposed = self.picture.exposed
+        exposure = self.picture.exposure
         if level is None:
-            return exposed.saturated
-        bias = self.values.bias_dn if exposed.level == "raw" else 0.0
-        return np.asarray(exposed.saturated | (exposed.image_dn - bias >= level))
+            return exposure.saturated
+        bias = self.values.bias_dn if exposure.level == "raw" else 0.0
+        return np.asarray(exposure.saturated | (exposure.image_dn - bias >= level))
 
     def variance_dn2(self, electrons: FloatArray) -> FloatArray:
         """Return the variance of pixels with these mean photo-electrons."""
@@ -96,10 +96,13 @@ def expected_light(inputs: PictureInputs) -> ExpectedLight:
     return ExpectedLight(replace(picture, inputs=inputs), rest.expected_electrons, values)
 
 
-def star_psf(inputs: PictureInputs) -> Psf:
-    """Return what a star looks like in this picture: the PSF, drawn out where the camera moves."""
+def star_psf(inputs: PictureInputs, ratio: float = 1.0) -> Psf:
+    """Return what a star looks like in this picture: the PSF, drawn out where the camera moves.
+
+    A steady motion goes `ratio` times as far in an exposure that is longer by so much.
+    """
     if inputs.path.is_still:
         return inputs.psf
-    offsets = inputs.path.offsets_px(inputs.camera)
+    offsets = ratio * inputs.path.offsets_px(inputs.camera)
     trailed = TrailedPsf(inputs.psf, offsets - inputs.path.weights @ offsets, inputs.path.weights)
     return trailed.tabulated()

@@ -20,7 +20,6 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
-from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import (
     angle_between,
     apparent_direction,
@@ -30,11 +29,13 @@ from opnav_workbench.geometry import (
 )
 from opnav_workbench.kernels import KernelSet, body_id, camera_attitude, et_from_utc, state
 from opnav_workbench.kernels.making.aiming import aim
+from opnav_workbench.mission import Mission
 from opnav_workbench.planning.sequence import PictureSequence, PlannedPicture, PlannedPointing
 from opnav_workbench.scene import body_target, observer_from_kernels
 from opnav_workbench.simulation import DetectorEffects, OpenedScenario, PictureInputs, ScenarioPicture
 from opnav_workbench.simulation.effects import Sky
 from opnav_workbench.simulation.scenario import ActualAttitude, AttitudePlan, PredictedAttitude
+from opnav_workbench.simulation.scenario_file import FieldError
 from opnav_workbench.simulation.true_state import shifted_attitude
 from opnav_workbench.targets import TargetState
 from opnav_workbench.yaml_file import Location
@@ -52,7 +53,12 @@ class OpenedSequence:
     """A sequence with everything opened that its pictures share; use it inside an active `KernelSet`."""
 
     sequence: PictureSequence
-    workshop: OpenedScenario
+    opened_scenario: OpenedScenario
+
+    @property
+    def mission(self) -> Mission:
+        """The sequence's mission."""
+        return self.opened_scenario.mission
 
     @classmethod
     def open(cls, sequence: PictureSequence) -> "OpenedSequence":
@@ -63,28 +69,23 @@ class OpenedSequence:
         MissionError
             One of them is not there or not known; the message names the line of the sequence.
         """
-        scenario = sequence.scenario()
-        try:
-            workshop = OpenedScenario.open(scenario)
-        except OpNavError as error:
-            text = str(error)
-            raise type(error)(text.replace("picture scenario", "picture sequence", 1)) from error
+        opened = cls(sequence, OpenedScenario.open(sequence.scenario()))
         _check_names(sequence)
-        return cls(sequence, workshop)
+        return opened
 
     def targets(self, picture: PlannedPicture) -> tuple[str, ...]:
         """Return the names of the bodies that a picture is to measure."""
         named = self.sequence.targets if picture.targets is None else picture.targets
-        return self.workshop.mission.default_targets if named is None else named
+        return self.mission.default_targets if named is None else named
 
-    def drawn(self, picture: PlannedPicture) -> tuple[str, ...]:
+    def bodies_drawn(self, picture: PlannedPicture) -> tuple[str, ...]:
         """Return the bodies that are drawn: the targets, and those whose looks the sequence describes."""
         names = dict.fromkeys(name.upper() for name in self.targets(picture))
         return tuple(names | dict.fromkeys(body.name.upper() for body in self.sequence.bodies))
 
     def camera(self, picture: PlannedPicture) -> Camera:
         """Return a picture's camera; raises CameraError or MissionError where photometry is not known."""
-        return self._of(picture, np.eye(3)).camera(_scenario_picture(picture))
+        return self._scenario_with(picture, np.eye(3)).camera(_scenario_picture(picture))
 
     def et(self, picture: PlannedPicture) -> float:
         """Return mid-exposure, TDB s past J2000."""
@@ -117,17 +118,17 @@ class OpenedSequence:
 
     def direction(self, name: str, et: float) -> FloatArray:
         """Return a body's apparent direction (3,), J2000."""
-        spacecraft = self.workshop.mission.spacecraft_id
+        spacecraft = self.mission.spacecraft_id
         observer = observer_from_kernels(spacecraft, et)
         return apparent_direction(body_target(name, spacecraft, et).direction, observer.velocity_km_s)
 
     def target(self, name: str, et: float) -> TargetState:
         """Return a body as the spacecraft sees it."""
-        return body_target(name, self.workshop.mission.spacecraft_id, et)
+        return body_target(name, self.mission.spacecraft_id, et)
 
     def elongation_deg(self, direction: FloatArray, et: float) -> float:
         """Return the angle between a direction (3,) and the Sun, seen from the spacecraft."""
-        sun = state(SUN, et, self.workshop.mission.spacecraft_id, correction="CN").position_km
+        sun = state(SUN, et, self.mission.spacecraft_id, correction="CN").position_km
         return float(np.degrees(angle_between(sun, direction)))
 
     def stray_light_dn_s(self, elongation_deg: float) -> float:
@@ -156,12 +157,14 @@ class OpenedSequence:
         attitude = self.attitude(picture, camera, et)
         elongation = self.elongation_deg(attitude.T @ camera.boresight, et)
         named = picture if not seed_name else picture.model_copy(update={"name": seed_name})
-        inputs = self._of(named, attitude).inputs(_scenario_picture(named, self.drawn(picture)))
+        inputs = self._scenario_with(named, attitude).inputs(
+            _scenario_picture(named, self.bodies_drawn(picture))
+        )
         stray = self.stray_light_dn_s(elongation) * camera.require("gain_e_per_dn")
         return replace(inputs, effects=_with_stray_light(inputs.effects, stray)) if stray else inputs
 
-    def _of(self, picture: PlannedPicture, attitude: FloatArray) -> OpenedScenario:
-        """Return a workshop whose scenario has this picture alone, with its attitude."""
+    def _scenario_with(self, picture: PlannedPicture, attitude: FloatArray) -> OpenedScenario:
+        """Return the opened scenario with this picture alone, and its attitude."""
         w, x, y, z = (float(q) for q in quaternion_from_matrix(attitude))
         plan = AttitudePlan(
             predicted=PredictedAttitude(source="fixed", quaternion_camera_from_j2000=(w, x, y, z)),
@@ -169,7 +172,8 @@ class OpenedSequence:
             motion=self.sequence.motion,
         )
         update = {"attitude": plan, "pictures": (picture,)}
-        return replace(self.workshop, scenario=self.workshop.scenario.model_copy(update=update))
+        scenario = self.opened_scenario.scenario.model_copy(update=update)
+        return replace(self.opened_scenario, scenario=scenario)
 
 
 def _scenario_picture(picture: PlannedPicture, drawn: Sequence[str] | None = None) -> ScenarioPicture:
@@ -195,17 +199,14 @@ def _check_names(sequence: PictureSequence) -> None:
         places += [(("pictures", k, "pointing", "track", i), name) for i, name in enumerate(tracked)]
     places += [(("search", k, "target"), search.target) for k, search in enumerate(sequence.search)]
     for place, name in places:
-        try:
+        with sequence.naming(place):
             body_id(name)
-        except OpNavError as error:
-            raise sequence.fault(place, str(error)) from error
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error says, without the place in a scenario that it was wrapped with."""
-    cause = error.__cause__
-    inner = cause if isinstance(cause, OpNavError) and str(cause) in str(error) else error
-    return " ".join(str(inner).split())
+    """Return what an error says, without the place in a file that it was wrapped with."""
+    said = error.reason if isinstance(error, FieldError) and error.reason else str(error)
+    return " ".join(said.split())
 
 
 # ---- Pictures simulated to confirm a plan: noise realisations of what was planned.
@@ -214,7 +215,7 @@ CATALOG_STREAM = 1001  # no stream of the simulation's own effects has this numb
 
 
 def confirming_inputs(
-    desk: OpenedSequence,
+    opened: OpenedSequence,
     picture: PlannedPicture,
     number: int,
     *,
@@ -225,7 +226,7 @@ def confirming_inputs(
 
     Parameters
     ----------
-    desk : OpenedSequence
+    opened : OpenedSequence
     picture : PlannedPicture
     number : int
         Of the trial: noise and catalog errors are drawn anew for each; the same number gives the same picture.
@@ -239,7 +240,7 @@ def confirming_inputs(
     OpNavError
         As `OpenedSequence.inputs`.
     """
-    inputs = desk.inputs(picture, seed_name=f"{picture.name}_{number:04d}")
+    inputs = opened.inputs(picture, seed_name=f"{picture.name}_{number:04d}")
     planned = inputs.predicted_camera_from_j2000
     true = shifted_attitude(planned, inputs.camera, shift_px, twist_deg)
     return replace(
@@ -275,10 +276,8 @@ def open_sequence(sequence: PictureSequence) -> Iterator[OpenedSequence]:
     source = sequence.scenario().kernel_source()
     with contextlib.ExitStack() as stack:
         if source is not None:
-            try:
+            with sequence.naming(("kernels",)):
                 kernels = KernelSet(source)
-            except OpNavError as error:
-                raise sequence.fault(("kernels",), str(error)) from error
             stack.enter_context(kernels)
         elif KernelSet.active() is None:
             raise sequence.fault(

@@ -64,17 +64,12 @@ def judge_picture(
     stars: StarPlan,
     pointing: PointingPlan | None,
     targets: tuple[TargetPlan, ...],
-    saturation_dn: float | None,
 ) -> PlanVerdict:
     """Grade a picture: the worst of what its Sun, its stars and its targets say."""
     said = [
         *_sun_reasons(sun, elongation_deg),
         *_star_reasons(limits, stars, pointing),
-        *(
-            entry
-            for target in targets
-            for entry in _target_reasons(camera, limits, target, stars, saturation_dn)
-        ),
+        *(reason for target in targets for reason in _target_reasons(camera, limits, target, stars)),
     ]
     bad = [words for grade, words in said if grade == "bad"]
     marginal = [words for grade, words in said if grade == "marginal"]
@@ -118,10 +113,8 @@ def _why_none(stars: StarPlan) -> str:
     return f"{len(stars)} in the catalog are {told or 'blended'}"
 
 
-def _target_reasons(
-    camera: Camera, limits: PlanLimits, target: TargetPlan, stars: StarPlan, saturation_dn: float | None
-) -> Reasons:
-    name, place = target.name, target.prediction.pixel_line
+def _target_reasons(camera: Camera, limits: PlanLimits, target: TargetPlan, stars: StarPlan) -> Reasons:
+    name, place, saturation_dn = target.name, target.prediction.pixel_line, camera.saturation_dn
     if not target.prediction.on_detector:
         yield "bad", f"{name} is off the detector{_where(camera, place)}"
         return
@@ -210,11 +203,11 @@ class PicturePrediction:
     pointing : PointingPlan or None
         None where no star determines it.
     targets : tuple of TargetPlan
-    visitors : tuple of Visitor
+    other_bodies : tuple of OtherBody
         Other bodies in the field.
     image_dn : (n_line, n_pixel) array
         The expected picture, without noise.
-    best : BestExposure or None
+    best_exposure : BestExposure or None
         None where it was not asked for.
     """
 
@@ -231,9 +224,9 @@ class PicturePrediction:
     catalog_mag: float
     pointing: PointingPlan | None
     targets: tuple[TargetPlan, ...]
-    visitors: tuple[OtherBody, ...]
+    other_bodies: tuple[OtherBody, ...]
     image_dn: FloatArray
-    best: BestExposure | None
+    best_exposure: BestExposure | None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -252,15 +245,15 @@ class PicturePlan:
     picture : PlannedPicture
     pointing_words : str
         How the pointing is planned.
-    verdict : Verdict
-    prospect : Prospect or None
+    verdict : PlanVerdict
+    prediction : PicturePrediction or None
         None where nothing can be told; the verdict says why.
     """
 
     picture: PlannedPicture
     pointing_words: str
     verdict: PlanVerdict
-    prospect: PicturePrediction | None
+    prediction: PicturePrediction | None
 
     @property
     def name(self) -> str:
@@ -274,7 +267,7 @@ class PicturePlan:
 
 
 def plan_picture(
-    desk: OpenedSequence, picture: PlannedPicture, *, others: Sequence[str] = (), exposures: bool = True
+    opened: OpenedSequence, picture: PlannedPicture, *, others: Sequence[str] = (), exposures: bool = True
 ) -> PicturePlan:
     """Predict one picture and judge it.
 
@@ -282,48 +275,49 @@ def plan_picture(
 
     Parameters
     ----------
-    desk : Desk
+    opened : OpenedSequence
     picture : PlannedPicture
     others : sequence of str
         Bodies that may enter the field.
     exposures : bool
         Search the best exposure too.
     """
-    words = desk.pointing(picture).words
+    words = opened.pointing(picture).words
     try:
-        prospect = _predicted(desk, picture, others, exposures)
+        prediction = _predicted(opened, picture, others, exposures)
     except (OpNavError, ValueError) as error:
         return PicturePlan(picture, words, PlanVerdict("bad", (reason_of(error),)), None)
-    sequence, camera = desk.sequence, prospect.camera
+    sequence = opened.sequence
     verdict = judge_picture(
-        camera,
+        prediction.camera,
         sequence.limits,
         sequence.sun,
-        prospect.elongation_deg,
-        prospect.stars,
-        prospect.pointing,
-        prospect.targets,
-        camera.saturation_dn,
+        prediction.elongation_deg,
+        prediction.stars,
+        prediction.pointing,
+        prediction.targets,
     )
-    return PicturePlan(picture, words, verdict, prospect)
+    return PicturePlan(picture, words, verdict, prediction)
 
 
 def _predicted(
-    desk: OpenedSequence, picture: PlannedPicture, others: Sequence[str], exposures: bool
+    opened: OpenedSequence, picture: PlannedPicture, others: Sequence[str], exposures: bool
 ) -> PicturePrediction:
-    camera = desk.camera(picture)
-    _check_exposure(camera, picture.exposure_s)
-    inputs = desk.inputs(picture)
+    camera = opened.camera(picture)
+    fault = camera.exposure_fault(picture.exposure_s)
+    if fault:
+        raise CameraError(f"exposure of {fault}")
+    inputs = opened.inputs(picture)
     light = expected_light(inputs)
     attitude = inputs.path.middle
-    stars = plan_stars(light, desk.sequence.limits.star_snr)
+    stars = plan_stars(light, opened.sequence.limits.star_snr)
     pointing = plan_pointing(stars, camera, attitude)
-    wanted = [name.upper() for name in desk.targets(picture)]
+    wanted = [name.upper() for name in opened.targets(picture)]
     index = {body.target.name.upper(): i for i, body in enumerate(inputs.bodies)}
     targets = tuple(plan_target(light, index[name], pointing) for name in wanted)
     ra, dec, twist = pointing_angles(attitude, camera.focal_from_camera)
     boresight = attitude.T @ camera.boresight
-    elongation = desk.elongation_deg(boresight, inputs.et)
+    elongation = opened.elongation_deg(boresight, inputs.et)
     return PicturePrediction(
         camera=camera,
         et=inputs.et,
@@ -332,22 +326,22 @@ def _predicted(
         dec_deg=float(np.degrees(dec)),
         twist_deg=float(np.degrees(twist)) % 360.0,
         elongation_deg=elongation,
-        stray_light_dn=desk.stray_light_dn_s(elongation) * inputs.exposure_s,
+        stray_light_dn=opened.stray_light_dn_s(elongation) * inputs.exposure_s,
         stars=stars,
-        limit_mag=limiting_magnitude(light, desk.sequence.limits.star_snr),
-        catalog_mag=catalog_depth_mag(desk.workshop.catalog, boresight, desk.sequence.magnitude_limit),
+        limit_mag=limiting_magnitude(light, opened.sequence.limits.star_snr),
+        catalog_mag=catalog_depth_mag(
+            opened.opened_scenario.catalog, boresight, opened.sequence.magnitude_limit
+        ),
         pointing=pointing,
         targets=targets,
-        visitors=other_bodies(
-            desk, others, wanted, desk.drawn(picture), camera, attitude, inputs.observer, inputs.et
-        ),
+        other_bodies=other_bodies(opened, inputs, others, wanted, opened.bodies_drawn(picture)),
         image_dn=light.picture.image_dn,
-        best=_best_for_brightest(desk, light, stars, targets, index) if exposures else None,
+        best_exposure=_best_for_brightest(opened, light, stars, targets, index) if exposures else None,
     )
 
 
 def _best_for_brightest(
-    desk: OpenedSequence,
+    opened: OpenedSequence,
     light: ExpectedLight,
     stars: StarPlan,
     targets: tuple[TargetPlan, ...],
@@ -357,12 +351,4 @@ def _best_for_brightest(
     seen = [t for t in targets if t.snr > 0.0 and t.prediction.on_detector]
     target = max(seen, key=lambda t: t.flux_dn, default=None)
     number = None if target is None else index[target.name.upper()]
-    return best_exposure(light, stars, number, target, desk.sequence.limits.star_snr)
-
-
-def _check_exposure(camera: Camera, exposure_s: float) -> None:
-    limits = camera.exposure_limits
-    if limits is not None and not limits.min_s <= exposure_s <= limits.max_s:
-        raise CameraError(
-            f"exposure of {exposure_s:g} s; {camera.name} takes {limits.min_s:g} to {limits.max_s:g} s"
-        )
+    return best_exposure(light, stars, number, target, opened.sequence.limits.star_snr)

@@ -95,18 +95,18 @@ def plan_sequence(
     ]
     searches = [search for search in sequence.search if not only or search.name in only]
     _check_only(sequence, only)
-    with open_sequence(sequence) as desk:
+    with open_sequence(sequence) as opened:
         others = natural_bodies()
         total = len(pictures) + len(searches)
         plans, found = [], []
         for number, picture in enumerate(pictures):
             done(number, total, picture.name)
-            plans.append(plan_picture(desk, picture, others=others, exposures=exposures))
+            plans.append(plan_picture(opened, picture, others=others, exposures=exposures))
         for number, search in enumerate(searches, len(pictures)):
             done(number, total, search.name)
-            found.append(search_approach(desk, search))
+            found.append(search_approach(opened, search))
         done(total, total, "")
-        return Plan(sequence, tuple(plans), tuple(found), dict(desk.workshop.catalog.describe()))
+        return Plan(sequence, tuple(plans), tuple(found), dict(opened.opened_scenario.catalog.describe()))
 
 
 def _check_only(sequence: PictureSequence, only: Sequence[str]) -> None:

@@ -8,7 +8,6 @@ schema.
 """
 
 from collections.abc import Mapping
-from datetime import datetime
 from itertools import pairwise
 from os import PathLike
 from typing import Annotated, Any, ClassVar, Self
@@ -117,12 +116,8 @@ class ApproachSearch(Strict):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.stop <= self.start:
-            raise ValueError(f"stop {_text(self.stop)} is not after start {_text(self.start)}")
+            raise ValueError(f"stop {self.stop.isoformat()} is not after start {self.start.isoformat()}")
         return self
-
-
-def _text(moment: datetime) -> str:
-    return moment.isoformat()
 
 
 class SunRule(Strict):
@@ -198,7 +193,7 @@ class PictureSequence(PicturesFile):
         if not pictures:
             raise MissionError(f"{self.label}: nothing to plan; give pictures, or a search.")
         shared = {name: getattr(self, name) for name in PicturesFile.model_fields}
-        return PictureScenario(pictures=pictures, **shared).at_path(self.path)
+        return PictureScenario(pictures=pictures, **shared).at_path(self.path, self.WHAT)
 
 
 def sequence_names() -> tuple[str, ...]:

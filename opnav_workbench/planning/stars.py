@@ -173,7 +173,7 @@ def _statuses(
     near_edge = ~camera.on_detector(places, -EDGE_SIGMAS * sigma)
     faint = (snr < min_snr) | (np.arange(len(places)) >= MAX_STARS)
     reasons = (
-        ("hidden", light.picture.star_hidden[rows]),
+        ("hidden", light.picture.star_occulted[rows]),
         ("in_body_light", _values_at(body_e, places) > BODY_LIGHT_SIGMAS * sky),
         ("saturated", _values_at(maximum_filter(light.saturated, CORE_PX), places)),
         ("near_edge", near_edge),

@@ -35,9 +35,9 @@ class Row:
     target: TargetPlan | None
 
     @property
-    def prospect(self) -> PicturePrediction | None:
+    def prediction(self) -> PicturePrediction | None:
         """What the picture is expected to be."""
-        return self.plan.prospect
+        return self.plan.prediction
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,12 @@ def rows_of(pictures: tuple[PicturePlan, ...]) -> tuple[Row, ...]:
     return tuple(
         Row(plan, target)
         for plan in pictures
-        for target in ((plan.prospect.targets if plan.prospect else ()) or (None,))
+        for target in ((plan.prediction.targets if plan.prediction else ()) or (None,))
     )
 
 
 def _of_prediction(value: Callable[[PicturePrediction], Any], missing: Any = NAN) -> Callable[[Row], Any]:
-    return lambda row: missing if row.prospect is None else value(row.prospect)
+    return lambda row: missing if row.prediction is None else value(row.prediction)
 
 
 def _of_target(value: Callable[[TargetPlan], Any], missing: Any = NAN) -> Callable[[Row], Any]:
@@ -71,8 +71,8 @@ def _of_pointing(value: Callable[[Any], Any]) -> Callable[[Row], Any]:
     return _of_prediction(lambda p: NAN if p.pointing is None else value(p.pointing))
 
 
-def _usable_magnitude(prospect: PicturePrediction, pick: Callable[[Any], Any]) -> float:
-    usable = prospect.stars.mag[prospect.stars.usable]
+def _usable_magnitude(prediction: PicturePrediction, pick: Callable[[Any], Any]) -> float:
+    usable = prediction.stars.mag[prediction.stars.usable]
     return float(pick(usable)) if len(usable) else NAN
 
 
@@ -142,19 +142,19 @@ COLUMNS: tuple[Column, ...] = (
         "others",
         None,
         "other bodies in the field",
-        _of_prediction(lambda p: ", ".join(v.name for v in p.visitors), ""),
+        _of_prediction(lambda p: ", ".join(v.name for v in p.other_bodies), ""),
     ),
     Column(
         "best_exposure",
         u.s,
         "exposure of the smallest error",
-        _of_prediction(lambda p: p.best.best_s if p.best else NAN),
+        _of_prediction(lambda p: p.best_exposure.best_s if p.best_exposure else NAN),
     ),
     Column(
         "limited_by",
         None,
         "what ends longer exposures",
-        _of_prediction(lambda p: p.best.limited_by if p.best else "", ""),
+        _of_prediction(lambda p: p.best_exposure.limited_by if p.best_exposure else "", ""),
     ),
 )
 
@@ -188,7 +188,7 @@ def plan_table(plan: Plan) -> QTable:
 def catalog_words(plan: Plan) -> str:
     """Say which catalog the stars are from, and how deep it goes compared with the pictures."""
     name = plan.catalog.get("name", plan.sequence.catalog)
-    seen = [p.prospect for p in plan.pictures if p.prospect is not None]
+    seen = [p.prediction for p in plan.pictures if p.prediction is not None]
     depth = [p.catalog_mag for p in seen if np.isfinite(p.catalog_mag)]
     if not depth:
         return f"{name} ({plan.catalog.get('n_stars', 'unknown number of')} stars)"
@@ -245,7 +245,7 @@ def _picture_values(plan: PicturePlan) -> dict[str, Any]:
         "verdict": plan.verdict.grade,
         "reasons": list(plan.verdict.reasons),
     }
-    return head if plan.prospect is None else head | _prediction_values(plan.prospect)
+    return head if plan.prediction is None else head | _prediction_values(plan.prediction)
 
 
 def _prediction_values(p: PicturePrediction) -> dict[str, Any]:
@@ -260,8 +260,8 @@ def _prediction_values(p: PicturePrediction) -> dict[str, Any]:
             "n_stars": p.pointing.n_stars,
         }
     best = None
-    if p.best is not None:
-        best = {"exposure_s": p.best.best_s, "limited_by": p.best.limited_by}
+    if p.best_exposure is not None:
+        best = {"exposure_s": p.best_exposure.best_s, "limited_by": p.best_exposure.limited_by}
     return {
         "camera": p.camera.name,
         "et": p.et,
@@ -278,7 +278,7 @@ def _prediction_values(p: PicturePrediction) -> dict[str, Any]:
         "targets": [_target_values(target) for target in p.targets],
         "others": [
             {"name": v.name, "pixel_line": [v.pixel, v.line], "diameter_px": v.diameter_px, "mag": v.mag}
-            for v in p.visitors
+            for v in p.other_bodies
         ],
         "best_exposure": best,
     }

@@ -109,10 +109,10 @@ def simulate_picture(request: PictureRequest, mission: Mission, catalog: str, ou
     KernelError, CameraError, CatalogError, MissionError
     """
     scenario = request.scenario(mission, catalog)
-    workshop = OpenedScenario(scenario, mission, open_catalog(catalog), {})
-    task = ScenarioPicture(0, scenario.pictures[0])
-    picture = expose_picture(workshop.inputs(task))
-    report = write_picture(picture, mission, make_folder(out), (), workshop.settings(task))
+    opened = OpenedScenario(scenario, mission, open_catalog(catalog), {})
+    chosen = ScenarioPicture(0, scenario.pictures[0])
+    picture = expose_picture(opened.inputs(chosen))
+    report = write_picture(picture, mission, make_folder(out), (), opened.truth_settings(chosen))
     return truth_of(picture, mission, report.files[0])
 
 

@@ -56,7 +56,7 @@ from opnav_workbench.rehearsal.package import (
 )
 from opnav_workbench.rehearsal.pictures import (
     PICTURE_SUFFIX,
-    Assignment,
+    PictureBatch,
     make_pictures,
     remove_missing,
     truncate_pictures,
@@ -342,8 +342,8 @@ class _PackageMaker:
             self.progress(len(done), total, truth.picture.stem)
 
         out = self.folder / PICTURE_FOLDER
-        assignment = Assignment(self.scenario, case, geometry.epoch_et, metakernel, out)
-        truths = make_pictures(assignment, self.jobs, one_more)
+        batch = PictureBatch(self.scenario, case, geometry.epoch_et, metakernel, out)
+        truths = make_pictures(batch, self.jobs, one_more)
         remove_missing(out, case.missing)
         truncate_pictures(out, case.truncated, self.seed)
         return truths

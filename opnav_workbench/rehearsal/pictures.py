@@ -21,6 +21,7 @@ from opnav_workbench.camera.distortion import DirectDistortion, Distortion
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.files import make_folder
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
+from opnav_workbench.processes import in_processes
 from opnav_workbench.rehearsal.case import OrtCase, perturbation_random
 from opnav_workbench.rehearsal.scenario import OrtEntry, OrtScenario
 from opnav_workbench.simulation import (
@@ -28,16 +29,14 @@ from opnav_workbench.simulation import (
     OpenedScenario,
     PictureScenario,
     ScenarioPicture,
-    SimulatedPicture,
     Truth,
     chosen_pictures,
     expose_picture,
     truth_of,
 )
-from opnav_workbench.simulation.batch import in_processes
 from opnav_workbench.simulation.effects import CosmicRays, LostData
 from opnav_workbench.simulation.flight_fits import write_flight_fits
-from opnav_workbench.simulation.flight_header import FlightRecord
+from opnav_workbench.simulation.output import flight_record
 from opnav_workbench.simulation.scenario import (
     ActualAttitude,
     AttitudePlan,
@@ -110,7 +109,7 @@ PICTURE_SUFFIX = ".fit"
 
 
 @dataclass(frozen=True, slots=True)
-class Assignment:
+class PictureBatch:
     """What every process needs to make the rehearsal's pictures.
 
     Attributes
@@ -131,9 +130,7 @@ class Assignment:
     out: Path
 
 
-def make_pictures(
-    assignment: Assignment, jobs: int, progress: Callable[[Truth], None]
-) -> Mapping[str, Truth]:
+def make_pictures(batch: PictureBatch, jobs: int, progress: Callable[[Truth], None]) -> Mapping[str, Truth]:
     """Make all pictures, also those that will be lost; return what each of them truly shows.
 
     Raises
@@ -143,21 +140,12 @@ def make_pictures(
     SessionError
         The folder cannot be written, or a process died.
     """
-    with _scenario_opened(assignment) as workshop:
-        tasks = chosen_pictures(workshop.scenario, ())
-        workshop.check(tasks)
-        make_folder(assignment.out)
-        if min(jobs, len(tasks)) == 1:
-            truths = []
-            for task in tasks:
-                truths.append(_make_picture(workshop, task, assignment))
-                progress(truths[-1])
-        else:
-            truths = list(
-                in_processes(
-                    tasks, min(jobs, len(tasks)), _start_worker, (assignment,), _work_on_picture, progress
-                )
-            )
+    with _scenario_opened(batch) as opened:
+        pictures = chosen_pictures(opened.scenario, ())
+        opened.check(pictures)
+        make_folder(batch.out)
+        opening, work = partial(_scenario_opened, batch), partial(_make_picture, batch=batch)
+        truths = in_processes(pictures, jobs, opening, work, progress, here=opened)
     return {truth.picture.stem: truth for truth in truths}
 
 
@@ -207,63 +195,47 @@ def _picture_entry(picture: OrtEntry, scenario: OrtScenario) -> PictureEntry:
 
 
 @contextlib.contextmanager
-def _scenario_opened(assignment: Assignment) -> Iterator[OpenedScenario]:
-    with KernelSet(assignment.metakernel):
-        yield OpenedScenario.open(picture_scenario(assignment.scenario, assignment.case))
+def _scenario_opened(batch: PictureBatch) -> Iterator[OpenedScenario]:
+    with KernelSet(batch.metakernel):
+        yield OpenedScenario.open(picture_scenario(batch.scenario, batch.case))
 
 
-def _make_picture(workshop: OpenedScenario, task: ScenarioPicture, assignment: Assignment) -> Truth:
-    case, name = assignment.case, task.picture.name
-    true = replace(workshop, scenario=_as_flown(workshop, task, assignment))
-    inputs = true.inputs(task)
+def _make_picture(opened: OpenedScenario, picture: ScenarioPicture, batch: PictureBatch) -> Truth:
+    case, name = batch.case, picture.name
+    true = replace(opened, scenario=_as_flown(opened, picture, batch))
+    inputs = true.inputs(picture)
     calibrated = inputs.camera
     camera = camera_with_faults(calibrated, case.focal_length, case.corner_px)
-    picture = expose_picture(replace(inputs, camera=camera))
-    path = assignment.out / f"{name}{PICTURE_SUFFIX}"
-    write_flight_fits(path, picture.exposed, _flight_record(picture, workshop, task))
-    truth = truth_of(picture, workshop.mission, path, true.settings(task))
+    made = expose_picture(replace(inputs, camera=camera))
+    path = batch.out / f"{name}{PICTURE_SUFFIX}"
+    write_flight_fits(path, made.exposure, flight_record(made, opened.mission, calibrated))
+    truth = truth_of(made, opened.mission, path, true.truth_settings(picture))
     return replace(truth, noiseless_electrons=None)
 
 
-def _flight_record(
-    picture: SimulatedPicture, workshop: OpenedScenario, task: ScenarioPicture
-) -> FlightRecord:
-    """Return what the header is made of: the prediction, and the camera as calibrated."""
-    inputs = picture.inputs
-    return FlightRecord(
-        mission=workshop.mission,
-        camera=workshop.camera(task),
-        et=inputs.et,
-        exposure_s=inputs.exposure_s,
-        camera_from_j2000=inputs.predicted_camera_from_j2000,
-        identity=inputs.header,
-        target=inputs.bodies[0].target.name if inputs.bodies else None,
-    )
-
-
-def _as_flown(workshop: OpenedScenario, task: ScenarioPicture, assignment: Assignment) -> PictureScenario:
+def _as_flown(opened: OpenedScenario, picture: ScenarioPicture, batch: PictureBatch) -> PictureScenario:
     """Return the scenario with what is true of one picture."""
-    case, name = assignment.case, task.picture.name
+    case, name = batch.case, picture.name
     update: dict[str, Any] = {
-        "perturbations": _true_places(workshop, task, assignment),
-        "detector": _true_detector(assignment.scenario, case, name),
+        "perturbations": _true_places(opened, picture, batch),
+        "detector": _true_detector(batch.scenario, case, name),
     }
     if name in case.shifts_px:
         pixel, line, twist = case.shifts_px[name]
         actual = ActualAttitude(source="error", shift_px=(pixel, line), twist_deg=twist)
         update["attitude"] = AttitudePlan(actual=actual)
-    return workshop.scenario.model_copy(update=update).at_path(workshop.scenario.path)
+    return opened.scenario.model_copy(update=update).at_path(opened.scenario.path)
 
 
-def _true_places(workshop: OpenedScenario, task: ScenarioPicture, assignment: Assignment) -> Perturbations:
-    case = assignment.case
-    assert task.picture.utc is not None  # a series has been expanded
-    et = et_from_utc(task.picture.utc.isoformat())
-    craft = case.offset("spacecraft", et - assignment.epoch_et)
+def _true_places(opened: OpenedScenario, picture: ScenarioPicture, batch: PictureBatch) -> Perturbations:
+    case = batch.case
+    assert picture.entry.utc is not None  # a series has been expanded
+    et = et_from_utc(picture.entry.utc.isoformat())
+    craft = case.offset("spacecraft", et - batch.epoch_et)
     # The target is seen where it was when the light left.
-    seen = state(case.target, et, workshop.mission.spacecraft_id)
+    seen = state(case.target, et, opened.mission.spacecraft_id)
     light_time_s = float(np.linalg.norm(seen.position_km)) / SPEED_OF_LIGHT_KM_S
-    moved = case.offset("target", et - light_time_s - assignment.epoch_et)[:3]
+    moved = case.offset("target", et - light_time_s - batch.epoch_et)[:3]
     bodies = (BodyOffset(name=case.target, offset_km=tuple(moved.tolist())),) if moved.any() else ()
     spacecraft = SpacecraftOffset(
         position_km=tuple(craft[:3].tolist()), velocity_km_s=tuple(craft[3:].tolist())
@@ -281,21 +253,6 @@ def _true_detector(scenario: OrtScenario, case: OrtCase, name: str) -> DetectorE
     if name in case.gaps and p.data_gaps is not None:
         update["lost_data"] = LostData(**p.data_gaps.model_dump(exclude={"pictures"}))
     return scenario.detector.model_copy(update=update)
-
-
-# -- several processes ---------------------------------------------------------------------------------------------
-
-_MAKERS: list[Callable[[ScenarioPicture], Truth]] = []  # of this process: one, once it has started
-_STACK = contextlib.ExitStack()
-
-
-def _start_worker(assignment: Assignment) -> None:
-    workshop = _STACK.enter_context(_scenario_opened(assignment))
-    _MAKERS.append(partial(_make_picture, workshop, assignment=assignment))
-
-
-def _work_on_picture(task: ScenarioPicture) -> Truth:
-    return _MAKERS[0](task)
 
 
 def remove_missing(folder: Path, names: Sequence[str]) -> None:

@@ -68,8 +68,8 @@ def field_chart(plan: PicturePlan) -> Figure:
         fontweight="bold",
     )
     axes.set_title(plan.utc.replace("T", " "), loc="right", fontsize=8)
-    prospect = plan.prospect
-    if prospect is None:
+    prediction = plan.prediction
+    if prediction is None:
         axes.text(
             0.5,
             0.5,
@@ -81,8 +81,8 @@ def field_chart(plan: PicturePlan) -> Figure:
         )
         axes.set_axis_off()
         return figure
-    _draw_field(axes, prospect)
-    axes.set_xlabel(_caption(prospect), fontsize=8)
+    _draw_field(axes, prediction)
+    axes.set_xlabel(_caption(prediction), fontsize=8)
     return figure
 
 
@@ -98,7 +98,7 @@ def _draw_field(axes: Axes, p: PicturePrediction) -> None:
         axes.annotate(f"{mag:.1f}", place, xytext=(6, 4), textcoords="offset points", fontsize=7, color=STAR)
     for target in p.targets:
         _draw_target(axes, target, least)
-    for other in p.visitors:
+    for other in p.other_bodies:
         axes.scatter(other.pixel, other.line, s=70, marker="D", facecolors="none", edgecolors=OTHER)
         axes.annotate(
             other.name,
@@ -156,7 +156,7 @@ def timeline_figure(pictures: Sequence[PicturePlan], title: str = "") -> Figure:
     if title:
         figure.suptitle(title, fontsize=10)
     axes = figure.subplots(4, 1, sharex=True)
-    dated = sorted((p for p in pictures if p.prospect is not None), key=lambda p: p.utc)
+    dated = sorted((p for p in pictures if p.prediction is not None), key=lambda p: p.utc)
     names = list(dict.fromkeys(t.name for p in dated for t in _predicted(p).targets))
     days, start = _days_since_first(dated)
     for name, color in zip(names, TARGET_COLORS * len(names), strict=False):
@@ -203,8 +203,8 @@ def _stars_panel(axes: Axes, days: FloatArray, pictures: Sequence[PicturePlan]) 
 
 
 def _predicted(plan: PicturePlan) -> PicturePrediction:
-    assert plan.prospect is not None
-    return plan.prospect
+    assert plan.prediction is not None
+    return plan.prediction
 
 
 def _days_since_first(pictures: Sequence[PicturePlan]) -> tuple[FloatArray, str]:
@@ -280,7 +280,7 @@ def exposure_figure(pictures: Sequence[PicturePlan]) -> Figure:
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for plan, color in zip(pictures, CURVE_COLORS * len(pictures), strict=False):
-        best = None if plan.prospect is None else plan.prospect.best
+        best = None if plan.prediction is None else plan.prediction.best_exposure
         if best is not None and np.isfinite(best.sigma_px).any():
             _draw_exposure_curve(axes, plan, best, color)
     axes.set(xscale="log", yscale="log")
@@ -344,7 +344,9 @@ def write_plan_page(plan: Plan, path: Path, charts: Mapping[str, bytes] | None =
 def _shown_curves(plan: Plan) -> list[PicturePlan]:
     """Return pictures spread over the sequence whose exposure was searched."""
     known = [
-        p for p in plan.pictures if p.prospect and p.prospect.best and np.isfinite(p.prospect.best.best_s)
+        p
+        for p in plan.pictures
+        if p.prediction and p.prediction.best_exposure and np.isfinite(p.prediction.best_exposure.best_s)
     ]
     if len(known) <= MOST_CURVES:
         return known

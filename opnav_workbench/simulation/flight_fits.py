@@ -48,22 +48,22 @@ QUALITY_CODES: Mapping[str, QualityCodes] = MappingProxyType(
 )
 
 
-def quality_plane(exposed: Exposure, table: str, housekeeping_pixels: int = 0) -> NDArray[np.int16]:
+def quality_plane(exposure: Exposure, table: str, housekeeping_pixels: int = 0) -> NDArray[np.int16]:
     """Return the quality codes (n_line, n_pixel) of a picture.
 
     Parameters
     ----------
-    exposed : Exposed
+    exposure : Exposure
     table : str
         Name of the mission's table.
     housekeeping_pixels : int
         Pixels at the start of line 0 that carry telemetry.
     """
     codes = QUALITY_CODES[table]
-    plane = np.where(exposed.saturated, codes.saturated, 0)
-    if exposed.flag_defects:
-        plane = np.where(exposed.defective, plane | codes.defective, plane)
-    lost = exposed.lost.copy()
+    plane = np.where(exposure.saturated, codes.saturated, 0)
+    if exposure.flag_defects:
+        plane = np.where(exposure.defective, plane | codes.defective, plane)
+    lost = exposure.lost.copy()
     lost[0, :housekeeping_pixels] = True
     return np.where(lost, codes.lost, plane).astype(np.int16)
 
@@ -89,7 +89,7 @@ def dark_columns_of(mission: Mission, camera: Camera) -> int:
     return next((k for width, k in columns.items() if width - k == camera.n_pixel), 0)
 
 
-def write_flight_fits(path: str | PathLike[str], exposed: Exposure, record: FlightRecord) -> Path:
+def write_flight_fits(path: str | PathLike[str], exposure: Exposure, record: FlightRecord) -> Path:
     """Write a picture as the mission would have: header, picture, and the error and quality planes that it names.
 
     Calibrated pictures are 32-bit floating point; raw ones whole numbers of 16 bits, with their dark columns if the
@@ -98,7 +98,7 @@ def write_flight_fits(path: str | PathLike[str], exposed: Exposure, record: Flig
     Parameters
     ----------
     path : path-like
-    exposed : Exposed
+    exposure : Exposure
     record : FlightRecord
         The predicted attitude goes into the header, never the true one.
 
@@ -115,12 +115,12 @@ def write_flight_fits(path: str | PathLike[str], exposed: Exposure, record: Flig
         The file cannot be written; nothing is left behind.
     """
     names = KeywordMap(**record.mission.keywords)
-    hdus = fits.HDUList([fits.PrimaryHDU(_pixels(exposed))])
-    _fill(hdus[0].header, exposed, record)
-    quality = quality_plane(exposed, names.quality_table, names.housekeeping_pixels)
-    planes: list[tuple[Any, NDArray[Any]]] = [(names.quality_extension, _unsigned(_wide(quality, exposed)))]
-    if exposed.level == "calibrated":
-        planes.insert(0, (names.error_extension, exposed.error_dn.astype(np.float32)))
+    hdus = fits.HDUList([fits.PrimaryHDU(_pixels(exposure))])
+    _fill(hdus[0].header, exposure, record)
+    quality = quality_plane(exposure, names.quality_table, names.housekeeping_pixels)
+    planes: list[tuple[Any, NDArray[Any]]] = [(names.quality_extension, _unsigned(_wide(quality, exposure)))]
+    if exposure.level == "calibrated":
+        planes.insert(0, (names.error_extension, exposure.error_dn.astype(np.float32)))
     for name, plane in planes:
         if isinstance(name, str):
             hdus.append(fits.ImageHDU(plane))
@@ -131,10 +131,10 @@ def write_flight_fits(path: str | PathLike[str], exposed: Exposure, record: Flig
     return final
 
 
-def _pixels(exposed: Exposure) -> NDArray[Any]:
-    if exposed.level == "calibrated":
-        return exposed.image_dn.astype(np.float32)
-    raw = np.hstack([exposed.image_dn, exposed.dark_columns_dn])
+def _pixels(exposure: Exposure) -> NDArray[Any]:
+    if exposure.level == "calibrated":
+        return exposure.image_dn.astype(np.float32)
+    raw = np.hstack([exposure.image_dn, exposure.dark_columns_dn])
     if raw.min() < 0.0 or raw.max() > LARGEST_RAW:
         raise MissionError(
             f"raw values {raw.min():g}..{raw.max():g} DN do not fit 16 bits; switch the converter (adc) on and give "
@@ -143,9 +143,9 @@ def _pixels(exposed: Exposure) -> NDArray[Any]:
     return np.rint(raw).astype(np.uint16)
 
 
-def _wide(quality: NDArray[np.int16], exposed: Exposure) -> NDArray[np.int16]:
+def _wide(quality: NDArray[np.int16], exposure: Exposure) -> NDArray[np.int16]:
     """Add the dark columns of a raw picture, all good."""
-    dark = exposed.dark_columns_dn.shape[1] if exposed.level == "raw" else 0
+    dark = exposure.dark_columns_dn.shape[1] if exposure.level == "raw" else 0
     return np.pad(quality, ((0, 0), (0, dark)))
 
 
@@ -154,10 +154,10 @@ def _unsigned(quality: NDArray[np.int16]) -> NDArray[Any]:
     return quality if quality.min() < 0 else quality.astype(np.uint16)
 
 
-def _fill(header: Any, exposed: Exposure, record: FlightRecord) -> None:
+def _fill(header: Any, exposure: Exposure, record: FlightRecord) -> None:
     cards = [
         (card.keyword, card.value, card.comment)
-        for card in flight_cards(record, exposed.values, exposed.level)
+        for card in flight_cards(record, exposure.values, exposure.level)
     ]
     cards += [(k, v, "") for k, v in wcs_cards(record.camera, record.camera_from_j2000).items()]
     for keyword, value, comment in cards:

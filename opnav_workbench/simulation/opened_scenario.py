@@ -4,9 +4,8 @@
 wrong; `OpenedScenario.inputs` collects what one picture is made of.
 """
 
-import contextlib
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +14,6 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog
-from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import apparent_direction, radec_from_unit
 from opnav_workbench.kernels import body_id, camera_attitude, et_from_utc
 from opnav_workbench.mission import Mission, load_mission
@@ -37,7 +35,7 @@ from opnav_workbench.simulation.true_state import (
 )
 from opnav_workbench.yaml_file import Location
 
-__all__ = ["OpenedScenario", "ScenarioPicture", "naming_field", "picture_seed"]
+__all__ = ["OpenedScenario", "ScenarioPicture", "picture_seed"]
 
 CONE_SHARE = 1.05  # of the half diagonal: distortion, aberration, and the light of stars just outside
 STILL_BODY_PX = 0.02  # a body that moves less against the sky is drawn without a trail of its own
@@ -53,12 +51,17 @@ class ScenarioPicture:
     ----------
     index : int
         Of its entry in the scenario.
-    picture : PictureEntry
-        With one time.
+    entry : PictureEntry
+        With one time; of a series, that of this picture.
     """
 
     index: int
-    picture: PictureEntry
+    entry: PictureEntry
+
+    @property
+    def name(self) -> str:
+        """Its own name."""
+        return self.entry.name
 
     def place(self, field: str) -> Location:
         """Return where a field of this picture stands in the file."""
@@ -86,18 +89,18 @@ class OpenedScenario:
         MissionError
             One of them is not there or not usable; the message names the line of the scenario.
         """
-        with naming_field(scenario, ("mission",)):
+        with scenario.naming(("mission",)):
             mission = load_mission(scenario.source(scenario.mission))
-        with naming_field(scenario, ("catalog",)):
+        with scenario.naming(("catalog",)):
             catalog = open_catalog(scenario.catalog)
         surfaces = {}
         for i, body in enumerate(scenario.bodies):
-            with naming_field(scenario, ("bodies", i, "name")):
+            with scenario.naming(("bodies", i, "name")):
                 body_id(body.name)
             surfaces[body.name.upper()] = surface_of(body, scenario, ("bodies", i))
         return cls(scenario, mission, catalog, surfaces)
 
-    def check(self, tasks: Sequence[ScenarioPicture]) -> None:
+    def check(self, pictures: Sequence[ScenarioPicture]) -> None:
         """Refuse what would fail later: cameras, exposures, times, targets.
 
         Raises
@@ -106,38 +109,38 @@ class OpenedScenario:
             The message names the line of the scenario, and what is allowed.
         """
         for i, offset in enumerate(self.scenario.perturbations.bodies):
-            with naming_field(self.scenario, ("perturbations", "bodies", i, "name")):
+            with self.scenario.naming(("perturbations", "bodies", i, "name")):
                 body_id(offset.name)
-        for task in tasks:
-            camera = self.camera(task)
-            self._check_exposure(task, camera)
-            with naming_field(
-                self.scenario,
-                task.place("start" if self.scenario.pictures[task.index].utc is None else "utc"),
+        for picture in pictures:
+            camera = self.camera(picture)
+            fault = camera.exposure_fault(picture.entry.exposure_s)
+            if fault:
+                raise self.scenario.fault(picture.place("exposure_s"), fault)
+            with self.scenario.naming(
+                picture.place("start" if self.scenario.pictures[picture.index].utc is None else "utc"),
             ):
-                et = self._et(task)
+                et = self._mid_exposure_et(picture)
                 true_observer(self.mission.spacecraft_id, et, self.scenario.perturbations)
                 predicted_attitude(self.scenario.attitude.predicted, camera, et)
             plan = self.scenario.attitude.actual
             if plan.kernels is not None:
-                with naming_field(self.scenario, ("attitude", "actual", "kernels")):
+                with self.scenario.naming(("attitude", "actual", "kernels")):
                     true_attitude(plan, np.eye(3), camera, et, 0, self.scenario.folder)
-            self._bodies(task, camera, et)
+            self._bodies(picture, camera, et)
 
-    def camera(self, task: ScenarioPicture) -> Camera:
+    def camera(self, picture: ScenarioPicture) -> Camera:
         """Return the camera of a picture, by its name or its header cards."""
-        picture, scenario = task.picture, self.scenario
-        place = "header" if picture.camera is None else "camera"
-        with naming_field(scenario, task.place(place)):
-            cards = self._header(task)
+        entry, scenario = picture.entry, self.scenario
+        place = "header" if entry.camera is None else "camera"
+        with scenario.naming(picture.place(place)):
+            cards = self._header(picture)
             key = repr(sorted(cards.items()))
             camera = self._cameras.get(key) or self._cameras.setdefault(key, self.mission.camera_for(cards))
-            for name in ("zero_point_mag", "gain_e_per_dn", "read_noise_dn"):
-                camera.require(name)
-            detector_values(camera, scenario.detector, picture.exposure_s, picture.level)
+            camera.require_photometry()
+            detector_values(camera, scenario.detector, entry.exposure_s, entry.level)
         return camera
 
-    def inputs(self, task: ScenarioPicture) -> PictureInputs:
+    def inputs(self, picture: ScenarioPicture) -> PictureInputs:
         """Collect what one picture is made of.
 
         Raises
@@ -145,64 +148,58 @@ class OpenedScenario:
         OpNavError
             As `check` does.
         """
-        scenario, picture, camera = self.scenario, task.picture, self.camera(task)
-        et, seed = self._et(task), picture_seed(scenario.seed, picture.name)
+        scenario, entry, camera = self.scenario, picture.entry, self.camera(picture)
+        et, seed = self._mid_exposure_et(picture), picture_seed(scenario.seed, entry.name)
         predicted = predicted_attitude(scenario.attitude.predicted, camera, et)
-        path = self._path(camera, predicted, et, picture.exposure_s, seed)
+        path = self._attitude_path(camera, predicted, et, entry.exposure_s, seed)
         return PictureInputs(
-            name=picture.name,
+            name=entry.name,
             camera=camera,
             et=et,
-            exposure_s=picture.exposure_s,
+            exposure_s=entry.exposure_s,
             observer=true_observer(self.mission.spacecraft_id, et, scenario.perturbations),
             predicted_camera_from_j2000=predicted,
             path=path,
             stars=self._stars(camera, path.middle, et),
-            bodies=self._bodies(task, camera, et),
-            body_tracks_px=tuple(self._track(n, task, camera, path) for n in self.targets(task)),
+            bodies=self._bodies(picture, camera, et),
+            body_tracks_px=tuple(
+                self._body_track_px(n, picture, camera, path) for n in self.targets(picture)
+            ),
             psf=self._psf(camera),
             effects=scenario.detector,
-            switches=scenario.switches,
-            level=picture.level,
-            dark_columns=dark_columns_of(self.mission, camera) if picture.level == "raw" else 0,
+            place_effects=scenario.switches,
+            level=entry.level,
+            dark_columns=dark_columns_of(self.mission, camera) if entry.level == "raw" else 0,
             seed=seed,
-            header=self._header(task),
+            header=self._header(picture),
         )
 
-    def settings(self, task: ScenarioPicture) -> dict[str, Any]:
+    def truth_settings(self, picture: ScenarioPicture) -> dict[str, Any]:
         """Return what the truth file keeps of the scenario: all of it but the other pictures."""
         content = self.scenario.model_dump(mode="json", exclude={"pictures"})
-        return content | {"picture": task.picture.model_dump(mode="json", exclude_none=True)}
+        return content | {"picture": picture.entry.model_dump(mode="json", exclude_none=True)}
 
     # -- one by one ------------------------------------------------------------------------------------------------
 
-    def _et(self, task: ScenarioPicture) -> float:
-        assert task.picture.utc is not None  # a series has been expanded
-        return et_from_utc(task.picture.utc.isoformat())
+    def _mid_exposure_et(self, picture: ScenarioPicture) -> float:
+        assert picture.entry.utc is not None  # a series has been expanded
+        return et_from_utc(picture.entry.utc.isoformat())
 
-    def _header(self, task: ScenarioPicture) -> dict[str, str | int | float]:
+    def _header(self, picture: ScenarioPicture) -> dict[str, str | int | float]:
         """Header cards that tell mission and camera, and those that the scenario adds."""
         cards = {key: _one_value(value) for key, value in self.mission.keywords.get("required", {}).items()}
-        named = task.picture.camera
+        named = picture.entry.camera
         if named is not None:
             choices = {choice.file.stem: choice for choice in self.mission.cameras}
             if named not in choices:
                 raise self.scenario.fault(
-                    task.place("camera"),
+                    picture.place("camera"),
                     f"unknown camera {named!r}; {self.mission.name} has {', '.join(choices)}",
                 )
             cards |= {key: _one_value(value) for key, value in choices[named].match.items()}
-        return cards | task.picture.header
+        return cards | picture.entry.header
 
-    def _check_exposure(self, task: ScenarioPicture, camera: Camera) -> None:
-        limits, exposure = camera.exposure_limits, task.picture.exposure_s
-        if limits is not None and not limits.min_s <= exposure <= limits.max_s:
-            raise self.scenario.fault(
-                task.place("exposure_s"),
-                f"{exposure:g} s; {camera.name} takes {limits.min_s:g} to {limits.max_s:g} s",
-            )
-
-    def _path(
+    def _attitude_path(
         self, camera: Camera, predicted: FloatArray, et: float, exposure_s: float, seed: int
     ) -> AttitudePath:
         plan, folder = self.scenario.attitude, self.scenario.folder
@@ -211,7 +208,7 @@ class OpenedScenario:
         if not plan.motion.from_kernels:
             return moving_path(camera, true, et, exposure_s, motion=moving, seed=seed)
         with (
-            naming_field(self.scenario, ("attitude", "motion", "from_kernels")),
+            self.scenario.naming(("attitude", "motion", "from_kernels")),
             flown_kernels(plan.actual, folder),
         ):
             path = kernel_path(camera, et, exposure_s, motion=moving, seed=seed)
@@ -226,30 +223,30 @@ class OpenedScenario:
         widths = self.scenario.psf_sigma_px
         return camera.psf_model if widths is None else GaussianPsf(*widths)
 
-    def targets(self, task: ScenarioPicture) -> tuple[str, ...]:
+    def targets(self, picture: ScenarioPicture) -> tuple[str, ...]:
         """Return the names of the bodies in a picture."""
-        named = task.picture.targets
+        named = picture.entry.targets
         return tuple(body.name for body in self.scenario.bodies) if named is None else named
 
-    def _bodies(self, task: ScenarioPicture, camera: Camera, et: float) -> tuple[BodyModel, ...]:
+    def _bodies(self, picture: ScenarioPicture, camera: Camera, et: float) -> tuple[BodyModel, ...]:
         models = []
-        for name in self.targets(task):
+        for name in self.targets(picture):
             options = self.scenario.body(name)
-            place: Location = task.place("targets")
+            place: Location = picture.place("targets")
             for i, body in enumerate(self.scenario.bodies):
                 place = ("bodies", i, "brightness") if body is options else place
             surface = self.surfaces.get(name.upper())
-            with naming_field(self.scenario, place):
+            with self.scenario.naming(place):
                 surface = surface or surface_of(options, self.scenario, place)
                 target = true_target(name, self.mission.spacecraft_id, et, self.scenario.perturbations)
-                models.append(surface.model(target, self.mission, camera, task.picture.exposure_s))
+                models.append(surface.model(target, self.mission, camera, picture.entry.exposure_s))
         return tuple(models)
 
-    def _track(
-        self, name: str, task: ScenarioPicture, camera: Camera, path: AttitudePath
+    def _body_track_px(
+        self, name: str, picture: ScenarioPicture, camera: Camera, path: AttitudePath
     ) -> FloatArray | None:
         """Return how a body moves on the detector during the exposure; None: as the sky does, or out of sight."""
-        et, half_s = self._et(task), 0.5 * task.picture.exposure_s
+        et, half_s = self._mid_exposure_et(picture), 0.5 * picture.entry.exposure_s
         start, stop = (self._direction(name, et + t) for t in (-half_s, half_s))
         if np.linalg.norm(stop - start) < STILL_BODY_PX * camera.pixel_scale_rad:
             return None
@@ -286,14 +283,3 @@ def _one_value(value: object) -> str | int | float:
     chosen = value[0] if isinstance(value, list | tuple) else value
     assert isinstance(chosen, str | int | float)
     return chosen
-
-
-@contextlib.contextmanager
-def naming_field(scenario: PictureScenario, place: Location) -> Iterator[None]:
-    """Tell which field of the scenario an error comes from."""
-    try:
-        yield
-    except OpNavError as error:
-        if str(error).startswith("picture scenario"):  # it says so already
-            raise
-        raise scenario.fault(place, str(error)) from error

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.camera import Camera
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.mission import Mission
@@ -158,7 +159,7 @@ def write_picture(
         preview = out / f"{inputs.name}_{stretch}.png"
         write_preview(preview, picture.image_dn, stretch)
         files.append(preview)
-    write_flight_fits(path, picture.exposed, _flight_record(picture, mission))
+    write_flight_fits(path, picture.exposure, flight_record(picture, mission))
     return _picture_report(picture, truth, (path, *files))
 
 
@@ -173,7 +174,7 @@ def truth_of(
         picture.star_flux_e,
         picture.star_trails,
         picture.stars.on_detector,
-        picture.star_hidden,
+        picture.star_occulted,
     )
     moved = picture.body_trails
     bodies = [
@@ -192,8 +193,8 @@ def truth_of(
         objects=truth_table(stars, body_rows(bodies)),
         seed=inputs.seed,
         settings=settings or {},
-        exposure=picture.exposed.summary(),
-        cosmic_rays=picture.exposed.cosmic_rays,
+        exposure=picture.exposure.summary(),
+        cosmic_rays=picture.exposure.cosmic_rays,
         noiseless_electrons=picture.noiseless_electrons,
     )
 
@@ -217,11 +218,12 @@ def _body_truth(
     )
 
 
-def _flight_record(picture: SimulatedPicture, mission: Mission) -> FlightRecord:
+def flight_record(picture: SimulatedPicture, mission: Mission, camera: Camera | None = None) -> FlightRecord:
+    """Return what a picture's header is made of: the prediction, and the camera; None: the one that took it."""
     inputs = picture.inputs
     return FlightRecord(
         mission=mission,
-        camera=inputs.camera,
+        camera=camera or inputs.camera,
         et=inputs.et,
         exposure_s=inputs.exposure_s,
         camera_from_j2000=inputs.predicted_camera_from_j2000,
@@ -245,7 +247,7 @@ def _picture_report(picture: SimulatedPicture, truth: Truth, files: tuple[Path, 
 
 
 def _body_report(picture: SimulatedPicture, body: RenderedBody) -> BodyReport:
-    values = picture.exposed.values
+    values = picture.exposure.values
     read_e = values.read_noise_dn * values.gain_e_per_dn
     blur = 4.0 * np.pi * float(np.prod(picture.inputs.psf.sigma_px))  # pixels that a point's light counts in
     pixels = 0.25 * np.pi * np.nan_to_num(body.diameter_px) ** 2 + blur

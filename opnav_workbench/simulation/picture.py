@@ -64,7 +64,8 @@ class PictureInputs:
         `path` moves the sky. Empty: that for all.
     psf : Psf
     effects : DetectorEffects
-    switches : Switches
+    place_effects : ApparentPlaceEffects
+        Those on places that are not switched off.
     level : {"calibrated", "raw"}
     dark_columns : int
         Covered columns that a raw picture has at its right end.
@@ -86,7 +87,7 @@ class PictureInputs:
     bodies: tuple[BodyModel, ...] = ()
     body_tracks_px: tuple[FloatArray | None, ...] = ()
     effects: DetectorEffects = field(default_factory=DetectorEffects)
-    switches: ApparentPlaceEffects = field(default_factory=ApparentPlaceEffects)
+    place_effects: ApparentPlaceEffects = field(default_factory=ApparentPlaceEffects)
     level: Level = "calibrated"
     dark_columns: int = 0
     seed: int = 0
@@ -215,13 +216,13 @@ class SimulatedPicture:
     Attributes
     ----------
     inputs : PictureInputs
-    exposed : Exposed
+    exposure : Exposure
         The picture in DN, and the electrons before and after the detector's effects.
     stars : StarPrediction
         True places of the stars in or just outside the picture.
     star_flux_e : (n,) array
         Electrons of each star over the exposure; 0 without a magnitude.
-    star_hidden : (n,) array of bool
+    star_occulted : (n,) array of bool
         Behind a body, and therefore not drawn.
     star_trails : Trails
     rendering : Rendering
@@ -229,10 +230,10 @@ class SimulatedPicture:
     """
 
     inputs: PictureInputs
-    exposed: Exposure
+    exposure: Exposure
     stars: StarPrediction
     star_flux_e: FloatArray
-    star_hidden: BoolArray
+    star_occulted: BoolArray
     star_trails: Trails
     rendering: Rendering
 
@@ -242,12 +243,12 @@ class SimulatedPicture:
     @property
     def image_dn(self) -> FloatArray:
         """The picture as the file has it (n_line, n_pixel)."""
-        return self.exposed.image_dn
+        return self.exposure.image_dn
 
     @property
     def noiseless_electrons(self) -> FloatArray:
         """The light of stars and bodies, without detector (n_line, n_pixel)."""
-        return self.exposed.noiseless_electrons
+        return self.exposure.noiseless_electrons
 
     @property
     def camera_from_j2000(self) -> FloatArray:
@@ -267,7 +268,7 @@ class SimulatedPicture:
     @property
     def star_drawn(self) -> BoolArray:
         """Which stars (n,) are on the detector and not hidden."""
-        return np.asarray(self.stars.on_detector & ~self.star_hidden & (self.star_flux_e > 0.0))
+        return np.asarray(self.stars.on_detector & ~self.star_occulted & (self.star_flux_e > 0.0))
 
 
 def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
@@ -280,7 +281,10 @@ def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
     CameraError
         The camera does not know a number that is needed.
     """
-    optics, observer = _optics(inputs.camera, inputs.switches), _observer(inputs.observer, inputs.switches)
+    optics, observer = (
+        _optics(inputs.camera, inputs.place_effects),
+        _observer(inputs.observer, inputs.place_effects),
+    )
     rendering = _bodies(inputs, optics, observer)
     stars = _stars(inputs, optics, observer)
     places = inputs.path.places(optics, stars.directions)
@@ -289,7 +293,7 @@ def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
     electrons = np.array(rendering.electrons)
     seen = ~hidden
     add_stars(electrons, places[seen], flux[seen], inputs.psf, inputs.path.weights)
-    exposed = expose(
+    exposure = expose(
         electrons,
         inputs.camera,
         inputs.effects,
@@ -299,32 +303,32 @@ def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
         dark_columns=inputs.dark_columns,
     )
     return SimulatedPicture(
-        inputs, exposed, stars, flux, hidden, trails(places, inputs.path.weights), rendering
+        inputs, exposure, stars, flux, hidden, trails(places, inputs.path.weights), rendering
     )
 
 
-def _optics(camera: Camera, switches: ApparentPlaceEffects) -> Camera:
-    return camera if switches.distortion else replace(camera, distortion=NoDistortion())
+def _optics(camera: Camera, effects: ApparentPlaceEffects) -> Camera:
+    return camera if effects.distortion else replace(camera, distortion=NoDistortion())
 
 
-def _observer(observer: Observer, switches: ApparentPlaceEffects) -> Observer:
+def _observer(observer: Observer, effects: ApparentPlaceEffects) -> Observer:
     """Return the observer that aberration is computed with."""
-    return observer if switches.aberration else replace(observer, velocity_km_s=np.zeros(3))
+    return observer if effects.aberration else replace(observer, velocity_km_s=np.zeros(3))
 
 
 def _stars(inputs: PictureInputs, optics: Camera, observer: Observer) -> StarPrediction:
     """Predict the stars whose light reaches the detector."""
     moved = np.abs(inputs.path.offsets_px(optics)).max()
     margin = float(inputs.psf.half_size_px + moved + 1.0)
-    table = _switched(inputs.stars, inputs.switches)
+    table = _switched(inputs.stars, inputs.place_effects)
     return predict_stars(table, inputs.et, observer, optics, inputs.path.middle, margin_px=margin)
 
 
-def _switched(stars: StarTable, switches: ApparentPlaceEffects) -> StarTable:
+def _switched(stars: StarTable, effects: ApparentPlaceEffects) -> StarTable:
     """Take parallax or motion from the stars where they are switched off."""
     zero = np.zeros(len(stars))
-    update: dict[str, Any] = {} if switches.parallax else {"parallax_rad": zero}
-    if not switches.proper_motion:
+    update: dict[str, Any] = {} if effects.parallax else {"parallax_rad": zero}
+    if not effects.proper_motion:
         update |= {"pmra_rad_yr": zero, "pmdec_rad_yr": zero, "rv_km_s": np.full(len(stars), np.nan)}
     return replace(stars, **update) if update else stars
 
@@ -350,5 +354,5 @@ def _body_tracks(inputs: PictureInputs) -> list[FloatArray]:
     given = inputs.body_tracks_px or (None,) * len(inputs.bodies)
     if len(given) != len(inputs.bodies):
         raise CameraError(f"{len(given)} tracks for {len(inputs.bodies)} bodies; give one for each, or none.")
-    sky = inputs.path.offsets_px(_optics(inputs.camera, inputs.switches))
+    sky = inputs.path.offsets_px(_optics(inputs.camera, inputs.place_effects))
     return [sky if track is None else track for track in given]

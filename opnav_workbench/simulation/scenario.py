@@ -286,7 +286,7 @@ def varied(
     if offset_body is not None and toward_sun_km != 0.0:
         moved = {"name": offset_body, "toward_sun_km": toward_sun_km}
         content["perturbations"]["bodies"] = (*content["perturbations"]["bodies"], moved)
-    changed = check_model(content, PictureScenario, "picture scenario", MissionError)
+    changed = check_model(content, PictureScenario, PictureScenario.WHAT, MissionError)
     return changed.at_path(scenario.path)
 
 

@@ -5,7 +5,8 @@ Ready files stand in a mission's ``kernels_meta`` and are called ``<mission>/<na
 A body is described by its scattering law, its albedo or albedo map, its brightness and its shape.
 """
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -22,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from opnav_workbench.errors import MissionError
+from opnav_workbench.errors import MissionError, OpNavError
 from opnav_workbench.kernels.making.scenario_parts import Strict
 from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
@@ -35,6 +36,7 @@ __all__ = [
     "AlbedoPackage",
     "BodyAppearance",
     "Brightness",
+    "FieldError",
     "Mottled",
     "PicturesFile",
     "ScenarioFile",
@@ -201,6 +203,12 @@ class BodyAppearance(Strict):
 # ---- What scenario files of every kind share.
 
 
+class FieldError(MissionError):
+    """What is wrong with a field that the schema lets pass; the message begins with file, line and field."""
+
+    reason = ""  # the same without the place, where it was said of something else first
+
+
 class ScenarioFile(Strict):
     """The content of a YAML file, with the place of that file, which relative paths count from."""
 
@@ -208,6 +216,7 @@ class ScenarioFile(Strict):
     FOLDER: ClassVar[str]  # of the ready ones, in a mission's ``kernels_meta``
     UNTITLED: ClassVar[str]  # the name of one that is in no file
     _path: Path | None = PrivateAttr(default=None)
+    _what: str | None = PrivateAttr(default=None)  # None: `WHAT`
 
     @classmethod
     def ready_names(cls) -> tuple[str, ...]:
@@ -252,22 +261,35 @@ class ScenarioFile(Strict):
     @property
     def label(self) -> str:
         """Kind and file, for messages."""
-        return self.WHAT if self._path is None else f"{self.WHAT} {self._path}"
+        what = self._what or self.WHAT
+        return what if self._path is None else f"{what} {self._path}"
 
-    def at_path(self, path: Path | None) -> Self:
-        """Return the same as the content of a file."""
+    def at_path(self, path: Path | None, what: str | None = None) -> Self:
+        """Return the same as the content of a file; `what` is that file's kind, where it is of another."""
         copy = self.model_copy()
-        copy._path = path  # noqa: SLF001 - of the same class
+        copy._path, copy._what = path, what  # noqa: SLF001 - of the same class
         return copy
 
     def source(self, named: str) -> str:
         """Return a path that counts from the file as such, and a name as it is."""
         return path_beside(named, self.folder)
 
-    def fault(self, place: Location, message: str) -> MissionError:
+    def fault(self, place: Location, message: str) -> FieldError:
         """Return the error for a field that the schema lets pass; it names file, line and field."""
         line = "" if self._path is None else f"line {line_of(self._path, place)}: "
-        return MissionError(f"{self.label}: {line}{'.'.join(str(part) for part in place)}: {message}")
+        return FieldError(f"{self.label}: {line}{'.'.join(str(part) for part in place)}: {message}")
+
+    @contextlib.contextmanager
+    def naming(self, place: Location) -> Iterator[None]:
+        """Tell which field an error comes from, unless it tells one already."""
+        try:
+            yield
+        except FieldError:
+            raise
+        except OpNavError as error:
+            named = self.fault(place, str(error))
+            named.reason = str(error)
+            raise named from error
 
 
 class PicturesFile(ScenarioFile):

@@ -18,12 +18,11 @@ from scipy.special import ndtr
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.errors import MissionError, OpNavError
+from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import unit, unit_from_radec
 from opnav_workbench.mission import Mission
 from opnav_workbench.photometry import SUN_B_V
 from opnav_workbench.render import AlbedoMap, BodyModel, ScatteringLaw, ShapeModel, law_from_mapping
-from opnav_workbench.simulation.scenario import PictureScenario
 from opnav_workbench.simulation.scenario_file import (
     Albedo,
     AlbedoFile,
@@ -31,6 +30,7 @@ from opnav_workbench.simulation.scenario_file import (
     BodyAppearance,
     Brightness,
     Mottled,
+    ScenarioFile,
     ShapeFile,
     UniformAlbedo,
 )
@@ -169,7 +169,7 @@ class Surface:
         return (None, SUN_B_V) if law is None else (law.of(target), law.b_v)
 
 
-def surface_of(options: BodyAppearance, scenario: PictureScenario, place: Location) -> Surface:
+def surface_of(options: BodyAppearance, scenario: ScenarioFile, place: Location) -> Surface:
     """Make a body's surface, and read what files it names.
 
     Raises
@@ -177,15 +177,12 @@ def surface_of(options: BodyAppearance, scenario: PictureScenario, place: Locati
     MissionError
         A file that cannot be read or is no map or shape; the message names the line of the scenario.
     """
-    try:
-        field = "albedo"
+    with scenario.naming((*place, "albedo")):
         albedo = _albedo(options.albedo, scenario.folder)
-        field = "shape"
+    with scenario.naming((*place, "shape")):
         shape = None if options.shape is None else _shape(options.shape, scenario.folder)
-        field = "law"
+    with scenario.naming((*place, "law")):
         law = law_from_mapping(options.law.model_dump())
-    except OpNavError as error:
-        raise scenario.fault((*place, field), str(error)) from error
     return Surface(law, albedo, options.brightness, shape, options.radius_km)
 
 

@@ -156,16 +156,16 @@ TRIALS = 32  # with pixel and line pooled, a scatter is known to 9 %
 
 def processed(sequence, methods, trials, folder):
     """Plan a picture, then simulate and process it anew so often; return plan and errors of all kinds."""
-    with open_sequence(load_sequence(sequence)) as desk:
-        ((_, picture),) = desk.sequence.expanded()
-        plan = plan_picture(desk, picture, exposures=False).prospect
+    with open_sequence(load_sequence(sequence)) as opened:
+        ((_, picture),) = opened.sequence.expanded()
+        plan = plan_picture(opened, picture, exposures=False).prediction
         errors = []
         for number in range(trials):
-            inputs = confirming_inputs(desk, picture, number, shift_px=(3.3, -2.6), twist_deg=0.05)
+            inputs = confirming_inputs(opened, picture, number, shift_px=(3.3, -2.6), twist_deg=0.05)
             image = expose_picture(inputs)
-            write_picture(image, desk.workshop.mission, folder, stretches=())
+            write_picture(image, opened.mission, folder, stretches=())
             path = folder / f"{inputs.name}.fit"
-            session = ImageSession.open(path, desk.workshop.mission, opened_catalog=desk.workshop.catalog)
+            session = ImageSession.open(path, opened.mission, opened_catalog=opened.opened_scenario.catalog)
             session.predict()
             for _ in range(2):
                 session.find_stars()
@@ -173,7 +173,7 @@ def processed(sequence, methods, trials, folder):
             solved = session.state.pointing.camera_from_j2000
             shift = attitude_shift(plan.camera, inputs.path.middle, solved)
             row = [shift.delta_pixel, shift.delta_line, np.degrees(shift.delta_twist_rad)]
-            true = truth_of(image, desk.workshop.mission, path).bodies
+            true = truth_of(image, opened.mission, path).bodies
             for name, method in methods.items():
                 session.find_body(name, method=method)
                 found = session.state.bodies[-1]
@@ -222,23 +222,23 @@ def test_a_disk_of_a_few_pixels_is_as_predicted(tmp_path):
         }
     )
     errors = []
-    with open_sequence(sequence) as desk:
-        ((_, picture),) = desk.sequence.expanded()
-        target = plan_picture(desk, picture, exposures=False).prospect.target("PLUTO")
+    with open_sequence(sequence) as opened:
+        ((_, picture),) = opened.sequence.expanded()
+        target = plan_picture(opened, picture, exposures=False).prediction.target("PLUTO")
         for number in range(TRIALS):
             inputs = confirming_inputs(
-                desk, picture, number, shift_px=(0.37 * (number % 5), 0.21 * (number % 7))
+                opened, picture, number, shift_px=(0.37 * (number % 5), 0.21 * (number % 7))
             )
             image = expose_picture(inputs)
-            write_picture(image, desk.workshop.mission, tmp_path, stretches=())
+            write_picture(image, opened.mission, tmp_path, stretches=())
             path = tmp_path / f"{inputs.name}.fit"
-            session = ImageSession.open(path, desk.workshop.mission, opened_catalog=desk.workshop.catalog)
+            session = ImageSession.open(path, opened.mission, opened_catalog=opened.opened_scenario.catalog)
             session.predict()
             for name in ("PLUTO", "CHARON"):
                 session.add_target(name)
             session.find_body("PLUTO")
             found = session.state.bodies[-1]
-            errors.append(found.pixel_line - truth_of(image, desk.workshop.mission, path).bodies["PLUTO"])
+            errors.append(found.pixel_line - truth_of(image, opened.mission, path).bodies["PLUTO"])
     assert found.method == "least_squares"
     assert target.prediction.diameter_px == pytest.approx(5.5, abs=0.1)
     assert 800.0 < target.snr < 1000.0
@@ -259,10 +259,10 @@ def test_lorri_resolved_is_as_predicted():
             ],
         }
     )
-    with open_sequence(sequence) as desk:
-        ((_, picture),) = desk.sequence.expanded()
-        plan = plan_picture(desk, picture, exposures=False).prospect
-        light = expected_light(desk.inputs(picture))
+    with open_sequence(sequence) as opened:
+        ((_, picture),) = opened.sequence.expanded()
+        plan = plan_picture(opened, picture, exposures=False).prediction
+        light = expected_light(opened.inputs(picture))
     target = plan.target("PLUTO")
     assert target.prediction.diameter_px == pytest.approx(75.8, abs=0.2)  # 1188.3 km at 6.318e6 km
     centers = fitted_disks(light, target, 30)
@@ -272,10 +272,10 @@ def test_lorri_resolved_is_as_predicted():
 
 def test_polycam_is_as_predicted():
     """PolyCam on the paper's day: 150 noise realisations of stars and asteroid in one mosaic, fitted at once."""
-    with open_sequence(load_sequence("osiris_rex/bennu_approach")) as desk:
-        picture = next(p for _, p in desk.sequence.expanded() if p.name == "figure_3")
-        plan = plan_picture(desk, picture, exposures=False).prospect
-        light = expected_light(desk.inputs(picture))
+    with open_sequence(load_sequence("osiris_rex/bennu_approach")) as opened:
+        picture = next(p for _, p in opened.sequence.expanded() if p.name == "figure_3")
+        plan = plan_picture(opened, picture, exposures=False).prediction
+        light = expected_light(opened.inputs(picture))
     # A point's light lies beside its center of figure by what the renderer says, and a navigator takes that out.
     true = light.picture.rendering.bodies[0].light_px
     centers = fitted_mosaic(light, true[None], 150)[:, 0]
@@ -409,8 +409,8 @@ def test_saturated_and_empty_pictures_say_so():
             ],
         }
     )
-    with open_sequence(sequence) as desk:
-        found = {p.name: plan_picture(desk, p, exposures=False).verdict for _, p in sequence.expanded()}
+    with open_sequence(sequence) as opened:
+        found = {p.name: plan_picture(opened, p, exposures=False).verdict for _, p in sequence.expanded()}
     assert {verdict.grade for verdict in found.values()} == {"bad"}
     assert "PLUTO is saturated" in found["saturated"].words
     assert "PLUTO is off the detector" in found["away"].words

@@ -195,8 +195,8 @@ def switched():
             scenario = base.model_copy(
                 update={"switches": ApparentPlaceEffects(**switches), "detector": DetectorEffects.none()}
             )
-            workshop = OpenedScenario.open(scenario)
-            picture = expose_picture(workshop.inputs(chosen_pictures(scenario, [])[0]))
+            opened = OpenedScenario.open(scenario)
+            picture = expose_picture(opened.inputs(chosen_pictures(scenario, [])[0]))
             return picture, dict(zip(picture.stars.id.tolist(), picture.stars.pixel_line, strict=True))
 
         et = spiceypy.str2et("2006-08-31T07:21:31.302")

@@ -34,43 +34,43 @@ BENNU = {
 
 
 @pytest.fixture(scope="module")
-def desk():
-    with open_sequence(load_sequence(BENNU)) as desk:
-        yield desk
+def opened():
+    with open_sequence(load_sequence(BENNU)) as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")
-def picture(desk):
-    return desk.sequence.expanded()[0][1]
+def picture(opened):
+    return opened.sequence.expanded()[0][1]
 
 
 @pytest.fixture(scope="module")
-def prospect(desk, picture):
-    return plan_picture(desk, picture, exposures=True).prospect
+def prediction(opened, picture):
+    return plan_picture(opened, picture, exposures=True).prediction
 
 
 @pytest.fixture(scope="module")
-def light(desk, picture):
-    return expected_light(desk.inputs(picture))
+def light(opened, picture):
+    return expected_light(opened.inputs(picture))
 
 
-def test_tracked_target_stands_at_its_offset(prospect):
+def test_tracked_target_stands_at_its_offset(prediction):
     """The offset is one of tangents; distortion bends it by less than a tenth of a pixel so near the middle."""
-    place = prospect.target("BENNU").prediction.pixel_line
+    place = prediction.target("BENNU").prediction.pixel_line
     assert place == pytest.approx([612.0, 462.0], abs=0.1)
-    assert prospect.twist_deg == pytest.approx(30.0, abs=1e-6)
+    assert prediction.twist_deg == pytest.approx(30.0, abs=1e-6)
 
 
-def test_elongation_is_that_of_spice(desk, prospect):
-    sun, _ = spiceypy.spkpos("SUN", prospect.et, "J2000", "CN", "-64")
-    boresight = spiceypy.radrec(1.0, math.radians(prospect.ra_deg), math.radians(prospect.dec_deg))
-    assert prospect.et == pytest.approx(spiceypy.str2et("2018-09-24T12:00:00"), abs=1e-3)
-    assert prospect.elongation_deg == pytest.approx(math.degrees(spiceypy.vsep(sun, boresight)), abs=1e-6)
+def test_elongation_is_that_of_spice(opened, prediction):
+    sun, _ = spiceypy.spkpos("SUN", prediction.et, "J2000", "CN", "-64")
+    boresight = spiceypy.radrec(1.0, math.radians(prediction.ra_deg), math.radians(prediction.dec_deg))
+    assert prediction.et == pytest.approx(spiceypy.str2et("2018-09-24T12:00:00"), abs=1e-3)
+    assert prediction.elongation_deg == pytest.approx(math.degrees(spiceypy.vsep(sun, boresight)), abs=1e-6)
 
 
-def test_expected_picture_is_the_mean_of_simulated_ones(desk, picture, light):
+def test_expected_picture_is_the_mean_of_simulated_ones(opened, picture, light):
     """Mean and variance of 25 exposures of a window that holds a star and Bennu."""
-    inputs = desk.inputs(picture)
+    inputs = opened.inputs(picture)
     x, y = np.rint(light.picture.rendering.bodies[0].center_px).astype(int)
     part = np.s_[y - 3 : y + 4, x - 3 : x + 4]
     stack = np.array([expose_picture(replace(inputs, seed=seed)).image_dn[part] for seed in range(25)])
@@ -80,18 +80,18 @@ def test_expected_picture_is_the_mean_of_simulated_ones(desk, picture, light):
     assert np.mean(stack.var(axis=0, ddof=1) / variance) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 24 / 49))
 
 
-def test_snr_of_a_bright_star_is_the_root_of_its_electrons(prospect):
-    star = prospect.stars
+def test_snr_of_a_bright_star_is_the_root_of_its_electrons(prediction):
+    star = prediction.stars
     electrons = star.flux_dn[0] * 4.5
     assert (
         0.95 * math.sqrt(electrons) < star.snr[0] < math.sqrt(electrons)
     )  # read noise and sky take the rest
 
 
-def test_pointing_bound_is_that_of_a_plate_fit(prospect):
+def test_pointing_bound_is_that_of_a_plate_fit(prediction):
     """Shift and rotation fitted to the stars as a plain weighted line fit, without distortion."""
-    stars, camera = prospect.stars, prospect.camera
-    plan = plan_pointing(stars, camera, prospect.camera_from_j2000, guarded=False)
+    stars, camera = prediction.stars, prediction.camera
+    plan = plan_pointing(stars, camera, prediction.camera_from_j2000, guarded=False)
     weight = np.linalg.inv((stars.covariance_px2 + stars.catalog_covariance_px2)[stars.usable])
     x, y = (stars.pixel_line[stars.usable] - camera.center_pixel_line).T
     design = np.stack([[np.ones_like(x), 0 * x, -y], [0 * x, np.ones_like(x), x]]).transpose(2, 0, 1)
@@ -103,10 +103,10 @@ def test_pointing_bound_is_that_of_a_plate_fit(prospect):
     )
 
 
-def test_guarding_costs_something_and_little(prospect):
-    bare = plan_pointing(prospect.stars, prospect.camera, prospect.camera_from_j2000, guarded=False)
-    assert np.all(prospect.pointing.sigma_px >= bare.sigma_px)
-    assert np.all(prospect.pointing.sigma_px < 2.0 * bare.sigma_px)
+def test_guarding_costs_something_and_little(prediction):
+    bare = plan_pointing(prediction.stars, prediction.camera, prediction.camera_from_j2000, guarded=False)
+    assert np.all(prediction.pointing.sigma_px >= bare.sigma_px)
+    assert np.all(prediction.pointing.sigma_px < 2.0 * bare.sigma_px)
 
 
 def mortensen(electrons, variance_e2, sigma_px):
@@ -116,10 +116,10 @@ def mortensen(electrons, variance_e2, sigma_px):
     return math.sqrt(sigma2 / electrons * (1 + 4 * tau + math.sqrt(2 * tau / (1 + 4 * tau))))
 
 
-def test_centers_of_points_are_known_as_well_as_theory_says(light, prospect):
+def test_centers_of_points_are_known_as_well_as_theory_says(light, prediction):
     """Bennu below a pixel, and the brightest and the faintest star."""
     variance = float(light.variance_dn2(light.without_stars_e.min())) * 4.5**2
-    target, stars = prospect.target("BENNU"), prospect.stars
+    target, stars = prediction.target("BENNU"), prediction.stars
     bound = mortensen(target.flux_dn * 4.5, variance, 0.7)
     assert target.center_sigma_px == pytest.approx([bound, bound], rel=0.05)
     for row in (0, -1):
@@ -138,46 +138,46 @@ def test_center_bound_by_differences(light):
     assert snr > 100.0
 
 
-def test_best_exposure_is_below_saturation_and_the_smallest(prospect):
-    best = prospect.best
+def test_best_exposure_is_below_saturation_and_the_smallest(prediction):
+    best = prediction.best_exposure
     assert np.nanmin(best.sigma_px) == best.sigma_px[list(best.exposure_s).index(best.best_s)]
-    peak = prospect.target("BENNU").peak_dn / 5.0
-    assert peak * best.best_s < prospect.camera.saturation_dn
-    assert np.isnan(best.sigma_px[best.exposure_s > 1.05 * prospect.camera.saturation_dn / peak]).all()
+    peak = prediction.target("BENNU").peak_dn / 5.0
+    assert peak * best.best_s < prediction.camera.saturation_dn
+    assert np.isnan(best.sigma_px[best.exposure_s > 1.05 * prediction.camera.saturation_dn / peak]).all()
 
 
-def test_stray_light_costs_stars(desk, picture):
+def test_stray_light_costs_stars(opened, picture):
     bright = load_sequence(BENNU | {"sun": {"stray_light_dn_s": [[0.0, 2000.0], [180.0, 2000.0]]}})
     with open_sequence(bright) as other:
-        lit = plan_picture(other, picture, exposures=False).prospect
-    dark = plan_stars(expected_light(desk.inputs(picture)), 5.0)
+        lit = plan_picture(other, picture, exposures=False).prediction
+    dark = plan_stars(expected_light(opened.inputs(picture)), 5.0)
     assert lit.stray_light_dn == pytest.approx(10_000.0)
     assert np.all(lit.stars.snr[lit.stars.status == "usable"] < dark.snr.max())
     assert lit.limit_mag < 13.0
 
 
 def test_sun_inside_the_keep_out_angle_is_bad(picture):
-    with open_sequence(load_sequence(BENNU | {"sun": {"keep_out_deg": 170.0}})) as desk:
-        verdict = plan_picture(desk, picture, exposures=False).verdict
+    with open_sequence(load_sequence(BENNU | {"sun": {"keep_out_deg": 170.0}})) as opened:
+        verdict = plan_picture(opened, picture, exposures=False).verdict
     assert verdict.grade == "bad"
     assert "inside the keep-out angle of 170" in verdict.words
 
 
-def test_a_moving_camera_has_worse_stars(picture, prospect):
-    with open_sequence(load_sequence(BENNU | {"motion": {"rate_px_s": [1.0, 0.0]}})) as desk:
-        trailed = plan_picture(desk, picture, exposures=False).prospect
-    ratio = trailed.stars.covariance_px2[0] / prospect.stars.covariance_px2[0]
+def test_a_moving_camera_has_worse_stars(picture, prediction):
+    with open_sequence(load_sequence(BENNU | {"motion": {"rate_px_s": [1.0, 0.0]}})) as opened:
+        trailed = plan_picture(opened, picture, exposures=False).prediction
+    ratio = trailed.stars.covariance_px2[0] / prediction.stars.covariance_px2[0]
     # A trail of 5 px is 5 / sqrt(12) px wide: three times the PSF along, no wider across.
     assert ratio[0, 0] > 2.0 * ratio[1, 1]
 
 
 def test_other_bodies_in_the_field_are_named():
-    with open_sequence(load_sequence("new_horizons/pluto_approach")) as desk:
-        picture = next(p for _, p in desk.sequence.expanded() if p.name == "opnav_1_0001")
-        seen = plan_picture(desk, picture, others=("NIX", "HYDRA", "SUN"), exposures=False).prospect
+    with open_sequence(load_sequence("new_horizons/pluto_approach")) as opened:
+        picture = next(p for _, p in opened.sequence.expanded() if p.name == "opnav_1_0001")
+        seen = plan_picture(opened, picture, others=("NIX", "HYDRA", "SUN"), exposures=False).prediction
         et = seen.et
         direction, _ = spiceypy.spkpos("NIX", et, "J2000", "CN+S", "-98")
-    (nix, _) = seen.visitors
+    (nix, _) = seen.other_bodies
     place = seen.camera.project((seen.camera_from_j2000 @ direction)[None])[0]
     assert [nix.pixel, nix.line] == pytest.approx(place, abs=0.01)
     assert nix.drawn

@@ -91,11 +91,11 @@ def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Tr
     mission, folder = load_mission("new_horizons"), tmp_path_factory.mktemp("resolved")
     truths = []
     with KernelSet(APPROACH):
-        workshop = OpenedScenario.open(scenario)
+        opened = OpenedScenario.open(scenario)
         for index, picture in enumerate(scenario.pictures):
-            task = ScenarioPicture(index, picture)
-            shown = expose_picture(workshop.inputs(task))
-            report = write_picture(shown, mission, folder, (), workshop.settings(task))
+            chosen = ScenarioPicture(index, picture)
+            shown = expose_picture(opened.inputs(chosen))
+            report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
             truths.append(truth_of(shown, mission, report.files[0]))
     near, pair = truths
     return near, pair

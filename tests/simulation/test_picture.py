@@ -107,9 +107,9 @@ def test_a_body_hides_the_stars_behind_it(pinhole):
     body = BodyModel(ball(pinhole, [500.0, 500.0], 40.0), Lambert(), 0.5, flux_e=1e6)
     places = [[500.0, 510.0], [500.0, 519.0], [500.0, 521.5], [470.0, 500.0]]
     picture = expose_picture(inputs(pinhole, stars_at(pinhole, places, [9.0] * 4), bodies=(body,)))
-    assert picture.star_hidden.tolist() == [True, True, False, False]
+    assert picture.star_occulted.tolist() == [True, True, False, False]
     assert picture.star_drawn.tolist() == [False, False, True, True]
-    drawn = picture.star_flux_e[~picture.star_hidden].sum()
+    drawn = picture.star_flux_e[~picture.star_occulted].sum()
     assert picture.noiseless_electrons.sum() == pytest.approx(
         1e6 + drawn, rel=5e-4
     )  # a disk of 40 px in pixels
@@ -136,7 +136,9 @@ def test_aberration_moves_stars_by_v_over_c(pinhole):
     moving = replace(AT_REST, velocity_km_s=np.array([14.5, 0.0, 0.0]))
     stars = stars_at(pinhole, PLACES, [9.0] * 4)
     on, off = (
-        expose_picture(inputs(pinhole, stars, observer=moving, switches=ApparentPlaceEffects(aberration=a)))
+        expose_picture(
+            inputs(pinhole, stars, observer=moving, place_effects=ApparentPlaceEffects(aberration=a))
+        )
         for a in (True, False)
     )
     shift = on.stars.pixel_line - off.stars.pixel_line
@@ -153,7 +155,7 @@ def test_parallax_moves_a_star_by_baseline_over_distance(pinhole):
     away = replace(AT_REST, position_km=np.array([0.0, 33.0 * AU_KM, 0.0]))
     stars = stars_at(pinhole, PLACES[:2], [9.0, 9.0], parallax_rad=np.array([0.1 * ARCSEC, 0.0]))
     on, off = (
-        expose_picture(inputs(pinhole, stars, observer=away, switches=ApparentPlaceEffects(parallax=p)))
+        expose_picture(inputs(pinhole, stars, observer=away, place_effects=ApparentPlaceEffects(parallax=p)))
         for p in (True, False)
     )
     shift = on.stars.pixel_line - off.stars.pixel_line
@@ -166,7 +168,7 @@ def test_proper_motion_moves_a_star_with_the_years(pinhole):
     stars = stars_at(pinhole, PLACES[1:2] + 30.0, [9.0], pmdec_rad_yr=np.array([2.0 * ARCSEC]))
     et = 15.0 * 365.25 * 86400.0
     on, off = (
-        expose_picture(inputs(pinhole, stars, et=et, switches=ApparentPlaceEffects(proper_motion=m)))
+        expose_picture(inputs(pinhole, stars, et=et, place_effects=ApparentPlaceEffects(proper_motion=m)))
         for m in (True, False)
     )
     shift = np.linalg.norm(on.stars.pixel_line - off.stars.pixel_line)
@@ -182,7 +184,7 @@ def test_distortion_moves_stars_by_the_cameras_own(pinhole):
     seen = lorri.unproject(corner) @ path.middle  # J2000
     table = stars_at(pinhole, pinhole.project(seen), [9.0] * 3)
     on, off = (
-        expose_picture(inputs(lorri, table, path=path, switches=ApparentPlaceEffects(distortion=d)))
+        expose_picture(inputs(lorri, table, path=path, place_effects=ApparentPlaceEffects(distortion=d)))
         for d in (True, False)
     )
     shift = on.stars.pixel_line - off.stars.pixel_line

@@ -131,7 +131,7 @@ def test_a_raw_picture_has_bias_and_dark_columns_and_is_read_like_one(made, tmp_
 
 
 def test_only_takes_names_of_pictures_and_series():
-    assert [t.picture.name for t in chosen_pictures(scenario(), ["series"])] == [
+    assert [p.name for p in chosen_pictures(scenario(), ["series"])] == [
         "series_0001",
         "series_0002",
         "series_0003",
