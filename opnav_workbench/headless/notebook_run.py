@@ -1,7 +1,7 @@
 """One notebook executed in a process of its own: ``python notebook_run.py job.json``.
 
 `opnav_workbench.headless.night_workers` starts it by its path, so that it loads papermill and nothing else of this package;
-what happened stands in the job's ``report_scan_run`` file. It ends with its starter, and takes its kernel along.
+what happened stands in the job's ``report`` file. It ends with its starter, and takes its kernel along.
 """
 
 import json

@@ -453,7 +453,7 @@ class PaperComparison:
         )
 
     def write(self, path: str | Path) -> Path:
-        """Write `report_table` as ECSV, whole or not at all; return its path."""
+        """Write the table as ECSV, whole or not at all; return its path."""
         with atomic_path(path) as temporary:
             self.table().write(temporary, format="ascii.ecsv", overwrite=True)
         return Path(path)

@@ -104,7 +104,7 @@ class JournalTail:
 def journal_line(
     session: str, number: int, before: JournalEntry | None, item: JournalEntry, inputs: Mapping[str, Any]
 ) -> bytes:
-    """Return the line of the entry at place `header_number` (from 0) of the journal."""
+    """Return the line of the entry at place `number` (from 0) of the journal."""
     data = {"session": session, "n": number, "after": _entry_check(before), "entry": item.to_dict()}
     if inputs:
         data["inputs"] = inputs

@@ -29,7 +29,7 @@ def real_run(demo_truths, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def make_run(real_run):
-    """Return a function that writes picture `header_number` of a campaign as a run folder.
+    """Return a function that writes picture `number` of a campaign as a run folder.
 
     Each picture has its own name, SHA-256, time (an hour apart) and, drawn from its number, pointing error and O-C.
     `edit` may change result and session before they are written; `minute` is when the run was made.
