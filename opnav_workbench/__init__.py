@@ -13,20 +13,24 @@ goes to orbit determination with its covariance and partials.
         session.find_body("PLUTO")
         table = session.observables()
 
-Enter by `ImageSession` for one picture; what an analyst touches is in ``workbench``, what a shell calls in ``cli``.
+Enter by `ImageSession` for one picture, step by step, or by `process` for pictures at which nobody looks. Every package's
+docstring is its map: what it is, by which door to come in, one line for every module. Data flows from the bottom of
+this list to its top; a package imports what stands below it.
 
-``session``
-    One picture, step by step, with its journal, its files and its undo.
-``workbench``
-    The workbench in JupyterLab.
-``headless``
-    What runs without a person: the automatic policy, nights of pictures, recorded decisions.
 ``cli``
     The ``opnav`` program.
+``workbench``
+    The workbench in JupyterLab: pictures, marks, plots, keys. Every button calls one method of `ImageSession`.
+``headless``
+    What runs without a person: nights of pictures, rehearsals, star frames for a calibration.
 ``report``
     Figures and pages that a navigator shows.
 ``campaign``
     Many pictures: their archive, their trends and their stack.
+``processing``
+    What shall be done with a picture, said once for program, notebooks, nights and queues; and the automatic steps.
+``session``
+    One picture, step by step, with its journal, its files and its undo.
 ``planning``
     What pictures will show, and which are worth taking.
 ``rehearsal``
@@ -38,15 +42,17 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
 ``observables``
     O, C, O-C, covariances and partials of bodies' centers; their files.
 ``calibration``
-    Optics, mounting and PSF of a camera from its own star frames.
-``stars``
-    Star centers, their identification, and the camera attitude from them.
+    Optics, mounting and PSF of a camera from its own star pictures.
 ``bodies``
     Centers of target bodies in a picture.
+``stars``
+    Star centers, their identification, and the camera's attitude from them.
 ``render``
     Bodies as the camera sees them: light spread over pixels.
 ``scene``
     What the camera should see: predicted stars and bodies.
+``mission``
+    A mission's spacecraft, cameras and header keywords.
 ``image``
     Pictures read from files, with masks, time and header pointing; the sky's level and noise.
 ``camera``
@@ -56,7 +62,7 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
 ``targets``
     Targets as values: where a body is, how large, how turned, how lit.
 ``kernels``
-    SPICE: kernels opened as a set or written; states, attitudes and times from them.
+    SPICE: kernels opened as a set, made, checked, fetched; states, attitudes and times from them.
 ``photometry``
     From spectra and band passes to electrons and magnitudes.
 ``psf``
@@ -65,8 +71,6 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
     Directions, attitudes, aberration, space motion and conics; no state, no kernels.
 ``downloads``
     Files fetched over http and https, whole or not there.
-``mission``
-    A mission's spacecraft, cameras and header keywords.
 ``yaml_file``
     YAML files into validated models, with errors that name line and field.
 ``templating``
@@ -85,6 +89,85 @@ Enter by `ImageSession` for one picture; what an analyst touches is in ``workben
     One root error, one leaf per thing that can be wrong.
 ``version``
     The package's version.
+
+Where to change what
+--------------------
+how a limb scan is chosen
+    ``bodies.limb_scan.selection``; by hand in ``session.body_steps`` and ``workbench.limb_scan_choice``
+how a body's center is found
+    a module of ``bodies`` beside ``bodies.cross_correlation``; which one "auto" means: ``bodies.method``
+a star catalog
+    a module of ``catalog`` beside ``catalog.tycho2`` that answers as ``catalog.interface`` says; its spec: ``catalog.specs``
+a column of the observables
+    ``observables.columns``, filled by ``observables.observing``; all files take it from there
+a field of ``result.json``
+    ``session.result``
+a step of a session
+    its method in ``session.session``, its function and line in ``session.history``'s table of steps
+an option of processing
+    ``processing``: program, notebooks, nights and queues follow
+a camera or a mission
+    no code: ``camera.camera_file`` and ``mission`` say what their YAML files hold
+a picture format
+    ``image.formats``
+an effect of the detector in simulated pictures
+    ``simulation.effects`` and ``simulation.detector``
+
+Glossary
+--------
+a priori
+    What was believed before the picture was measured: attitude from kernels or header, with its sigma.
+apparent direction
+    Where a light source is seen from a moving spacecraft: light time and stellar aberration included.
+boresight
+    The camera's optical axis, a direction in the camera's frame.
+center
+    Where a star's light, or a body's center of figure, falls on the detector, with its covariance.
+decision
+    What an analyst said of a star, scan, circle or picture; outranks what the program found, and can be replayed.
+frame
+    A reference frame of SPICE (J2000, NH_LORRI). What a camera took is a picture.
+full disk, limb scan
+    The paper's ways to a center: all pixels of the body compared, or brightness along lines across its limb.
+journal
+    All steps and decisions of a session, in order, with time and outcome.
+kernel
+    A file of SPICE; a kernel set is what one metakernel loads.
+limb, terminator
+    The edge of a body against the sky; the edge of its lit part.
+night
+    Many pictures processed without a person, each once, to be continued at will.
+observable
+    A measured direction with what orbit determination needs: O, C, O-C, covariance, partials.
+outcome
+    What became of a picture, a step or a download: done or why not, in one line.
+partials
+    How an observable moves with the spacecraft's position, the attitude or the target's position.
+phase angle
+    Sun - body - spacecraft: 0 is full.
+picture
+    What the spacecraft's camera took (or the simulation drew): pixels, masks, time, header. In names that are a promise
+    it is also "image" (`ImageSession`).
+pointing
+    The camera's attitude at the time of the picture, camera from J2000, as solved from stars.
+predicted, observed
+    Where something should be with the best attitude at hand; where it was measured. Residual = observed - predicted.
+rehearsal (ORT)
+    An operational readiness test: pictures whose truth is sealed until the team has delivered.
+scene
+    What the camera should see at an epoch: observer, stars, bodies.
+session
+    One picture with everything that was done to it: a frozen state, its history, its folder.
+sigma
+    One standard deviation, verified against truth. An estimate never travels without it.
+status
+    What is to be thought of a star or a body, in one word of a fixed list; flags and messages say why.
+target
+    A body or star whose direction is wanted.
+truth
+    What a simulated picture really shows; read only by what scores or tests.
+twist
+    Position angle of increasing line at the boresight, east of J2000 north.
 """
 
 from typing import TYPE_CHECKING, Any

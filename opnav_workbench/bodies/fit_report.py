@@ -26,7 +26,9 @@ from opnav_workbench.bodies.results import (
     BodyFlag,
     BodyPictures,
     ModelFit,
-    describe_body_flags,
+    flag_messages,
+    flags_where,
+    size_messages,
 )
 from opnav_workbench.bodies.scene_fit import SceneFit
 from opnav_workbench.bodies.subarray import Cutout
@@ -119,10 +121,7 @@ def fit_flags(picture: BodyPicture, evidence: FitEvidence, *, size_solved: bool)
         BodyFlag.HIT: bool(np.any(bright & evidence.hits)),
         BodyFlag.NOT_CONVERGED: not evidence.converged,
     }
-    flags = BodyFlag.OK
-    for flag, condition in conditions.items():
-        flags |= flag if condition else BodyFlag.OK
-    return flags
+    return flags_where(conditions)
 
 
 def fit_status(evidence: FitEvidence, flags: BodyFlag) -> str:
@@ -143,8 +142,7 @@ def fit_status(evidence: FitEvidence, flags: BodyFlag) -> str:
 
 def fit_messages(picture: BodyPicture, evidence: FitEvidence, flags: BodyFlag) -> tuple[str, ...]:
     """Return what is known against a center, in words and numbers."""
-    said = []
-    numbers = {
+    notes = {
         BodyFlag.CUT_BY_EDGE: f"{100 * evidence.lost_light:.0f} % of its light",
         BodyFlag.OCCULTED: f"{100 * evidence.occulted:.0f} % of its light",
         BodyFlag.POOR_FIT: f"the model explains {100 * evidence.explained:.0f} % of the light",
@@ -153,13 +151,10 @@ def fit_messages(picture: BodyPicture, evidence: FitEvidence, flags: BodyFlag) -
         BodyFlag.BAD_PIXELS: f"{int((evidence.bright & ~evidence.use & ~evidence.saturated).sum())} px",
         BodyFlag.HIT: f"{int((evidence.bright & evidence.hits).sum())} px",
     }
-    for flag in BodyFlag:
-        if flags & flag:
-            note = numbers.get(flag, "")
-            said.append(describe_body_flags(flag) + (f" ({note})" if note else ""))
+    messages = flag_messages(flags, notes)
     if evidence.snr < CERTAIN_SNR:
-        said.append(f"SNR {evidence.snr:.1f} is below {CERTAIN_SNR:g}")
-    return tuple(said)
+        messages.append(f"SNR {evidence.snr:.1f} is below {CERTAIN_SNR:g}")
+    return tuple(messages)
 
 
 def _cut(picture: BodyPicture, evidence: FitEvidence) -> bool:
@@ -189,18 +184,10 @@ def _misfit(evidence: FitEvidence, *, size_solved: bool) -> bool:
 
 def _size_words(picture: BodyPicture, evidence: FitEvidence) -> str:
     expected = evidence.found.expectation
-    ratio, circle = evidence.size_ratio, expected.circle_ratio
-    predicted = picture.diameter_px(expected.name)
-    words = []
-    if np.isfinite(ratio) and abs(ratio - 1.0) > SIZE_TOLERANCE:
-        words.append(
-            f"it is about {100 * abs(ratio - 1.0):.0f} % {'larger' if ratio > 1.0 else 'smaller'} than the predicted "
-            f"{predicted:.1f} px: check its range and radii, or solve for its range"
-        )
-    if np.isfinite(circle) and abs(np.log(circle)) > CIRCLE_SIZE_TOLERANCE:
-        words.append(
-            f"the circle is {2 * expected.radius_px * circle:.1f} px wide, the prediction {2 * expected.radius_px:.1f} px"
-        )
+    remedy = "check its range and radii, or solve for its range"
+    words = size_messages(
+        evidence.size_ratio, expected.circle_ratio, picture.diameter_px(expected.name), "it is about", remedy
+    )
     return "; ".join(words)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, model_picture
@@ -41,8 +42,6 @@ class CorrelationPeak:
         Its brightness, data over model.
     explained : float
         Share, 0..1, of what is under the body that the model explains, noise taken out.
-    at_limit : bool
-        Whether the best place lies on the border of the search area.
     usable : float
         Share of the body's light (squared) on usable pixels, at the best place.
     """
@@ -51,7 +50,6 @@ class CorrelationPeak:
     snr: float
     scale: float
     explained: float
-    at_limit: bool
     usable: float
 
     def __post_init__(self) -> None:
@@ -90,7 +88,7 @@ def search_place(
     subtract_dn : (n_line, n_pixel) array, optional
         Light of other bodies, of the size of the detector.
     """
-    nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, False, 0.0)
+    nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, 0.0)
     reach = radius_px + PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
     window = _clipped(picture, center_px, search_px + reach)
     if min(window[2:]) < 3:
@@ -166,19 +164,17 @@ def _refined_peak(
     bins: int,
 ) -> CorrelationPeak:
     if not searched.any():
-        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, False, 0.0)
+        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, 0.0)
     row, column = np.unravel_index(np.where(searched, surface, -np.inf).argmax(), surface.shape)
     inner = 0 < row < surface.shape[0] - 1 and 0 < column < surface.shape[1] - 1
     center = grid[:, row, column]
-    at_limit = True
     if inner:
         patch = surface[row - 1 : row + 2, column - 1 : column + 2]
-        at_limit = bool(patch.max() > patch[1, 1])
-        if not at_limit:
+        if not patch.max() > patch[1, 1]:
             offset, _ = refine_peaks(surface[None], np.array([row]), np.array([column]))
             center = center + bins * offset[0]
     snr, scale, explained, usable = (float(plane[row, column]) for plane in maps)
-    return CorrelationPeak(center, snr, scale, explained, at_limit, usable)
+    return CorrelationPeak(center, snr, scale, explained, usable)
 
 
 class _LagCorrelator:
@@ -200,8 +196,4 @@ class _LagCorrelator:
 
 def _binned(plane: FloatArray, bins: int) -> FloatArray:
     """Return sums over bins x bins pixels; an incomplete last row or column counts as it is."""
-    if bins == 1:
-        return plane
-    pad = [(0, -n % bins) for n in plane.shape]
-    lines, pixels = ((n + p[1]) // bins for n, p in zip(plane.shape, pad, strict=True))
-    return np.asarray(np.pad(plane, pad).reshape(lines, bins, pixels, bins).sum(axis=(1, 3)))
+    return plane if bins == 1 else np.asarray(block_reduce(plane, bins, func=np.sum))

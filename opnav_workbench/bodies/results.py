@@ -8,8 +8,11 @@ Frame  (pixel, line) on the detector
 Units  px, DN, km, rad
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import reduce
+from operator import or_
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +36,9 @@ __all__ = [
     "LimbScans",
     "ModelFit",
     "describe_body_flags",
+    "flag_messages",
+    "flags_where",
+    "size_messages",
 ]
 
 
@@ -239,6 +245,58 @@ def describe_body_flags(flags: int) -> str:
     'part of it lies off the detector; its lit crescent is less than a pixel wide'
     """
     return "; ".join(text for flag, text in _MEANING.items() if flags & flag) or "ok"
+
+
+def flags_where(conditions: Mapping[BodyFlag, object]) -> BodyFlag:
+    """Return all flags whose condition is true.
+
+    Examples
+    --------
+    >>> flags_where({BodyFlag.HIT: True, BodyFlag.EMPTY: False})
+    <BodyFlag.HIT: 1024>
+    """
+    return reduce(or_, (flag for flag, condition in conditions.items() if condition), BodyFlag.OK)
+
+
+def flag_messages(flags: BodyFlag, notes: Mapping[BodyFlag, str]) -> list[str]:
+    """Return one line for each flag that is set, its note with the numbers behind it in parentheses.
+
+    Examples
+    --------
+    >>> flag_messages(BodyFlag.EMPTY | BodyFlag.HIT, {BodyFlag.EMPTY: "3 px"})[0]
+    'too few usable pixels (3 px)'
+    """
+    notes = {flag: f" ({notes[flag]})" if notes.get(flag) else "" for flag in BodyFlag}
+    return [describe_body_flags(flag) + notes[flag] for flag in BodyFlag if flag & flags]
+
+
+def size_messages(
+    size_ratio: float, circle_ratio: float, predicted_px: float, subject: str, remedy: str
+) -> list[str]:
+    """Return what speaks against the predicted size: the image's size, or that of an analyst's circle.
+
+    Parameters
+    ----------
+    size_ratio, circle_ratio
+        Measured size and the circle's over the predicted one; nan where there is none, or where it tells nothing.
+    predicted_px
+        Predicted diameter.
+    subject
+        What was measured, as the message begins: "its limb is".
+    remedy
+        What to do about a wrong size.
+    """
+    messages = []
+    if np.isfinite(size_ratio) and abs(size_ratio - 1.0) > SIZE_TOLERANCE:
+        messages.append(
+            f"{subject} {100 * abs(size_ratio - 1.0):.0f} % {'larger' if size_ratio > 1.0 else 'smaller'} "
+            f"than the predicted {predicted_px:.1f} px: {remedy}"
+        )
+    if np.isfinite(circle_ratio) and abs(np.log(circle_ratio)) > CIRCLE_SIZE_TOLERANCE:
+        messages.append(
+            f"the circle is {circle_ratio * predicted_px:.1f} px wide, the prediction {predicted_px:.1f} px"
+        )
+    return messages
 
 
 # ---- What a limb scan keeps of every scan.

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import uniform_filter1d
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, displaced_model
@@ -59,12 +58,6 @@ class Outline:
         """Return the points (n, 2) px in directions (n,)."""
         wheel = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
         return np.asarray(self.center_px + self.radius(angle_rad)[:, None] * wheel)
-
-    def smoothed(self, width_px: float) -> "Outline":
-        """Return the outline averaged along itself over `width_px`: the rough edges of plates have no normals."""
-        step = max(float(self.radius_px.mean()) * TURN / len(self.angle_rad), 1e-9)
-        size = max(1, round(width_px / step))
-        return Outline(self.center_px, self.angle_rad, uniform_filter1d(self.radius_px, size, mode="wrap"))
 
     @property
     def slope_px(self) -> FloatArray:

@@ -8,6 +8,7 @@ A star's light falls off so steeply that what has a tenth of its peak is a few p
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
+from skimage.measure import label, regionprops
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.constants import MAD_TO_SIGMA
@@ -132,12 +133,12 @@ def extended_light(
         return covered
     filled = ndimage.binary_closing(light | (np.asarray(bad, dtype=bool) & _surrounded(light)))
     bright, rim = np.asarray(saturated, dtype=bool), RIM_SIGMAS * psf_sigma_px + RIM_PX
-    areas, _ = ndimage.label(filled)
-    for number, box in enumerate(ndimage.find_objects(areas), start=1):
-        if min(part.stop - part.start for part in box) < radius_px:
+    areas = label(filled, connectivity=1)
+    for region in regionprops(areas):
+        if min(part.stop - part.start for part in region.slice) < radius_px:
             continue
-        around = _widened(box, int(rim) + 2, signal.shape)
-        area = areas[around] == number
+        around = _widened(region.slice, int(rim) + 2, signal.shape)
+        area = areas[around] == region.label
         if _is_body(signal[around], area, bright[around], radius_px):
             covered[around] |= ndimage.distance_transform_edt(~area) <= rim
     return covered

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 from scipy.ndimage import correlate1d
 from scipy.spatial import cKDTree
 from scipy.special import erf
+from skimage.measure import label, regionprops
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
@@ -68,10 +68,9 @@ def replace_saturated(found: Detections, saturated: BoolArray, sigma_px: float) 
     """
     if not saturated.any():
         return found
-    labels, count = ndimage.label(saturated, structure=np.ones((3, 3)))
-    rows = np.arange(1, count + 1)
-    middle = np.array(ndimage.center_of_mass(saturated, labels, rows))[:, ::-1]
-    radius = np.sqrt(np.bincount(labels.ravel(), minlength=count + 1)[1:] / np.pi) + WING_SIGMAS * sigma_px
+    cores = regionprops(label(saturated, connectivity=2))
+    middle = np.array([core.centroid[::-1] for core in cores])
+    radius = np.array([0.5 * core.equivalent_diameter_area for core in cores]) + WING_SIGMAS * sigma_px
     near = cKDTree(found.pixel_line.reshape(-1, 2)).query_ball_point(middle, radius)
     kept = np.setdiff1d(np.arange(len(found)), np.concatenate([*near, []]).astype(np.int64))
     brightest = float(np.max(found.flux_dn, initial=1.0))
@@ -82,8 +81,8 @@ def replace_saturated(found: Detections, saturated: BoolArray, sigma_px: float) 
         pixel_line=np.vstack([found.pixel_line[kept], middle]),
         flux_dn=np.r_[found.flux_dn[kept], flux],
         snr=np.r_[found.snr[kept], snr],
-        sharpness=np.r_[found.sharpness[kept], np.ones(count)],
-        flags=np.r_[found.flags[kept], np.full(count, int(StarFlag.SATURATED))],
+        sharpness=np.r_[found.sharpness[kept], np.ones(len(cores))],
+        flags=np.r_[found.flags[kept], np.full(len(cores), int(StarFlag.SATURATED))],
     )
 
 

@@ -15,6 +15,7 @@ from opnav_workbench.bodies.results import (
     FreeEllipse,
     LimbEllipse,
     describe_body_flags,
+    flags_where,
 )
 from opnav_workbench.bodies.silhouette import Outline
 
@@ -230,10 +231,7 @@ def _flags(
         BodyFlag.WEAK_GEOMETRY: sigma_max > max(WEAK_SIGMA_PX, WEAK_SHARE * 0.5 * diameter)
         or (detail.lit_arc_rad < WEAK_ARC_RAD and sigma_max > WEAK_RATIO * sigma_min),
     }
-    flags = BodyFlag.OK
-    for flag, true in reasons.items():
-        flags |= flag if true else BodyFlag.OK
-    return flags
+    return flags_where(reasons)
 
 
 def _messages(

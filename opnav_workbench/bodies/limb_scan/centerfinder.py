@@ -23,15 +23,15 @@ from opnav_workbench.bodies.limb_scan.matching import correlate_scans
 from opnav_workbench.bodies.limb_scan.selection import ScanSelection, checked_scan_numbers
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import (
-    CIRCLE_SIZE_TOLERANCE,
     DOUBTFUL_FLAGS,
     REJECTED,
-    SIZE_TOLERANCE,
     BodyCenter,
     BodyFlag,
     BodyPictures,
     LimbScans,
-    describe_body_flags,
+    flag_messages,
+    flags_where,
+    size_messages,
 )
 from opnav_workbench.bodies.silhouette import Silhouette
 from opnav_workbench.constants import FWHM_PER_SIGMA
@@ -164,10 +164,7 @@ def _flags(run: ScanRun) -> BodyFlag:
         BodyFlag.HIT: bool(np.any(bright & ~cutout.use & ~cutout.saturated & ~bad)),
         BodyFlag.NOT_CONVERGED: not run.rounds.converged,
     }
-    flags = BodyFlag.OK
-    for flag, condition in conditions.items():
-        flags |= flag if condition else BodyFlag.OK
-    return flags
+    return flags_where(conditions)
 
 
 def _sky_share(run: ScanRun) -> float:
@@ -192,17 +189,14 @@ def _thin(run: ScanRun) -> bool:
 
 
 def _misfit_words(run: ScanRun) -> str:
-    ratio, circle = run.size_ratio, run.found.expectation.circle_ratio
-    predicted = run.picture.diameter_px(run.name)
-    words = []
-    significant = abs(ratio - 1.0) > 3.0 * run.last.solved.size_sigma
-    if significant and abs(ratio - 1.0) > SIZE_TOLERANCE:
-        words.append(
-            f"its limb is {100 * abs(ratio - 1.0):.0f} % {'larger' if ratio > 1.0 else 'smaller'} than the predicted "
-            f"{predicted:.1f} px: check its range and radii"
-        )
-    if np.isfinite(circle) and abs(np.log(circle)) > CIRCLE_SIZE_TOLERANCE:
-        words.append(f"the circle is {circle * predicted:.1f} px wide, the prediction {predicted:.1f} px")
+    significant = abs(run.size_ratio - 1.0) > 3.0 * run.last.solved.size_sigma
+    words = size_messages(
+        run.size_ratio if significant else np.nan,
+        run.found.expectation.circle_ratio,
+        run.picture.diameter_px(run.name),
+        "its limb is",
+        "check its range and radii",
+    )
     return "; ".join(words)
 
 
@@ -214,7 +208,6 @@ def _too_uncertain(run: ScanRun) -> bool:
 
 
 def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
-    said = []
     size = run.picture.camera
     notes = {
         BodyFlag.CUT_BY_EDGE: f"the detector has {size.n_pixel} x {size.n_line} px",
@@ -225,13 +218,10 @@ def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
         f"light beside the limb is {min(_sky_share(run), 99.0):.2g} times that inside",
         BodyFlag.WEAK_GEOMETRY: f"to {np.sqrt(np.linalg.eigvalsh(run.last.solved.covariance_px2)[1]):.2f} px",
     }
-    for flag in BodyFlag:
-        if flags & flag:
-            note = notes.get(flag, "")
-            said.append(describe_body_flags(flag) + (f" ({note})" if note else ""))
+    messages = flag_messages(flags, notes)
     if _too_uncertain(run):
-        said.append("few scans of its lit limb could be used")
-    return (*said, *run.last.choice.summary)
+        messages.append("few scans of its lit limb could be used")
+    return (*messages, *run.last.choice.summary)
 
 
 def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
