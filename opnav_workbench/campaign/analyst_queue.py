@@ -40,9 +40,9 @@ def attention_reasons(
 
     Examples
     --------
-    >>> attention_of("ok", ["3 pixels masked"])
+    >>> attention_reasons("ok", ["3 pixels masked"])
     ()
-    >>> attention_of("partial", [], [("PLUTO", "ok"), ("NIX", "uncertain")])
+    >>> attention_reasons("partial", [], [("PLUTO", "ok"), ("NIX", "uncertain")])
     ('NIX: uncertain',)
     """
     if status == "ok":

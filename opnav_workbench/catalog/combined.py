@@ -60,7 +60,7 @@ def combine_stars(first: StarTable, second: StarTable) -> StarTable:
     Examples
     --------
     >>> from opnav_workbench.catalog import StarTable
-    >>> len(combine(StarTable.empty(), StarTable.empty()))
+    >>> len(combine_stars(StarTable.empty(), StarTable.empty()))
     0
     """
     if len(first) == 0 or len(second) == 0:

@@ -135,7 +135,7 @@ def et_from_tdb_datetime(moment: datetime) -> float:
 
     Examples
     --------
-    >>> et_from_tdb(datetime(2000, 1, 2, 12))
+    >>> et_from_tdb_datetime(datetime(2000, 1, 2, 12))
     86400.0
     """
     return (moment.replace(tzinfo=UTC) - J2000_EPOCH).total_seconds()

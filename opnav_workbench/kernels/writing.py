@@ -159,7 +159,7 @@ def spk_excerpts(source: Path, target: int, start_et: float, end_et: float) -> t
     Examples
     --------
     >>> from opnav_workbench.kernels.making.forces import planet_ephemeris
-    >>> [(e.target, e.center) for e in excerpts(planet_ephemeris(), 399, 0.0, 86400.0)]
+    >>> [(e.target, e.center) for e in spk_excerpts(planet_ephemeris(), 399, 0.0, 86400.0)]
     [(399, 3), (3, 0)]
     """
     found: list[SpkExcerpt] = []

@@ -69,7 +69,7 @@ def as_markdown(title: str, lead: str, parts: Sequence[BriefingSection]) -> str:
 
     Examples
     --------
-    >>> print(as_text("Night 1", "a test", [Section("Deliver", items=("centers",))]))
+    >>> print(as_markdown("Night 1", "a test", [BriefingSection("Deliver", items=("centers",))]))
     # Night 1
     <BLANKLINE>
     a test

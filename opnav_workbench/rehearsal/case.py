@@ -108,7 +108,7 @@ def perturbation_random(seed: int, name: str) -> np.random.Generator:
 
     Examples
     --------
-    >>> first, second = (random_of(7, "albedo").random() for _ in range(2))
+    >>> first, second = (perturbation_random(7, "albedo").random() for _ in range(2))
     >>> first == second
     True
     """

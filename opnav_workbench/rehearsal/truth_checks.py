@@ -114,7 +114,7 @@ def check_against_truth(
 
     Examples
     --------
-    >>> check = checked("center", ("pixel", "line"), ("px", "px"), [10.1, 20.0], [10.0, 20.0], np.eye(2) * 0.01)
+    >>> check = check_against_truth("center", ("pixel", "line"), ("px", "px"), [10.1, 20.0], [10.0, 20.0], np.eye(2) * 0.01)
     >>> round(check.sigmas, 2), check.verdict
     (0.52, 'good')
     """

@@ -184,7 +184,7 @@ def method_title(method: str) -> str:
 
     Examples
     --------
-    >>> method_words("limb_scan"), method_words("cross_correlation")
+    >>> method_title("limb_scan"), method_title("cross_correlation")
     ('limb scan', 'cross-correlation')
     """
     return {"cross_correlation": "cross-correlation"}.get(method, method.replace("_", " "))

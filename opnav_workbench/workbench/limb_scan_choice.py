@@ -58,7 +58,7 @@ def parse_scan_numbers(typed: str, n_scans: int) -> list[int]:
 
     Examples
     --------
-    >>> parsed_scans("3-6, 12", 24)
+    >>> parse_scan_numbers("3-6, 12", 24)
     [3, 4, 5, 6, 12]
     """
     chosen: set[int] = set()
@@ -80,7 +80,7 @@ def format_scan_numbers(numbers: Iterable[int]) -> str:
 
     Examples
     --------
-    >>> shown_scans([3, 4, 5, 6, 12])
+    >>> format_scan_numbers([3, 4, 5, 6, 12])
     '3-6,12'
     """
     runs: list[list[int]] = []

@@ -17,7 +17,8 @@
 `compare_ellipses`  An ellipse of any center, size and orientation through the points, against the model's.
     It is ``|S^-1 (x - c)| = 1`` with a symmetric matrix S, whose eigenvalues are the semi-axes: no parameter loses its
     meaning where the ellipse is a circle. What is minimised is the distance of the points to first order,
-    ``(|y| - 1) |y| / |S^-1 y|`` with ``y = S^-1 (x - c)`` (Sampson 1982, doi:10.1016/0146-664X(82)90101-0).
+    ``(|y| - 1) |y| / |S^-1 y|`` with ``y = S^-1 (x - c)`` (Sampson 1982, doi:10.1016/0146-664X(82)90101-0). Our own,
+    since scikit-image's `EllipseModel` takes no weights, gives no covariance, and is undefined toward the circle.
 """
 
 from dataclasses import dataclass

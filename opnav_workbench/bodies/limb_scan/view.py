@@ -74,7 +74,7 @@ class AdjustedLaw(ScatteringLaw):
     Examples
     --------
     >>> from opnav_workbench.render import Lambert, LommelSeeliger
-    >>> law = FitLaw(Lambert(), 1.0)
+    >>> law = AdjustedLaw(Lambert(), 1.0)
     >>> law.reflectance(0.5, 0.3, 0.2) == LommelSeeliger().reflectance(0.5, 0.3, 0.2)
     np.True_
     """
