@@ -1,52 +1,129 @@
-"""The ``opnav`` program: its commands, and how errors reach a person (one line, no traceback; exit status 2)."""
+"""The ``opnav`` program: the table of its commands, loaded when they are called, and how errors reach a person.
+
+Help over all commands needs their names and one line on each: both stand in `COMMANDS`, so that ``opnav --help`` loads
+nothing that navigates. A test holds the table and the commands together.
+"""
 
 import sys
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
 from rich.markup import escape
+from typer.core import TyperCommand, TyperGroup
+from typer.main import get_group
 
-from opnav_workbench.cli.calibrate import calibrate
-from opnav_workbench.cli.campaign import campaign_app
-from opnav_workbench.cli.catalog import catalog_app
-from opnav_workbench.cli.demo import demo
-from opnav_workbench.cli.doctor import doctor
-from opnav_workbench.cli.export import export
-from opnav_workbench.cli.kernels import kernels_app
-from opnav_workbench.cli.lab import lab
-from opnav_workbench.cli.nightly import nightly
-from opnav_workbench.cli.ort import ort
-from opnav_workbench.cli.plan import plan
-from opnav_workbench.cli.process import process
-from opnav_workbench.cli.simulate import simulate
-from opnav_workbench.cli.terminal import EXIT_BAD_INPUT
+from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, error_console
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.version import __version__
 
-__all__ = ["app", "main"]
+__all__ = ["COMMANDS", "CommandEntry", "app", "main"]
+
+STOPPED_BY_KEYBOARD = 130  # as shells say it: 128 and the number of SIGINT
+
+
+class CommandEntry(NamedTuple):
+    """Where a command stands: its module in this package, the function or `typer.Typer` in it, and its line of help."""
+
+    module: str
+    attribute: str
+    help: str
+
+
+COMMANDS = {
+    "demo": CommandEntry(
+        "demo",
+        "demo",
+        "Simulate New Horizons approach pictures, process them, and print truth beside solution.",
+    ),
+    "process": CommandEntry("process", "process", "Solve pointing and target centers of pictures."),
+    "lab": CommandEntry(
+        "lab", "lab", "Start JupyterLab with the workbench open on pictures; Ctrl-C stops it."
+    ),
+    "nightly": CommandEntry(
+        "nightly",
+        "nightly",
+        "Process many pictures headless: the notebook of each, an archive, and a page that tells what came out.",
+    ),
+    "export": CommandEntry("export", "export", "Export observables of many pictures to one file."),
+    "simulate": CommandEntry("simulate", "simulate", "Simulate pictures, each with its truth and a preview."),
+    "plan": CommandEntry(
+        "plan",
+        "plan",
+        "Plan pictures: stars, sizes, expected errors, Sun, first detection, best exposure, and a verdict on each.",
+    ),
+    "doctor": CommandEntry(
+        "doctor",
+        "doctor",
+        "Show versions, missions, kernels, catalogs and notebook parts, and what to do about what is missing.",
+    ),
+    "ort": CommandEntry(
+        "ort",
+        "ort",
+        "Operational readiness tests: a blinded package, its solution, and the score once the truth is opened.",
+    ),
+    "campaign": CommandEntry(
+        "campaign",
+        "campaign_app",
+        "Many pictures: archive their runs, ask it, export observables, plot trends, stack faint targets.",
+    ),
+    "kernels": CommandEntry(
+        "kernels",
+        "kernels_app",
+        "SPICE kernels: list, check, fetch and make them, look into them, and use them.",
+    ),
+    "catalog": CommandEntry("catalog", "catalog_app", "Star catalogs: list, info, build, fetch, cone."),
+    "calibrate": CommandEntry(
+        "calibrate",
+        "calibrate",
+        "Calibrate a camera from its own star frames: optics and mounting, or its PSF.",
+    ),
+}
+
+
+class CommandOnCall(TyperCommand):
+    """A command or group of commands known by name and line of help; its module is imported when it is called."""
+
+    def __init__(self, name: str, entry: CommandEntry) -> None:
+        super().__init__(name, help=entry.help)
+        self._entry = entry
+
+    # The context carries the command that runs: from here on the one that was loaded does everything.
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """Load the command and let it read its arguments."""
+        return self.loaded().make_context(info_name, args, parent, **extra)
+
+    def loaded(self) -> Any:
+        """Import the command's module and return the command."""
+        found = getattr(
+            import_module(f"opnav_workbench.cli.{self._entry.module}"), self._entry.attribute
+        )
+        owner = typer.Typer(rich_markup_mode="rich")
+        if isinstance(found, typer.Typer):
+            owner.add_typer(found, name=self.name)
+        else:
+            owner.command(self.name)(found)
+        return get_group(owner).commands[str(self.name)]
+
+
+class CommandTable(TyperGroup):
+    """The group of all commands in `COMMANDS`."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = {name: CommandOnCall(name, entry) for name, entry in COMMANDS.items()}
+
 
 app = typer.Typer(
     name="opnav",
+    cls=CommandTable,
     help="Optical navigation: stars give the pointing, the pointing gives the target's direction.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-app.command()(demo)
-app.command()(process)
-app.command()(lab)
-app.command()(nightly)
-app.command()(export)
-app.command()(simulate)
-app.command()(plan)
-app.add_typer(ort)
-app.add_typer(campaign_app)
-app.add_typer(kernels_app)
-app.add_typer(catalog_app)
-app.add_typer(calibrate)
-app.command()(doctor)
 
 
 def _version(wanted: bool) -> None:
@@ -69,10 +146,8 @@ def main() -> None:
     try:
         app()
     except OpNavError as error:
-        Console(stderr=True, soft_wrap=True).print(
-            f"[bold red]error:[/] {escape(str(error))}", highlight=False
-        )
+        error_console().print(f"[bold red]error:[/] {escape(str(error))}", highlight=False)
         sys.exit(EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         Console(stderr=True).print("stopped; finished images are kept.")
-        sys.exit(130)
+        sys.exit(STOPPED_BY_KEYBOARD)
