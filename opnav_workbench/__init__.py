@@ -85,6 +85,8 @@ this list to its top; a package imports what stands below it.
     Read-only arrays inside frozen results.
 ``constants``
     Constants of nature, of the sky and of statistics, with their sources.
+``lazy_names``
+    Names of a package whose modules are loaded at their first use.
 ``errors``
     One root error, one leaf per thing that can be wrong.
 ``version``
@@ -170,8 +172,9 @@ twist
     Position angle of increasing line at the boresight, east of J2000 north.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from opnav_workbench.lazy_names import names_on_demand
 from opnav_workbench.version import __version__
 
 if TYPE_CHECKING:
@@ -240,15 +243,7 @@ __all__ = [
     "open_catalog",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module  # noqa: PLC0415
-
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = names_on_demand(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

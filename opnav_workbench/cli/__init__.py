@@ -3,7 +3,7 @@
 One module a command or group of commands; nothing else in the package imports them.
 
 ``program``
-    The commands together, and how errors end the program.
+    The table of commands, loaded when they are called, and how errors end the program.
 ``terminal``
     Consoles, progress, tables and exit statuses that several commands share.
 ``process``

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from opnav_workbench import report
 from opnav_workbench.calibration import (
     CameraCalibration,
     Edit,
@@ -37,8 +38,6 @@ from opnav_workbench.headless.star_frames import SolvedFrames, psf_frames, solve
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.report.calibration import camera_figure, psf_figure
-from opnav_workbench.report.drawing import write_png
 from opnav_workbench.session import ATTITUDE_SOURCES
 from opnav_workbench.session.decisions import Decisions, load_decisions
 from opnav_workbench.version import __version__
@@ -293,16 +292,17 @@ def _write_camera(
     )
     _copy_psf(source, target)
     write_camera_file(source, target, camera_edits(result, distortion), heading)
-    report = target.with_name(f"{source.stem}_calibration.json")
-    write_json(report, calibration_json(stars, result, start, solved.failed, policy.catalog))
+    values_file = target.with_name(f"{source.stem}_calibration.json")
+    write_json(values_file, calibration_json(stars, result, start, solved.failed, policy.catalog))
     picture = target.with_name(f"{source.stem}_residuals.png")
-    write_png(
-        camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"), picture
+    report.write_png(
+        report.camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"),
+        picture,
     )
     console = Console()
     console.print(camera_table(result, start.name))
     rms = f"residuals {result.rms_before_px:.3f} px rms before, {result.rms_after_px:.3f} px after"
-    _print_files(console, rms, result.messages, (target, report, picture))
+    _print_files(console, rms, result.messages, (target, values_file, picture))
 
 
 def _write_psf(
@@ -318,17 +318,19 @@ def _write_psf(
         f"PSF of {result.n_stars} stars of {int(result.used_frames.sum())} frames; before: {source.name}"
     )
     write_camera_file(source, target, {("psf", "model"): edit}, heading)
-    report = target.with_name(f"{source.stem}_psf.json")
-    write_json(report, psf_json(result, names, solved.failed))
+    values_file = target.with_name(f"{source.stem}_psf.json")
+    write_json(values_file, psf_json(result, names, solved.failed))
     picture = target.with_name(f"{source.stem}_psf.png")
     sigma = start.psf.sigma_px
-    write_png(psf_figure(result, GaussianPsf(sigma, sigma), f"{start.name}: empirical PSF"), picture)
+    report.write_png(
+        report.psf_figure(result, GaussianPsf(sigma, sigma), f"{start.name}: empirical PSF"), picture
+    )
     median = [float(np.median(chi2)) for chi2 in (result.gaussian_chi2, result.empirical_chi2)]
     words = (
         f"{result.n_stars} stars, {result.psf.oversampling} cells a pixel; reduced chi-squared of a star (median) "
         f"{median[0]:.2f} with one Gaussian, {median[1]:.2f} with the PSF"
     )
-    _print_files(Console(), words, result.messages, (target, template, report, picture))
+    _print_files(Console(), words, result.messages, (target, template, values_file, picture))
 
 
 def _copy_psf(source: Path, target: Path) -> None:

@@ -23,6 +23,7 @@ from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table as Printed
 
+from opnav_workbench import report
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.campaign import ARCHIVE_FILE, Campaign, Ingested, IngestReport, Trends, trends
 from opnav_workbench.campaign.archive import EXPORT_FORMATS, export_observables
@@ -42,8 +43,6 @@ from opnav_workbench.cli.terminal import named_progress
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text, write_text
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.report.campaign import stack_figure, trends_figure
-from opnav_workbench.report.drawing import write_png
 
 __all__ = ["campaign_app", "stack"]
 
@@ -118,7 +117,7 @@ def ingest_progress(runs: Sequence[Path]) -> Iterator[Callable[[Ingested], None]
         yield advance
 
 
-def print_ingested(console: Console, report: IngestReport, archive: Path) -> None:
+def print_ingested(console: Console, ingested: IngestReport, archive: Path) -> None:
     """Print what became of the runs, in one line."""
     words = {
         "new": "new",
@@ -127,8 +126,8 @@ def print_ingested(console: Console, report: IngestReport, archive: Path) -> Non
         "older": "older than what stands",
         "skipped": "skipped",
     }
-    counts = [f"{report.count(what)} {said}" for what, said in words.items() if report.count(what)]  # type: ignore[arg-type]
-    number = "1 run" if len(report.items) == 1 else f"{len(report.items)} runs"
+    counts = [f"{ingested.count(what)} {said}" for what, said in words.items() if ingested.count(what)]  # type: ignore[arg-type]
+    number = "1 run" if len(ingested.items) == 1 else f"{len(ingested.items)} runs"
     console.print(f"{number}: {', '.join(counts)}", highlight=False)
     console.print(f"Archive: {escape(str(archive))}", highlight=False)
 
@@ -313,8 +312,8 @@ def _write_figure(stacked: Stacked, center: BodyCenter | None, products: StackPr
     growth: Growth | None = None
     if center is not None and center.pixel_line is not None and stacked.subtractions is None:
         growth = snr_growth(stacked, center.pixel_line)
-    figure = stack_figure(stacked, center, growth, products.folder.name)
-    write_png(figure, products.picture.with_suffix(".png"))
+    figure = report.stack_figure(stacked, center, growth, products.folder.name)
+    report.write_png(figure, products.picture.with_suffix(".png"))
 
 
 def _print_stack(
@@ -399,10 +398,10 @@ def ingest(
         def say(item: Ingested) -> None:
             advance(item)
 
-        report = campaign.ingest(runs, say)
+        ingested = campaign.ingest(runs, say)
         where = campaign.path
-    print_ingested(Console(soft_wrap=True), report, where)
-    if report.skipped:
+    print_ingested(Console(soft_wrap=True), ingested, where)
+    if ingested.skipped:
         raise typer.Exit(EXIT_SOME_SKIPPED)
 
 
@@ -492,7 +491,7 @@ def plot(
     with Campaign(archive, create=False) as campaign:
         found = trends(campaign, body=body, method=method, **filters)
         name = campaign.path.name
-    write_png(trends_figure(found, name), out)
+    report.write_png(report.trends_figure(found, name), out)
     console = Console(soft_wrap=True)
     print_outliers(console, found)
     console.print(f"Trends in {escape(str(out))}", highlight=False)

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from opnav_workbench import report
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog, StarQuality, StarTable, catalog_status, open_catalog, open_vizier
 from opnav_workbench.cli.terminal import folding_table
@@ -20,7 +21,6 @@ from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path, json_text
 from opnav_workbench.geometry import et_from_jyear, radec_from_unit
-from opnav_workbench.report.star_chart import write_star_chart
 
 __all__ = ["catalog_app"]
 
@@ -139,7 +139,7 @@ def cone(
     center = ra * RAD_PER_DEG, dec * RAD_PER_DEG, radius * RAD_PER_DEG
     stars = _open_with_progress(spec).cone(*center, mag, et_s, _flags(exclude))
     if plot is not None:
-        write_star_chart(plot, stars, *center, et_s)
+        report.write_star_chart(plot, stars, *center, et_s)
     if out is not None:
         _write_ecsv(out, stars)
     if as_json:

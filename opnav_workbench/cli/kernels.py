@@ -23,6 +23,7 @@ from rich.progress import (
     TransferSpeedColumn,
 )
 
+from opnav_workbench import report
 from opnav_workbench.camera import Camera
 from opnav_workbench.cli.kernel_tables import (
     print_brief,
@@ -54,7 +55,6 @@ from opnav_workbench.kernels.dsk_files import write_dsk
 from opnav_workbench.kernels.kernel_set import unknown_name
 from opnav_workbench.kernels.shape_files import read_shape
 from opnav_workbench.mission import Mission, load_mission
-from opnav_workbench.report import write_coverage
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import GeometryReport, geometry_report
 from opnav_workbench.session import RESULT_FILE, Reconstruction, write_reconstructed_ck
@@ -236,7 +236,7 @@ def geometry(
     seen_by = None if camera is None else _named_camera(known, camera)
     with KernelSet(kernels) as opened:
         et = et_from_utc(time)
-        report = geometry_report(
+        found = geometry_report(
             et,
             known.spacecraft_id,
             _target_names(targets) if targets is not None else _covered_targets(known, opened, et),
@@ -245,7 +245,7 @@ def geometry(
             center=center or known.reference_body,
             frame=frame,
         )
-    _print_geometry(report, as_json)
+    _print_geometry(found, as_json)
 
 
 def _named_camera(mission: Mission, name: str) -> Camera:
@@ -270,12 +270,12 @@ def _covers_target(kernels: KernelSet, name: str, spacecraft: int, et: float) ->
         return False
 
 
-def _print_geometry(report: GeometryReport, as_json: bool) -> None:
+def _print_geometry(found: GeometryReport, as_json: bool) -> None:
     console = Console(soft_wrap=True)
     if as_json:
-        console.print(json_text(report.as_dict()), markup=False, highlight=False)
+        console.print(json_text(found.as_dict()), markup=False, highlight=False)
         return
-    for line in report.text().splitlines():
+    for line in found.text().splitlines():
         heading = bool(line) and not line.startswith((" ", "note:"))
         console.print(f"[bold]{escape(line)}[/]" if heading else escape(line), highlight=False)
 
@@ -353,7 +353,7 @@ def check(
     with packaged_leap_seconds() as lsk, KernelSet(lsk):
         print_check(Console(), found)
         if picture is not None:
-            write_coverage(found, picture)
+            report.write_coverage(found, picture)
             Console().print(f"Written: {escape(str(picture))}", highlight=False, soft_wrap=True)
     if not found.ok:
         raise typer.Exit(EXIT_GAP)

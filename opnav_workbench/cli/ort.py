@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from opnav_workbench import report
 from opnav_workbench.cli.process import Reporter
 from opnav_workbench.cli.terminal import picture_progress, plain_table
 from opnav_workbench.errors import MissionError
@@ -27,7 +28,6 @@ from opnav_workbench.rehearsal.score import OrtScore, score_rehearsal
 from opnav_workbench.rehearsal.sealed_truth import log_path, logged_delivery, reveal
 from opnav_workbench.rehearsal.solution import DISK_SIGMA_PX, SOLUTION_FILE, OrtSolution, solve_rehearsal
 from opnav_workbench.rehearsal.truth_checks import TruthCheck
-from opnav_workbench.report.rehearsal import score_page, solution_page
 
 __all__ = ["new", "ort", "solve"]
 
@@ -167,7 +167,7 @@ def score(
         truth = reveal(package, key_file)
     result = score_rehearsal(package, truth, solutions, solution, delivery=delivery)
     page = out or solutions / SCORE_PAGE_FILE
-    write_text(page, score_page(result))
+    write_text(page, report.score_page(result))
     write_json(page.with_suffix(".json"), result.to_dict())
     console = Console(soft_wrap=False)
     print_score(console, result)
@@ -223,7 +223,7 @@ def solve(
         _process_pictures(package, out, jobs, again)
     solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma)
     solution.write(out / SOLUTION_FILE)
-    write_text(out / SOLUTION_PAGE_FILE, solution_page(solution, package.title))
+    write_text(out / SOLUTION_PAGE_FILE, report.solution_page(solution, package.title))
     console = Console(soft_wrap=False)
     print_solution(console, solution)
     console.print(

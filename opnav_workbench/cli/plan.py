@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from opnav_workbench import report
 from opnav_workbench.cli.terminal import picture_progress, plain_table
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path, make_folder
@@ -27,8 +28,6 @@ from opnav_workbench.planning import (
     sequence_names,
     write_plan,
 )
-from opnav_workbench.report.drawing import png_bytes, write_png
-from opnav_workbench.report.planning import field_chart, timeline_figure, write_plan_page
 
 __all__ = ["plan"]
 
@@ -210,10 +209,12 @@ def plan(
 def _write_files(planned: Plan, folder: Path) -> list[str]:
     """Write all files of a plan and return their names."""
     tables = [path.name for path in write_plan(planned, folder)]
-    write_plan_page(planned, folder / "plan.html", _draw_charts(planned, folder))
+    report.write_plan_page(planned, folder / "plan.html", _draw_charts(planned, folder))
     if not planned.pictures:
         return ["plan.html", *tables]
-    write_png(timeline_figure(planned.pictures, planned.sequence.description), folder / "timeline.png")
+    report.write_png(
+        report.timeline_figure(planned.pictures, planned.sequence.description), folder / "timeline.png"
+    )
     return ["plan.html", *tables, "timeline.png", "charts/"]
 
 
@@ -223,7 +224,7 @@ def _draw_charts(planned: Plan, folder: Path) -> dict[str, bytes]:
     with _progress("drawing") as done:
         for number, picture in enumerate(planned.pictures):
             done(number, len(planned.pictures), picture.name)
-            drawn[picture.name] = png_bytes(field_chart(picture))
+            drawn[picture.name] = report.png_bytes(report.field_chart(picture))
             with atomic_path(make_folder(folder / "charts") / f"{picture.name}.png") as temporary:
                 temporary.write_bytes(drawn[picture.name])
     return drawn

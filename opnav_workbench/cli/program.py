@@ -96,9 +96,7 @@ class CommandOnCall(TyperCommand):
 
     def loaded(self) -> Any:
         """Import the command's module and return the command."""
-        found = getattr(
-            import_module(f"opnav_workbench.cli.{self._entry.module}"), self._entry.attribute
-        )
+        found = getattr(import_module(f"opnav_workbench.cli.{self._entry.module}"), self._entry.attribute)
         owner = typer.Typer(rich_markup_mode="rich")
         if isinstance(found, typer.Typer):
             owner.add_typer(found, name=self.name)

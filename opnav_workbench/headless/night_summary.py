@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from opnav_workbench import report
 from opnav_workbench.campaign.analyst_queue import AnalystQueue, QueuedImage, attention_reasons, write_queue
 from opnav_workbench.files import inside, write_json, write_text
 from opnav_workbench.headless.night import Night, NightPicture, read_record
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
-from opnav_workbench.report import night_page
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
@@ -42,7 +42,7 @@ def write_night_summary(night: Night) -> dict[str, Any]:
     """
     summary, out, spec = night_summary_dict(night), night.plan.out, night.plan.spec
     write_json(out / SUMMARY_FILE, summary)
-    write_text(out / SUMMARY_PAGE, night_page(summary, out))
+    write_text(out / SUMMARY_PAGE, report.night_page(summary, out))
     waiting = tuple(
         QueuedImage(row["path"], row["name"], row["status"], tuple(row["attention"]))
         for row in summary["images"]

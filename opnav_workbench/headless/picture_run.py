@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from opnav_workbench import report
 from opnav_workbench.bodies import BodyCenter, BodyFlag
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import inside, sha256_of, write_json, write_text
 from opnav_workbench.headless.policy import Policy
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.report import write_summary
 from opnav_workbench.scene import BodyPrediction
 from opnav_workbench.session import RESULT_FILE, ImageSession, Settings
 
@@ -288,7 +288,7 @@ def process_image(image: str | Path, policy: Policy, out: str | Path, say: Progr
         run_policy(session, policy, say)
         say("writing")
         session.save(folder)
-        write_summary(session, folder / FIGURE_FILE)
+        report.write_summary(session, folder / FIGURE_FILE)
     except OpNavError as error:
         return _recorded_failure(path, folder, policy, str(error))
     except Exception as error:  # a defect of ours must not cost the other pictures

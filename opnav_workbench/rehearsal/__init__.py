@@ -34,8 +34,9 @@ Operational readiness tests (ORT) go `new_rehearsal` -> `open_rehearsal` -> `sol
     The score of a rehearsal and its grade.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from opnav_workbench.lazy_names import names_on_demand
 from opnav_workbench.rehearsal.comparison import Comparison, center_errors, compare
 from opnav_workbench.rehearsal.demo import (
     DEMO_CATALOG,
@@ -101,13 +102,4 @@ _HOMES = {
     "score_rehearsal": "score",
     "solve_rehearsal": "solution",
 }
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module  # noqa: PLC0415
-
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = names_on_demand(__name__, _HOMES)

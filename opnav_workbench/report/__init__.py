@@ -34,35 +34,91 @@ are matplotlib's, not tied to any window.
     Panels, captions and tables of comparison, for the notebooks of the paper.
 """
 
-from opnav_workbench.report.body_centers import (
-    body_figure,
-    body_png,
-    difference_figure,
-    difference_png,
-    methods_figure,
-    methods_png,
-    write_body,
-)
-from opnav_workbench.report.kernel_coverage import coverage_figure, write_coverage
-from opnav_workbench.report.limb_scans import scan_figure, scan_png, write_scans
-from opnav_workbench.report.pages import night_page
-from opnav_workbench.report.summary import summary_figure, summary_png, write_summary
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.report.body_centers import (
+        body_figure,
+        body_png,
+        difference_figure,
+        difference_png,
+        methods_figure,
+        methods_png,
+        write_body,
+    )
+    from opnav_workbench.report.calibration import camera_figure, psf_figure
+    from opnav_workbench.report.campaign import stack_figure, trends_figure
+    from opnav_workbench.report.drawing import png_bytes, write_png
+    from opnav_workbench.report.kernel_coverage import coverage_figure, write_coverage
+    from opnav_workbench.report.limb_scans import scan_figure, scan_png, write_scans
+    from opnav_workbench.report.pages import night_page
+    from opnav_workbench.report.planning import field_chart, timeline_figure, write_plan_page
+    from opnav_workbench.report.rehearsal import score_page, solution_page
+    from opnav_workbench.report.star_chart import write_star_chart
+    from opnav_workbench.report.summary import summary_figure, summary_png, write_summary
 
 __all__ = [
     "body_figure",
     "body_png",
+    "camera_figure",
     "coverage_figure",
     "difference_figure",
     "difference_png",
+    "field_chart",
     "methods_figure",
     "methods_png",
     "night_page",
+    "png_bytes",
+    "psf_figure",
     "scan_figure",
     "scan_png",
+    "score_page",
+    "solution_page",
+    "stack_figure",
     "summary_figure",
     "summary_png",
+    "timeline_figure",
+    "trends_figure",
     "write_body",
     "write_coverage",
+    "write_plan_page",
+    "write_png",
     "write_scans",
+    "write_star_chart",
     "write_summary",
 ]
+
+# Loaded on first use: who asks for a page of a night needs no figure, and who only might draw needs nothing.
+_HOMES = {
+    "body_figure": "body_centers",
+    "body_png": "body_centers",
+    "camera_figure": "calibration",
+    "coverage_figure": "kernel_coverage",
+    "difference_figure": "body_centers",
+    "difference_png": "body_centers",
+    "field_chart": "planning",
+    "methods_figure": "body_centers",
+    "methods_png": "body_centers",
+    "night_page": "pages",
+    "png_bytes": "drawing",
+    "psf_figure": "calibration",
+    "scan_figure": "limb_scans",
+    "scan_png": "limb_scans",
+    "score_page": "rehearsal",
+    "solution_page": "rehearsal",
+    "stack_figure": "campaign",
+    "summary_figure": "summary",
+    "summary_png": "summary",
+    "timeline_figure": "planning",
+    "trends_figure": "campaign",
+    "write_body": "body_centers",
+    "write_coverage": "kernel_coverage",
+    "write_plan_page": "planning",
+    "write_png": "drawing",
+    "write_scans": "limb_scans",
+    "write_star_chart": "star_chart",
+    "write_summary": "summary",
+}
+__getattr__ = names_on_demand(__name__, _HOMES)

@@ -2,20 +2,28 @@
 
 import json
 import re
-from importlib import metadata
+import subprocess
+import sys
+from importlib import import_module, metadata
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from opnav_workbench.catalog import specs
 from opnav_workbench.cli import app
-from opnav_workbench.cli.program import main
+from opnav_workbench.cli.program import COMMANDS, main
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.version import __version__
 
+CLI = "opnav_workbench.cli"
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-COMMANDS = ("demo", "process", "lab", "nightly", "export", "simulate", "plan", "doctor")
+SINGLE = ("demo", "process", "lab", "nightly", "export", "simulate", "plan", "doctor")
+GROUPS = ("ort", "campaign", "kernels", "catalog", "calibrate")
+# What no help over all commands needs, and what a command must not load before it draws or shows.
+NAVIGATION = ("numpy", "scipy", "astropy", "spiceypy", "pydantic", "yaml")
+DRAWING = ("matplotlib.figure", "bokeh", "ipywidgets", "skimage", "papermill", "jinja2")
 
 
 def _invoke(*arguments: object):
@@ -39,7 +47,7 @@ def _main(capsys, monkeypatch, *arguments: object) -> tuple[int, str, str]:
 def test_help_names_every_command():
     answer = _invoke("--help")
     assert answer.exit_code == 0
-    assert all(re.search(rf"\b{command}\b", answer.output) for command in COMMANDS)
+    assert all(re.search(rf"\b{command}\b", answer.output) for command in (*SINGLE, *GROUPS))
 
 
 def test_version():
@@ -47,15 +55,68 @@ def test_version():
     assert (answer.exit_code, answer.output.strip()) == (0, f"opnav_workbench {__version__}")
 
 
-def test_every_command_is_listed_here():
-    assert {command.callback.__name__ for command in app.registered_commands} == set(COMMANDS)
+def test_the_table_of_commands_is_complete():
+    """Every command stands in the table, as a function or as a group, and nothing else does."""
+    found = {name: getattr(import_module(f"{CLI}.{e.module}"), e.attribute) for name, e in COMMANDS.items()}
+    assert {name for name, command in found.items() if not isinstance(command, typer.Typer)} == set(SINGLE)
+    assert {name for name, command in found.items() if isinstance(command, typer.Typer)} == set(GROUPS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+def test_the_table_says_what_the_command_says_of_itself(command):
+    loaded = typer.main.get_group(app).commands[command].loaded()
+    assert loaded.name == command
+    assert " ".join(loaded.help.split("\n\n")[0].split()) == COMMANDS[command].help
+
+
+@pytest.mark.parametrize("command", SINGLE)
 def test_help_contains_an_example(command):
     answer = _invoke(command, "--help")
     assert answer.exit_code == 0
     assert re.search(rf"Examples?\s+opnav {command}", answer.output)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_help_of_a_group_and_of_its_commands(group):
+    answer = _invoke(group, "--help")
+    assert answer.exit_code == 0
+    inner = typer.main.get_group(app).commands[group].loaded().commands
+    assert inner
+    for command in inner:
+        assert re.search(rf"\b{command}\b", answer.output)
+        own = _invoke(group, command, "--help")
+        assert own.exit_code == 0
+        assert re.search(rf"opnav {group} {command}", own.output)
+
+
+def _loaded_by(code: str) -> set[str]:
+    """Names of the modules that stand in a fresh Python after some code."""
+    told = f"{code}\nimport sys; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
+    return set(run.stdout.splitlines()[-1].split())
+
+
+def test_help_over_all_commands_loads_nothing_that_navigates():
+    """``opnav --help`` answers at once: it needs the table, and no command."""
+    loaded = _loaded_by(
+        "from typer.testing import CliRunner; from opnav_workbench.cli import app\n"
+        "assert 'calibrate' in CliRunner().invoke(app, ['--help']).output"
+    )
+    assert loaded.isdisjoint({*NAVIGATION, *DRAWING})
+    own = {name for name in loaded if name.startswith("opnav_workbench")}
+    assert own <= {
+        "opnav_workbench",
+        *(f"opnav_workbench.{n}" for n in ("errors", "lazy_names", "version")),
+    } | {
+        CLI,
+        f"{CLI}.program",
+        f"{CLI}.terminal",
+    }
+
+
+def test_no_command_loads_what_draws_before_it_draws():
+    modules = ", ".join(f"{CLI}.{entry.module}" for entry in COMMANDS.values())
+    assert _loaded_by(f"import {modules}").isdisjoint(DRAWING)
 
 
 def test_the_example_of_process_uses_options_that_exist():
