@@ -34,9 +34,9 @@ Deciding
 
 Writing the pages
 ``markup``
-    Pieces of HTML: text, button, image, and the message without a kernel.
+    Templates filled in, scripts and styles, and the message without a kernel.
 ``plots``
-    Plots as SVG, and the residuals of the stars.
+    Small plots, and the residuals of the stars.
 ``status_line``
     What happened last, in plain words; errors and their log.
 
@@ -60,7 +60,8 @@ Teaching
 ``lessons``
     Exercises, answers judged with hints, figures with sliders.
 
-static/ holds the page's side of ``bridge`` and ``image_view`` (JavaScript, CSS), workbench_shell.* that of ``app``.
+templates/ holds the HTML of the tabs and of the regions around them (jinja2), static/ the page's side: scripts and styles
+of the regions (region.js, workbench.css), of ``bridge`` and of ``image_view``.
 """
 
 from typing import TYPE_CHECKING, Any

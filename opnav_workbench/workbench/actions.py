@@ -9,13 +9,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 __all__ = [
+    "BOX_SCANS",
     "CIRCLE",
     "EVERYWHERE",
+    "NOTE_MENU",
     "NUDGE",
     "PLACES",
+    "PLACE_STAR",
     "REASON_MENU",
     "REJECT_REASONS",
     "TABS",
+    "TWO_STARS",
     "VIEW_ACTIONS",
     "WORKBENCH_ACTIONS",
     "Action",
@@ -65,9 +69,14 @@ class Action:
         return shown_key(self.keys[0]) if self.keys else ""
 
     @property
+    def shown_keys(self) -> tuple[str, ...]:
+        """All keys as a person reads them."""
+        return tuple(shown_key(key) for key in self.keys)
+
+    @property
     def hint(self) -> str:
         """Tooltip with the keys that do the same."""
-        keys = " or ".join(shown_key(key) for key in self.keys)
+        keys = " or ".join(self.shown_keys)
         return f"{self.tooltip} Key: {keys}" if keys else self.tooltip
 
 
@@ -147,7 +156,9 @@ class ActionRegistry:
 
 
 REJECT_REASONS = ("cosmic ray", "blend", "hot pixel", "too faint", "wrong star", "detector edge", "other")
-REASON_MENU, NUDGE, CIRCLE = "reason menu", "nudge", "circle"
+REASON_MENU, NOTE_MENU = "reason menu", "note"
+# What a click, a drag or an arrow key in the picture then means.
+NUDGE, CIRCLE, TWO_STARS, PLACE_STAR, BOX_SCANS = "nudge", "circle", "two_star", "place_star", "box_scans"
 TABS = (("stars", "Stars"), ("pointing", "Pointing"), ("bodies", "Bodies"), ("observables", "Observables"))
 # Headings of the list of keys, in its order.
 PLACES = (

@@ -1,7 +1,7 @@
 """`workbench`: opens the workbench on a session, several, a list of images or a campaign, and shows it in the notebook.
 
 The page is five widgets: header, list of images, picture, panel of the tab, status line. Each region shows HTML from
-Python and reports what the person does (workbench_shell.js); all deciding is done by `WorkbenchController`.
+Python and reports what the person does (static/region.js); all deciding is done by `WorkbenchController`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,15 +18,13 @@ from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.controller import REGIONS, WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue
 from opnav_workbench.workbench.image_view import ImageView
-from opnav_workbench.workbench.markup import with_still_picture
+from opnav_workbench.workbench.markup import page_files, with_still_picture
 from opnav_workbench.workbench.status_line import Status
 
 __all__ = ["queue_of", "workbench"]
 
 
 # ---- The workbench's regions in the notebook: each shows HTML from Python and reports what the person does.
-
-HERE = Path(__file__).parent
 
 
 class Region(anywidget.AnyWidget):
@@ -35,7 +33,7 @@ class Region(anywidget.AnyWidget):
     Parameters
     ----------
     name : str
-    heard : callable
+    on_message : callable
         Called with what the page reports.
 
     Attributes
@@ -45,22 +43,20 @@ class Region(anywidget.AnyWidget):
         itself while it has the focus.
     """
 
-    _esm = "\n".join(
-        (HERE / name).read_text(encoding="utf-8") for name in ("static/keys.js", "workbench_shell.js")
-    )
-    _css = (HERE / "workbench_shell.css").read_text(encoding="utf-8")
+    _esm = page_files("keys.js", "region.js")
+    _css = page_files("workbench.css")
     name = traitlets.Unicode("").tag(sync=True)
     html = traitlets.Unicode("").tag(sync=True)
     keymap = traitlets.List(traitlets.Unicode()).tag(sync=True)
     picture_keys = traitlets.List(traitlets.Unicode()).tag(sync=True)
 
-    def __init__(self, name: str, heard: Callable[[Mapping[str, Any]], None]) -> None:
+    def __init__(self, name: str, on_message: Callable[[Mapping[str, Any]], None]) -> None:
         super().__init__(name=name)
-        self._heard = heard
+        self._on_message = on_message
         self.on_msg(self._message)
 
     def _message(self, _: object, content: Mapping[str, Any], __: object) -> None:
-        self._heard(content)
+        self._on_message(content)
         self.send({"heard": content.get("act", "")})  # the page then knows that the kernel lives
 
 
@@ -104,7 +100,7 @@ class Workbench:
         self.regions = {name: Region(name, self.controller.handle) for name in REGIONS}
         self.regions["header"].picture_keys = [key for action in self.view.actions for key in action.keys]
         self.regions["header"].keymap = self.controller.registry.keys
-        self.controller.painted = self._paint
+        self.controller.on_render = self._paint
         picture = self.view.widget
         picture.add_class("opnav-picture")
         regions = self.regions

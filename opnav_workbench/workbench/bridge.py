@@ -14,8 +14,6 @@ import functools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,7 +33,7 @@ from bokeh.document.events import (
 )
 from bokeh.model import Model
 
-from opnav_workbench.workbench import markup
+from opnav_workbench.workbench.markup import page_files, with_still_picture
 from opnav_workbench.workbench.status_line import Status
 
 __all__ = ["Bridge"]
@@ -294,7 +292,7 @@ class Bridge:
         self._carriers.append(carrier)
 
     def receive(self, message: Message) -> None:
-        """Handle one message of a page; see `opnav_workbench.workbench.static` for the other side."""
+        """Handle one message of a page; static/bridge.js is the other side."""
         handlers: dict[str, Callable[[Message], None]] = {
             "open": self._on_open,
             "patch": self._on_patch,
@@ -365,19 +363,6 @@ SCRIPTS = (
 STYLE = "view.css"
 
 
-@cache
-def page_script() -> str:
-    """Return the JavaScript module that runs in the page."""
-    folder = resources.files("opnav_workbench.workbench") / "static"
-    return "\n".join((folder / name).read_text(encoding="utf-8") for name in SCRIPTS)
-
-
-@cache
-def page_style() -> str:
-    """Return the style sheet of the views."""
-    return (resources.files("opnav_workbench.workbench") / "static" / STYLE).read_text(encoding="utf-8")
-
-
 def bokeh_scripts(parts: Sequence[str]) -> list[bytes]:
     """Return parts of BokehJS from the installed package."""
     folder = Path(bokeh.util.paths.bokehjs_path()) / "js"
@@ -390,18 +375,18 @@ class BridgeWidget(anywidget.AnyWidget):
     bokeh_version = traitlets.Unicode(bokeh.__version__).tag(sync=True)
     bokeh_parts = traitlets.List(traitlets.Unicode()).tag(sync=True)
 
-    def __init__(self, bridge: "Bridge") -> None:
-        self._esm, self._css = page_script(), page_style()
+    def __init__(self, bridge: Bridge) -> None:
+        self._esm, self._css = page_files(*SCRIPTS), page_files(STYLE)
         super().__init__(bokeh_parts=list(bridge.parts))
         self._bridge = bridge
         bridge.attach(self)
         self.on_msg(self._received)
 
-    def send_message(self, content: "Message", buffers: Sequence[Any]) -> None:
+    def send_message(self, content: Message, buffers: Sequence[Any]) -> None:
         """Send one message to every page."""
         self.send(dict(content), list(buffers))
 
-    def _received(self, _: Any, content: "Message", __: Any) -> None:
+    def _received(self, _: Any, content: Message, __: Any) -> None:
         if content.get("kind") == "bokeh":
             # Only BokehJS itself is ever read, whatever the page asks for.
             wanted = [part for part in self._bridge.parts if part in content["parts"]]
@@ -411,4 +396,4 @@ class BridgeWidget(anywidget.AnyWidget):
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
         bundle = super()._repr_mimebundle_(**kwargs)
-        return markup.with_still_picture(bundle, self._bridge.picture)
+        return with_still_picture(bundle, self._bridge.picture)

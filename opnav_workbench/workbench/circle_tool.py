@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner
+from opnav_workbench.workbench.actions import CIRCLE
+from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, typed_number
 
-__all__ = ["CIRCLE_TOOL", "CircleControl", "CircleTool", "DrawnCircle", "typed_circle"]
+__all__ = ["CircleControl", "CircleTool", "DrawnCircle", "typed_circle"]
 
 
 # ---- Click-to-circle: center and radius of a target by two clicks or one drag, adjusted afterwards step by ...
@@ -71,11 +72,8 @@ def typed_circle(circle: DrawnCircle, field: str, value: str) -> DrawnCircle:
     SessionError
         It is no number, or no radius.
     """
-    try:
-        number = float(value)
-    except ValueError:
-        number = float("nan")
-    if not np.isfinite(number) or (field == "radius" and number < MIN_RADIUS_PX):
+    number = typed_number(value)
+    if number is None or (field == "radius" and number < MIN_RADIUS_PX):
         raise SessionError(f"the circle's {field} must be a number of pixels, not {value!r}.")
     numbers = {"pixel": circle.pixel, "line": circle.line, "radius": circle.radius_px} | {field: number}
     return DrawnCircle(numbers["pixel"], numbers["line"], numbers["radius"])
@@ -125,7 +123,6 @@ class CircleTool:
 
 # ---- What an analyst's hand does with the circle of a body: two clicks or a drag, then arrow keys and fields.
 
-CIRCLE_TOOL = "circle"
 FINE_STEP_PX = 0.1  # px, of an arrow key with Shift
 
 
@@ -134,19 +131,19 @@ class CircleControl:
 
     Parameters
     ----------
-    bench : Bench
+    runner : StepRunner
     body : callable
         Returns the name of the body at hand, or raises `SessionError`.
     """
 
-    def __init__(self, bench: StepRunner, body: Callable[[], str]) -> None:
-        self.bench = bench
+    def __init__(self, runner: StepRunner, body: Callable[[], str]) -> None:
+        self.runner = runner
         self.tool = CircleTool()
         self._body = body
 
     def of(self, name: str) -> DrawnCircle | None:
         """Return the analyst's circle of a body, if there is one."""
-        circle = self.bench.session.state.circles.get(name)
+        circle = self.runner.session.state.circles.get(name)
         if circle is None:
             return None
         return DrawnCircle(float(circle.center_px[0]), float(circle.center_px[1]), float(circle.radius_px))
@@ -167,8 +164,8 @@ class CircleControl:
 
     def set(self, circle: DrawnCircle) -> None:
         """Make it the circle of the body at hand."""
-        name, session = self._body(), self.bench.session
-        self.bench.run(
+        name, session = self._body(), self.runner.session
+        self.runner.run(
             "setting the circle",
             lambda: session.set_circle(name, circle.center_px, circle.radius_px),
             f"{name}: circle set, center {circle.pixel:.1f}, {circle.line:.1f}, radius {circle.radius_px:.1f} px; "
@@ -179,24 +176,22 @@ class CircleControl:
         """Take the click on the center, or on the limb."""
         circle = self.tool.clicked(pixel, line)
         if circle is None:
-            self.bench.status.say(self.tool.prompt)
+            self.runner.status.say(self.tool.prompt)
             return
-        self.bench.tool = ""
+        self.runner.tool = ""
         self.set(circle)
 
     def dragged(self, pixel0: float, line0: float, pixel1: float, line1: float) -> None:
         """Take a drag from the center to the limb."""
         self.tool.drop()
         circle = circle_through(pixel0, line0, pixel1, line1)
-        self.bench.tool = ""
+        self.runner.tool = ""
         self.set(circle)
 
     def _take_tool(self) -> None:
         self._body()
         self.tool.drop()
-        self.bench.tool = "" if self.bench.tool == CIRCLE_TOOL else CIRCLE_TOOL
-        if self.bench.tool:
-            self.bench.status.say(self.tool.prompt)
+        self.runner.toggle_tool(CIRCLE, self.tool.prompt)
 
     def _present(self) -> DrawnCircle:
         circle = self.of(self._body())
@@ -213,6 +208,6 @@ class CircleControl:
     def _clear(self) -> None:
         name = self._body()
         self._present()
-        self.bench.run(
-            "clearing the circle", lambda: self.bench.session.clear_circle(name), f"{name}: no circle."
+        self.runner.run(
+            "clearing the circle", lambda: self.runner.session.clear_circle(name), f"{name}: no circle."
         )

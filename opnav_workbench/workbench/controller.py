@@ -4,6 +4,7 @@ Events are handled one at a time, under the runner's lock; whatever goes wrong a
 this class with a fake picture.
 """
 
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from opnav_workbench.errors import OpNavError
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import (
     CIRCLE,
+    NOTE_MENU,
     NUDGE,
     PLACES,
     REASON_MENU,
@@ -18,11 +20,10 @@ from opnav_workbench.workbench.actions import (
     WORKBENCH_ACTIONS,
     Action,
     ActionRegistry,
-    shown_key,
 )
 from opnav_workbench.workbench.bodies_tab import BodiesTab
 from opnav_workbench.workbench.image_queue import ImageQueue
-from opnav_workbench.workbench.markup import button, text
+from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
 from opnav_workbench.workbench.pointing_tab import PointingTab
 from opnav_workbench.workbench.stars_tab import StarsTab
@@ -54,39 +55,39 @@ class WorkbenchController:
     ) -> None:
         self.queue, self.viewer = queue, viewer
         self.registry = ActionRegistry([*WORKBENCH_ACTIONS, *viewer.actions])
-        self.bench = StepRunner(queue, viewer, status or Status())
-        self.stars = StarsTab(self.bench, self.registry)
-        self.bodies = BodiesTab(self.bench, self.registry)
-        self.desks: dict[str, Tab] = {
+        self.runner = StepRunner(queue, viewer, status or Status())
+        self.stars = StarsTab(self.runner, self.registry)
+        self.bodies = BodiesTab(self.runner, self.registry)
+        self.tabs: dict[str, Tab] = {
             "stars": self.stars,
-            "pointing": PointingTab(self.bench, self.registry),
+            "pointing": PointingTab(self.runner, self.registry),
             "bodies": self.bodies,
-            "observables": ObservablesTab(self.bench, self.registry, out),
+            "observables": ObservablesTab(self.runner, self.registry, out),
         }
-        self.tab = "stars"
+        self.tab_name = "stars"
         self.keys_shown = False
         self._pictured: object = None  # the state that lies over the picture
-        self.painted: Callable[[Mapping[str, str]], None] = lambda _: None  # gets the regions' HTML
+        self.on_render: Callable[[Mapping[str, str]], None] = lambda _: None  # gets the regions' HTML
         self._handlers = self._own_handlers()
-        for desk in self.desks.values():
-            self._handlers |= desk.handlers()
-        self.bench.changed = self.refresh
-        self.bench.status.changed = self._status_changed
+        for tab in self.tabs.values():
+            self._handlers |= tab.handlers()
+        self.runner.repaint = self.refresh
+        self.runner.status.changed = self._status_changed
         queue.opening = self._opened
         viewer.listen(self._tapped, self._dragged)
-        with self.bench.status.reporting():
+        with self.runner.status.reporting():
             self._show_image()
 
     @property
-    def desk(self) -> Tab:
+    def current_tab(self) -> Tab:
         """The tab at hand."""
-        return self.desks[self.tab]
+        return self.tabs[self.tab_name]
 
     # -- events ------------------------------------------------------------------------------------------------
 
     def handle(self, event: PageEvent) -> None:
         """Do what the page reports; whatever goes wrong appears in the status line."""
-        with self.bench.lock, self.bench.painting(), self.bench.status.reporting():
+        with self.runner.handling():
             act = str(event["act"])
             if act == "key":
                 action = self.meaning(str(event["arg"]))
@@ -100,27 +101,27 @@ class WorkbenchController:
         elif any(action.name == name for action in self.viewer.actions):
             said = self.viewer.do(name)
             if said:
-                self.bench.status.say(said)
+                self.runner.status.say(said)
 
     def meaning(self, key: str) -> Action | None:
         """Return what a key means now: first for the open menu, then for the tool, then for the tab."""
         return self.registry.for_key(key, *self._places())
 
     def _places(self) -> list[str]:
-        places = [REASON_MENU] if self.bench.menu == REASON_MENU else []
-        if self.bench.tool == "nudge":
+        places = [REASON_MENU] if self.runner.menu == REASON_MENU else []
+        if self.runner.tool == NUDGE:
             places.append(NUDGE)
-        if self.tab == "bodies" and self.bodies.circle is not None and self.bodies.scans is None:
+        if self.tab_name == "bodies" and self.bodies.circle is not None and self.bodies.scans is None:
             places.append(CIRCLE)
-        return [*places, self.tab, "view"]
+        return [*places, self.tab_name, "view"]
 
     def _tapped(self, pixel: float, line: float) -> None:
-        with self.bench.lock, self.bench.painting(), self.bench.status.reporting():
-            self.desk.tapped(pixel, line)
+        with self.runner.handling():
+            self.current_tab.tapped(pixel, line)
 
     def _dragged(self, pixel0: float, line0: float, pixel1: float, line1: float) -> None:
-        with self.bench.lock, self.bench.painting(), self.bench.status.reporting():
-            self.desk.dragged(pixel0, line0, pixel1, line1)
+        with self.runner.handling():
+            self.current_tab.dragged(pixel0, line0, pixel1, line1)
 
     # -- actions of the frame around the tabs ---------------------------------------------------------------------
 
@@ -128,7 +129,7 @@ class WorkbenchController:
         tabs: dict[str, Handler] = {f"tab_{name}": self._tab_handler(name) for name, _ in TABS}
         return tabs | {
             "undo": lambda _: self._undo(),
-            "redo": lambda _: self.bench.redo(),
+            "redo": lambda _: self.runner.redo(),
             "next_image": lambda _: self._go(self.queue.index + 1),
             "previous_image": lambda _: self._go(self.queue.index - 1),
             "go": lambda event: self._go(int(event["arg"])),
@@ -141,68 +142,70 @@ class WorkbenchController:
 
     def show_tab(self, name: str) -> None:
         """Show a tab; tools of the old one are put away."""
-        self._put_away()
-        self.tab = name
-        self.desk.entered()
+        self._leave_tools()
+        self.tab_name = name
+        self.current_tab.on_enter()
 
     def _go(self, index: int) -> None:
-        if self.bench.job is not None:
-            self.bench.status.say(f"still {self.bench.job.label}; Esc cancels it.", "busy")
+        if self.runner.running is not None:
+            self.runner.status.say(f"still {self.runner.running.label}; Esc cancels it.", "busy")
             return
         self.queue.go(index)
         self._show_image()
 
     def _show_image(self) -> None:
-        self._put_away()
+        self._leave_tools()
         folder = self.queue.item.folder
-        self.bench.status.log_folder = folder
+        self.runner.status.log_folder = folder
         session = self.queue.session
         self.viewer.show(session)
         self._pictured = session.state
-        for desk in self.desks.values():
-            desk.entered()
+        for tab in self.tabs.values():
+            tab.on_enter()
         if session.state.a_priori is None:
             session.predict()
-        self.bench.status.say(f"{self.queue.item.name}: {len(session.standing)} steps. Press ? for the keys.")
+        self.runner.status.say(
+            f"{self.queue.item.name}: {len(session.standing)} steps. Press ? for the keys."
+        )
 
-    def _put_away(self) -> None:
+    def _leave_tools(self) -> None:
         """Leave tools and menus, and take what the tab had drawn off the picture."""
-        self.bench.tool = self.bench.menu = ""
+        self.runner.tool = self.runner.menu = ""
         for layer in TOOL_LAYERS:
             self.viewer.layer(layer, Layer())
         self.viewer.circle(None)
         self.viewer.drag_mode(False)
 
     def _opened(self, session: ImageSession) -> None:
-        session.on_change(lambda _: None if self.bench.job is not None else self.refresh())
+        session.on_change(lambda _: None if self.runner.running is not None else self.refresh())
 
     def _undo(self) -> None:
-        if self.desk.abandon():
-            self.bench.status.say("the shape begun was dropped.")
+        if self.current_tab.drop_unfinished():
+            self.runner.status.say("the shape begun was dropped.")
         else:
-            self.stars.revisit(self.bench.undo())
+            self.stars.revisit(self.runner.undo())
 
     def _toggle_keys(self) -> None:
         self.keys_shown = not self.keys_shown
 
     def _escape(self) -> None:
-        if self.bench.cancel():
+        if self.runner.cancel():
             return
-        if self.keys_shown or self.bench.menu or self.bench.tool:
+        if self.keys_shown or self.runner.menu or self.runner.tool:
             self.keys_shown = False
-            self.desk.abandon()
-            self.bench.menu = self.bench.tool = ""
+            self.current_tab.drop_unfinished()
+            self.runner.menu = self.runner.tool = ""
 
     # -- rendering ---------------------------------------------------------------------------------------------
 
     def refresh(self) -> None:
         """Render all regions and what lies over the picture."""
-        with self.bench.lock:
+        with self.runner.lock:
             if self.queue.opened is not None:
-                with self.bench.status.reporting():
+                with self.runner.status.reporting():
                     self._refresh_picture(self.queue.opened)
-                    self.desk.draw()
-            self.painted(self.regions())
+                    self.current_tab.draw()
+            self.on_render(self.regions())
 
     def _refresh_picture(self, session: ImageSession) -> None:
         if self._pictured is not session.state:
@@ -210,71 +213,62 @@ class WorkbenchController:
             self._pictured = session.state
 
     def _status_changed(self) -> None:
-        if not self.bench.repainting:
-            self.painted({"status": self._status()})
+        if not self.runner.repainting:
+            self.on_render({"status": self._status()})
 
     def regions(self) -> dict[str, str]:
         """Return the HTML of every region."""
         return {
             "header": self._header(),
-            "queue": self.queue.html(),
+            "queue": render("queue.html", items=self.queue.items, here=self.queue.index),
             "panel": self._panel(),
             "status": self._status(),
         }
-
-    def _button(self, name: str, **options: bool) -> str:
-        return button(self.registry[name], **options)  # type: ignore[arg-type]
 
     def _header(self) -> str:
         session, item = self.queue.opened, self.queue.item
         facts = ""
         if session is not None:
-            frame = session.context.frame
-            facts = f"{session.context.camera.name}, {session.inputs.utc} UTC, {frame.exposure_s:g} s"
-        saved = "saved at each step" if item.folder is not None else "not saved by itself"
-        last = len(self.queue.items) - 1
-        return (
-            f'<div class="left">{self._button("previous_image", enabled=self.queue.index > 0)}'
-            f"{self._button('next_image', enabled=self.queue.index < last)}"
-            f"<b>{text(item.name)}</b><span>{text(facts)}</span></div>"
-            f'<div class="right"><span class="saved" title="{text(item.folder or "")}">{saved}</span>'
-            f"{self._button('undo', enabled=session is not None and session.can_undo)}"
-            f"{self._button('redo', enabled=session is not None and session.can_redo)}"
-            f"{self._button('note')}{self._button('export')}{self._button('keys', on=self.keys_shown)}</div>"
+            picture = session.context.frame
+            facts = f"{session.context.camera.name}, {session.inputs.utc} UTC, {picture.exposure_s:g} s"
+        return render(
+            "header.html",
+            actions=self.registry,
+            name=item.name,
+            facts=facts,
+            folder=item.folder,
+            is_first=self.queue.index == 0,
+            is_last=self.queue.index == len(self.queue.items) - 1,
+            can_undo=session is not None and session.can_undo,
+            can_redo=session is not None and session.can_redo,
+            keys_shown=self.keys_shown,
         )
 
     def _panel(self) -> str:
-        tabs = "".join(button(self.registry[f"tab_{name}"], on=name == self.tab) for name, _ in TABS)
-        with_note = (
-            '<div class="tool"><b>Note</b> <input data-act="note_text" size="40" '
-            'placeholder="what you saw; Enter keeps it"></div>'
-            if self.bench.menu == "note"
-            else ""
+        return render(
+            "panel.html",
+            tabs=[self.registry[f"tab_{name}"] for name, _ in TABS],
+            shown=f"tab_{self.tab_name}",
+            noting=self.runner.menu == NOTE_MENU,
+            page=self._page(),
         )
-        page = self._keys_list() if self.keys_shown else self._page()
-        return f'<nav class="tabs" role="tablist">{tabs}</nav>{with_note}{page}'
 
     def _page(self) -> str:
+        if self.keys_shown:
+            return render("keys.html", groups=self.registry.groups(PLACES))
         if self.queue.opened is None:
-            return f'<div class="page"><p class="hint">{text(self.queue.item.error or "The image is not open.")}</p></div>'
+            return render("message.html", message=self.queue.item.error or "The image is not open.")
         try:
-            return self.desk.html()
+            return self.current_tab.html()
         except OpNavError as error:
-            return f'<div class="page"><p class="hint">{text(error)}</p></div>'
-
-    def _keys_list(self) -> str:
-        groups = []
-        for title, actions in self.registry.groups(PLACES):
-            rows = "".join(
-                f"<tr><td>{' '.join(f'<kbd>{text(shown_key(k))}</kbd>' for k in a.keys)}</td><td>{text(a.tooltip)}</td></tr>"
-                for a in actions
-            )
-            if rows:
-                groups.append(f"<h4>{text(title)}</h4><table>{rows}</table>")
-        return f'<div class="page keys">{"".join(groups)}</div>'
+            return render("message.html", message=error)
 
     def _status(self) -> str:
-        job = self.bench.job
-        if job is None:
-            return self.bench.status.html()
-        return self.bench.status.html(job.progress, job.started_s)
+        status, step = self.runner.status, self.runner.running
+        return render(
+            "status.html",
+            kind=status.kind,
+            message=status.message,
+            progress=None if step is None else step.progress,
+            elapsed_s=None if step is None else time.monotonic() - step.started_s,
+        )

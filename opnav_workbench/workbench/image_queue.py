@@ -14,7 +14,6 @@ from opnav_workbench.files import inside
 from opnav_workbench.image.picture_files import picture_files, picture_names
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.markup import text
 
 __all__ = ["ImageQueue", "QueueItem"]
 
@@ -65,6 +64,16 @@ class QueueItem:
         if self.error:
             return "failed"
         return "new" if self.session is None else session_progress(self.session)
+
+    @property
+    def status_sign(self) -> str:
+        """The sign of where it stands."""
+        return PROGRESS_SIGNS[self.status]
+
+    @property
+    def status_words(self) -> str:
+        """Where it stands, or why it cannot be opened."""
+        return self.error or PROGRESS_WORDS[self.status]
 
 
 class ImageQueue:
@@ -222,19 +231,6 @@ class ImageQueue:
             return lambda: ImageSession.resume(folder)
 
         return cls([QueueItem(Path(f).name, opener(Path(f)), Path(f)) for f in folders])
-
-    def html(self) -> str:
-        """Return the list for the page."""
-        rows = []
-        for number, item in enumerate(self.items):
-            here = ' class="here" aria-current="true" data-reveal' if number == self.index else ""
-            words = item.error or PROGRESS_WORDS[item.status]
-            rows.append(
-                f'<li{here} data-act="go" data-arg="{number}" title="{text(item.name)}: {text(words)}">'
-                f'<span class="sign {item.status}">{PROGRESS_SIGNS[item.status]}</span>'
-                f'<span class="name">{text(item.name)}</span><span class="words">{text(words)}</span></li>'
-            )
-        return f'<ol class="queue" data-count="{len(rows)}">{"".join(rows)}</ol>'
 
 
 def predict_scene(session: ImageSession, targets: Sequence[str] | None = None) -> None:

@@ -68,12 +68,12 @@ class PictureSet:
     def __init__(self, bridge: Bridge, state: Any) -> None:
         self._bridge, self._state = bridge, state
         self._pixels: dict[str, Any] = {}
-        self._told: dict[str, dict[str, Any]] = {}
+        self._entries: dict[str, dict[str, Any]] = {}
         self._makers: dict[str, tuple[Callable[[], FloatArray], bool]] = {}
 
     def limits(self, name: str) -> tuple[float, float]:
         """Limits of the frame by their name, DN."""
-        low, high = self._told[DATA_KEY]["limits"][name]
+        low, high = self._entries[DATA_KEY]["limits"][name]
         return low, high
 
     def put(
@@ -84,7 +84,7 @@ class PictureSet:
         n_pixel, n_line = json.loads(self._state.setup)["size"]
         if image.shape != (n_line, n_pixel):
             raise OpNavError(f"picture {key!r} has shape {image.shape}; the frame has {n_pixel} x {n_line}.")
-        limits = self._told[DATA_KEY]["limits"] if same_limits else limits_of(image, usable)
+        limits = self._entries[DATA_KEY]["limits"] if same_limits else limits_of(image, usable)
         with self._bridge.batch():
             column = {"dn": [_compact(image)]}
             if key in self._pixels:
@@ -92,36 +92,36 @@ class PictureSet:
             else:
                 self._pixels[key] = ColumnDataSource(column, name=f"opnav-pixels:{key}")
                 self._bridge.document.add_root(self._pixels[key])
-            self._tell({key: {"label": label or key, "limits": limits, "ready": True}})
+            self._publish({key: {"label": label or key, "limits": limits, "ready": True}})
 
     def offer(self, key: str, label: str, make: Callable[[], FloatArray], same_limits: bool) -> None:
         """Offer a picture that is made when the analyst first asks for it."""
         self._makers[key] = make, same_limits
-        self._tell({key: {"label": label, "limits": {}, "ready": False}})
+        self._publish({key: {"label": label, "limits": {}, "ready": False}})
 
     def make(self, key: str) -> None:
         """Make a picture that was offered, if it is not up to date."""
-        if key in self._makers and not self._told[key]["ready"]:
+        if key in self._makers and not self._entries[key]["ready"]:
             make, same_limits = self._makers[key]
-            self.put(key, make(), self._told[key]["label"], None, same_limits)
+            self.put(key, make(), self._entries[key]["label"], None, same_limits)
 
     def outdate(self) -> None:
         """The session has changed: what is made from it is made anew when it is asked for."""
         for key in self._makers:
-            self._told[key]["ready"] = False
-        self._tell({})
+            self._entries[key]["ready"] = False
+        self._publish({})
         self.make(self._state.image)
 
     def forget(self) -> None:
         """Drop all pictures."""
         for source in self._pixels.values():
             source.data = {"dn": []}
-        self._told, self._makers = {}, {}
+        self._entries, self._makers = {}, {}
         self._state.image = DATA_KEY
 
-    def _tell(self, images: dict[str, dict[str, Any]]) -> None:
-        self._told |= images
-        self._state.images = json.dumps(self._told)
+    def _publish(self, images: dict[str, dict[str, Any]]) -> None:
+        self._entries |= images
+        self._state.images = json.dumps(self._entries)
 
 
 def _compact(image: np.ndarray) -> np.ndarray:

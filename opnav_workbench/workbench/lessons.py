@@ -11,20 +11,20 @@ answered is a judgement, no exception, so that a lesson runs headless as it stan
 sits at the front end; headless they are still pictures.
 """
 
-import base64
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.files import atomic_path, make_folder, write_json
 from opnav_workbench.report.drawing import png_bytes
-from opnav_workbench.workbench.markup import text
+from opnav_workbench.workbench.markup import png_url, render
 
 __all__ = ["NOT_ANSWERED", "NOT_YET", "RIGHT", "Lesson", "check", "check_claim", "check_function"]
 
@@ -77,10 +77,7 @@ class Feedback:
 
     def _repr_html_(self) -> str:
         color, sign = FEEDBACK_STYLES[self.state]
-        return (
-            f'<div style="border-left:5px solid {color};background:{color}1c;padding:0.5em 0.9em;margin:0.3em 0" '
-            f'role="status"><b>{sign} Exercise {text(self.name)}: {self.state}.</b> {text(self.message)}</div>'
-        )
+        return render("lesson_feedback.html", feedback=self, color=color, sign=sign)
 
 
 def check(
@@ -303,12 +300,7 @@ class LessonFigure:
         return f"[figure] {self.caption}"
 
     def _repr_html_(self) -> str:
-        data, words = base64.b64encode(self.png).decode(), text(self.caption)
-        return (
-            '<figure style="margin:0.3em 0;max-width:1000px">'
-            f'<img src="data:image/png;base64,{data}" alt="{words}" style="max-width:100%;height:auto">'
-            f'<figcaption style="padding:0.4em 0;opacity:0.85"><em>{words}</em></figcaption></figure>'
-        )
+        return render("lesson_figure.html", picture=png_url(self.png), caption=self.caption)
 
 
 class SliderFigure:
@@ -363,7 +355,7 @@ class SliderFigure:
 
         for slider in self.sliders.values():
             slider.observe(redraw, names="value")
-        caption = ipywidgets.HTML(f"<em>{text(self.still.caption)}</em>")
+        caption = ipywidgets.HTML(Markup("<em>{}</em>").format(self.still.caption))
         return ipywidgets.VBox([*self.sliders.values(), shown, caption])
 
     def __repr__(self) -> str:
@@ -512,10 +504,8 @@ class Summary:
         return f"{self.title}: {self.right} of {len(self.verdicts)} right"
 
     def _repr_html_(self) -> str:
-        rows = "".join(f"<li>{text(v.name)}: {text(v.state)}</li>" for v in self.verdicts)
-        open_ones = [v.name for v in self.verdicts if v.state == NOT_ANSWERED]
-        left = f"<p>Not answered yet: {text(', '.join(open_ones))}</p>" if open_ones else ""
-        return f"<p><b>{text(self)}</b></p><ul>{rows}</ul>{left}"
+        not_answered = [verdict.name for verdict in self.verdicts if verdict.state == NOT_ANSWERED]
+        return render("lesson_summary.html", title=self, verdicts=self.verdicts, not_answered=not_answered)
 
 
 def _function(source: Any) -> Callable[..., Any]:

@@ -5,33 +5,32 @@ model, correlation), its neighbors small, and all of them as a strip.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.bodies.results import NOT_CHOSEN, REJECTED, USED, LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.actions import ActionRegistry
-from opnav_workbench.workbench.markup import button, text
 from opnav_workbench.workbench.plots import SvgPlot, data_range
 from opnav_workbench.workbench.viewer import Layer
 
 __all__ = [
+    "ScanPage",
     "chosen_scans",
     "format_scan_numbers",
     "parse_scan_numbers",
     "scan_at",
     "scan_layer",
+    "scan_page",
     "scans_crossing",
-    "scans_html",
     "scans_of",
 ]
 
 
-# ---- Limb scans as a person chooses them: numbers and ranges, the choice in words, and where they lie in the ...
+# ---- Scans chosen by numbers and ranges, clicks and boxes; and where they lie in the picture.
 
 _RANGE = re.compile(r"(\d+)(?:\s*-\s*(\d+))?")
 # Share of a scan's length that is left out in the picture, so that the body stays in sight.
@@ -92,18 +91,12 @@ def format_scan_numbers(numbers: Iterable[int]) -> str:
     return ",".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
 
 
-def scan_center(session: ImageSession, name: str) -> BodyCenter | None:
-    """Return the body's limb-scan center with its scans, if there is one."""
-    for center in session.state.bodies:
-        if center.name == name and center.method == "limb_scan" and isinstance(center.detail, LimbScans):
-            return center
-    return None
-
-
 def scans_of(session: ImageSession, name: str) -> LimbScans | None:
     """Return the scans of the body's limb-scan center, if there is one."""
-    center = scan_center(session, name)
-    return None if center is None or not isinstance(center.detail, LimbScans) else center.detail
+    for center in session.state.bodies:
+        if center.name == name and center.method == "limb_scan" and isinstance(center.detail, LimbScans):
+            return center.detail
+    return None
 
 
 def chosen_scans(status: Iterable[str]) -> list[int]:
@@ -155,17 +148,104 @@ def scans_crossing(
     return [int(number) for number in np.flatnonzero(np.any(inside, axis=1))]
 
 
-# ---- The page of the limb scans: one scan large (data, model, correlation), its neighbors small, all of them ...
+# ---- The page of the limb scans: one scan large (data, model, correlation), its neighbors small, all of them as a strip.
 
 THUMBS = 6  # scans shown small, the one at hand among them
 THUMB_W, THUMB_H, THUMB_POINTS = 68, 32, 60
 STRIP_W, STRIP_H = 458, 88
-SCAN_SIGNS = {"used": "✓", "rejected": "✗", "not_chosen": "–"}
-SCAN_WORDS = {"used": "in use", "rejected": "left out by the fit", "not_chosen": "not chosen"}
+PROFILE_W, CORRELATION_W, LARGE_H = 246, 206, 110
+SCAN_SIGNS = {USED: "✓", REJECTED: "✗", NOT_CHOSEN: "–"}
+SCAN_WORDS = {USED: "in use", REJECTED: "left out by the fit", NOT_CHOSEN: "not chosen"}
 
 
-def scans_html(scans: LimbScans, focus: int, by_hand: bool, registry: ActionRegistry, boxing: bool) -> str:
-    """Return the scans of a limb-scan center as a page.
+@dataclass(frozen=True, slots=True)
+class ScanShown:
+    """A scan as the page names it."""
+
+    number: int
+    status: str
+    reason: str
+
+    @property
+    def sign(self) -> str:
+        """Sign of its status."""
+        return SCAN_SIGNS.get(self.status, "")
+
+    @property
+    def status_words(self) -> str:
+        """Its status in words."""
+        return SCAN_WORDS.get(self.status, self.status)
+
+    @property
+    def hint(self) -> str:
+        """One line on the scan."""
+        return f"scan {self.number}: {self.status_words}; {self.reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanThumb:
+    """A scan shown small: data and model."""
+
+    scan: ScanShown
+    plot: SvgPlot
+
+
+@dataclass(frozen=True, slots=True)
+class ScanColumn:
+    """A scan in the strip: left edge of its column, and where its point stands down the page, px."""
+
+    scan: ScanShown
+    x: float
+    y: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPage:
+    """Everything that the page shows of the limb scans (templates/limb_scans.html).
+
+    Attributes
+    ----------
+    focus : ScanShown
+        The scan shown large.
+    profile, correlation : SvgPlot
+        Its data and model; their correlation.
+    peak_x : float or None
+        Where the offset stands in the plot of the correlation, px.
+    offset : str
+        The offset in words.
+    thumbs : list of ScanThumb
+    chosen : str
+        Numbers of the scans that are chosen.
+    boxing, by_hand : bool
+        Whether a box is being drawn in the picture; whether the analyst chose the scans.
+    n_used, n_scans : int
+    summary : str
+    strip : SvgPlot
+        All scans by number.
+    columns : list of ScanColumn
+    column_px : float
+        Width of a column of the strip.
+    """
+
+    focus: ScanShown
+    profile: SvgPlot
+    correlation: SvgPlot
+    peak_x: float | None
+    offset: str
+    thumbs: list[ScanThumb]
+    chosen: str
+    boxing: bool
+    by_hand: bool
+    n_used: int
+    n_scans: int
+    summary: str
+    strip: SvgPlot
+    columns: list[ScanColumn]
+    column_px: float
+
+
+def scan_page(scans: LimbScans, focus: int, *, by_hand: bool, boxing: bool) -> ScanPage:
+    """Return what the page shows of the scans of a limb-scan center.
 
     Parameters
     ----------
@@ -174,103 +254,86 @@ def scans_html(scans: LimbScans, focus: int, by_hand: bool, registry: ActionRegi
         The scan shown large.
     by_hand : bool
         Whether the analyst chose the scans.
-    registry : ActionRegistry
     boxing : bool
         Whether a box is being drawn in the picture.
     """
-    return (
-        f'<section class="scans">{_large(scans, focus)}{_thumbs(scans, focus)}'
-        f"{_tools(scans, by_hand, registry, boxing)}{_strip(scans, focus)}</section>"
+    shown = [
+        ScanShown(number, str(status), reason)
+        for number, (status, reason) in enumerate(zip(scans.status, scans.reason, strict=True))
+    ]
+    first = focus // THUMBS * THUMBS
+    correlation, offset_px = _correlation_plot(scans, focus), float(scans.offset_px[focus])
+    strip, columns = _strip(scans, shown)
+    return ScanPage(
+        focus=shown[focus],
+        profile=_profile_plot(scans, focus),
+        correlation=correlation,
+        peak_x=float(correlation.x(offset_px)) if np.isfinite(offset_px) else None,
+        offset=_offset_words(scans, focus),
+        thumbs=[ScanThumb(scan, _thumb_plot(scans, scan.number)) for scan in shown[first : first + THUMBS]],
+        chosen=format_scan_numbers(chosen_scans(scans.status)),
+        boxing=boxing,
+        by_hand=by_hand,
+        n_used=sum(word == USED for word in scans.status),
+        n_scans=len(shown),
+        summary="; ".join(scans.summary),
+        strip=strip,
+        columns=columns,
+        column_px=float(strip.x(1.0) - strip.x(0.0)),
     )
 
 
-def _tools(scans: LimbScans, by_hand: bool, registry: ActionRegistry, boxing: bool) -> str:
-    chosen = format_scan_numbers(chosen_scans(scans.status))
-    used = sum(word == "used" for word in scans.status)
-    how = "by hand" if by_hand else "automatic"
-    field = f'<input data-act="scans" size="9" title="Numbers and ranges, such as 3-9,12" value="{chosen}">'
-    said = "; ".join(scans.summary)
-    return (
-        f'<div class="tools">{field}{button(registry["box_scans"], on=boxing)}'
-        f"{button(registry['automatic_scans'], enabled=by_hand)}"
-        f'<span class="hint" title="{text(said)}">{used} of {len(scans.status)} used, {how}</span></div>'
-    )
-
-
-def _strip(scans: LimbScans, focus: int) -> str:
-    """All scans by number: residual where in use, else offset; a click looks at one, a box uses exactly those in it."""
-    n = len(scans.status)
-    value = np.where(np.asarray(scans.status) == "used", scans.residual_px, scans.offset_px)
-    shown = value[np.isfinite(value)]
-    limit = float(np.percentile(np.abs(shown), 90.0)) * 1.5 if shown.size else 1.0
+def _profile_plot(scans: LimbScans, number: int) -> SvgPlot:
+    data, model = scans.data_dn[number], scans.model_dn[number]
+    shown = data_range([data, model], with_zero=True)
     plot = SvgPlot(
-        STRIP_W, STRIP_H, (-0.5, n - 0.5), (-limit or -1.0, limit or 1.0), x_label="scan number", ticks=6
+        PROFILE_W, LARGE_H, _ends(scans.distance_px), shown, f"scan {number}: DN", x_label="px along it"
+    )
+    return plot.add_curve(scans.distance_px, model, "model").add_curve(scans.distance_px, data, "data")
+
+
+def _correlation_plot(scans: LimbScans, number: int) -> SvgPlot:
+    curve = scans.correlation[number]
+    plot = SvgPlot(
+        CORRELATION_W, LARGE_H, _ends(scans.lag_px), data_range(curve), "correlation", x_label="offset, px"
+    )
+    return plot.add_curve(scans.lag_px, curve, "data")
+
+
+def _offset_words(scans: LimbScans, number: int) -> str:
+    offset, residual = float(scans.offset_px[number]), float(scans.residual_px[number])
+    if not np.isfinite(offset):
+        return "no offset"
+    after = f", {residual:+.2f} after the fit" if np.isfinite(residual) else ""
+    return f"offset {offset:+.2f} ± {float(scans.sigma_px[number]):.2f} px{after}"
+
+
+def _thumb_plot(scans: LimbScans, number: int) -> SvgPlot:
+    step = max(1, len(scans.distance_px) // THUMB_POINTS)
+    distance = scans.distance_px[::step]
+    plot = SvgPlot(THUMB_W, THUMB_H, _ends(scans.distance_px), _levels(scans), bare=True)
+    plot.add_curve(distance, scans.model_dn[number, ::step], "model")
+    return plot.add_curve(distance, scans.data_dn[number, ::step], "data")
+
+
+def _strip(scans: LimbScans, shown: Sequence[ScanShown]) -> tuple[SvgPlot, list[ScanColumn]]:
+    """All scans by number: residual where in use, else offset; a click looks at one, a box uses exactly those in it."""
+    value = np.where(np.asarray(scans.status) == USED, scans.residual_px, scans.offset_px)
+    finite = value[np.isfinite(value)]
+    limit = float(np.percentile(np.abs(finite), 90.0)) * 1.5 if finite.size else 1.0
+    plot = SvgPlot(
+        STRIP_W,
+        STRIP_H,
+        (-0.5, len(shown) - 0.5),
+        (-limit or -1.0, limit or 1.0),
+        x_label="scan number",
+        ticks=6,
     )
     _, top, _, bottom = plot.frame
-    column = float(plot.x(1.0) - plot.x(0.0))
-    for number in range(n):
-        word = str(scans.status[number])
-        left = float(plot.x(number - 0.5))
-        at = float(np.clip(plot.y(np.clip(np.nan_to_num(value[number]), -limit, limit)), top, bottom))
-        here = " here" if number == focus else ""
-        hint = f"scan {number}: {SCAN_WORDS.get(word, word)}; {scans.reason[number]}"
-        plot.raw(
-            f'<g class="column {word}{here}" data-act="look_scan" data-arg="{number}" data-pick="{number}">'
-            f"<title>{text(hint)}</title>"
-            f'<rect x="{left:.1f}" y="{top}" width="{column:.1f}" height="{bottom - top:.0f}"/>'
-            f'<circle cx="{left + column / 2:.1f}" cy="{at:.1f}" r="{2.2 if word == "used" else 1.4}"/></g>'
-        )
-    hint = "Residual of the scans in use, offset of the others, px. Click: look at it. Drag a box: use exactly these."
-    return f'<div class="strip-plot" data-box="pick_scans" title="{hint}">{plot.svg()}</div>'
-
-
-def _thumbs(scans: LimbScans, focus: int) -> str:
-    first = focus // THUMBS * THUMBS
-    shown = range(first, min(first + THUMBS, len(scans.status)))
-    return f'<div class="thumbs">{"".join(_thumb(scans, number, number == focus) for number in shown)}</div>'
-
-
-def _thumb(scans: LimbScans, number: int, here: bool) -> str:
-    step = max(1, len(scans.distance_px) // THUMB_POINTS)
-    distance, data, model = (
-        scans.distance_px[::step],
-        scans.data_dn[number, ::step],
-        scans.model_dn[number, ::step],
-    )
-    plot = SvgPlot(THUMB_W, THUMB_H, _ends(scans.distance_px), _levels(scans), bare=True)
-    plot.line(distance, model, "model").line(distance, data, "data")
-    word = str(scans.status[number])
-    hint = f"scan {number}: {SCAN_WORDS.get(word, word)}; {scans.reason[number]}. Click: use it, or leave it out."
-    return (
-        f'<div class="thumb {word}{" here" if here else ""}" data-act="scan" data-arg="{number}"'
-        f' data-scan="{number}" title="{text(hint)}"><span>{SCAN_SIGNS.get(word, "")} {number}</span>{plot.svg()}</div>'
-    )
-
-
-def _large(scans: LimbScans, number: int) -> str:
-    word = str(scans.status[number])
-    data, model = scans.data_dn[number], scans.model_dn[number]
-    profile = SvgPlot(
-        246, 110, _ends(scans.distance_px), data_range([data, model], with_zero=True), f"scan {number}: DN", "px along it"
-    )  # fmt: skip
-    profile.line(scans.distance_px, model, "model").line(scans.distance_px, data, "data")
-    curve = SvgPlot(
-        206, 110, _ends(scans.lag_px), data_range(scans.correlation[number]), "correlation", "offset, px"
-    )
-    curve.line(scans.lag_px, scans.correlation[number], "data")
-    offset, said = float(scans.offset_px[number]), "no offset"
-    if np.isfinite(offset):
-        at = float(curve.x(offset))
-        curve.raw(f'<path class="peak" d="M{at:.1f} {curve.frame[1]}V{curve.frame[3]}"/>')
-        said = f"offset {offset:+.2f} ± {float(scans.sigma_px[number]):.2f} px"
-        residual = float(scans.residual_px[number])
-        said += f", {residual:+.2f} after the fit" if np.isfinite(residual) else ""
-    return (
-        f'<div class="plots">{profile.svg()}{curve.svg()}</div>'
-        f'<p class="legend"><span class="key data">— data</span><span class="key model">┄ model</span>'
-        f'<span>{said}</span></p><p class="why {word}"><b>{SCAN_SIGNS.get(word, "")} {SCAN_WORDS.get(word, word)}</b> '
-        f"{text(scans.reason[number])}</p>"
-    )
+    left = plot.x(np.arange(len(shown)) - 0.5)
+    down = np.clip(plot.y(np.clip(np.nan_to_num(value), -limit, limit)), top, bottom)
+    columns = [ScanColumn(scan, float(x), float(y)) for scan, x, y in zip(shown, left, down, strict=True)]
+    return plot, columns
 
 
 def _ends(values: FloatArray) -> tuple[float, float]:

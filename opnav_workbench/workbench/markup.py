@@ -1,64 +1,61 @@
-"""Small pieces of HTML for the workbench's pages; every text goes through `text`, so that none can break the page.
+"""What goes into the page: templates filled in, scripts and styles, and what is shown without a live kernel.
 
-Also what a front end without a live kernel shows in place of a widget: a message, and the picture as it was.
+The templates (templates/*.html, jinja2) escape every value, so that no name and no message can break a page. Scripts and
+styles stand in static/.
 """
 
 import base64
-import html
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any
 
-from opnav_workbench.workbench.actions import Action
+from markupsafe import Markup
 
-__all__ = ["button", "image", "text", "with_still_picture"]
+from opnav_workbench.templating import environment
 
+__all__ = ["PagePicture", "page_files", "png_url", "render", "with_still_picture"]
 
-# ---- Small pieces of HTML for the workbench's regions; every text goes through `text`, so that none can ...
-
-
-def text(value: object) -> str:
-    """Return a value as HTML text.
-
-    Examples
-    --------
-    >>> text("a < b & c")
-    'a &lt; b &amp; c'
-    """
-    return html.escape(str(value), quote=True)
-
-
-def button(
-    action: Action,
-    *,
-    arg: str | None = None,
-    on: bool = False,
-    enabled: bool = True,
-    label: str | None = None,
-) -> str:
-    """Return a button that does an action; its key stands on it, its tooltip says what it does."""
-    key = f"<kbd>{text(action.shown_key)}</kbd>" if action.keys else ""
-    argument = "" if arg is None else f' data-arg="{text(arg)}"'
-    return (
-        f'<button type="button" data-act="{text(action.name)}"{argument} title="{text(action.hint)}"'
-        f' aria-pressed="{"true" if on else "false"}"{"" if enabled else " disabled"}>'
-        f"{text(label or action.label)}{key}</button>"
-    )
-
-
-def image(png: str, width: int, height: int, title: str) -> str:
-    """Return an image element of PNG data (base64), drawn with sharp pixels."""
-    return (
-        f'<img class="ow-pixels" src="data:image/png;base64,{png}" width="{width}" height="{height}"'
-        f' title="{text(title)}" alt="{text(title)}">'
-    )
-
-
-# ---- What a front end without a live kernel shows: a message, and the picture as it was.
-
+TEMPLATES, STATIC = Path(__file__).parent / "templates", Path(__file__).parent / "static"
+_LINE_BREAKS = re.compile(r">\s*\n\s*<")
 NO_KERNEL_MESSAGE = (
     "opnav_workbench: this view needs a running kernel. Open the notebook in JupyterLab and run its cells; "
     "every decision is kept in the session's folder."
 )
+
+
+def render(template: str, **content: object) -> Markup:
+    """Return a template of the workbench filled in; line breaks between its tags are not part of the page.
+
+    Examples
+    --------
+    >>> render("message.html", message="a < b & c")
+    Markup('<div class="page"><p class="hint">a &lt; b &amp; c</p></div>')
+    """
+    page = environment(TEMPLATES).get_template(template).render(**content)
+    return Markup(_LINE_BREAKS.sub("><", page).strip())  # noqa: S704 - the environment has escaped it
+
+
+@cache
+def page_files(*names: str) -> str:
+    """Return scripts or styles of static/, one after the other: together one JavaScript module, or one style sheet."""
+    return "\n".join((STATIC / name).read_text(encoding="utf-8") for name in names)
+
+
+@dataclass(frozen=True, slots=True)
+class PagePicture:
+    """A picture on the page: a URL that holds its data, and the size that it is shown in, px."""
+
+    url: str
+    width_px: int
+    height_px: int
+
+
+def png_url(png: bytes) -> str:
+    """Return a PNG as a URL that holds its data."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def with_still_picture(bundle: Any, picture: Callable[[], bytes] | None) -> Any:
@@ -66,8 +63,7 @@ def with_still_picture(bundle: Any, picture: Callable[[], bytes] | None) -> Any:
     data, metadata = bundle if isinstance(bundle, tuple) else (bundle, {})
     data = dict(data) | {"text/plain": NO_KERNEL_MESSAGE}
     if picture is not None:
-        png = base64.b64encode(picture()).decode()
-        data["text/html"] = (
-            f'<p><em>{NO_KERNEL_MESSAGE}</em></p><img src="data:image/png;base64,{png}" alt="the picture">'
+        data["text/html"] = str(
+            render("no_kernel.html", message=NO_KERNEL_MESSAGE, picture=png_url(picture()))
         )
     return data, metadata

@@ -1,7 +1,7 @@
 """The tab of the observables: what orbit determination gets, the export, the notes, and the journal."""
 
 import getpass
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,9 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder
 from opnav_workbench.observables import Observable
 from opnav_workbench.report import write_summary
-from opnav_workbench.session import ImageSession, JournalEntry
-from opnav_workbench.workbench.actions import ActionRegistry
-from opnav_workbench.workbench.markup import text
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.actions import NOTE_MENU, ActionRegistry
+from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
 
 __all__ = ["ObservablesTab"]
@@ -50,8 +50,8 @@ class ObservablesTab(Tab):
 
     name = "observables"
 
-    def __init__(self, bench: StepRunner, registry: ActionRegistry, out: Path | None) -> None:
-        super().__init__(bench, registry)
+    def __init__(self, runner: StepRunner, registry: ActionRegistry, out: Path | None) -> None:
+        super().__init__(runner, registry)
         self.out = out
         self.exported: dict[str, tuple[str, ...]] = {}  # files written, by image
 
@@ -65,77 +65,65 @@ class ObservablesTab(Tab):
 
     def export(self) -> None:
         """Write all files of this image."""
-        folder = self.bench.queue.item.folder or self.out
+        folder = self.runner.queue.item.folder or self.out
         if folder is None:
             raise SessionError("there is no folder to export into: workbench(..., out=FOLDER).")
-        session, name = self.bench.session, self.bench.queue.item.name
+        session, name = self.runner.session, self.runner.queue.item.name
 
         def work() -> None:
-            self.bench.examined()
+            self.runner.examined()
             self.exported[name] = tuple(export_session(session, folder))
 
-        self.bench.run("exporting", work, lambda: f"{len(self.exported[name])} files written into {folder}.")
+        self.runner.run("exporting", work, lambda: f"{len(self.exported[name])} files written into {folder}.")
 
     def _ask_note(self) -> None:
-        self.bench.menu = "" if self.bench.menu == "note" else "note"
+        self.runner.menu = "" if self.runner.menu == NOTE_MENU else NOTE_MENU
 
     def _note(self, event: PageEvent) -> None:
         words = str(event["value"]).strip()
-        self.bench.menu = ""
+        self.runner.menu = ""
         if words:
-            self.bench.run("noting", lambda: self.bench.session.note(words), "note written.")
+            self.runner.run("noting", lambda: self.runner.session.note(words), "note written.")
 
     def html(self) -> str:
         """Return the page."""
-        session = self.bench.session
-        files = "".join(
-            f"<li>{text(name)}</li>" for name in self.exported.get(self.bench.queue.item.name, ())
-        )
-        folder = self.bench.queue.item.folder or self.out
-        where = f'<p class="hint">into {text(folder)}</p>' if folder is not None else ""
-        listed = f'<ul class="files">{files}</ul>' if files else ""
-        messages = "".join(f'<p class="hint">{text(message)}</p>' for message in session.state.messages)
-        notes = "".join(f"<li>{text(note)}</li>" for note in session.state.user_notes)
-        return (
-            f'<div class="page observables"><div class="tools">{self.button("export")}{self.button("note")}</div>'
-            f"{where}{listed}"
-            f"{_table(session.state.observables)}{messages}{f'<h4>Notes</h4><ul>{notes}</ul>' if notes else ''}"
-            f"<h4>Journal</h4>{_journal(session.journal)}</div>"
+        session, item = self.runner.session, self.runner.queue.item
+        return render(
+            "observables.html",
+            actions=self.registry,
+            folder=item.folder or self.out,
+            files=self.exported.get(item.name, ()),
+            rows=[observable_row(observable) for observable in session.state.observables],
+            messages=session.state.messages,
+            notes=session.state.user_notes,
+            journal=list(reversed(session.journal[-LISTED_ENTRIES:])),
+            n_earlier=len(session.journal) - LISTED_ENTRIES,
         )
 
 
-def _table(observables: Sequence[Observable]) -> str:
-    if not observables:
-        return '<p class="hint">No observable yet: find a body first.</p>'
-    rows = "".join(_row(o) for o in observables)
-    return (
-        "<table><thead><tr><th>body</th><th>status</th><th>O pixel, line</th><th>O − C, px</th><th>sigma, px</th>"
-        f"<th>O − C, arcsec</th></tr></thead><tbody>{rows}</tbody></table>"
-    )
+@dataclass(frozen=True, slots=True)
+class ObservableRow:
+    """A row of the table: O, O − C, sigma and O − C in arcsec as texts; none where nothing is observed, but a message."""
+
+    name: str
+    method: str
+    status: str
+    numbers: tuple[str, ...]
+    message: str
 
 
-def _row(o: Observable) -> str:
-    head = f'<td title="{text(o.method)}">{text(o.name)}</td><td>{text(o.status.replace("_", " "))}</td>'
-    if o.observed_px is None or o.residual_px is None:
-        return f'<tr>{head}<td colspan="4">{text("; ".join(o.messages))}</td></tr>'
-    sigma = np.sqrt(np.diag(o.total_covariance_px2))
-    arcsec = "" if o.residual_arcsec is None else f"{o.residual_arcsec[0]:+.3f}, {o.residual_arcsec[1]:+.3f}"
-    return (
-        f"<tr>{head}<td>{o.observed_px[0]:.3f}, {o.observed_px[1]:.3f}</td>"
-        f"<td>{o.residual_px[0]:+.3f}, {o.residual_px[1]:+.3f}</td>"
-        f"<td>{sigma[0]:.3f}, {sigma[1]:.3f}</td><td>{arcsec}</td></tr>"
-    )
-
-
-def _journal(journal: Sequence[JournalEntry]) -> str:
-    rows = "".join(
-        f"<tr><td>{text(entry.time_utc[11:19])}</td><td>{text(entry.step.replace('_', ' '))}</td>"
-        f"<td>{text(entry.outcome)}{f' ({text(entry.reason)})' if entry.reason else ''}</td></tr>"
-        for entry in reversed(journal[-LISTED_ENTRIES:])
-    )
-    more = (
-        f'<p class="hint">{len(journal) - LISTED_ENTRIES} earlier entries</p>'
-        if len(journal) > LISTED_ENTRIES
-        else ""
-    )
-    return f'<table class="journal"><tbody>{rows}</tbody></table>{more}'
+def observable_row(o: Observable) -> ObservableRow:
+    """Return an observable as a row of the table."""
+    numbers: tuple[str, ...] = ()
+    if o.observed_px is not None and o.residual_px is not None:
+        sigma = np.sqrt(np.diag(o.total_covariance_px2))
+        arcsec = (
+            "" if o.residual_arcsec is None else f"{o.residual_arcsec[0]:+.3f}, {o.residual_arcsec[1]:+.3f}"
+        )
+        numbers = (
+            f"{o.observed_px[0]:.3f}, {o.observed_px[1]:.3f}",
+            f"{o.residual_px[0]:+.3f}, {o.residual_px[1]:+.3f}",
+            f"{sigma[0]:.3f}, {sigma[1]:.3f}",
+            arcsec,
+        )
+    return ObservableRow(o.name, o.method, o.status, numbers, "; ".join(o.messages))

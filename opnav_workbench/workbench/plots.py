@@ -1,25 +1,31 @@
-"""Small plots of the workbench's pages, as SVG: axes with round ticks, points with error bars, lines.
+"""Small plots of the workbench's pages: where ticks, curves and points stand; templates/plots.html draws them as SVG.
 
-Colors are CSS classes, for light and dark. With them the residuals of the stars are shown: against magnitude before and
-after repointing, and as vectors over the picture, enlarged by a round factor that the title tells. Residuals are
-observed minus predicted, px.
+With them the residuals of the stars are shown: against magnitude before and after repointing, and as vectors over the
+picture, enlarged by a round factor that the title tells. Residuals are observed minus predicted, px.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.report.drawing import round_scale
+from opnav_workbench.report.drawing import STRIP_ASPECT, round_scale
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.markup import text
 
-__all__ = ["SvgPlot", "residual_plots", "small_residual_plots", "star_residuals", "vector_plot"]
+__all__ = [
+    "ResidualPlots",
+    "SvgPlot",
+    "VectorPlot",
+    "data_range",
+    "residual_plots",
+    "star_residuals",
+    "vector_plot",
+]
 
 
-# ---- Small plots as SVG: axes with round ticks, points with error bars, lines. Colors are CSS classes, for ...
+# ---- A small plot: axes with round ticks, curves, points with error bars.
 
 FONT_PX = 11
 WANTED_TICKS = 4
@@ -54,9 +60,28 @@ def data_range(values: ArrayLike, *, with_zero: bool = False) -> tuple[float, fl
     return low - margin, high + margin
 
 
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A line; `places` as SVG has them, px."""
+
+    style: str
+    places: str
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A point (px), round or (style ``line``) square, with half the length of its error bar and a tooltip."""
+
+    style: str
+    x: float
+    y: float
+    bar: float
+    title: str
+
+
 @dataclass(slots=True)
 class SvgPlot:
-    """A plot that is built up piece by piece; `svg` gives it out.
+    """A plot that is built up piece by piece, for the macro `plot` of templates/plots.html.
 
     Parameters
     ----------
@@ -79,7 +104,9 @@ class SvgPlot:
     y_label: str = ""
     bare: bool = False
     ticks: int = WANTED_TICKS
-    _parts: list[str] = field(default_factory=list)
+    font_px: int = FONT_PX
+    curves: list[Curve] = field(default_factory=list)
+    points: list[Point] = field(default_factory=list)
 
     @property
     def frame(self) -> tuple[float, float, float, float]:
@@ -102,92 +129,53 @@ class SvgPlot:
         low, high = self.y_range
         return bottom - (np.asarray(value, dtype=float) - low) / (high - low) * (bottom - top)
 
-    def line(self, x: ArrayLike, y: ArrayLike, style: str) -> "SvgPlot":
+    def add_curve(self, x: ArrayLike, y: ArrayLike, style: str) -> "SvgPlot":
         """Draw a line through the finite points."""
         across, down = self.x(x), self.y(y)
         good = np.isfinite(across) & np.isfinite(down)
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across[good], down[good], strict=True))
-        self._parts.append(f'<polyline class="{style}" points="{points}" clip-path="url(#{self._clip})"/>')
+        places = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across[good], down[good], strict=True))
+        self.curves.append(Curve(style, places))
         return self
 
-    def points(
-        self,
-        x: ArrayLike,
-        y: ArrayLike,
-        style: str,
-        sigma: ArrayLike | None = None,
-        titles: Sequence[str] = (),
+    def add_points(
+        self, x: ArrayLike, y: ArrayLike, style: str, sigma: ArrayLike, titles: Sequence[str]
     ) -> "SvgPlot":
-        """Draw points, round or (style ``line``) square, with error bars and a tooltip each."""
+        """Draw the finite points with error bars and a tooltip each; round, or (style ``line``) square."""
         across, down = self.x(x), self.y(y)
-        bars = np.zeros_like(down) if sigma is None else np.abs(self.y(np.asarray(sigma)) - self.y(0.0))
-        for i, (a, b, bar) in enumerate(zip(across, down, bars, strict=True)):
-            if not (np.isfinite(a) and np.isfinite(b)):
-                continue
-            title = f"<title>{text(titles[i])}</title>" if titles else ""
-            whisker = (
-                f'<path d="M{a:.1f} {b - bar:.1f}V{b + bar:.1f}"/>' if bar > 0.5 and np.isfinite(bar) else ""
-            )
-            shape = (
-                f'<rect x="{a - 3:.1f}" y="{b - 3:.1f}" width="6" height="6"/>'
-                if style == "line"
-                else f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3"/>'
-            )
-            self._parts.append(f'<g class="pt {style}">{title}{whisker}{shape}</g>')
-        return self
-
-    def raw(self, svg: str) -> "SvgPlot":
-        """Add a piece of SVG in the plot's pixels."""
-        self._parts.append(svg)
+        bars = np.abs(self.y(np.asarray(sigma)) - self.y(0.0))
+        bars = np.where(np.isfinite(bars), bars, 0.0)
+        for a, b, bar, title in zip(across, down, bars, titles, strict=True):
+            if np.isfinite(a) and np.isfinite(b):
+                self.points.append(Point(style, float(a), float(b), float(bar), title))
         return self
 
     @property
-    def _clip(self) -> str:
-        return f"c{self.width_px}x{self.height_px}" + ("b" if self.bare else "t" if self.title else "")
+    def clip(self) -> str:
+        """Id of the frame, which curves are clipped to; plots of one page with the same id have the same frame."""
+        return "clip" + "-".join(f"{edge:.0f}" for edge in self.frame)
 
-    def _axes(self) -> Iterator[str]:
-        left, top, right, bottom = self.frame
-        for value in round_ticks(min(self.x_range), max(self.x_range), self.ticks):
-            a = float(self.x(value))
-            yield f'<path class="tick" d="M{a:.1f} {bottom:.1f}v4"/>'
-            yield f'<text x="{a:.1f}" y="{bottom + 15:.1f}" text-anchor="middle">{value:.6g}</text>'
-        for value in round_ticks(min(self.y_range), max(self.y_range), self.ticks):
-            b = float(self.y(value))
-            yield f'<path class="tick" d="M{left:.1f} {b:.1f}h-4"/>'
-            yield f'<text x="{left - 6:.1f}" y="{b + 4:.1f}" text-anchor="end">{value:.6g}</text>'
-        middle, center = (left + right) / 2.0, (top + bottom) / 2.0
-        if self.title:
-            yield f'<text class="title" x="{middle:.1f}" y="13" text-anchor="middle">{text(self.title)}</text>'
-        if self.x_label:
-            yield f'<text x="{middle:.1f}" y="{self.height_px - 4}" text-anchor="middle">{text(self.x_label)}</text>'
-        if self.y_label:
-            turn = f'transform="rotate(-90 12 {center:.1f})"'
-            yield f'<text x="12" y="{center:.1f}" text-anchor="middle" {turn}>{text(self.y_label)}</text>'
-
-    def svg(self) -> str:
-        """Return the plot as an SVG element."""
-        left, top, right, bottom = self.frame
+    @property
+    def zero(self) -> float | None:
+        """Where the line of zero stands down the page, px; None outside the frame."""
         low, high = sorted(self.y_range)
-        zero = (
-            f'<path class="zero" d="M{left} {float(self.y(0.0)):.1f}H{right}"/>' if low < 0.0 < high else ""
-        )
-        size = f'width="{self.width_px}" height="{self.height_px}"'
-        box = f'x="{left}" y="{top}" width="{right - left:.1f}" height="{bottom - top:.1f}"'
-        return (
-            f'<svg class="ow-plot" {size} viewBox="0 0 {self.width_px} {self.height_px}" font-size="{FONT_PX}">'
-            f'<clipPath id="{self._clip}"><rect {box}/></clipPath><rect class="frame" {box}/>{zero}'
-            f"{''.join(self._parts)}{'' if self.bare else ''.join(self._axes())}</svg>"
-        )
+        return float(self.y(0.0)) if low < 0.0 < high else None
+
+    @property
+    def x_ticks(self) -> list[tuple[float, str]]:
+        """Where ticks stand across (px), and their numbers."""
+        values = round_ticks(min(self.x_range), max(self.x_range), self.ticks)
+        return [(float(self.x(value)), f"{value:.6g}") for value in values]
+
+    @property
+    def y_ticks(self) -> list[tuple[float, str]]:
+        """Where ticks stand down the page (px), and their numbers."""
+        values = round_ticks(min(self.y_range), max(self.y_range), self.ticks)
+        return [(float(self.y(value)), f"{value:.6g}") for value in values]
 
 
-# ---- Residuals of the stars: against magnitude before and after repointing, and as vectors over the frame.
+# ---- Residuals of the stars: against magnitude before and after repointing, and as vectors over the picture.
 
-VECTOR_SHARE = 0.12  # of the frame's shorter side, for the longest residual
-STRIP_ASPECT = 4.0  # a frame longer than this is drawn without square pixels
-RESIDUAL_LEGEND = (
-    '<p class="legend"><span class="key pixel">● pixel</span><span class="key line">■ line</span>'
-    "<span>observed − predicted, px, against magnitude</span></p>"
-)
+VECTOR_SHARE = 0.12  # of the picture's shorter side, for the longest residual
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,8 +193,8 @@ class StarResiduals:
     sigma_px : (n, 2) array
     solved : bool
         Whether a pointing stands, so that ``after_px`` means something.
-    frame : (int, int)
-        Pixels and lines of the frame.
+    size_px : (int, int)
+        Pixels and lines of the picture.
     """
 
     ids: tuple[str, ...]
@@ -216,7 +204,7 @@ class StarResiduals:
     after_px: FloatArray
     sigma_px: FloatArray
     solved: bool
-    frame: tuple[int, int]
+    size_px: tuple[int, int]
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -226,10 +214,10 @@ def star_residuals(session: ImageSession) -> StarResiduals:
     """Return the residuals of the stars in use, as the session stands."""
     state, context = session.state, session.context
     stars, centers = state.a_priori, state.centers
-    frame = (context.camera.n_pixel, context.camera.n_line)
+    size_px = (context.camera.n_pixel, context.camera.n_line)
     if stars is None or centers is None:
         none = np.empty((0, 2))
-        return StarResiduals((), np.empty(0), none, none, none, none, False, frame)
+        return StarResiduals((), np.empty(0), none, none, none, none, False, size_px)
     shown: BoolArray = np.asarray(state.mask("used")) & np.isfinite(centers.pixel_line).all(axis=1)
     place = stars.places(context.camera, session.camera_from_j2000)
     before = stars.places(context.camera, session.inputs.a_priori_camera_from_j2000)
@@ -241,66 +229,81 @@ def star_residuals(session: ImageSession) -> StarResiduals:
         after_px=(centers.pixel_line - place)[shown],
         sigma_px=centers.sigma_px[shown],
         solved=state.pointing is not None,
-        frame=frame,
+        size_px=size_px,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualPlots:
+    """Residual against magnitude; `after` is None before the pointing is solved."""
+
+    before: SvgPlot
+    after: SvgPlot | None
+
+
+def residual_plots(rows: StarResiduals, size: tuple[int, int]) -> ResidualPlots | None:
+    """Return the plots of residual against magnitude, before and after repointing; None without a star in use.
+
+    Parameters
+    ----------
+    rows : StarResiduals
+    size : (int, int)
+        Width and height of each, px.
+    """
+    if not rows.ids:
+        return None
+    before = _against_magnitude(rows, rows.before_px, "before repointing", size)
+    after = _against_magnitude(rows, rows.after_px, "after repointing", size) if rows.solved else None
+    return ResidualPlots(before, after)
 
 
 def _against_magnitude(
-    rows: StarResiduals, residual_px: FloatArray, title: str, size: tuple[int, int], *, y_label: str
-) -> str:
+    rows: StarResiduals, residual_px: FloatArray, title: str, size: tuple[int, int]
+) -> SvgPlot:
     reach = residual_px + np.array([-1.0, 1.0])[:, None, None] * rows.sigma_px
-    plot = SvgPlot(
-        *size, data_range(rows.mag), data_range(reach, with_zero=True), title, x_label="", y_label=y_label
-    )
+    plot = SvgPlot(*size, data_range(rows.mag), data_range(reach, with_zero=True), title)
     for column, style in enumerate(("pixel", "line")):
+        residual, sigma = residual_px[:, column], rows.sigma_px[:, column]
         titles = [
-            f"{star}: {style} {value:+.3f} ± {sigma:.3f} px"
-            for star, value, sigma in zip(
-                rows.ids, residual_px[:, column], rows.sigma_px[:, column], strict=True
-            )
+            f"{star}: {style} {value:+.3f} ± {error:.3f} px"
+            for star, value, error in zip(rows.ids, residual, sigma, strict=True)
         ]
-        plot.points(rows.mag, residual_px[:, column], style, rows.sigma_px[:, column], titles)
-    return plot.svg()
+        plot.add_points(rows.mag, residual, style, sigma, titles)
+    return plot
 
 
-def small_residual_plots(rows: StarResiduals) -> str:
-    """Return before and after side by side, small; nothing before stars are found."""
-    return residual_plots(rows, (222, 118), y_label="") if rows.ids else ""
+@dataclass(frozen=True, slots=True)
+class Vector:
+    """The residual of a star, from where it is predicted, px of the plot."""
+
+    star: str
+    x0: float
+    y0: float
+    x1: float
+    y1: float
 
 
-def residual_plots(rows: StarResiduals, size: tuple[int, int], y_label: str = "residual, px") -> str:
-    """Return the plots of residual against magnitude, before and after repointing."""
-    if not rows.ids:
-        return '<p class="hint">No star is in use: nothing to plot.</p>'
-    after = (
-        _against_magnitude(rows, rows.after_px, "after repointing", size, y_label=y_label)
-        if rows.solved
-        else f'<div class="blank" style="width:{size[0]}px;height:{size[1]}px">not repointed yet</div>'
-    )
-    before = _against_magnitude(rows, rows.before_px, "before repointing", size, y_label=y_label)
-    return f'<div class="plots">{before}{after}</div>{RESIDUAL_LEGEND}'
+@dataclass(frozen=True, slots=True)
+class VectorPlot:
+    """Residual vectors over the picture."""
+
+    plot: SvgPlot
+    vectors: list[Vector]
 
 
-def vector_plot(rows: StarResiduals, width_px: int) -> str:
-    """Return the residual vectors over the frame, enlarged by a round factor that the title tells."""
-    n_pixel, n_line = rows.frame
+def vector_plot(rows: StarResiduals, width_px: int) -> VectorPlot:
+    """Return the residual vectors over the picture, enlarged by a round factor that the title tells."""
+    n_pixel, n_line = rows.size_px
     height = 120 if n_pixel > STRIP_ASPECT * n_line else round((width_px - 66) * n_line / n_pixel) + 54
     longest = float(np.hypot(*rows.after_px.T).max()) if rows.ids else 0.0
     scale = round_scale(VECTOR_SHARE * max(min(n_pixel, n_line), 0.05 * n_pixel) / max(longest, 1e-6))
+    title = f"residual vectors, × {scale:g}" if rows.ids else "residual vectors: no star in use"
     plot = SvgPlot(
-        width_px,
-        height,
-        (-0.5, n_pixel - 0.5),
-        (n_line - 0.5, -0.5),
-        f"residual vectors, × {scale:g}" if rows.ids else "residual vectors: no star in use",
-        x_label="pixel",
-        y_label="line",
+        width_px, height, (-0.5, n_pixel - 0.5), (n_line - 0.5, -0.5), title, x_label="pixel", y_label="line"
     )
-    for star, place, residual in zip(rows.ids, rows.place_px, rows.after_px, strict=True):
-        tip = place + scale * residual
-        (x0, x1), (y0, y1) = plot.x([place[0], tip[0]]), plot.y([place[1], tip[1]])
-        plot.raw(
-            f'<path class="vector" d="M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}"><title>{star}</title></path>'
-        )
-        plot.raw(f'<circle class="root" cx="{x0:.1f}" cy="{y0:.1f}" r="2.5"/>')
-    return plot.svg()
+    tips = rows.place_px + scale * rows.after_px
+    ends = np.stack(
+        [plot.x(rows.place_px[:, 0]), plot.y(rows.place_px[:, 1]), plot.x(tips[:, 0]), plot.y(tips[:, 1])]
+    )
+    vectors = [Vector(star, *places) for star, places in zip(rows.ids, ends.T.tolist(), strict=True)]
+    return VectorPlot(plot, vectors)

@@ -12,8 +12,8 @@ from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import SessionError
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
-from opnav_workbench.workbench.actions import ActionRegistry
-from opnav_workbench.workbench.markup import text
+from opnav_workbench.workbench.actions import NUDGE, TWO_STARS, ActionRegistry
+from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.plots import residual_plots, star_residuals, vector_plot
 from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, Tab
 from opnav_workbench.workbench.viewer import Layer
@@ -97,6 +97,8 @@ class TwoStarMarks:
 TURN_DEG = 0.05  # of one key press: a quarter of a wrong header twist
 FAR_STEP_PX = 10.0
 LISTED_STARS = 60  # names offered while typing
+NUDGE_PROMPT = "arrow keys move the field 1 px, with Shift 10 px; < and > turn it; F finds the stars."
+RESIDUAL_PLOT_PX, VECTOR_PLOT_PX = (216, 160), 440
 MODEL_WORDS = {"euler": "three angles", "image_plane": "image plane"}
 
 
@@ -105,8 +107,8 @@ class PointingTab(Tab):
 
     name = "pointing"
 
-    def __init__(self, bench: StepRunner, registry: ActionRegistry) -> None:
-        super().__init__(bench, registry)
+    def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
+        super().__init__(runner, registry)
         self.marks = TwoStarMarks()
 
     def handlers(self) -> dict[str, Handler]:
@@ -119,71 +121,49 @@ class PointingTab(Tab):
             "turn_left": self._nudging(0.0, 0.0, -TURN_DEG),
             "turn_right": self._nudging(0.0, 0.0, TURN_DEG),
             "find_again": lambda _: self._find(),
-            "repoint_here": lambda _: self.bench.repoint(),
+            "repoint_here": lambda _: self.runner.repoint(),
             "model": lambda _: self._next_model(),
             "two_star": lambda _: self._mark_tool(),
             "two_star_name": self._name,
             "two_star_solve": lambda _: self._solve_marked(),
-            "nudge": lambda _: self._nudge_tool(),
+            "nudge": lambda _: self.runner.toggle_tool(NUDGE, NUDGE_PROMPT),
         }
 
-    def entered(self) -> None:
+    def on_enter(self) -> None:
         """Forget marks that belong to another image."""
-        if self.bench.tool != "two_star":
+        if self.runner.tool != TWO_STARS:
             self.marks = TwoStarMarks()
 
     def draw(self) -> None:
         """Draw the two marks."""
-        self.bench.viewer.focus(None)
-        self.bench.viewer.layer("two stars", self.marks.layer() if self.bench.tool == "two_star" else Layer())
+        self.runner.viewer.focus(None)
+        self.runner.viewer.layer(
+            "two stars", self.marks.layer() if self.runner.tool == TWO_STARS else Layer()
+        )
 
     def html(self) -> str:
         """Return the page."""
-        session = self.bench.session
-        rows = star_residuals(session)
-        tools = (
-            self.button("find_again")
-            + self.button("repoint_here", enabled=session.state.centers is not None)
-            + self.button("model", label=f"Model: {MODEL_WORDS[self.bench.model]}")
-            + self.button("nudge", on=self.bench.tool == "nudge")
-            + self.button("two_star", on=self.bench.tool == "two_star")
-        )
-        return (
-            f'<div class="page pointing"><div class="tools">{tools}</div>{self._tool_html()}'
-            f"{solution_html(session.state.pointing)}{residual_plots(rows, (216, 160), y_label='')}"
-            f"{vector_plot(rows, 440)}</div>"
-        )
-
-    def _tool_html(self) -> str:
-        if self.bench.tool == "nudge":
-            keys = "".join(
-                self.button(f"nudge_{side}", label=arrow)
-                for side, arrow in zip(ARROW_STEPS, "←→↑↓", strict=True)
-            )
-            turns = self.button("turn_left", label="−0.05°") + self.button("turn_right", label="+0.05°")
-            return (
-                f'<div class="tool"><b>Nudge</b> {keys}{turns}<span>{text(self._field_line())}</span></div>'
-            )
-        if self.bench.tool != "two_star":
-            return ""
-        stars = self.bench.session.state.a_priori
-        listed = [] if stars is None else stars.id[np.argsort(stars.mag)][:LISTED_STARS].tolist()
-        options = "".join(f'<option value="{text(star)}">' for star in listed)
-        fields = "".join(
-            f'<input data-act="two_star_name" data-arg="{which}" list="opnav-stars" size="14" '
-            f'placeholder="name of star {which + 1}" value="{text(self.marks.ids[which])}">'
-            for which in (0, 1)
-        )
-        solve = (
-            '<button type="button" data-act="two_star_solve">Solve</button>' if self.marks.complete else ""
-        )
-        return (
-            f'<div class="tool"><b>Two stars</b> <span>{text(self.marks.prompt)}</span>'
-            f'<datalist id="opnav-stars">{options}</datalist><span class="join">{fields}</span>{solve}</div>'
+        session, tool = self.runner.session, self.runner.tool
+        rows, stars = star_residuals(session), session.state.a_priori
+        listed = () if stars is None else stars.id[np.argsort(stars.mag)][:LISTED_STARS].tolist()
+        return render(
+            "pointing.html",
+            actions=self.registry,
+            searched=session.state.centers is not None,
+            model=MODEL_WORDS[self.runner.model],
+            nudging=tool == NUDGE,
+            arrows=list(zip(ARROW_STEPS, "←→↑↓", strict=True)),
+            field=self._field_line(),
+            marking=tool == TWO_STARS,
+            marks=self.marks,
+            listed=listed,
+            solution=solution_shown(session.state.pointing),
+            residuals=residual_plots(rows, RESIDUAL_PLOT_PX),
+            vectors=vector_plot(rows, VECTOR_PLOT_PX),
         )
 
     def _field_line(self) -> str:
-        found = self.bench.session.state.star_field
+        found = self.runner.session.state.star_field
         if found is None:
             return "the field lies at its a priori place"
         return (
@@ -194,42 +174,27 @@ class PointingTab(Tab):
     # -- actions -----------------------------------------------------------------------------------------------
 
     def _find(self) -> None:
-        self.bench.tool = ""
-        session = self.bench.session
-
-        def said() -> str:
-            used = int(session.state.mask("used").sum())
-            return f"{used} stars found. {' '.join(session.state.notes.get('stars', ()))}".strip()
-
-        self.bench.run("finding stars", session.find_stars, said)
+        self.runner.tool = ""
+        self.runner.find_stars()
 
     def _next_model(self) -> None:
         models = list(POINTING_MODELS)
-        self.bench.model = models[(models.index(self.bench.model) + 1) % len(models)]
-        if self.bench.session.state.pointing is not None:
-            self.bench.repoint()
+        self.runner.model = models[(models.index(self.runner.model) + 1) % len(models)]
+        if self.runner.session.state.pointing is not None:
+            self.runner.repoint()
         else:
-            self.bench.status.say(f"model: {MODEL_WORDS[self.bench.model]}")
-
-    def _nudge_tool(self) -> None:
-        self.bench.tool = "" if self.bench.tool == "nudge" else "nudge"
-        if self.bench.tool:
-            self.bench.status.say(
-                "arrow keys move the field 1 px, with Shift 10 px; < and > turn it; F finds the stars."
-            )
+            self.runner.status.say(f"model: {MODEL_WORDS[self.runner.model]}")
 
     def _nudging(self, across: float, down: float, turn_deg: float = 0.0) -> Handler:
         def nudge(_: PageEvent) -> None:
-            session = self.bench.session
-            self.bench.run("nudging", lambda: session.nudge(across, down, turn_deg), self._field_line)
+            session = self.runner.session
+            self.runner.run("nudging", lambda: session.nudge(across, down, turn_deg), self._field_line)
 
         return nudge
 
     def _mark_tool(self) -> None:
-        self.bench.tool = "" if self.bench.tool == "two_star" else "two_star"
         self.marks = TwoStarMarks()
-        if self.bench.tool:
-            self.bench.status.say(self.marks.prompt)
+        self.runner.toggle_tool(TWO_STARS, self.marks.prompt)
 
     def _name(self, event: PageEvent) -> None:
         self.marks = self.marks.named(int(event["arg"]), str(event["value"]))
@@ -238,51 +203,59 @@ class PointingTab(Tab):
         marks = self.marks
         if not marks.complete:
             raise SessionError(marks.prompt)
-        session, names = self.bench.session, marks.names()
+        session, names = self.runner.session, marks.names()
 
         def work() -> None:
             session.two_star_pointing(marks.places, names, "marked in the picture")
             session.find_stars()
-            self.bench.tool = ""
+            self.runner.tool = ""
 
-        self.bench.run(
+        self.runner.run(
             "solving from two stars", work, lambda: f"{self._field_line()}; P solves the pointing."
         )
 
     def tapped(self, pixel: float, line: float) -> None:
         """Mark a star."""
-        if self.bench.tool == "two_star":
+        if self.runner.tool == TWO_STARS:
             self.marks = self.marks.marked(pixel, line)
-            self.bench.status.say(self.marks.prompt)
+            self.runner.status.say(self.marks.prompt)
 
-    def abandon(self) -> bool:
+    def drop_unfinished(self) -> bool:
         """Take back the last mark."""
-        if self.bench.tool != "two_star" or not self.marks.places:
+        if self.runner.tool != TWO_STARS or not self.marks.places:
             return False
         self.marks = self.marks.back()
         return True
 
 
-def solution_html(pointing: PointingSolution | None) -> str:
-    """Return the solution and its iterations as a table (the paper's Table 2)."""
+@dataclass(frozen=True, slots=True)
+class SolutionShown:
+    """The solution as the page shows it: one line, its messages, and its iterations (the paper's Table 2).
+
+    Attributes
+    ----------
+    rows : list of (name, pixel, line, twist)
+        Each iteration and the sum; px, lines, deg.
+    """
+
+    line: str
+    messages: tuple[str, ...]
+    rows: list[tuple[str, float, float, float]]
+
+
+def solution_shown(pointing: PointingSolution | None) -> SolutionShown | None:
+    """Return the solution as the page shows it; None where the a priori pointing stands."""
     if pointing is None:
-        return '<p class="hint">No pointing is solved: the a priori one stands.</p>'
+        return None
     sigma = ARCSEC_PER_RAD * np.sqrt(np.diag(pointing.covariance_rad2))
-    head = (
-        f'<p class="solution">RA {np.degrees(pointing.ra_rad):.5f}°, Dec {np.degrees(pointing.dec_rad):+.5f}°, '
+    line = (
+        f"RA {np.degrees(pointing.ra_rad):.5f}°, Dec {np.degrees(pointing.dec_rad):+.5f}°, "
         f"twist {np.degrees(pointing.twist_rad):.4f}°; sigma about the camera's x, y, z "
-        f"{sigma[0]:.2g}, {sigma[1]:.2g}, {sigma[2]:.2g} arcsec; {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px</p>"
+        f"{sigma[0]:.2g}, {sigma[1]:.2g}, {sigma[2]:.2g} arcsec; {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px"
     )
-    said = "".join(f'<p class="hint">{text(message)}</p>' for message in pointing.messages)
-    steps = [
-        (i.delta_pixel, i.delta_line, i.delta_twist_rad, str(n)) for n, i in enumerate(pointing.iterations, 1)
+    steps = [(str(number), step) for number, step in enumerate(pointing.iterations, 1)]
+    rows = [
+        (name, step.delta_pixel, step.delta_line, float(np.degrees(step.delta_twist_rad)))
+        for name, step in [*steps, ("sum", pointing)]
     ]
-    total = (pointing.delta_pixel, pointing.delta_line, pointing.delta_twist_rad, "sum")
-    rows = "".join(
-        f"<tr><td>{name}</td><td>{pixel:+.4f}</td><td>{line:+.4f}</td><td>{np.degrees(twist):+.5f}</td></tr>"
-        for pixel, line, twist, name in [*steps, total]
-    )
-    return (
-        f"{head}{said}<table><thead><tr><th>iteration</th><th>pixel</th><th>line</th><th>twist, deg</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table>"
-    )
+    return SolutionShown(line, tuple(pointing.messages), rows)

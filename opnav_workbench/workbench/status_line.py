@@ -3,7 +3,6 @@
 Tracebacks of unforeseen errors go to ``workbench_errors.log`` in the session's folder.
 """
 
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,7 +11,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.workbench.markup import text
 
 __all__ = ["Status", "plain_words"]
 
@@ -85,12 +83,3 @@ class Status:
             message = done() if callable(done) else done
             if message:
                 self.say(message, "done")
-
-    def html(self, progress: float | None = None, started_s: float | None = None) -> str:
-        """Return the line; with a bar where something is running."""
-        bar = ""
-        if self.kind == "busy":
-            share = "" if progress is None else f' value="{progress:.3f}"'
-            since = "" if started_s is None else f"<span>{time.monotonic() - started_s:.0f} s</span>"
-            bar = f'<progress max="1"{share}></progress>{since}<button data-act="escape">Cancel<kbd>Esc</kbd></button>'
-        return f'<div class="status {self.kind}" role="status"><span class="message">{text(self.message)}</span>{bar}</div>'

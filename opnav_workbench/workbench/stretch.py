@@ -7,7 +7,6 @@ PNGs are made of small cutouts (gray, or blue-white-orange for residuals) and of
 ends without a live kernel.
 """
 
-import base64
 import io
 from collections.abc import Callable
 from types import MappingProxyType
@@ -140,37 +139,36 @@ def shades(
     return np.asarray(np.clip((STRETCHES[stretch](share) - bias) * contrast + 0.5, 0.0, 1.0))
 
 
-# ---- Small pieces of HTML for the workbench's regions; every text goes through `text`, so that none can ...
+# ---- PNGs of small cutouts: gray, or blue-white-orange for residuals.
 
-ASINH_SOFTENING = 0.1  # of the range: faint wings are seen beside a bright core
 RESIDUAL_SIGMAS = 5.0  # full color of the residual picture
 MASKED_GRAY = (128, 128, 128)
 # Residual pictures run from blue through white to orange, which color-blind readers can tell apart.
 BELOW, ABOVE = (33, 102, 172), (214, 96, 0)
 
 
-def gray_png(image_dn: FloatArray, low_dn: float, high_dn: float) -> str:
-    """Return a picture (n_line, n_pixel) in an asinh stretch as PNG, base64; not-finite pixels are mid-gray."""
+def gray_png(image_dn: FloatArray, low_dn: float, high_dn: float) -> bytes:
+    """Return a picture (n_line, n_pixel) in an asinh stretch as PNG; not-finite pixels are mid-gray."""
     shown = np.isfinite(image_dn)
-    share = np.clip((np.where(shown, image_dn, low_dn) - low_dn) / max(high_dn - low_dn, 1e-12), 0.0, 1.0)
-    value = np.arcsinh(share / ASINH_SOFTENING) / np.arcsinh(1.0 / ASINH_SOFTENING)
+    high_dn = high_dn if high_dn > low_dn else low_dn + 1.0
+    value = shades(np.where(shown, image_dn, low_dn), low_dn, high_dn, "asinh")
     gray = np.where(shown, np.rint(255.0 * value), MASKED_GRAY[0]).astype(np.uint8)
-    return _png_base64(Image.fromarray(gray))
+    return _quick_png(Image.fromarray(gray))
 
 
-def residual_png(residual_dn: FloatArray, full_dn: float) -> str:
-    """Return a residual picture as PNG, base64: white is zero, blue below, orange above; masked pixels are gray."""
+def residual_png(residual_dn: FloatArray, full_dn: float) -> bytes:
+    """Return a residual picture as PNG: white is zero, blue below, orange above; masked pixels are gray."""
     shown = np.isfinite(residual_dn)
     share = np.clip(np.where(shown, residual_dn, 0.0) / max(full_dn, 1e-12), -1.0, 1.0)[..., None]
     ends = np.where(share < 0.0, np.array(BELOW), np.array(ABOVE))
     color = np.where(shown[..., None], 255.0 + np.abs(share) * (ends - 255.0), np.array(MASKED_GRAY))
-    return _png_base64(Image.fromarray(np.rint(color).astype(np.uint8)))
+    return _quick_png(Image.fromarray(np.rint(color).astype(np.uint8)))
 
 
-def _png_base64(picture: Image.Image) -> str:
+def _quick_png(picture: Image.Image) -> bytes:
     stream = io.BytesIO()
     picture.save(stream, "PNG", optimize=False, compress_level=1)
-    return base64.b64encode(stream.getvalue()).decode("ascii")
+    return stream.getvalue()
 
 
 # ---- What a front end without a live kernel shows: a message, and the picture as it was.

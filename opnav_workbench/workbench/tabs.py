@@ -12,18 +12,114 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession, JournalEntry
 from opnav_workbench.workbench.actions import ActionRegistry
 from opnav_workbench.workbench.image_queue import ImageQueue
-from opnav_workbench.workbench.markup import button
 from opnav_workbench.workbench.status_line import Status
 from opnav_workbench.workbench.viewer import Viewer
 
-__all__ = ["ARROW_STEPS", "Handler", "PageEvent", "StepRunner", "Tab"]
+__all__ = [
+    "ARROW_STEPS",
+    "Handler",
+    "PageEvent",
+    "StarSearch",
+    "StepRunner",
+    "Tab",
+    "entry_words",
+    "typed_number",
+]
 
 
-# ---- The bench that the desks (tabs) share: the session at hand, the picture, the status line, and how steps ...
+# ---- How stars are searched: radius and template, changed on the spot.
+
+# Star template of the search: a well-exposed star of the picture, the star under decision, or the camera's Gaussian.
+TEMPLATES = ("a bright star", "this star", "Gaussian")
+RADIUS_STEP = 1.5  # factor of one key press
+MIN_RADIUS_PX, MAX_RADIUS_PX = 1.0, 80.0
+
+
+@dataclass(slots=True)
+class StarSearch:
+    """What the analyst chose.
+
+    Attributes
+    ----------
+    template : str
+        One of `TEMPLATES`.
+    template_star : str or None
+        Catalog id of the star that is the template.
+    radius_px : float or None
+        None: as the settings say.
+    """
+
+    template: str = TEMPLATES[0]
+    template_star: str | None = None
+    radius_px: float | None = None
+
+    @property
+    def method(self) -> str:
+        """Method of the first search."""
+        return "cross_correlation" if self.template == "Gaussian" else "matched_filter"
+
+    def next_template(self, star: str) -> str:
+        """Take the next template; return what to say.  `star` is the one under decision.
+
+        Examples
+        --------
+        >>> search = StarSearch()
+        >>> search.next_template("HIP 1"), search.next_template("HIP 1"), search.method
+        ('template: HIP 1', 'template: Gaussian', 'cross_correlation')
+        """
+        self.template = TEMPLATES[(TEMPLATES.index(self.template) + 1) % len(TEMPLATES)]
+        self.template_star = star if self.template == "this star" else None
+        return f"template: {self.template_star or self.template}"
+
+    def set_radius(self, radius_px: float) -> str:
+        """Take another radius, within the limits; return what to say."""
+        self.radius_px = round(float(np.clip(radius_px, MIN_RADIUS_PX, MAX_RADIUS_PX)), 2)
+        return f"search radius {self.radius_px:g} px"
+
+    def step_radius(self, present_px: float, steps: int) -> str:
+        """Take a radius some key presses larger (or smaller) than the present one."""
+        return self.set_radius(present_px * RADIUS_STEP**steps)
+
+    def type_radius(self, typed: str) -> str:
+        """Take a radius typed by the analyst.
+
+        Raises
+        ------
+        SessionError
+            It is no number.
+        """
+        radius = typed_number(typed)
+        if radius is None:
+            raise SessionError(f"the search radius is a number of pixels, not {typed!r}.")
+        return self.set_radius(radius)
+
+    def refit_options(self, present_px: float) -> dict[str, Any]:
+        """Return the arguments of `ImageSession.refit_stars`."""
+        return {"initial": self.method, "search_radius_px": present_px, "template": self.template_star}
+
+
+def typed_number(typed: str) -> float | None:
+    """Return the finite number that a person typed; None where it is none.
+
+    Examples
+    --------
+    >>> typed_number(" 3.5"), typed_number("inf"), typed_number("wide")
+    (3.5, None, None)
+    """
+    try:
+        number = float(typed)
+    except ValueError:
+        return None
+    return number if np.isfinite(number) else None
+
+
+# ---- The runner: the session at hand, the picture, the status line and the tool in use; and how steps are run.
 
 AT_ONCE_S = 0.15  # a step that takes less is simply done; a longer one shows progress and can be cancelled
 TICK_S = 1.0
@@ -40,11 +136,11 @@ class RunningStep:
     """Work under way in a thread of its own."""
 
     label: str
-    said: str | Callable[[], str] = ""
+    message: str | Callable[[], str] = ""
     started_s: float = field(default_factory=time.monotonic)
     progress: float | None = None  # 0..1, None where a step cannot tell
     finished: threading.Event = field(default_factory=threading.Event)
-    handover: threading.Lock = field(default_factory=threading.Lock)
+    concluding: threading.Lock = field(default_factory=threading.Lock)
     background: bool = False  # nobody waits for it any more: its own thread reports
     cancelled: bool = False
     error: BaseException | None = None
@@ -58,21 +154,38 @@ class StepRunner:
     queue : ImageQueue
     viewer : Viewer
     status : Status
+
+    Attributes
+    ----------
+    tool : str
+        What a click or a drag in the picture means, one of the tools in `actions`; empty: nothing.
+    menu : str
+        The menu that is open.
+    examine_each : bool
+        The paper's "forces the user to manually examine each extracted area".
+    search : StarSearch
+    model : str
+        Of the pointing.
+    running : RunningStep or None
+    repaint : callable
+        Set by the workbench.
+    repainting : int
+        Everything is painted when this is 0 again: the status line waits for it.
     """
 
     def __init__(self, queue: ImageQueue, viewer: Viewer, status: Status) -> None:
         self.queue = queue
         self.viewer = viewer
         self.status = status
-        self.tool = ""  # what a click in the picture means; empty: look
-        self.menu = ""  # the menu that is open
-        self.examine_each = False  # the paper's "forces the user to manually examine each extracted area"
+        self.tool = self.menu = ""
+        self.examine_each = False
+        self.search = StarSearch()
         self.model = "euler"
         self.lock = threading.RLock()
-        self.job: RunningStep | None = None
-        self.changed: Callable[[], None] = lambda: None  # repaints; set by the workbench
-        self.repainting = 0  # everything is painted when this is 0 again: the status line waits for it
-        self._mine = threading.local()  # the job that the present thread works for
+        self.running: RunningStep | None = None
+        self.repaint: Callable[[], None] = lambda: None
+        self.repainting = 0
+        self._thread = threading.local()  # the step that the present thread works for
 
     @property
     def session(self) -> ImageSession:
@@ -86,54 +199,54 @@ class StepRunner:
 
         What goes wrong appears in the status line; nothing is raised.
         """
-        if self.job is not None:
-            self.status.say(f"still {self.job.label}; Esc cancels it.", "busy")
+        if self.running is not None:
+            self.status.say(f"still {self.running.label}; Esc cancels it.", "busy")
             return
-        job = self.job = RunningStep(label, done)
-        threading.Thread(target=self._work, args=(job, work), daemon=True).start()
-        job.finished.wait(AT_ONCE_S)
-        with job.handover:
-            job.background = not job.finished.is_set()
-        if job.background:
+        step = self.running = RunningStep(label, done)
+        threading.Thread(target=self._work, args=(step, work), daemon=True).start()
+        step.finished.wait(AT_ONCE_S)
+        with step.concluding:
+            step.background = not step.finished.is_set()
+        if step.background:
             self.status.say(f"{label} ...", "busy")
-            threading.Thread(target=self._tick, args=(job,), daemon=True).start()
+            threading.Thread(target=self._tick, args=(step,), daemon=True).start()
         else:
-            self._conclude(job)
+            self._conclude(step)
 
-    def _work(self, job: RunningStep, work: Callable[[], object]) -> None:
-        self._mine.job = job
+    def _work(self, step: RunningStep, work: Callable[[], object]) -> None:
+        self._thread.step = step
         session = self.queue.opened
         try:
             if session is not None:
                 session.checkpoint = self.checkpoint
             work()
         except Exception as error:  # shown in the status line, whatever it is
-            job.error = error
-        with job.handover:
-            job.finished.set()
-        if job.background:
+            step.error = error
+        with step.concluding:
+            step.finished.set()
+        if step.background:
             with self.lock, self.painting():
-                self._conclude(job)
+                self._conclude(step)
 
-    def _conclude(self, job: RunningStep) -> None:
-        if self.job is not job:
+    def _conclude(self, step: RunningStep) -> None:
+        if self.running is not step:
             return  # cancelled meanwhile
-        self.job = None
-        if job.error is not None:
-            self.status.fail(job.error)
+        self.running = None
+        if step.error is not None:
+            self.status.fail(step.error)
             return
         with self.status.reporting():
-            message = job.said() if callable(job.said) else job.said
-            self.status.say(message or f"{job.label}: done.", "done")
+            message = step.message() if callable(step.message) else step.message
+            self.status.say(message or f"{step.label}: done.", "done")
 
-    def _tick(self, job: RunningStep) -> None:
-        while not job.finished.wait(TICK_S) and self.job is job:
-            self.changed()
+    def _tick(self, step: RunningStep) -> None:
+        while not step.finished.wait(TICK_S) and self.running is step:
+            self.repaint()
 
     def wait(self, timeout_s: float = 60.0) -> None:
         """Wait until nothing runs: for scripts and tests, which have no page to keep alive."""
         deadline = time.monotonic() + timeout_s
-        while self.job is not None and time.monotonic() < deadline:
+        while self.running is not None and time.monotonic() < deadline:
             time.sleep(0.005)
         with self.lock:
             return  # what was concluded is told, too
@@ -147,23 +260,35 @@ class StepRunner:
         finally:
             self.repainting -= 1
             if not self.repainting:
-                self.changed()
+                self.repaint()
+
+    @contextmanager
+    def handling(self) -> Iterator[None]:
+        """Handle what the page reports: one event at a time; then paint, and tell what went wrong."""
+        with self.lock, self.painting(), self.status.reporting():
+            yield
+
+    def toggle_tool(self, tool: str, prompt: str) -> None:
+        """Take a tool and say what to do with it, or put it away."""
+        self.tool = "" if self.tool == tool else tool
+        if self.tool:
+            self.status.say(prompt)
 
     def checkpoint(self) -> None:
         """Stop a cancelled step before anything of it is recorded."""
-        job: RunningStep | None = getattr(self._mine, "job", None)
-        if job is not None and job.cancelled:
-            raise StepCancelledError(f"{job.label} was cancelled; nothing was changed.")
+        step: RunningStep | None = getattr(self._thread, "step", None)
+        if step is not None and step.cancelled:
+            raise StepCancelledError(f"{step.label} was cancelled; nothing was changed.")
 
     def cancel(self) -> bool:
         """Cancel what is running; False where nothing is.  Its thread ends by itself and records nothing."""
         with self.lock:
-            job = self.job
-            if job is None:
+            step = self.running
+            if step is None:
                 return False
-            job.cancelled = True
-            self.job = None
-            self.status.say(f"{job.label} cancelled; nothing was changed.", "info")
+            step.cancelled = True
+            self.running = None
+            self.status.say(f"{step.label} cancelled; nothing was changed.", "info")
         return True
 
     # -- undo --------------------------------------------------------------------------------------------------
@@ -173,7 +298,7 @@ class StepRunner:
         taken = self.session.undo()
         if taken.reason == FOLLOWS_DECISION:
             taken = self.session.undo()
-        self.status.say(f"undone: {_entry_words(taken)}", "done")
+        self.status.say(f"undone: {entry_words(taken)}", "done")
         return taken
 
     def redo(self) -> None:
@@ -182,9 +307,26 @@ class StepRunner:
         undone = self.session.undone
         if undone and undone[0].reason == FOLLOWS_DECISION:
             self.session.redo()
-        self.status.say(f"done again: {_entry_words(entry)}", "done")
+        self.status.say(f"done again: {entry_words(entry)}", "done")
 
     # -- stars and pointing, used by two tabs -----------------------------------------------------------------
+
+    def find_stars(self, then: Callable[[], None] = lambda: None) -> None:
+        """Predict if need be, then find all stars as `search` says."""
+
+        def work() -> None:
+            session = self.session
+            if session.state.a_priori is None:
+                session.predict()
+            session.find_stars(self.search.method, search_radius_px=self.search.radius_px)
+            then()
+
+        self.run("finding stars", work, self._found_line)
+
+    def _found_line(self) -> str:
+        state = self.session.state
+        used, on_detector = int(state.mask("used").sum()), int((~state.mask("off_detector")).sum())
+        return f"{used} of {on_detector} stars found. {' '.join(state.notes.get('stars', ()))}".strip()
 
     def decide(self, decision: Callable[[], object], done: str | Callable[[], str]) -> None:
         """Take a decision on stars; where a pointing stands, solve it again with what is then in use."""
@@ -242,7 +384,8 @@ class StepRunner:
         )
 
 
-def _entry_words(entry: JournalEntry) -> str:
+def entry_words(entry: JournalEntry) -> str:
+    """Return a step of the journal as a person reads it."""
     return entry.step.replace("_", " ") + (f" ({entry.outcome})" if entry.outcome else "")
 
 
@@ -259,14 +402,14 @@ class Tab:
 
     Parameters
     ----------
-    bench : Bench
+    runner : StepRunner
     registry : ActionRegistry
     """
 
     name = ""
 
-    def __init__(self, bench: StepRunner, registry: ActionRegistry) -> None:
-        self.bench = bench
+    def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
+        self.runner = runner
         self.registry = registry
 
     def handlers(self) -> dict[str, Handler]:
@@ -277,7 +420,7 @@ class Tab:
         """Return its page."""
         raise NotImplementedError
 
-    def entered(self) -> None:
+    def on_enter(self) -> None:
         """Take note that the tab, or another image, is shown now."""
 
     def draw(self) -> None:
@@ -289,10 +432,6 @@ class Tab:
     def dragged(self, pixel0: float, line0: float, pixel1: float, line1: float) -> None:
         """Take a drag in the picture."""
 
-    def abandon(self) -> bool:
+    def drop_unfinished(self) -> bool:
         """Drop a shape that is half drawn; False where there is none."""
         return False
-
-    def button(self, name: str, **options: Any) -> str:
-        """Return the button of an action."""
-        return button(self.registry[name], **options)

@@ -64,11 +64,11 @@ class Hands:
 
     @property
     def said(self) -> str:
-        return self.controller.bench.status.message
+        return self.controller.runner.status.message
 
     @property
     def kind(self) -> str:
-        return self.controller.bench.status.kind
+        return self.controller.runner.status.kind
 
     @property
     def panel(self) -> str:
@@ -84,15 +84,15 @@ class Hands:
 
     def send(self, act: str, **event: Any) -> None:
         self.controller.handle({"act": act} | event)
-        self.controller.bench.wait()
+        self.controller.runner.wait()
 
     def tap(self, pixel: float, line: float) -> None:
         self.viewer.tap(pixel, line)
-        self.controller.bench.wait()
+        self.controller.runner.wait()
 
     def drag(self, *ends: float) -> None:
         self.viewer.drag(*ends)
-        self.controller.bench.wait()
+        self.controller.runner.wait()
 
 
 @pytest.fixture

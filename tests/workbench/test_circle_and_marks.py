@@ -110,7 +110,7 @@ def test_two_stars_by_hand_solve_the_field(star_hands):
     star_hands.send("two_star_solve")
     assert star_hands.steps[-2:] == ["two_star_pointing", "find_stars"]
     assert star_hands.session.state.mask("used").sum() == 15
-    assert star_hands.controller.bench.tool == ""
+    assert star_hands.controller.runner.tool == ""
 
 
 def test_undo_takes_back_a_mark_before_any_step(star_hands):
@@ -118,7 +118,7 @@ def test_undo_takes_back_a_mark_before_any_step(star_hands):
     star_hands.press("2", "w")
     star_hands.tap(100.0, 50.0)
     star_hands.press("Ctrl+z")
-    assert star_hands.controller.desk.marks.places == ()
+    assert star_hands.controller.current_tab.marks.places == ()
     assert star_hands.steps == steps
 
 

@@ -30,7 +30,7 @@ def test_rejecting_asks_for_the_reason_by_digit(star_hands):
 
 def test_escape_closes_the_menu_and_digits_mean_tabs_again(star_hands):
     star_hands.press("r", "Escape", "2")
-    assert star_hands.controller.tab == "pointing"
+    assert star_hands.controller.tab_name == "pointing"
     assert star_hands.session.state.decisions == {}
 
 

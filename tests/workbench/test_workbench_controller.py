@@ -44,11 +44,11 @@ def test_every_page_is_well_formed_at_every_stage(star_hands):
     for stage in ((), ("p",), ("r",), ("1",)):
         star_hands.press(*stage)
         for tab in "1234":
-            if star_hands.controller.bench.menu:
+            if star_hands.controller.runner.menu:
                 break
             star_hands.press(tab)
             assert all(balanced(html) for html in star_hands.controller.regions().values())
-        star_hands.press("1") if not star_hands.controller.bench.menu else None
+        star_hands.press("1") if not star_hands.controller.runner.menu else None
     star_hands.press("?")
     assert balanced(star_hands.panel)
     assert "Take back the last step" in star_hands.panel
@@ -76,8 +76,8 @@ def test_an_image_that_cannot_be_opened_says_why(hands_on, demo_truths, tmp_path
     hands = hands_on(demo_truths[0].picture)
     controller = WorkbenchController(queue, hands.viewer)
     controller.handle({"act": "key", "arg": "PageDown"})
-    assert controller.bench.status.kind == "error"
-    assert "broken.fit" in controller.bench.status.message
+    assert controller.runner.status.kind == "error"
+    assert "broken.fit" in controller.runner.status.message
     assert "broken.fit" in controller.regions()["panel"]
     controller.handle({"act": "key", "arg": "PageUp"})
     assert controller.queue.session.context.frame.path == demo_truths[0].picture
@@ -91,7 +91,7 @@ def test_list_is_resumed_where_it_was_left(hands_on, demo_truths, tmp_path):
     first = opened()
     for key in ("f", "a", "a", "Ctrl+z"):
         first.handle({"act": "key", "arg": key})
-        first.bench.wait()
+        first.runner.wait()
     state = first.queue.session.state
     again = opened()
     assert dict(again.queue.session.state.decisions) == dict(state.decisions)
@@ -163,14 +163,14 @@ def test_long_work_shows_progress_and_can_be_cancelled(star_hands, monkeypatch):
 
     monkeypatch.setattr(star_hands.session, "repoint", slow)
     star_hands.controller.handle({"act": "key", "arg": "p"})
-    assert star_hands.controller.bench.job is not None
+    assert star_hands.controller.runner.running is not None
     assert "<progress" in star_hands.controller.regions()["status"]
     star_hands.controller.handle({"act": "key", "arg": "n"})  # looking around goes on
     star_hands.controller.handle({"act": "key", "arg": "a"})  # a second step does not
     assert "still solving the pointing" in star_hands.said
     star_hands.controller.handle({"act": "key", "arg": "Escape"})
     assert "cancelled; nothing was changed" in star_hands.said
-    assert star_hands.controller.bench.job is None
+    assert star_hands.controller.runner.running is None
     go_on.set()
     monkeypatch.undo()
     deadline = time.monotonic() + 5.0
@@ -205,7 +205,7 @@ def test_page_stays_alive_during_a_long_step_of_the_session_itself(star_hands):
 
 def test_steps_from_elsewhere_are_shown(star_hands):
     painted = []
-    star_hands.controller.painted = painted.append
+    star_hands.controller.on_render = painted.append
     star_hands.session.accept_stars([star_hands.controller.stars.ids[4]])
     assert painted
     assert "14 undecided" in painted[-1]["panel"]

@@ -1,4 +1,4 @@
-// RA and Dec of a place in the picture, as widgets/readout.py describes it.
+// RA and Dec of a place in the picture, as readout.py describes it.
 
 function chebyshev(series, x) {
   let [b1, b2] = [0, 0];

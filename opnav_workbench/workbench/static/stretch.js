@@ -1,4 +1,4 @@
-// From DN to colors in the page, as widgets/stretch.py describes it, so that a change of stretch sends no pixels.
+// From DN to colors in the page, as stretch.py describes it, so that a change of stretch sends no pixels.
 
 const LEVELS = 16384; // of the table; log's steep foot then moves by 2 of 256 shades from one level to the next
 const NO_VALUE = 0xff808080; // mid-gray, for pixels without a number

@@ -1,6 +1,6 @@
 // One region of the workbench: shows the HTML that Python renders, and reports clicks, fields, boxes and keys.
 // Python decides everything; here is no state but what the browser must keep (focus, scroll, an open drag).
-// static/keys.js stands before this file: keyName, isTyping.
+// keys.js stands before this file: keyName, isTyping.
 
 const ROOT = ".opnav-workbench";
 const SILENCE_MS = 6000; // a kernel that says nothing for so long after an event is dead or stuck
