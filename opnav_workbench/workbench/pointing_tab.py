@@ -253,9 +253,8 @@ def solution_shown(pointing: PointingSolution | None) -> SolutionShown | None:
         f"twist {np.degrees(pointing.twist_rad):.4f}°; sigma about the camera's x, y, z "
         f"{sigma[0]:.2g}, {sigma[1]:.2g}, {sigma[2]:.2g} arcsec; {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px"
     )
-    steps = [(str(number), step) for number, step in enumerate(pointing.iterations, 1)]
-    rows = [
-        (name, step.delta_pixel, step.delta_line, float(np.degrees(step.delta_twist_rad)))
-        for name, step in [*steps, ("sum", pointing)]
-    ]
+    moves = [(i.delta_pixel, i.delta_line, i.delta_twist_rad) for i in pointing.iterations]
+    total = (pointing.delta_pixel, pointing.delta_line, pointing.delta_twist_rad)
+    named = [*((str(number), move) for number, move in enumerate(moves, 1)), ("sum", total)]
+    rows = [(name, pixel, lines, float(np.degrees(twist))) for name, (pixel, lines, twist) in named]
     return SolutionShown(line, tuple(pointing.messages), rows)
