@@ -9,6 +9,7 @@ __all__ = [
     "ARCSEC_PER_RAD",
     "AU_KM",
     "DAY_S",
+    "EARTH_ID",
     "FASTEST_STAR_RAD_YR",
     "FWHM_PER_SIGMA",
     "HOUR_S",
@@ -16,6 +17,7 @@ __all__ = [
     "J2000_JYEAR",
     "JULIAN_YEAR_S",
     "KM_S_PER_AU_YEAR",
+    "LAST_BARYCENTER_ID",
     "MAD_TO_SIGMA",
     "MINUTE_S",
     "OBLIQUITY_J2000_RAD",
@@ -23,7 +25,9 @@ __all__ = [
     "RAD_PER_DEG",
     "RAD_PER_MAS",
     "SOLAR_CONSTANT_W_M2",
+    "SOLAR_SYSTEM_BARYCENTER_ID",
     "SPEED_OF_LIGHT_KM_S",
+    "SUN_ID",
     "SUN_RADIUS_KM",
 ]
 
@@ -55,6 +59,13 @@ OBLIQUITY_J2000_RAD = math.radians(84_381.448 / HOUR_S)  # IAU 1976, as SPICE's 
 FASTEST_STAR_RAD_YR = (
     10_400.0 * RAD_PER_MAS
 )  # Barnard's star (Benedict et al. 1999, AJ 118, 1086); none moves faster
+
+
+# ---- NAIF's numbers of bodies.
+
+SUN_ID, EARTH_ID = 10, 399
+SOLAR_SYSTEM_BARYCENTER_ID = 0
+LAST_BARYCENTER_ID = 9  # 0..9 are barycenters, where nothing is to be seen
 
 
 # ---- Statistics.

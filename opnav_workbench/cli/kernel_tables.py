@@ -77,7 +77,7 @@ def print_fetched(console: Console, fetched: FetchedKernels) -> None:
     table = folding_table(("kind", "file", "size", "state"))
     table.columns[2].justify = "right"
     for item in fetched.kernels:
-        state = "was here" if item.was_there else "[green]fetched[/]"
+        state = "was here" if item.already_present else "[green]fetched[/]"
         digest = "[yellow]trusted, first time[/]" if item.trusted else "verified"
         table.add_row(item.kernel.kind, escape(item.kernel.file), decimal(item.size), f"{state}, {digest}")
     console.print(table)
@@ -182,7 +182,7 @@ def print_check(console: Console, check: KernelCheck) -> None:
     console.print(_kind_table(check))
     if check.rows:
         console.print()
-        axis = check.axis_et()
+        axis = check.plot_span_et()
         console.print(_coverage_table(check, axis, console.width))
         console.print(
             f"[dim]bars: {short_utc(axis[0])} to {short_utc(axis[1])} UTC{_mark_words(check)}[/]",

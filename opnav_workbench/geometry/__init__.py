@@ -4,6 +4,8 @@ Come in by the functions that the package exports, such as `apparent_direction`,
 
 ``aberration``
     Stellar aberration and its exact inverse.
+``aiming``
+    Attitudes that put a direction at a place on the detector; turns about a camera's own axes.
 ``conics``
     Limb and terminator of a triaxial ellipsoid, and the ellipse that a limb draws.
 ``rotations``

@@ -18,6 +18,7 @@ from enum import Enum
 import numpy as np
 import spiceypy
 
+from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.coverage import Coverage, ck_structures, windows_of
@@ -30,6 +31,7 @@ __all__ = [
     "loaded_text",
     "spice_call",
     "time_text",
+    "time_words",
     "toolkit_version",
     "unknown_body",
     "unlisted_explanation",
@@ -55,7 +57,7 @@ class CauseAndRemedy:
 
     cause: str
     remedy: str
-    look: Diagnosis | None = None
+    diagnosis: Diagnosis | None = None
 
 
 _NO_LSK = CauseAndRemedy(
@@ -113,7 +115,7 @@ FAILURE_MESSAGES = {
     "BADPARTNUMBER": _BAD_CLOCK,
     "NOPARTITION": _BAD_CLOCK,
     "VALUEOUTOFRANGE": replace(
-        _BAD_CLOCK, look=Diagnosis.ATTITUDE
+        _BAD_CLOCK, diagnosis=Diagnosis.ATTITUDE
     ),  # of an attitude: outside the clock's partitions
     "NUMBEREXPECTED": _BAD_CLOCK,
     # bodies and their states
@@ -220,7 +222,6 @@ VARIABLE_REMEDIES = (
 SHOWN_FILES = 12  # more names than this hide the message
 SHOWN_WINDOWS = 3
 NAMED_BODIES = range(1, 1000)  # Sun, planets, moons: SPICE knows these names by itself
-SOLAR_SYSTEM_BARYCENTER = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +246,7 @@ def unlisted_explanation(error: spiceypy.SpiceyError, request: SpiceRequest) -> 
     message = FAILURE_MESSAGES.get(short, UNKNOWN_FAILURE)
     cause, remedy = message.cause, message.remedy
     with contextlib.suppress(spiceypy.SpiceyError):  # a look that fails must not hide the failure
-        cause, remedy = _diagnosed(message.look, detail, request) or (cause, remedy)
+        cause, remedy = _diagnosed(message.diagnosis, detail, request) or (cause, remedy)
     cause, remedy = (
         t.replace("{detail}", detail).replace("{short}", short or "nothing found") for t in (cause, remedy)
     )
@@ -266,6 +267,12 @@ def time_text(et: float) -> str:
         return f"{spiceypy.et2utc(et, 'ISOC', 3)} UTC"
     except spiceypy.SpiceyError:
         return f"et {et:.3f} s"
+
+
+def time_words(et: float) -> str:
+    """Return the same, with the lock taken here."""
+    with pool.LOCK:
+        return time_text(et)
 
 
 def loaded_text() -> str:
@@ -293,7 +300,7 @@ def _ephemeris_gap(et: float, bodies: Iterable[str | int], detail: str) -> tuple
     """Name the bodies without coverage; SPICE may have stopped at one that the caller did not name."""
     stopped_at = re.findall(r"(?:state of|relative to) (-?\d+)", detail)
     numbers = dict.fromkeys(_number(b) for b in (*bodies, *stopped_at))
-    windows = [windows_of("SPK", n) for n in numbers if n is not None and n != SOLAR_SYSTEM_BARYCENTER]
+    windows = [windows_of("SPK", n) for n in numbers if n is not None and n != SOLAR_SYSTEM_BARYCENTER_ID]
     missing = [w for w in windows if not w.contains(et)]
     if missing:
         cause = ", and ".join(_spk_gap_text(w, et) for w in missing)
@@ -406,7 +413,7 @@ def spice_call(request: SpiceRequest | str, *, needs_kernels: bool = False) -> I
 
     Parameters
     ----------
-    request : Request or str
+    request : SpiceRequest or str
         What is asked; it begins the message. With time, bodies and frame the message says what covers them.
     needs_kernels : bool
         Refuse while no `KernelSet` is open.

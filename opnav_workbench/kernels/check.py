@@ -15,8 +15,8 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
 from opnav_workbench.errors import KernelError
-from opnav_workbench.kernels import coverage as cover
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import (
     SpiceRequest,
@@ -25,7 +25,17 @@ from opnav_workbench.kernels.calls import (
     unknown_body,
     unlisted_explanation,
 )
-from opnav_workbench.kernels.coverage import bodies_in, body_or_structure_name, gaps_between, overlaps_of
+from opnav_workbench.kernels.coverage import (
+    bodies_in,
+    body_or_structure_name,
+    ck_structures,
+    frame_number,
+    gaps_between,
+    held_bodies,
+    merged_windows,
+    overlaps_of,
+    windows_contain,
+)
 from opnav_workbench.kernels.files import KernelFile
 from opnav_workbench.kernels.kernel_set import KernelSet
 from opnav_workbench.kernels.loading import KernelSource
@@ -78,7 +88,7 @@ class CoverageRow:
 
     def covers(self, et: float) -> bool:
         """Tell whether a time lies in a window, ends included."""
-        return _contains(self.windows_et, et)
+        return windows_contain(self.windows_et, et)
 
     def gap_at(self, et: float) -> tuple[float, float]:
         """Return the stretch without data around a time, ends infinite before the first and after the last window."""
@@ -92,11 +102,7 @@ class CoverageRow:
 
     def files_at(self, et: float) -> tuple[Path, ...]:
         """Return the files that know it at a time, in loading order: the last one is used."""
-        return tuple(path for path, windows in self.files if _contains(windows, et))
-
-
-def _contains(windows: FloatArray, et: float) -> bool:
-    return bool(((windows[:, 0] <= et) & (et <= windows[:, 1])).any())
+        return tuple(path for path, windows in self.files if windows_contain(windows, et))
 
 
 class CheckScope:
@@ -111,11 +117,11 @@ class CheckScope:
     def __init__(self, spacecraft: int | None, targets: Sequence[str | int], frame: str | None) -> None:
         self.problems: list[str] = []
         held = held_bodies("SPK")
-        self.crafts = (
+        self.spacecraft_ids = (
             (spacecraft,) if spacecraft is not None else tuple(b for b in held if b in SPACECRAFT_IDS)
         )
         self.targets = tuple(number for target in targets for number in self._number(target))
-        self.bodies = tuple(dict.fromkeys((*self.crafts, *self.targets))) if targets else tuple(held)
+        self.bodies = tuple(dict.fromkeys((*self.spacecraft_ids, *self.targets))) if targets else tuple(held)
         self.frame = frame
         self.structures = self._structures(frame)
 
@@ -129,19 +135,13 @@ class CheckScope:
         if frame is None:
             return tuple(held_bodies("CK"))
         try:
-            return cover.ck_structures(cover.frame_number(frame))
+            return ck_structures(frame_number(frame))
         except spiceypy.SpiceyError as error:
             spiceypy.reset()
             self.problems.append(
                 unlisted_explanation(error, SpiceRequest(f"camera frame {frame}", frame=frame))
             )
             return ()
-
-
-def held_bodies(kind: str) -> list[int]:
-    """Return the bodies of all loaded SPKs, or the structures of all loaded CKs; lock held."""
-    files = (f.path for f in pool.loaded_files() if f.kind == kind)
-    return sorted({body for path in files for body in cover.bodies_in(path)})
 
 
 def coverage_rows(asked: CheckScope) -> tuple[CoverageRow, ...]:
@@ -153,16 +153,17 @@ def coverage_rows(asked: CheckScope) -> tuple[CoverageRow, ...]:
 
 
 def _row(kind: str, body: int, needed: bool, asked: CheckScope) -> CoverageRow:
-    paths = tuple(f.path for f in pool.loaded_files() if f.kind == kind and body in cover.bodies_in(f.path))
-    name = cover.body_or_structure_name(kind, body)
+    paths = tuple(f.path for f in pool.loaded_files() if f.kind == kind and body in bodies_in(f.path))
+    name = body_or_structure_name(kind, body)
     try:
-        merged = cover.merged_windows(kind, body, paths)
-        files = tuple((path, cover.merged_windows(kind, body, (path,))) for path in paths)
+        merged = merged_windows(kind, body, paths)
+        files = tuple((path, merged_windows(kind, body, (path,))) for path in paths)
     except spiceypy.SpiceyError as error:  # the clock of a CK, or the leap seconds, are missing
         spiceypy.reset()
         asked.problems.append(unlisted_explanation(error, SpiceRequest(f"times of the CK of {name}")))
         merged, files = np.empty((0, 2)), tuple((path, np.empty((0, 2))) for path in paths)
-    title = "CK" if kind == "CK" else "spacecraft SPK" if body in asked.crafts or body < 0 else "target SPK"
+    of_spacecraft = body in asked.spacecraft_ids or body < 0
+    title = "CK" if kind == "CK" else "spacecraft SPK" if of_spacecraft else "target SPK"
     overlaps = overlaps_of([windows for _, windows in files])
     return CoverageRow(title, body, name, merged, gaps_between(merged), overlaps, files, needed)
 
@@ -170,12 +171,11 @@ def _row(kind: str, body: int, needed: bool, asked: CheckScope) -> CoverageRow:
 # ---- One time: how a person may write it, and what of the kernels does not serve it.
 
 CLOCK_READING = re.compile(r"\d+/[\d:.-]+|\d+:\d+")  # with a partition, or counts and subcounts alone
-BARYCENTER = "0"  # of the solar system
 ARTICLE = {"CK": "a CK", "spacecraft SPK": "an SPK", "target SPK": "an SPK"}
 SHOWN_NAMES = 6  # of bodies that share a gap
 
 
-def et_from_any_time(time: str | float, crafts: Sequence[int]) -> float:
+def et_from_any_time(time: str | float, spacecraft_ids: Sequence[int]) -> float:
     """Return the et of a UTC string, a spacecraft clock reading or a number of TDB seconds.
 
     Raises
@@ -188,7 +188,7 @@ def et_from_any_time(time: str | float, crafts: Sequence[int]) -> float:
     except ValueError:
         text = str(time).strip()
     if CLOCK_READING.fullmatch(text):
-        clocks = [c for c in crafts if pool.pool_value(f"SCLK_DATA_TYPE_{-c}") is not None]
+        clocks = [c for c in spacecraft_ids if pool.pool_value(f"SCLK_DATA_TYPE_{-c}") is not None]
         if not clocks:
             raise KernelError(
                 f"the clock reading {text!r} needs the SCLK kernel of the spacecraft; add it, or give UTC."
@@ -210,7 +210,7 @@ def problems_at(et: float, asked: CheckScope, rows: Sequence[CoverageRow]) -> li
         found += _unconnected(et, asked)
     if "CK" not in kinds and asked.frame is not None and not asked.problems:
         found += _attitude_problems(SpiceRequest(f"attitude of {asked.frame}", et, frame=asked.frame))
-    found += _clock_problems(et, asked.crafts)
+    found += _clock_problems(et, asked.spacecraft_ids)
     return found + _constant_problems(et, asked.targets)
 
 
@@ -250,12 +250,12 @@ def _gap(row: CoverageRow, et: float) -> str:
 
 def _unconnected(et: float, asked: CheckScope) -> list[str]:
     """Return failures of positions whose bodies have windows: a center is missing, or one light time of data."""
-    if not asked.crafts:
+    if not asked.spacecraft_ids:
         return []
     if asked.targets:
-        pairs = [(str(t), str(c), "CN+S") for t in asked.targets for c in asked.crafts]
+        pairs = [(str(t), str(c), "CN+S") for t in asked.targets for c in asked.spacecraft_ids]
     else:
-        pairs = [(str(b), BARYCENTER, "NONE") for b in asked.bodies if b != 0]
+        pairs = [(str(b), str(SOLAR_SYSTEM_BARYCENTER_ID), "NONE") for b in asked.bodies if b != 0]
     found = []
     for target, observer, correction in pairs:
         names = [body_or_structure_name("SPK", int(b)) for b in (target, observer)]
@@ -277,16 +277,16 @@ def _attitude_problems(request: SpiceRequest) -> list[str]:
     return []
 
 
-def _clock_problems(et: float, crafts: Sequence[int]) -> list[str]:
+def _clock_problems(et: float, spacecraft_ids: Sequence[int]) -> list[str]:
     found = []
-    for craft in crafts:
-        if pool.pool_value(f"SCLK_DATA_TYPE_{-craft}") is None:
+    for spacecraft in spacecraft_ids:
+        if pool.pool_value(f"SCLK_DATA_TYPE_{-spacecraft}") is None:
             continue
         try:
-            spiceypy.sce2s(craft, et)
+            spiceypy.sce2s(spacecraft, et)
         except spiceypy.SpiceyError as error:
             spiceypy.reset()
-            found.append(unlisted_explanation(error, SpiceRequest(f"reading of clock {craft}", et)))
+            found.append(unlisted_explanation(error, SpiceRequest(f"reading of clock {spacecraft}", et)))
     return found
 
 
@@ -364,7 +364,7 @@ class KernelCheck:
         """Whether all eight kinds are there and the time asked for is served."""
         return not self.problems
 
-    def axis_et(self) -> tuple[float, float]:
+    def plot_span_et(self) -> tuple[float, float]:
         """Return the stretch of time worth drawing: where spacecraft and attitude are known, and the time asked."""
         ends = [row.windows_et for row in self.rows if row.kind != "target SPK" and len(row.windows_et)]
         ends = ends or [row.windows_et for row in self.rows if len(row.windows_et)]
@@ -414,9 +414,9 @@ def check_kernels(
     """
     with KernelSet(source) as kernels, spice_call("checking kernels"):
         asked = CheckScope(spacecraft, targets, frame)
-        et = None if time is None else et_from_any_time(time, asked.crafts)
+        et = None if time is None else et_from_any_time(time, asked.spacecraft_ids)
         rows = coverage_rows(asked)
-        kinds = tuple(_kind_check(kind, kernels.kernels(), asked.crafts) for kind in KERNEL_KINDS)
+        kinds = tuple(_kind_check(kind, kernels.kernels(), asked.spacecraft_ids) for kind in KERNEL_KINDS)
         problems = [f"{k.kind}: none; {k.remedy}" for k in kinds if not k.files]
         problems += asked.problems
         if et is not None:
@@ -424,13 +424,14 @@ def check_kernels(
         return KernelCheck(kernels.kernels(), kinds, rows, et, tuple(problems))
 
 
-def _kind_check(kind: str, kernels: Sequence[KernelFile], crafts: Sequence[int]) -> KindCheck:
+def _kind_check(kind: str, kernels: Sequence[KernelFile], spacecraft_ids: Sequence[int]) -> KindCheck:
     """Find the files of a kind: by their own word, or else by the variables that they bring."""
     if kind.endswith("SPK"):
         of_craft = kind.startswith("spacecraft")
         spks = [k.path for k in kernels if k.kind == "SPK"]
         return KindCheck(
-            kind, tuple(p for p in spks if any((b in crafts or b < 0) is of_craft for b in bodies_in(p)))
+            kind,
+            tuple(p for p in spks if any((b in spacecraft_ids or b < 0) is of_craft for b in bodies_in(p))),
         )
     files = tuple(k.path for k in kernels if k.kind == kind)
     if not files and kind in VARIABLES and pool.pool_names(VARIABLES[kind]):

@@ -14,6 +14,7 @@ import spiceypy
 
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import spice_call, time_text
+from opnav_workbench.kernels.dsk_files import dla_segments
 from opnav_workbench.kernels.files import KernelFile, is_binary, kernel_file, segments
 from opnav_workbench.kernels.loading import listed_files
 from opnav_workbench.kernels.time import packaged_leap_seconds
@@ -213,19 +214,9 @@ def _pck_rows(path: Path) -> tuple[BriefRow, ...]:
 def _dsk_rows(path: Path) -> tuple[BriefRow, ...]:
     handle = spiceypy.dasopr(str(path))
     try:
-        return tuple(_dsk_row(handle, segment) for segment in _dla_segments(handle))
+        return tuple(_dsk_row(handle, segment) for segment in dla_segments(handle))
     finally:
         spiceypy.dascls(handle)
-
-
-def _dla_segments(handle: int) -> list[spiceypy.utils.support_types.SpiceDLADescr]:
-    found = []
-    try:
-        found.append(spiceypy.dlabfs(handle))
-        while True:
-            found.append(spiceypy.dlafns(handle, found[-1]))
-    except spiceypy.NotFoundError:  # SPICE's way to say: no (more) segments
-        return found
 
 
 def _dsk_row(handle: int, segment: spiceypy.utils.support_types.SpiceDLADescr) -> BriefRow:

@@ -26,10 +26,11 @@ __all__ = [
     "covered_share",
     "frame_number",
     "gaps_between",
-    "held_structures",
+    "held_bodies",
     "loaded_windows",
     "merged_windows",
     "overlaps_of",
+    "windows_contain",
     "windows_of",
 ]
 
@@ -37,7 +38,7 @@ __all__ = [
 # ---- What the loaded kernels cover: SPK windows per body, CK windows per structure, a frame's chain of CKs.
 
 WINDOW_SIZES = (2_000, 200_000, 4_000_000)  # doubles; a CK of single pictures has two for each
-CK_FRAME, FIXED_OFFSET_FRAME = 3, 4  # SPICE's frame classes
+PCK_FRAME, CK_FRAME, FIXED_OFFSET_FRAME = 2, 3, 4  # SPICE's frame classes
 LONGEST_CHAIN = 20  # frames; real ones have 2 to 5
 
 
@@ -61,8 +62,7 @@ class Coverage:
 
     def contains(self, et: float) -> bool:
         """Tell whether a time lies in a window, ends included."""
-        start, stop = self.intervals_et.T
-        return bool(((start <= et) & (et <= stop)).any())
+        return windows_contain(self.intervals_et, et)
 
 
 def loaded_windows(kind: str) -> tuple[Coverage, ...]:
@@ -73,9 +73,7 @@ def loaded_windows(kind: str) -> tuple[Coverage, ...]:
     SpiceyError
         A CK's clock is not loaded.
     """
-    files = [f.path for f in pool.loaded_files() if f.kind == kind]
-    bodies = sorted({body for path in files for body in bodies_in(path)})
-    return tuple(windows_of(kind, body) for body in bodies)
+    return tuple(windows_of(kind, body) for body in held_bodies(kind))
 
 
 def windows_of(kind: str, body: int) -> Coverage:
@@ -98,9 +96,9 @@ def frame_number(frame: str) -> int:
     return number
 
 
-def held_structures() -> frozenset[int]:
-    """Return the CK structures for which a loaded file holds any attitude, lock held."""
-    return frozenset(b for f in pool.loaded_files() if f.kind == "CK" for b in bodies_in(f.path))
+def held_bodies(kind: str) -> list[int]:
+    """Return the bodies of all loaded SPKs, or the structures of all loaded CKs, sorted; lock held."""
+    return sorted({b for f in pool.loaded_files() if f.kind == kind for b in bodies_in(f.path)})
 
 
 def ck_structures(frame_id: int) -> tuple[int, ...]:
@@ -165,6 +163,11 @@ def _fill(kind: str, path: str, body: int, window: Any) -> None:
 # ---- Stretches of time: what lies between windows, and where windows of several files lie over one another.
 
 NO_WINDOWS = np.empty((0, 2))
+
+
+def windows_contain(windows: FloatArray, et: float) -> bool:
+    """Tell whether a time lies in one of some windows (k, 2), ends included."""
+    return bool(((windows[:, 0] <= et) & (et <= windows[:, 1])).any())
 
 
 def gaps_between(windows: FloatArray) -> FloatArray:

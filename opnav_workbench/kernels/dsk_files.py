@@ -108,7 +108,7 @@ def read_dsk(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     with spice_call(f"reading {path}"):
         handle = spiceypy.dasopr(str(path))
         try:
-            for segment in _segments(handle):
+            for segment in dla_segments(handle):
                 points, index = _segment(handle, segment, path)
                 vertices.append(points)
                 plates.append(index + known)
@@ -134,7 +134,8 @@ def shape_file_of(body: str | int) -> Path | None:
         return next((p for p in reversed(shapes) if number in set(spiceypy.dskobj(str(p)))), None)
 
 
-def _segments(handle: int) -> Iterator[Any]:
+def dla_segments(handle: int) -> Iterator[Any]:
+    """Yield the segments of a DSK open for reading; lock held."""
     try:
         segment = spiceypy.dlabfs(handle)
         while True:

@@ -38,7 +38,7 @@ class FetchedKernel:
     path: Path
     size: int
     sha256: str
-    was_there: bool  # verified, not fetched again
+    already_present: bool  # verified, not fetched again
     trusted: bool  # neither manifest nor lock file knew its digest: now the lock file does
 
 
@@ -112,18 +112,18 @@ def _fetch_one(
     settings: Mapping[str, Any],
 ) -> FetchedKernel:
     expected = kernel.sha256 or locked
-    was_there = file.is_file()
-    if not was_there:
+    already_present = file.is_file()
+    if not already_present:
         watch = progress() if progress else None
         check = partial(_require_kernel, kernel)
         download(kernel.url, file, size=kernel.size, sha256=expected, progress=watch, check=check, **settings)
-    found = expected if expected and not was_there else sha256_of(file)
+    found = expected if expected and not already_present else sha256_of(file)
     if expected is not None and found != expected:
         raise KernelError(
             f"{file} is not the kernel that it should be: its SHA-256 is {found}, expected is {expected}; "
             "delete it and fetch again."
         )
-    return FetchedKernel(kernel, file, file.stat().st_size, found, was_there, trusted=expected is None)
+    return FetchedKernel(kernel, file, file.stat().st_size, found, already_present, trusted=expected is None)
 
 
 class _DigestFile:

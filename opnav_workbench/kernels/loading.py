@@ -243,7 +243,7 @@ class LoadedKernels:
             else:
                 before = pool.capture()
                 self._load(before)
-                pool.opened.append(pool.Opened(self, before, thread))
+                pool.opened.append(pool.OpenedSet(self, before, thread))
         return self
 
     def __exit__(
@@ -262,14 +262,14 @@ class LoadedKernels:
             else:
                 pool.restore(leaving.before)
 
-    def _join(self, outer: pool.Opened, thread: int) -> None:
+    def _join(self, outer: pool.OpenedSet, thread: int) -> None:
         if outer.owner.paths != self.paths:
             names = ", ".join(p.name for p in outer.owner.paths[:3])
             raise KernelError(
                 f"another thread has other kernels open ({names}, ...), and SPICE holds one set per process; "
                 "open one KernelSet around all threads, or use processes."
             )
-        pool.opened.append(pool.Opened(self, None, thread))
+        pool.opened.append(pool.OpenedSet(self, None, thread))
 
     def _load(self, before: pool.Snapshot) -> None:
         spiceypy.kclear()
@@ -325,7 +325,7 @@ class LoadedKernels:
             The frame is unknown.
         """
         with self._call(SpiceRequest(f"attitude of {frame}", frame=frame)):
-            return cover.held_structures().issuperset(cover.ck_structures(cover.frame_number(frame)))
+            return set(cover.held_bodies("CK")).issuperset(cover.ck_structures(cover.frame_number(frame)))
 
     def covers_attitude(self, frame: str, et: float) -> bool:
         """Tell whether the attitude of a frame is known at a time, along its chain of CKs.
@@ -337,7 +337,7 @@ class LoadedKernels:
         """
         with self._call(SpiceRequest(f"attitude of {frame}", et, frame=frame)):
             structures = cover.ck_structures(cover.frame_number(frame))
-            if not cover.held_structures().issuperset(structures):
+            if not set(cover.held_bodies("CK")).issuperset(structures):
                 return False
             for structure in structures:  # without its clock SPICE says "no data", which would mislead
                 spiceypy.scpart(spiceypy.ckmeta(structure, "SCLK"))

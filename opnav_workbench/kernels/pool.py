@@ -16,7 +16,7 @@ import spiceypy
 
 __all__ = [
     "LOCK",
-    "Opened",
+    "OpenedSet",
     "PoolValue",
     "Snapshot",
     "active",
@@ -35,7 +35,7 @@ NAMES_PER_CALL = 5000  # pool variable names fetched at a time; the pool holds 2
 PoolValue = tuple[float, ...] | tuple[str, ...]
 
 
-class Owner(Protocol):
+class OpenableSet(Protocol):
     """What can stand on the stack of opened kernel sets."""
 
     @property
@@ -63,18 +63,18 @@ class Snapshot:
 
 
 @dataclass(slots=True)
-class Opened:
+class OpenedSet:
     """One opened kernel set."""
 
-    owner: Owner
+    owner: OpenableSet
     before: Snapshot | None  # None: it joined a set that was open already, and the pool was not touched
     thread: int
 
 
-opened: list[Opened] = []  # innermost last
+opened: list[OpenedSet] = []  # innermost last
 
 
-def active() -> Owner | None:
+def active() -> OpenableSet | None:
     """Return the innermost opened kernel set."""
     return opened[-1].owner if opened else None
 

@@ -19,6 +19,7 @@ import spiceypy
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
+from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.geometry.rotations import (
@@ -26,7 +27,7 @@ from opnav_workbench.geometry.rotations import (
     quaternion_from_matrix,
     vector_from_rotation,
 )
-from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_text
+from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_words
 from opnav_workbench.kernels.files import DafSegment, segments
 from opnav_workbench.kernels.text_kernels import comment_lines
 
@@ -133,7 +134,6 @@ def _new_file(
 
 # ---- Excerpts of SPK files: segments of some bodies over some time, copied without loss.
 
-SOLAR_SYSTEM_BARYCENTER = 0
 SUMMARY_WORDS = 5  # two doubles, and six integers in the room of three
 
 
@@ -164,7 +164,7 @@ def spk_excerpts(source: Path, target: int, start_et: float, end_et: float) -> t
     """
     found: list[SpkExcerpt] = []
     body = target
-    while body != SOLAR_SYSTEM_BARYCENTER and body not in {e.target for e in found}:
+    while body != SOLAR_SYSTEM_BARYCENTER_ID and body not in {e.target for e in found}:
         center = _covering_center(source, body, start_et, end_et)
         found.append(SpkExcerpt(source, body, center, start_et, end_et))
         body = center
@@ -201,15 +201,10 @@ def _covering_center(source: Path, body: int, start_et: float, end_et: float) ->
     first, last = min(s.doubles[0] for s in found), max(s.doubles[1] for s in found)
     if reached < end_et or first > start_et:
         raise KernelError(
-            f"{source.name} covers the body {body} from {_when(first)} to {_when(last)}, "
-            f"not all of {_when(start_et)} to {_when(end_et)}."
+            f"{source.name} covers the body {body} from {time_words(first)} to {time_words(last)}, "
+            f"not all of {time_words(start_et)} to {time_words(end_et)}."
         )
     return center
-
-
-def _when(et: float) -> str:
-    with spice_call("time"):
-        return time_text(et)
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies import choose_method
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.model import sky_jacobian
-from opnav_workbench.constants import ARCSEC_PER_RAD
+from opnav_workbench.constants import ARCSEC_PER_RAD, LAST_BARYCENTER_ID
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.kernels import KernelSet, body_id, body_name
 from opnav_workbench.observables import attitude_partials
@@ -270,8 +270,6 @@ def _with_pointing(
 
 # ---- Bodies that enter the field beside the targets: everything whose position the open kernels know.
 
-LAST_BARYCENTER = 9  # NAIF: 0..9 are barycenters, where nothing is to be seen
-
 
 @dataclass(frozen=True, slots=True)
 class OtherBody:
@@ -302,7 +300,7 @@ def natural_bodies() -> tuple[str, ...]:
     """Return the names of the bodies, no spacecraft and no barycenters, that the active kernels have positions of."""
     active = KernelSet.active()
     numbers = [] if active is None else [cover.body for cover in active.coverage("SPK")]
-    return tuple(body_name(number) for number in sorted(set(numbers)) if number > LAST_BARYCENTER)
+    return tuple(body_name(number) for number in sorted(set(numbers)) if number > LAST_BARYCENTER_ID)
 
 
 def other_bodies(

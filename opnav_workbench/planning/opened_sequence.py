@@ -20,6 +20,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable
+from opnav_workbench.constants import SUN_ID
 from opnav_workbench.geometry import (
     angle_between,
     apparent_direction,
@@ -27,8 +28,8 @@ from opnav_workbench.geometry import (
     unit,
     unit_from_radec,
 )
+from opnav_workbench.geometry.aiming import aim
 from opnav_workbench.kernels import KernelSet, body_id, camera_attitude, et_from_utc, state
-from opnav_workbench.kernels.making.aiming import aim
 from opnav_workbench.mission import Mission
 from opnav_workbench.planning.sequence import PictureSequence, PlannedPicture, PlannedPointing
 from opnav_workbench.scene import body_target, observer_from_kernels
@@ -44,8 +45,6 @@ __all__ = ["OpenedSequence", "confirming_inputs", "open_sequence", "reason_of"]
 
 
 # ---- Mission, catalog and surfaces opened once, and what each planned picture is made of.
-
-SUN = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +127,7 @@ class OpenedSequence:
 
     def elongation_deg(self, direction: FloatArray, et: float) -> float:
         """Return the angle between a direction (3,) and the Sun, seen from the spacecraft."""
-        sun = state(SUN, et, self.mission.spacecraft_id, correction="CN").position_km
+        sun = state(SUN_ID, et, self.mission.spacecraft_id, correction="CN").position_km
         return float(np.degrees(angle_between(sun, direction)))
 
     def stray_light_dn_s(self, elongation_deg: float) -> float:

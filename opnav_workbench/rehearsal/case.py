@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.constants import SUN_ID
 from opnav_workbench.errors import MissionError
 from opnav_workbench.estimation import BPlane, b_plane, b_plane_partials
 from opnav_workbench.geometry import unit
@@ -22,7 +23,6 @@ from opnav_workbench.rehearsal.scenario import Distribution, OrtPerturbations, O
 
 __all__ = ["OrtCase", "OrtGeometry", "draw_case", "geometry_at_epoch", "perturbation_random"]
 
-SUN = 10
 TARGETING_PASSES = 8  # Newton's steps to a B-plane point; each squares the error
 TARGETED = 1e-6  # km and s
 
@@ -128,7 +128,7 @@ def geometry_at_epoch(scenario: OrtScenario, mission: Mission) -> OrtGeometry:
     epoch = et_from_utc(scenario.epoch_utc)
     found = state(mission.spacecraft_id, epoch, scenario.b_plane)
     moved = scenario.perturbations.target_barycenter
-    sun = state(SUN, epoch, scenario.b_plane if moved is None else moved.body)
+    sun = state(SUN_ID, epoch, scenario.b_plane if moved is None else moved.body)
     geometry = OrtGeometry(
         epoch_et=epoch,
         relative_state=np.concatenate([found.position_km, found.velocity_km_s]),

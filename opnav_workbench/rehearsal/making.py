@@ -26,6 +26,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.geometry import apparent_direction
+from opnav_workbench.geometry.aiming import aim
 from opnav_workbench.kernels import (
     KernelSet,
     ck_structure,
@@ -35,7 +36,6 @@ from opnav_workbench.kernels import (
     write_ck,
     write_text_kernel,
 )
-from opnav_workbench.kernels.making.aiming import aim
 from opnav_workbench.kernels.text_kernels import metakernel_assignments
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.rehearsal.briefing import write_briefing

@@ -45,7 +45,7 @@ def coverage_figure(check: KernelCheck) -> Figure:
     figure = Figure(figsize=(WIDTH_INCH, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    start, stop = check.axis_et()
+    start, stop = check.plot_span_et()
     for number, row in enumerate(rows):
         _draw_row(axes, number, row, start, stop)
     if check.et is not None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.catalog import StarTable
+from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID, SUN_ID
 from opnav_workbench.errors import ImageError, KernelError
 from opnav_workbench.image import Picture, barycentric_from_heliocentric
 from opnav_workbench.kernels import body_attitude, body_radii_km, state
@@ -23,8 +24,6 @@ __all__ = ["Observer", "body_target", "observer_from_header", "observer_from_ker
 
 
 # ---- Where the spacecraft is and how fast it moves, with respect to the solar-system barycenter.
-
-SOLAR_SYSTEM_BARYCENTER = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +54,7 @@ def observer_from_kernels(spacecraft: int, et: float) -> Observer:
     KernelError
         No kernel set is active, or its SPKs do not cover the spacecraft at `et`.
     """
-    geometric = state(spacecraft, et, SOLAR_SYSTEM_BARYCENTER)
+    geometric = state(spacecraft, et, SOLAR_SYSTEM_BARYCENTER_ID)
     return Observer(geometric.position_km, geometric.velocity_km_s, "kernels")
 
 
@@ -85,8 +84,6 @@ def observer_from_header(frame: Picture, et: float) -> Observer:
 
 # ---- Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry.
 
-SUN = 10
-
 
 def body_target(name: str, spacecraft: int, et: float) -> TargetState:
     """Return a solar-system body's state from the active `KernelSet`, light time removed by iteration (``CN``).
@@ -106,14 +103,14 @@ def body_target(name: str, spacecraft: int, et: float) -> TargetState:
         radii_km=_if_known(lambda: body_radii_km(name)),
         body_from_j2000=_if_known(lambda: body_attitude(name, emitted)),
         sun_position_km=_sun_km(name, emitted),
-        velocity_km_s=_if_known(lambda: state(name, emitted, SOLAR_SYSTEM_BARYCENTER).velocity_km_s),
+        velocity_km_s=_if_known(lambda: state(name, emitted, SOLAR_SYSTEM_BARYCENTER_ID).velocity_km_s),
     )
 
 
 def _sun_km(name: str, et: float) -> FloatArray | None:
     """Return where the light that falls on a body came from; where the Sun is, if the SPKs do not reach back so far."""
-    lit = _if_known(lambda: state(SUN, et, name, correction="CN").position_km)
-    return lit if lit is not None else _if_known(lambda: state(SUN, et, name).position_km)
+    lit = _if_known(lambda: state(SUN_ID, et, name, correction="CN").position_km)
+    return lit if lit is not None else _if_known(lambda: state(SUN_ID, et, name).position_km)
 
 
 def _if_known(value: Callable[[], FloatArray]) -> FloatArray | None:

@@ -30,7 +30,7 @@ from pydantic import Field
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
-from opnav_workbench.constants import DAY_S, HOUR_S, MINUTE_S
+from opnav_workbench.constants import DAY_S, EARTH_ID, HOUR_S, MINUTE_S, SUN_ID
 from opnav_workbench.errors import KernelError, MissionError
 from opnav_workbench.geometry import (
     angle_between,
@@ -52,7 +52,6 @@ __all__ = ["FlightRecord", "flight_cards", "utc_text", "wcs_cards"]
 
 # ---- What a flight header can say of a picture.
 
-SUN, EARTH = 10, 399
 ALONG_BORESIGHT = 0.5  # cosine above which an axis has no useful position angle
 NO_ANGLE = -999.0
 
@@ -110,7 +109,7 @@ def mid_exposure_sclk(record: FlightRecord) -> str | None:
 
 def sun_state(record: FlightRecord) -> State | None:
     """Return the Sun from the spacecraft as headers give it: light time, no stellar aberration."""
-    return if_known(lambda: state(SUN, record.et, record.mission.spacecraft_id, correction="LT"))
+    return if_known(lambda: state(SUN_ID, record.et, record.mission.spacecraft_id, correction="LT"))
 
 
 def header_quantities(record: FlightRecord, values: DetectorValues, level: Level) -> dict[str, Any]:
@@ -202,7 +201,7 @@ def _camera_quantities(
 def _geometry_quantities(record: FlightRecord) -> Iterator[tuple[str, Any]]:
     craft, et = record.mission.spacecraft_id, record.et
     sun = sun_state(record)
-    earth = if_known(lambda: state(EARTH, et, craft, correction="LT"))
+    earth = if_known(lambda: state(EARTH_ID, et, craft, correction="LT"))
     yield from _vectors("sun_from_craft", sun)
     yield from _vectors("craft_from_earth", earth, -1.0)
     for name, seen in (("sun", sun), ("earth", earth)):
@@ -233,8 +232,8 @@ def _target_quantities(record: FlightRecord) -> Iterator[tuple[str, Any]]:
         seen = if_known(lambda: state(name, record.et, record.mission.spacecraft_id, correction="LT"))
     if name is not None and seen is not None:
         emitted = record.et - seen.light_time_s
-        sun = if_known(lambda: state(SUN, emitted, name, correction="LT"))
-        earth = if_known(lambda: state(EARTH, emitted, name))
+        sun = if_known(lambda: state(SUN_ID, emitted, name, correction="LT"))
+        earth = if_known(lambda: state(EARTH_ID, emitted, name))
         body = if_known(lambda: body_attitude(name, emitted))
     yield "target", name or "UNKNOWN"
     yield "target_or_unknown", "UNKNOWN" if seen is None else name

@@ -13,7 +13,12 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
+from opnav_workbench.constants import (
+    LAST_BARYCENTER_ID,
+    SOLAR_SYSTEM_BARYCENTER_ID,
+    SPEED_OF_LIGHT_KM_S,
+    SUN_ID,
+)
 from opnav_workbench.geometry import (
     camera_from_j2000,
     matrix_from_quaternion,
@@ -22,8 +27,8 @@ from opnav_workbench.geometry import (
     unit,
     unit_from_radec,
 )
+from opnav_workbench.geometry.aiming import aim
 from opnav_workbench.kernels import KernelSet, body_id, camera_attitude, state
-from opnav_workbench.kernels.making.aiming import aim
 from opnav_workbench.scene import Observer, body_target, observer_from_kernels
 from opnav_workbench.simulation.randomness import picture_random
 from opnav_workbench.simulation.scenario import ActualAttitude, BodyOffset, Perturbations, PredictedAttitude
@@ -108,9 +113,6 @@ def shifted_attitude(
 
 # ---- Where spacecraft and bodies truly are.
 
-SUN = 10
-SOLAR_SYSTEM_BARYCENTER = 0
-LAST_BARYCENTER = 9  # NAIF: 1..9 are the barycenters of the planets' systems
 SYSTEM_SIZE = 100  # NAIF: 901..999 belong to barycenter 9
 
 
@@ -145,7 +147,7 @@ def true_target(name: str, spacecraft: int, et: float, truth: Perturbations) -> 
     if not (body.any() or any(truth.spacecraft.position_km)):
         return known
     later_s = (np.linalg.norm(moved) - known.range_km) / SPEED_OF_LIGHT_KM_S
-    moved = moved - later_s * state(name, et, SOLAR_SYSTEM_BARYCENTER).velocity_km_s
+    moved = moved - later_s * state(name, et, SOLAR_SYSTEM_BARYCENTER_ID).velocity_km_s
     sun = None if known.sun_position_km is None else known.sun_position_km - body
     return replace(known, position_km=moved, sun_position_km=sun)
 
@@ -158,11 +160,11 @@ def body_offset_km(name: str, et: float, offsets: tuple[BodyOffset, ...]) -> Flo
 
 
 def _moves(moved: int, body: int) -> bool:
-    return moved == body or (0 < moved <= LAST_BARYCENTER and body // SYSTEM_SIZE == moved)
+    return moved == body or (0 < moved <= LAST_BARYCENTER_ID and body // SYSTEM_SIZE == moved)
 
 
 def _vector_km(offset: BodyOffset, et: float) -> FloatArray:
     along_sun = np.zeros(3)
     if offset.toward_sun_km:
-        along_sun = offset.toward_sun_km * unit(state(SUN, et, offset.name).position_km)
+        along_sun = offset.toward_sun_km * unit(state(SUN_ID, et, offset.name).position_km)
     return np.asarray(np.array(offset.offset_km) + along_sun)

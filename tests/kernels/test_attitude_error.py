@@ -136,7 +136,7 @@ def test_spectrum_has_its_rms_and_its_density():
     table = [[0.5, 2.0], [5.0, 2.0], [20.0, 2.0 / 64]]
     error = AttitudeError(spectra=[{"axis": "pixel", "unit": "urad", "psd": table, "terms": 768}], seed=4)
     jitter = jitter_of(error, PIXEL_RAD, 0.0, np.array([[-1e9, 1e9]]))
-    x = jitter.at(np.arange(0.0, 600.0, 0.02))[:, 0] * 1e6
+    x = jitter.angles_at(np.arange(0.0, 600.0, 0.02))[:, 0] * 1e6
     # 2 * 4.5 and, with the slope -3, the integral 2 * 125 * (1 / 25 - 1 / 400) / 2
     assert np.var(x) == pytest.approx(9.0 + 125.0 * (1 / 25 - 1 / 400), rel=0.05)
     frequency, density = welch(x, fs=50.0, nperseg=1000)
@@ -180,7 +180,7 @@ def test_even_turns_follow_the_jitter(both):
     et = at.shaken + np.sort(np.random.default_rng(1).uniform(0.0, 5.0, 400))
     found = np.array([moved(p, f)[0] for p, f in zip(*at(et), strict=True)])
     truth = jitter_of(AttitudeError(**actual), PIXEL_RAD, at.start, np.array([[at.shaken, at.shaken + 5.0]]))
-    assert found == pytest.approx(np.tan(truth.at(et)[:, 0]) / PIXEL_RAD, abs=0.002)
+    assert found == pytest.approx(np.tan(truth.angles_at(et)[:, 0]) / PIXEL_RAD, abs=0.002)
     assert np.std(found) > 0.1
 
 

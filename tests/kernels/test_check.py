@@ -180,9 +180,9 @@ def test_kernels_that_are_not_whole_or_not_there(toy, tmp_path):
 
 
 def test_the_axis_of_a_drawing_holds_craft_attitude_and_the_time_asked(toy):
-    assert_allclose(check_kernels(toy.files).axis_et(), (-1000.0, 3000.0))
-    assert_allclose(check_kernels(toy.files, 9000.0).axis_et(), (-1000.0, 9000.0))
-    assert check_kernels(toy.lsk).axis_et() == (0.0, 1.0)
+    assert_allclose(check_kernels(toy.files).plot_span_et(), (-1000.0, 3000.0))
+    assert_allclose(check_kernels(toy.files, 9000.0).plot_span_et(), (-1000.0, 9000.0))
+    assert check_kernels(toy.lsk).plot_span_et() == (0.0, 1.0)
 
 
 # -- flight kernels ------------------------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import KernelError, MissionError, OpNavError
+from opnav_workbench.geometry.aiming import aim
 from opnav_workbench.kernels import (
     KernelSet,
     camera_attitude,
@@ -27,7 +28,6 @@ from opnav_workbench.kernels import (
     sclk_from_et,
     state,
 )
-from opnav_workbench.kernels.making.aiming import aim
 from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.kernels.making.scenario import load_scenario
 from opnav_workbench.kernels.time import et_from_tdb_datetime

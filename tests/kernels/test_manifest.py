@@ -181,7 +181,7 @@ def test_fetched_kernels_are_whole_and_their_metakernel_loads(manifest, archive,
     fetched = fetch_kernels(manifest, tmp_path / "k", opener=archive)
     assert fetched.metakernel == tmp_path / "k" / "toy.tm"
     assert [k.kernel.kind for k in fetched.kernels if k.trusted] == ["spacecraft SPK"]
-    assert not any(k.was_there for k in fetched.kernels)
+    assert not any(k.already_present for k in fetched.kernels)
     for item, source in zip(fetched.kernels, toy.files, strict=True):
         assert item.path.read_bytes() == source.read_bytes()
         assert item.size == source.stat().st_size
@@ -209,7 +209,7 @@ def test_what_is_here_is_verified_and_not_fetched_again(manifest, archive, tmp_p
     first = len(archive.asked)
     again = fetch_kernels(manifest, tmp_path / "k", opener=archive)
     assert len(archive.asked) == first
-    assert all(k.was_there and not k.trusted for k in again.kernels)
+    assert all(k.already_present and not k.trusted for k in again.kernels)
 
 
 def test_the_first_digest_counts_ever_after(manifest, archive, toy, tmp_path):

@@ -236,7 +236,7 @@ def test_the_table_of_messages_is_well_formed():
             assert text
             assert set(re.findall(r"{(\w+)}", text)) <= {"detail"}
         assert not message.remedy.endswith(".")
-    assert {m.look for m in FAILURE_MESSAGES.values()} - {None} == set(Diagnosis)
+    assert {m.diagnosis for m in FAILURE_MESSAGES.values()} - {None} == set(Diagnosis)
     known = set(spiceypy.utils.exceptions.exceptions)
     unknown = {s for s in FAILURE_MESSAGES if f"SPICE({s})" not in known}
     assert len(unknown) < len(FAILURE_MESSAGES) / 4, sorted(unknown)  # most are SPICE's own words, not ours

@@ -19,8 +19,6 @@ those above it. Nothing here knows named kernel sets: those stand above and are 
     Every trajectory as SPK segments, sampled as SPICE needs.
 ``pool_variables``
     Variables of SCLK, FK, IK and PCK.
-``aiming``
-    Attitudes that put a direction at a place on the detector.
 ``attitude_history``
     Attitudes at nodes, in intervals; how close nodes must stand.
 ``steering``

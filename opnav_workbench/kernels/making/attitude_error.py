@@ -15,8 +15,8 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.constants import HOUR_S
+from opnav_workbench.geometry.aiming import aim, turn_about_boresight, turn_across
 from opnav_workbench.geometry.rotations import pointing_angle_arrays, unit_from_radec
-from opnav_workbench.kernels.making.aiming import aim, turn_about_boresight, turn_across
 from opnav_workbench.kernels.making.attitude_history import (
     MOST_NODES,
     AttitudeHistory,
@@ -66,7 +66,7 @@ class Jitter:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def at(self, et: FloatArray) -> FloatArray:
+    def angles_at(self, et: FloatArray) -> FloatArray:
         """Return the angles (n, 3) at epochs (n,): along pixel, along line, twist; rad."""
         parts = [self._block(et[i : i + BLOCK]) for i in range(0, len(et), BLOCK)]
         return np.concatenate(parts) if parts else np.zeros((0, 3))
@@ -83,7 +83,7 @@ class Jitter:
         return np.asarray(0.5 * (1.0 + np.cos(np.pi * away)))
 
     @property
-    def swings(self) -> bool:
+    def is_present(self) -> bool:
         """Whether there is any."""
         return len(self.frequencies_hz) > 0
 
@@ -111,7 +111,7 @@ def jitter_of(error: AttitudeError, pixel_scale_rad: float, start: float, spans:
     --------
     >>> error = AttitudeError(jitter=[{"axis": "line", "frequency_hz": 2.0, "amplitude_urad": 5.0, "phase_deg": 0}])
     >>> jitter = jitter_of(error, 5e-6, 0.0, np.array([[0.0, 10.0]]))
-    >>> (jitter.at(np.array([1.0, 1.25])) * 1e6).round(9).tolist()
+    >>> (jitter.angles_at(np.array([1.0, 1.25])) * 1e6).round(9).tolist()
     [[0.0, 5.0, 0.0], [0.0, -5.0, 0.0]]
     """
     lines = [_sine(line, i, error.seed, pixel_scale_rad) for i, line in enumerate(error.jitter)]
@@ -184,17 +184,21 @@ def flown_attitudes(history: AttitudeHistory, error: AttitudeError, scenario: Sc
     tolerance = error.jitter_tolerance_px * camera.pixel_scale_rad
 
     def biased(times: FloatArray) -> FloatArray:
-        return _biased(times, history.at(times), error, scenario, start)
+        return _biased(times, history.attitudes_at(times), error, scenario, start)
 
     def turn(times: FloatArray) -> FloatArray:
-        return _shaken(times, jitter, scenario) @ biased(times) @ np.swapaxes(history.at(times), -1, -2)
+        return (
+            _shaken(times, jitter, scenario)
+            @ biased(times)
+            @ np.swapaxes(history.attitudes_at(times), -1, -2)
+        )
 
     own = [history.et[a : b + 1] for a, b in history.intervals()]
     if error.drifts:
         own = [refined_epochs(biased, nodes, DRIFT_TOLERANCE_RAD) for nodes in own]
     pieces = [_with_jitter(nodes, jitter, tolerance) for nodes in own]
     et, starts = np.concatenate(pieces), np.cumsum([0, *(len(p) for p in pieces[:-1])])
-    predicted = history.at(et)
+    predicted = history.attitudes_at(et)
     # The turn's own rate stands in camera axes; the predicted rate is known already.
     slopes = np.concatenate([rates_of(turn, times) for times in pieces])
     rates = history.rates_at(et) + np.einsum("nji,nj->ni", predicted, slopes)
@@ -215,7 +219,7 @@ def _biased(
 
 def _shaken(et: FloatArray, jitter: Jitter, scenario: Scenario) -> FloatArray:
     """Return the jitter's turns (n, 3, 3) of the camera about its own axes."""
-    focal, angles = scenario.pointed_instrument.focal_from_camera, jitter.at(et)
+    focal, angles = scenario.pointed_instrument.focal_from_camera, jitter.angles_at(et)
     return turn_about_boresight(angles[:, 2], focal) @ turn_across(angles[:, :2], focal)
 
 
@@ -230,7 +234,7 @@ def _spans(error: AttitudeError, history: AttitudeHistory) -> FloatArray:
 
 def _with_jitter(own: FloatArray, jitter: Jitter, tolerance_rad: float) -> FloatArray:
     """Return the epochs of one interval, and those that the jitter needs between them."""
-    if not jitter.swings:
+    if not jitter.is_present:
         return own
     step = min(jitter.step_s(tolerance_rad), jitter.fade_s / FADE_STEPS)
     spans = np.clip(jitter.spans + np.array([-jitter.fade_s, jitter.fade_s]), own[0], own[-1])

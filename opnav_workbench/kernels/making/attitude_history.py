@@ -61,7 +61,7 @@ class AttitudeHistory:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def at(self, et: FloatArray) -> FloatArray:
+    def attitudes_at(self, et: FloatArray) -> FloatArray:
         """Return the attitudes (m, 3, 3) at epochs (m,), each in the interval whose nodes enclose it."""
         left, part = self._places(et)
         first, second = self.camera_from_j2000[left], self.camera_from_j2000[left + 1]
@@ -151,7 +151,7 @@ def _ended_before(piece: AttitudeHistory, end: float) -> AttitudeHistory:
     when = np.array([last])
     return AttitudeHistory(
         et=np.append(piece.et[keep], last),
-        camera_from_j2000=np.concatenate([piece.camera_from_j2000[keep], piece.at(when)]),
+        camera_from_j2000=np.concatenate([piece.camera_from_j2000[keep], piece.attitudes_at(when)]),
         rates_rad_s=np.concatenate([piece.rates_rad_s[keep], piece.rates_at(when)]),
         interval_starts=piece.interval_starts[piece.interval_starts <= int(keep.sum())],
     )

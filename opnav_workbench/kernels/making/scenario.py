@@ -83,7 +83,6 @@ __all__ = [
 StateRow = tuple[Tdb, float, float, float, float, float, float]
 StateVector = tuple[float, float, float, float, float, float]
 Epoch = JulianDate | Tdb
-SUN: Literal[10] = 10
 
 
 class _Arc(Strict):
@@ -221,7 +220,7 @@ class ElementsOrbit(_Trajectory, Forces):
     """A small body from osculating elements as the MPC and JPL print them; propagated, or as a fixed ellipse."""
 
     kind: Literal["elements"]
-    center: Literal[10, "SUN"] = SUN
+    center: Literal[10, "SUN"] = 10
     frame: FrameName = "ECLIPJ2000"
     epoch: Epoch
     perihelion_au: PositiveFloat | None = None

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
+from opnav_workbench.geometry.aiming import aim, turn_across
 from opnav_workbench.geometry.rotations import unit, unit_from_radec
-from opnav_workbench.kernels.making.aiming import aim, turn_across
 from opnav_workbench.kernels.making.attitude_history import (
     AttitudeHistory,
     AttitudeLaw,
@@ -107,7 +108,6 @@ def _series(pieces: list[tuple[float, float, FloatArray]]) -> Callable[[FloatArr
 
 SLEW_TOLERANCE_RAD = 1e-6  # no picture is taken while the camera slews; far below a pixel of any camera
 TRACK_TOLERANCE_RAD = 1e-11  # of a target's direction: a hundredth of what is asked between attitudes
-SOLAR_SYSTEM_BARYCENTER = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +129,7 @@ class DwellSequence:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def at(self, et: FloatArray) -> FloatArray:
+    def angles_at(self, et: FloatArray) -> FloatArray:
         """Return the turns (m, 2) at epochs (m,); slews start and end at rest."""
         row = np.clip(np.searchsorted(self.times, et, side="right") - 1, 0, len(self.times) - 1)
         place, slewing = row // 2, (row % 2 == 1) & (row < len(self.times) - 1)
@@ -199,7 +199,7 @@ def _law(scenario: Scenario, window: PointingWindow, start: float, end: float) -
         return lambda et: turn_across(rate * (et - start)[:, None] * axis, focal) @ first @ aimed(et)
     if window.dwells is not None:
         dwelling = _dwell_sequence(window.dwells, scenario, start)
-        return lambda et: turn_across(dwelling.at(et), focal) @ aimed(et)
+        return lambda et: turn_across(dwelling.angles_at(et), focal) @ aimed(et)
     return aimed
 
 
@@ -273,7 +273,7 @@ def _rounding_rad(scenario: Scenario, bodies: list[int], start: float, end: floa
     """Return how far rounding in SPICE's light times moves the targets' directions, at most."""
     noise = 0.0
     for body, t in product(bodies, (start, 0.5 * (start + end), end)):
-        seen, there = state(body, t, scenario.spacecraft.id), state(body, t, SOLAR_SYSTEM_BARYCENTER)
+        seen, there = state(body, t, scenario.spacecraft.id), state(body, t, SOLAR_SYSTEM_BARYCENTER_ID)
         speed, far = (float(np.linalg.norm(v)) for v in (there.velocity_km_s, there.position_km))
         rounded_km = float(np.spacing(abs(t))) * speed + 2.0 * float(np.spacing(far))
         noise = max(noise, rounded_km / float(np.linalg.norm(seen.position_km)))
