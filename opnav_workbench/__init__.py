@@ -69,6 +69,8 @@ this list to its top; a package imports what stands below it.
     Point spread functions.
 ``geometry``
     Directions, attitudes, aberration, space motion and conics; no state, no kernels.
+``robust``
+    Scatter beyond what is stated, and how improbable an error is.
 ``downloads``
     Files fetched over http and https, whole or not there.
 ``yaml_file``

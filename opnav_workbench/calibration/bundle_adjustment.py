@@ -20,7 +20,6 @@ from opnav_workbench.calibration.parameters import CameraParameters
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import vector_from_rotation
-from opnav_workbench.stars.pointing.attitude_steps import attitude_jacobian
 
 __all__ = ["MIN_STARS", "ArrowheadSolution", "StarFrames", "linearize", "residuals", "solve_arrowhead"]
 
@@ -157,7 +156,7 @@ def linearize(
     whiten = np.linalg.inv(np.linalg.cholesky(covariance_px2[used]))
     in_camera = _in_camera(stars, attitudes)[used]
     shared = camera_jacobian(parameters, values, in_camera)
-    rotation = attitude_jacobian(camera, in_camera)
+    rotation = camera.attitude_jacobian(in_camera)
     turn = _mounting_effect(parameters, rotation)
     residual = stars.observed_px[used] - camera.project(in_camera)
     blocks = [_star_rows(whiten @ shared, whiten @ rotation, stars.frame[used], stars.n_frames, parameters)]

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.calibration.bundle_adjustment import (
@@ -33,6 +32,7 @@ from opnav_workbench.calibration.parameters import CameraParameters
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import rotation_from_vector
+from opnav_workbench.robust import moment_excess
 
 __all__ = ["CameraCalibration", "calibrate_camera"]
 
@@ -228,9 +228,7 @@ def _check_counts(stars: StarFrames, parameters: CameraParameters, used: BoolArr
 
 def _prior(camera: Camera, covariance_rad2: ArrayLike | None) -> FloatArray:
     if covariance_rad2 is None:
-        sigma, axes = camera.attitude_sigma, camera.focal_from_camera
-        cross = sigma.cross_px * camera.pixel_scale_rad
-        return np.asarray(axes.T @ np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2 @ axes)
+        return camera.a_priori_covariance_rad2
     covariance = np.asarray(covariance_rad2, dtype=np.float64)
     if covariance.shape != (3, 3) or not np.linalg.eigvalsh(covariance)[0] > 0.0:
         raise CameraError("a_priori_covariance_rad2 must be a positive definite (3, 3) matrix, rad^2.")
@@ -316,12 +314,7 @@ def _excess(stars: StarFrames, residual: FloatArray, used: BoolArray, parameters
     def surplus(sigma_px: float) -> float:
         return float(_squared_sigmas(stars, residual, sigma_px)[used].sum()) - freedom
 
-    if surplus(0.0) <= 0.0:
-        return 0.0
-    upper = 0.1
-    while surplus(upper) > 0.0:
-        upper *= 2.0
-    return float(brentq(surplus, 0.0, upper, xtol=EXCESS_TOLERANCE_PX))
+    return moment_excess(surplus, EXCESS_TOLERANCE_PX)
 
 
 def _accepted(stars: StarFrames, residual: FloatArray, excess: float) -> BoolArray:

@@ -175,6 +175,18 @@ class Camera(CameraResponse):
         return float(1.0 / (self.focal_length_mm * np.sqrt(abs(np.linalg.det(self.pixel_from_mm)))))
 
     @property
+    def a_priori_sigma_rad(self) -> FloatArray:
+        """One-sigma errors (3,) of the a priori attitude about the pixel, line and boresight axes, rad."""
+        cross = self.attitude_sigma.cross_px * self.pixel_scale_rad
+        return np.array([cross, cross, np.radians(self.attitude_sigma.twist_deg)])
+
+    @property
+    def a_priori_covariance_rad2(self) -> FloatArray:
+        """Covariance (3, 3) of the a priori attitude: small rotation vector about the camera frame's axes, rad^2."""
+        axes = self.focal_from_camera
+        return np.asarray(axes.T @ np.diag(self.a_priori_sigma_rad) ** 2 @ axes)
+
+    @property
     def half_diagonal_rad(self) -> float:
         """Angle from the boresight to the farthest detector corner, rad."""
         cosine = self.unproject(self._corners()) @ self.boresight
@@ -219,6 +231,26 @@ class Camera(CameraResponse):
         return np.asarray(
             self.pixel_from_mm @ self.distortion.jacobian(ideal) @ gnomonic @ self.focal_from_camera
         )
+
+    def attitude_jacobian(self, in_camera: ArrayLike) -> FloatArray:
+        """Return d(pixel, line)/d(small rotation of the camera), (..., 2, 3) px/rad.
+
+        Parameters
+        ----------
+        in_camera : (..., 3) array_like
+            Directions v of any length, camera frame.
+
+        Returns
+        -------
+        (..., 2, 3) array
+            With respect to the rotation vector eps about the camera frame's axes that takes v to v + eps x v: the error of
+            an attitude, ``true = rotation_from_vector(eps) @ camera_from_j2000``, as in `PointingSolution.covariance_rad2`.
+        """
+        vectors = np.asarray(in_camera, dtype=np.float64)
+        x, y, z = np.moveaxis(vectors, -1, 0)
+        zero = np.zeros_like(x)
+        turned = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(*x.shape, 3, 3)
+        return np.asarray(self.project_jacobian(vectors) @ turned)
 
     def unproject(self, pixel_line: ArrayLike) -> FloatArray:
         """Return the unit vectors (..., 3), camera frame, that points (..., 2) of (pixel, line) look along.

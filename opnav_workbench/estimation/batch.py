@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc, ndtri
+from scipy.special import chdtrc
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, symmetric
 from opnav_workbench.errors import EstimationError
@@ -27,15 +27,15 @@ from opnav_workbench.estimation.measurements import Dynamics, Measurements, meas
 from opnav_workbench.estimation.parameters import APriori, ParameterGroup, parse_groups, prior_rows
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.observables import Observable
+from opnav_workbench.robust import equal_sigmas
 
-__all__ = ["Estimate", "Residual", "equal_sigmas", "estimate", "observability"]
+__all__ = ["Estimate", "Residual", "estimate", "observability"]
 
 
 # ---- Outliers: what remains of a measurement after the fit, over the scatter that the fit predicts for it.
 
 # A measurement that alone determines a parameter has no residual left to judge it by.
 LEAST_FREEDOM = 1e-6  # of the measurement's own variance
-LARGEST_SIGMAS = 37.0  # beyond, the probability of a normal error is no double
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,20 +91,6 @@ def _normal_sigmas(residual: FloatArray, predicted: FloatArray, own: FloatArray)
     if not free.any():
         return 0.0
     return equal_sigmas(float(np.sum((vectors.T @ residual)[free] ** 2 / values[free])), int(free.sum()))
-
-
-def equal_sigmas(square: float, freedom: int) -> float:
-    """Return the sigmas of a normal error that is as improbable as a chi-squared.
-
-    Examples
-    --------
-    >>> round(equal_sigmas(9.0, 1), 6), round(equal_sigmas(11.829, 2), 3)
-    (3.0, 3.0)
-    """
-    improbable = float(chdtrc(freedom, square))
-    return (
-        float(-ndtri(0.5 * improbable)) if improbable > 0.0 else max(LARGEST_SIGMAS, float(np.sqrt(square)))
-    )
 
 
 def worst_outlier(scatters: Sequence[PostfitResidual], reject_sigmas: float) -> PostfitResidual | None:

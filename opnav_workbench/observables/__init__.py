@@ -36,7 +36,6 @@ from opnav_workbench.observables.observing import center_cross, observe
 from opnav_workbench.observables.partials import (
     analytic_position_partials,
     analytic_target_partials,
-    attitude_partials,
     numerical_position_partials,
     numerical_target_partials,
 )
@@ -56,7 +55,6 @@ __all__ = [
     "TrackingMessage",
     "analytic_position_partials",
     "analytic_target_partials",
-    "attitude_partials",
     "center_cross",
     "cross_covariance_px2",
     "csv_text",

@@ -20,7 +20,6 @@ from opnav_workbench.geometry import apparent_direction, geometric_direction, ra
 from opnav_workbench.observables.observable import LIGHT_TIMES, Observable
 from opnav_workbench.observables.partials import (
     aberration_jacobian,
-    attitude_partials,
     light_time_jacobian,
     numerical_position_partials,
     numerical_target_partials,
@@ -178,7 +177,7 @@ def _derivatives(
     if not np.isfinite(predicted_px).all():
         names = ("px_per_km", "px_per_rad")
         return {f"partials_{n}": None for n in names} | {"total_covariance_px2": center.covariance_px2}
-    by_attitude = attitude_partials(view.apparent, view.camera, view.camera_from_j2000)
+    by_attitude = view.camera.attitude_jacobian(view.camera_from_j2000 @ view.apparent)
     total = symmetric(center.covariance_px2 + by_attitude @ attitude_covariance @ by_attitude.T)
     by_target = view.partials(numerical_target_partials)
     by_sky = _sky_partials(view, center)

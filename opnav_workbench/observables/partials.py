@@ -36,7 +36,6 @@ __all__ = [
     "aberration_jacobian",
     "analytic_position_partials",
     "analytic_target_partials",
-    "attitude_partials",
     "light_time_jacobian",
     "numerical_position_partials",
     "numerical_target_partials",
@@ -165,18 +164,6 @@ def analytic_target_partials(
     )
     light_time_s = np.linalg.norm(np.asarray(position_km, float)) / SPEED_OF_LIGHT_KM_S
     return np.concatenate([-by_spacecraft, by_spacecraft * light_time_s], axis=1)
-
-
-def attitude_partials(direction: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike) -> FloatArray:
-    """Return d(pixel, line) / d(small rotation vector about the camera frame's axes), (2, 3) px/rad.
-
-    The rotation is the error of the attitude, ``true = rotation_from_vector(eps) @ camera_from_j2000``, as in
-    `PointingSolution.covariance_rad2`; `direction` is the body's apparent one, J2000.
-    """
-    in_camera = np.asarray(camera_from_j2000, float) @ np.asarray(direction, float)
-    x, y, z = in_camera
-    turned = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # d(eps x v) / d(eps)
-    return np.asarray(camera.project_jacobian(in_camera[None])[0] @ turned)
 
 
 def light_time_jacobian(position_km: ArrayLike, target_velocity_km_s: ArrayLike | None) -> FloatArray:

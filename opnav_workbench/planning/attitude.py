@@ -17,7 +17,6 @@ from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.planning.stars import StarPlan
 from opnav_workbench.stars.pointing import solve_pointing
 from opnav_workbench.stars.pointing.attitude_fit import LinearizedProblem
-from opnav_workbench.stars.pointing.attitude_steps import attitude_jacobian
 from opnav_workbench.stars.pointing.residuals import excess_sigma
 
 __all__ = ["PointingPlan", "plan_pointing"]
@@ -104,8 +103,8 @@ def _guard_covariance(
 ) -> FloatArray:
     """Return E[d d'] (3, 3), d between solutions with the excess that chance asks for and without."""
     rng = np.random.default_rng(GUARD_SEED)
-    jacobian, factor = attitude_jacobian(camera, sky @ attitude.T), np.linalg.cholesky(covariance_px2)
-    twist = camera.boresight[None] / np.radians(camera.attitude_sigma.twist_deg)
+    jacobian, factor = camera.attitude_jacobian(sky @ attitude.T), np.linalg.cholesky(covariance_px2)
+    twist = camera.boresight[None] / camera.a_priori_sigma_rad[2]
     known = twist[:0] if twist_solved else twist
     total = np.zeros((3, 3))
     for draw in rng.normal(size=(GUARD_DRAWS, len(sky), 2)):

@@ -22,7 +22,6 @@ from opnav_workbench.camera.model import sky_jacobian
 from opnav_workbench.constants import ARCSEC_PER_RAD, LAST_BARYCENTER_ID
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.kernels import KernelSet, body_id, body_name
-from opnav_workbench.observables import attitude_partials
 from opnav_workbench.photometry import SUN_B_V
 from opnav_workbench.planning.attitude import PointingPlan
 from opnav_workbench.planning.light import ExpectedLight, star_psf
@@ -262,7 +261,7 @@ def _with_pointing(
     """Return covariances of observed minus predicted: px^2, and rad^2 toward east and north."""
     if center_px2 is None or pointing is None:
         return None, None
-    by_attitude = attitude_partials(prediction.direction, camera, attitude)
+    by_attitude = camera.attitude_jacobian(attitude @ prediction.direction)
     covariance = center_px2 + by_attitude @ pointing.covariance_rad2 @ by_attitude.T
     jacobian = sky_jacobian(camera, attitude, prediction.pixel_line)
     return covariance, jacobian @ covariance @ jacobian.T

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.observables import attitude_partials
 from opnav_workbench.planning.attitude import plan_pointing
 from opnav_workbench.planning.bodies import BodyLight, TargetPlan, body_light, center_bound
 from opnav_workbench.planning.light import ExpectedLight, star_psf
@@ -166,7 +165,7 @@ def _error_px(search: _ExposureSearch, target: TargetPlan | None, ratio: float) 
     if float(mean[search.seen.electrons > 0.1 * search.seen.electrons.max()].max(initial=0.0)) > limit_e:
         return float("nan"), int(use.sum()), True
     center, _ = center_bound(light, search.seen, ratio, mean)
-    by_attitude = attitude_partials(target.prediction.direction, camera, light.inputs.path.middle)
+    by_attitude = camera.attitude_jacobian(light.inputs.path.middle @ target.prediction.direction)
     total = center + by_attitude @ pointing.covariance_rad2 @ by_attitude.T
     return float(np.sqrt(0.5 * np.trace(total))), int(use.sum()), False
 

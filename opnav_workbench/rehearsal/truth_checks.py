@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import EstimationError, SessionError
-from opnav_workbench.estimation.batch import equal_sigmas
 from opnav_workbench.estimation.parameters import parse_groups
 from opnav_workbench.geometry import matrix_from_quaternion, vector_from_rotation
 from opnav_workbench.rehearsal.comparison import compare
@@ -28,6 +27,7 @@ from opnav_workbench.rehearsal.solution import (
     predicted_flyby,
     solve_rehearsal,
 )
+from opnav_workbench.robust import equal_sigmas
 from opnav_workbench.simulation import Truth
 
 if TYPE_CHECKING:

@@ -29,7 +29,6 @@ from opnav_workbench.bodies import (
 from opnav_workbench.bodies.picture import sized_target
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError
-from opnav_workbench.observables import attitude_partials
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.body_models import (
     best_center,
@@ -255,7 +254,7 @@ def predicted_sigma_px(context: Context, inputs: Inputs, state: SessionState, ta
     camera = context.camera
     rotation = attitude(inputs, state)
     vector = rotation @ np.asarray(target.position_km)
-    by_attitude = attitude_partials(target.direction, camera, rotation)
+    by_attitude = camera.attitude_jacobian(rotation @ target.direction)
     covariance = by_attitude @ attitude_covariance(context, state) @ by_attitude.T
     if target.covariance_km2 is not None:
         by_position = camera.project_jacobian(vector[None])[0] @ rotation

@@ -51,16 +51,9 @@ def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
 
 def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
     """Covariance (3, 3) rad^2 that goes with `attitude`; the camera's a priori one before the stars are solved."""
-    return a_priori_covariance(context) if state.pointing is None else state.pointing.covariance_rad2
-
-
-def a_priori_covariance(context: Context) -> FloatArray:
-    """Covariance (3, 3) rad^2 of the a priori attitude, as the camera file has it."""
-    sigma = context.camera.attitude_sigma
-    cross = sigma.cross_px * context.camera.pixel_scale_rad
-    focal = np.diag([cross, cross, np.radians(sigma.twist_deg)]) ** 2
-    axes = context.camera.focal_from_camera
-    return np.asarray(axes.T @ focal @ axes)
+    if state.pointing is None:
+        return context.camera.a_priori_covariance_rad2
+    return state.pointing.covariance_rad2
 
 
 def with_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
@@ -167,15 +160,16 @@ def _start(context: Context, state: SessionState, a_priori: bool) -> dict[str, A
     """How far the a priori attitude is to be trusted: not at all where the field was found far from it."""
     if not _near_a_priori(context, state):
         return {"twist_sigma_rad": np.pi, "start": "svd"}
-    twist = {"twist_sigma_rad": np.radians(context.camera.attitude_sigma.twist_deg)}
-    return twist | ({"a_priori_covariance_rad2": a_priori_covariance(context)} if a_priori else {})
+    camera = context.camera
+    twist = {"twist_sigma_rad": camera.a_priori_sigma_rad[2]}
+    return twist | ({"a_priori_covariance_rad2": camera.a_priori_covariance_rad2} if a_priori else {})
 
 
 def _near_a_priori(context: Context, state: SessionState) -> bool:
     found = state.star_field
     if found is None or found.search == "a priori":
         return True
-    most = HAND_TWIST_SIGMAS * np.radians(context.camera.attitude_sigma.twist_deg)
+    most = HAND_TWIST_SIGMAS * context.camera.a_priori_sigma_rad[2]
     return found.search == BY_HAND and abs(found.twist_rad) <= most
 
 

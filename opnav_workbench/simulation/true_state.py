@@ -95,9 +95,7 @@ def flown_kernels(plan: ActualAttitude, folder: Path) -> AbstractContextManager[
 
 def misaligned_attitude(predicted: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
     """Turn an attitude by a random error about the pixel, line and boresight axes, of the camera's a priori size."""
-    sigma = camera.attitude_sigma
-    cross = sigma.cross_px * camera.pixel_scale_rad
-    error = rng.normal(0.0, [cross, cross, math.radians(sigma.twist_deg)])
+    error = rng.normal(0.0, camera.a_priori_sigma_rad)
     return rotation_from_vector(camera.focal_from_camera.T @ error) @ predicted
 
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, least_squares, minimize
+from scipy.optimize import least_squares, minimize
 from scipy.special import chdtri
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, symmetric
@@ -34,6 +34,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import Ellipse, unit
+from opnav_workbench.robust import moment_excess
 
 __all__ = ["LimbMotion", "compare_ellipses", "horizon_position", "limb_motion", "pinhole_px"]
 
@@ -102,6 +103,7 @@ def horizon_position(
 
 OUTLIER_SIGMAS = 4.0  # of noise and roughness together: 6e-5 of good points
 ROUNDS = 12  # of leaving out and taking back
+ROUGHNESS_TOLERANCE_PX = 1e-6
 DOUBT = 0.01  # residuals larger than this share of mere noise would give count as roughness
 FIRST_LENGTH = 2.0  # pieces, to start from
 SHORTEST, SHORTEST_PULL = 0.2, 1.0
@@ -226,7 +228,8 @@ def _roughness(residual: FloatArray, sigma: FloatArray, columns: int) -> float:
 
     if freedom < 1 or surplus(0.0) + freedom <= chdtri(freedom, DOUBT):
         return 0.0
-    return float(brentq(surplus, 0.0, np.sqrt(np.sum(residual**2) / freedom) + 1e-12, xtol=1e-6))
+    largest = float(np.sqrt(np.sum(residual**2) / freedom)) + 1e-12  # explains everything without any noise
+    return moment_excess(surplus, ROUGHNESS_TOLERANCE_PX, largest)
 
 
 def _motion_with_covariance(

@@ -16,7 +16,6 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CenterfindingError, OpNavError, SessionError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.mission import Mission
-from opnav_workbench.observables import attitude_partials
 from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.session import ImageSession
 from opnav_workbench.targets import TargetState
@@ -262,7 +261,7 @@ def _catalog_covariance(session: ImageSession) -> FloatArray:
     attitude, camera = state.pointing.camera_from_j2000, session.context.camera
     total = np.zeros((3, 3))
     for star in used:
-        partials = attitude_partials(state.a_priori.directions[star], camera, attitude)
+        partials = camera.attitude_jacobian(attitude @ state.a_priori.directions[star])
         own = state.a_priori.covariance_px2[star]
         excess = state.pointing.excess_sigma_px**2 * np.eye(2)
         weight = np.linalg.inv(state.centers.covariance_px2[star] + own + excess)

@@ -17,7 +17,7 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import vector_from_rotation
-from opnav_workbench.stars.pointing.attitude_steps import StepModel, attitude_jacobian
+from opnav_workbench.stars.pointing.attitude_steps import StepModel
 
 __all__ = ["AttitudeFit", "AttitudePrior", "LinearizedProblem", "PointingProblem", "fit_attitude"]
 
@@ -237,7 +237,7 @@ def _finish(
         covariance_rad2=covariance,
         formal_covariance_rad2=formal,
         residual_px=stars.observed_px - stars.camera.project(in_camera),
-        jacobian=attitude_jacobian(stars.camera, in_camera),
+        jacobian=stars.camera.attitude_jacobian(in_camera),
         linear=linear,
         twist_solved=twist_solved,
     )
@@ -250,7 +250,7 @@ def _linearize(
     predicted = stars.camera.project(in_camera)
     linear = LinearizedProblem(
         residual_px=stars.observed_px[used] - predicted,
-        jacobian=attitude_jacobian(stars.camera, in_camera),
+        jacobian=stars.camera.attitude_jacobian(in_camera),
         covariance_px2=stars.covariance_px2[used],
         prior_rows=prior,
         prior_residual=stars.prior.residual(prior, attitude),
@@ -263,7 +263,7 @@ def _twist_information(
 ) -> float | None:
     """Inverse variance with which the stars alone determine the twist; None where one is out of sight."""
     in_camera = stars.directions[used] @ attitude.T
-    along_axes = attitude_jacobian(stars.camera, in_camera) @ stars.camera.focal_from_camera.T
+    along_axes = stars.camera.attitude_jacobian(in_camera) @ stars.camera.focal_from_camera.T
     if not np.all(np.isfinite(along_axes)):
         return None
     rows = (_whitening(stars.covariance_px2[used], excess) @ along_axes).reshape(-1, 3)

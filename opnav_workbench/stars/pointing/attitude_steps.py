@@ -18,7 +18,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import rotation_from_vector
 
-__all__ = ["POINTING_MODELS", "EulerAngles", "ImagePlane", "PointingModel", "StepModel", "attitude_jacobian"]
+__all__ = ["POINTING_MODELS", "EulerAngles", "ImagePlane", "PointingModel", "StepModel"]
 
 PointingModel = Literal["euler", "image_plane"]
 
@@ -37,20 +37,6 @@ class StepModel(Protocol):
         """Return the rotation (3, 3) that carries out `step` (3,): new attitude = rotation @ old."""
 
 
-def attitude_jacobian(camera: Camera, in_camera: FloatArray) -> FloatArray:
-    """Return d(pixel, line) / d(eps), (n, 2, 3), px/rad, where a direction v becomes v + eps x v.
-
-    Parameters
-    ----------
-    in_camera : (n, 3) array
-        Directions in the camera frame.
-    """
-    x, y, z = in_camera.T
-    zero = np.zeros_like(x)
-    eps_cross_v = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(-1, 3, 3)
-    return np.asarray(camera.project_jacobian(in_camera) @ eps_cross_v)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class EulerAngles:
     """Three successive rotations about the camera's pixel, line and boresight axes."""
@@ -64,7 +50,7 @@ class EulerAngles:
 
     def design(self, in_camera: FloatArray, predicted_px: FloatArray) -> FloatArray:  # noqa: ARG002
         """See `StepModel`; exact at zero angles, distortion included."""
-        return attitude_jacobian(self.camera, in_camera) @ self.tangent
+        return self.camera.attitude_jacobian(in_camera) @ self.tangent
 
     def rotation(self, step: FloatArray) -> FloatArray:
         """See `StepModel`; about pixel first, about boresight last."""

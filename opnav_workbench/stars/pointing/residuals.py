@@ -35,11 +35,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import chdtrc
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.geometry import unit
+from opnav_workbench.robust import moment_excess
 from opnav_workbench.stars.pointing.attitude_fit import (
     AttitudeFit,
     LinearizedProblem,
@@ -128,13 +128,7 @@ def _restricted_likelihood(
 
 
 def _moment_excess_sigma(linear: LinearizedProblem) -> float:
-    def surplus(sigma_px: float) -> float:
-        return linear.chi2(sigma_px) - linear.freedom
-
-    upper = 0.1
-    while surplus(upper) > 0.0:  # falls as 1 / sigma^2
-        upper *= 2.0
-    return float(brentq(surplus, 0.0, upper, xtol=EXCESS_TOLERANCE_PX))
+    return moment_excess(lambda sigma_px: linear.chi2(sigma_px) - linear.freedom, EXCESS_TOLERANCE_PX)
 
 
 # ---- Which stars belong together: outliers are found against a start that they cannot spoil.

@@ -176,7 +176,7 @@ def _checked_attitude(a_priori: ArrayLike) -> FloatArray:
 
 
 def _twist_sigma(twist_sigma_rad: float | None, camera: Camera) -> float:
-    sigma = np.radians(camera.attitude_sigma.twist_deg) if twist_sigma_rad is None else twist_sigma_rad
+    sigma = camera.a_priori_sigma_rad[2] if twist_sigma_rad is None else twist_sigma_rad
     if not 0.0 < sigma < np.inf:
         raise PointingError(
             f"twist_sigma_rad is {sigma}; give a positive number (1 sigma of the a priori twist)"

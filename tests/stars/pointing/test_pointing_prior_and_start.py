@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import rotation_from_vector, vector_from_rotation
 from opnav_workbench.stars.pointing import solve_pointing, wahba
-from opnav_workbench.stars.pointing.attitude_steps import attitude_jacobian
 
 STARTS = ("svd", "q_method")
 
@@ -44,7 +43,7 @@ def test_prior_and_stars_add_their_information(cameras, star_field):
     covariance = a_priori_covariance(camera, 0.05)
     field = star_field(camera, np.random.default_rng(72), 2, sigma_px=0.2, error_rotvec=np.zeros(3))
     solution = solve_pointing(field.true_px, *field.arguments[1:], a_priori_covariance_rad2=covariance)
-    jacobian = attitude_jacobian(camera, field.directions @ field.attitude.T)
+    jacobian = camera.attitude_jacobian(field.directions @ field.attitude.T)
     stars = np.einsum("nij,nik->jk", jacobian, jacobian) / 0.2**2
     assert_allclose(solution.covariance_rad2, np.linalg.inv(np.linalg.inv(covariance) + stars), rtol=1e-6)
 
