@@ -13,14 +13,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import AfterValidator, Field, TypeAdapter
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.image.header import KeywordMap
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import Photometry, TargetState
-from opnav_workbench.yaml_file import read_model
+from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = ["Mission", "TargetSurface", "load_mission", "mission_names"]
 
@@ -31,21 +31,17 @@ Keyword = Annotated[str, Field(min_length=1, max_length=80)]
 KEYWORD_FIELDS = frozenset(field.name for field in fields(KeywordMap))
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _Spacecraft(_Strict):
+class _Spacecraft(StrictModel):
     name: str
     id: int
 
 
-class _CameraEntry(_Strict):
+class _CameraEntry(StrictModel):
     file: str
-    match: dict[Keyword, Value | tuple[Value, ...]] = {}
+    match: dict[Keyword, Value | tuple[Value, ...]] = Field(default_factory=dict)
 
 
-class AlbedoMapFile(_Strict):
+class AlbedoMapFile(StrictModel):
     """A map of a target's albedo; the fields are those of `opnav_workbench.render.AlbedoMap.from_file`."""
 
     file: Path
@@ -56,7 +52,7 @@ class AlbedoMapFile(_Strict):
     north_first: bool = True
 
 
-class TargetSurface(_Strict):
+class TargetSurface(StrictModel):
     """How a target's surface looks, where a mission knows more than its brightness.
 
     Attributes
@@ -87,15 +83,15 @@ def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:
     return keywords
 
 
-class _MissionFile(_Strict):
+class _MissionFile(StrictModel):
     name: str
     spacecraft: _Spacecraft
     clock_id: int
     bus_frame: str
     reference_body: str
     default_targets: tuple[str, ...] = ()
-    target_photometry: dict[str, Photometry] = {}
-    target_surfaces: dict[str, TargetSurface] = {}
+    target_photometry: dict[str, Photometry] = Field(default_factory=dict)
+    target_surfaces: dict[str, TargetSurface] = Field(default_factory=dict)
     target_stars: str | None = None
     cameras: Annotated[tuple[_CameraEntry, ...], Field(min_length=1)]
     keywords: Annotated[dict[str, Any], AfterValidator(_checked_keywords)]

@@ -8,17 +8,23 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from opnav_workbench.errors import OpNavError
 
-__all__ = ["Location", "check_model", "line_of", "read_model"]
+__all__ = ["Location", "StrictModel", "check_model", "line_of", "read_model"]
 
 ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
 FIELDS_SHOWN = 12  # a longer list of allowed fields is no help in one line
 
 Model = TypeVar("Model", bound=BaseModel)
 Location = tuple[int | str, ...]
+
+
+class StrictModel(BaseModel):
+    """What a file may say: unknown fields are errors, for they are misspelt ones; values are frozen and finite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def read_model(path: str | PathLike[str], model: type[Model], what: str, failure: type[OpNavError]) -> Model:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloat, PositiveInt
+from pydantic import BaseModel, BeforeValidator, Field, PositiveFloat, PositiveInt
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera.distortion import (
@@ -25,7 +25,7 @@ from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrio
 from opnav_workbench.errors import CameraError
 from opnav_workbench.photometry import Bandpass, ColorResponse
 from opnav_workbench.psf.schema import AnyPsf
-from opnav_workbench.yaml_file import read_model
+from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = ["camera_fields"]
 
@@ -49,18 +49,14 @@ def _powers(value: Any) -> Any:
 SipTerms = Annotated[dict[tuple[int, int], float], BeforeValidator(_powers)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _NoDistortion(_Strict):
+class _NoDistortion(StrictModel):
     model: Literal["none"]
 
     def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
         return NoDistortion()
 
 
-class _Owen(_Strict):
+class _Owen(StrictModel):
     model: Literal["owen"]
     e1_per_mm: float = 0.0
     e2_per_mm2: float = 0.0
@@ -73,7 +69,7 @@ class _Owen(_Strict):
         return OwenDistortion(**self.model_dump(exclude={"model"}))
 
 
-class _Brown(_Strict):
+class _Brown(StrictModel):
     """OpenCV's coefficients, dimensionless."""
 
     model: Literal["brown"]
@@ -94,7 +90,7 @@ class _Brown(_Strict):
         return BrownDistortion(focal_mm=focal_mm, **self.model_dump(exclude={"model"}))
 
 
-class _Sip(_Strict):
+class _Sip(StrictModel):
     """Coefficients of u^p v^q keyed ``p_q``, px^(1 - p - q)."""
 
     model: Literal["sip"]
@@ -105,7 +101,7 @@ class _Sip(_Strict):
         return SipDistortion.from_coefficients(pixel_from_mm, self.ap, self.bp)
 
 
-class _ForwardSip(_Strict):
+class _ForwardSip(StrictModel):
     """Coefficients of u^p v^q keyed ``p_q``, px^(1 - p - q)."""
 
     model: Literal["sip_forward"]
@@ -116,7 +112,7 @@ class _ForwardSip(_Strict):
         return ForwardSipDistortion.from_coefficients(pixel_from_mm, self.a, self.b)
 
 
-class _Legendre(_Strict):
+class _Legendre(StrictModel):
     model: Literal["legendre"]
     half_size_mm: Pair
     x_coefficients: Terms
@@ -133,7 +129,7 @@ AnyDistortion = Annotated[
 ]
 
 
-class _Optics(_Strict):
+class _Optics(StrictModel):
     focal_length_mm: PositiveFloat
     aperture_m: PositiveFloat | None = None
     obscuration: Share = 0.0
@@ -142,7 +138,7 @@ class _Optics(_Strict):
     distortion: AnyDistortion
 
 
-class _Detector(_Strict):
+class _Detector(StrictModel):
     n_pixel: PositiveInt
     n_line: PositiveInt
     center_pixel_line: Pair
@@ -166,7 +162,7 @@ class _Detector(_Strict):
         return ExposureLimits(self.exposure_min_s, self.exposure_max_s)
 
 
-class _Bandpass(_Strict):
+class _Bandpass(StrictModel):
     """A curve of electrons per photon; with a peak, the curve gives its shape only."""
 
     wavelength_nm: Annotated[tuple[float, ...], Field(min_length=2)]
@@ -178,7 +174,7 @@ class _Bandpass(_Strict):
         return curve if self.peak is None else curve.scaled_to(self.peak)
 
 
-class _Color(_Strict):
+class _Color(StrictModel):
     slope_mag_per_bv: float
     sigma_mag: PositiveFloat
     reference_b_v: float = 0.0
@@ -188,25 +184,25 @@ class _Color(_Strict):
         return ColorResponse(**self.model_dump())
 
 
-class _Photometry(_Strict):
+class _Photometry(StrictModel):
     zero_point_mag: float | None = None
     zero_point_b_v: float = 0.0
     bandpass: _Bandpass | None = None
     color: _Color | None = None
 
 
-class _Psf(_Strict):
+class _Psf(StrictModel):
     sigma_px: PositiveFloat
     sigma_sigma_px: PositiveFloat
     model: AnyPsf | None = None
 
 
-class _Attitude(_Strict):
+class _Attitude(StrictModel):
     cross_px: PositiveFloat
     twist_deg: PositiveFloat
 
 
-class CameraFile(_Strict):
+class CameraFile(StrictModel):
     """One camera in one readout mode, as a YAML file describes it."""
 
     name: str

@@ -9,12 +9,12 @@ from os import PathLike
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from opnav_workbench.downloads import require_web_address
 from opnav_workbench.errors import DownloadError, KernelError, MissionError
 from opnav_workbench.resources import cache_root, kernels_meta_dir
-from opnav_workbench.yaml_file import read_model
+from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = [
     "KERNEL_KINDS",
@@ -59,11 +59,7 @@ def _web_address(url: str) -> str:
     return url
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ManifestKernel(_Strict):
+class ManifestKernel(StrictModel):
     """One kernel of a manifest.
 
     Attributes
@@ -97,7 +93,7 @@ def _each_file_once(kernels: tuple[ManifestKernel, ...]) -> tuple[ManifestKernel
     return kernels
 
 
-class Manifest(_Strict):
+class Manifest(StrictModel):
     """A mission's flight kernels, in loading order within a kind, and the metakernel that loads them."""
 
     mission: Annotated[str, Field(pattern=r"^[\w-]+$")]

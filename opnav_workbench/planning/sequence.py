@@ -23,10 +23,11 @@ from pydantic import (
 )
 
 from opnav_workbench.errors import MissionError
-from opnav_workbench.kernels.making.scenario_parts import FileStem, Strict, Utc
+from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
 from opnav_workbench.simulation import PictureScenario
 from opnav_workbench.simulation.scenario import MotionPlan, Pair, PictureEntry
 from opnav_workbench.simulation.scenario_file import PicturesFile, require_distinct
+from opnav_workbench.yaml_file import StrictModel
 
 __all__ = [
     "ApproachSearch",
@@ -53,7 +54,7 @@ def _one_or_more(value: Any) -> Any:
 Names = Annotated[tuple[str, ...], BeforeValidator(_one_or_more)]
 
 
-class PlannedPointing(Strict):
+class PlannedPointing(StrictModel):
     """Where the camera looks: the CK (``kernels``), the middle of bodies (``track``), or a direction.
 
     ``twist_deg`` is the position angle, east of north, of increasing line; ``offset_px`` moves what is tracked, or the
@@ -100,7 +101,7 @@ class PlannedPicture(PictureEntry):
     pointing: PlannedPointingField | None = None
 
 
-class ApproachSearch(Strict):
+class ApproachSearch(StrictModel):
     """When a body that comes nearer is first bright enough."""
 
     name: FileStem
@@ -120,7 +121,7 @@ class ApproachSearch(Strict):
         return self
 
 
-class SunRule(Strict):
+class SunRule(StrictModel):
     """What the Sun allows, as the mission states it.
 
     ``stray_light_dn_s`` has pairs of solar elongation (deg, increasing) and level (DN per second and pixel); between
@@ -139,7 +140,7 @@ class SunRule(Strict):
         return self
 
 
-class PlanLimits(Strict):
+class PlanLimits(StrictModel):
     """What makes a picture good, marginal or bad."""
 
     star_snr: PositiveFloat = 5.0  # a fainter star is not used: what processing has by default

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import BaseModel, Field, PositiveFloat, PositiveInt, model_validator
 
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.empirical import EmpiricalPsf
@@ -14,7 +14,7 @@ from opnav_workbench.psf.gaussian import FieldPsf, GaussianPsf, GridShape, Polyn
 from opnav_workbench.psf.protocol import Psf
 from opnav_workbench.psf.tabulated import MoffatPsf
 from opnav_workbench.psf.trailed import TrailedPsf
-from opnav_workbench.yaml_file import check_model
+from opnav_workbench.yaml_file import StrictModel, check_model
 
 __all__ = ["AnyPsf", "psf_from_mapping"]
 
@@ -22,11 +22,7 @@ Row = tuple[float, ...]
 Rows = tuple[Row, ...]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class _Gaussian(_Strict):
+class _Gaussian(StrictModel):
     """Either one width, or two and the angle of the wider one from +pixel toward +line."""
 
     model: Literal["gaussian"]
@@ -48,7 +44,7 @@ class _Gaussian(_Strict):
         return GaussianPsf(major, self.sigma_minor_px or major, float(np.radians(self.angle_deg)))
 
 
-class _Moffat(_Strict):
+class _Moffat(StrictModel):
     model: Literal["moffat"]
     fwhm_px: PositiveFloat
     beta: Annotated[float, Field(gt=1.0)]
@@ -58,7 +54,7 @@ class _Moffat(_Strict):
         return MoffatPsf(self.fwhm_px, self.beta, self.cut_share)
 
 
-class _Empirical(_Strict):
+class _Empirical(StrictModel):
     """The file that `EmpiricalPsf.save` wrote, or the samples themselves."""
 
     model: Literal["empirical"]
@@ -83,13 +79,13 @@ class _Empirical(_Strict):
         return EmpiricalPsf(np.array(rows), self.oversampling or 1)
 
 
-class _Polynomial(_Strict):
+class _Polynomial(StrictModel):
     sigma_px: Row
     e1: Row = (0.0,)
     e2: Row = (0.0,)
 
 
-class _Grid(_Strict):
+class _Grid(StrictModel):
     pixel: Row
     line: Row
     sigma_px: Rows
@@ -97,7 +93,7 @@ class _Grid(_Strict):
     e2: Rows | None = None
 
 
-class _Field(_Strict):
+class _Field(StrictModel):
     model: Literal["field"]
     n_pixel: PositiveInt
     n_line: PositiveInt
@@ -118,7 +114,7 @@ class _Field(_Strict):
         return FieldPsf(GridShape(size, **_arrays(self.grid)))
 
 
-class _Trailed(_Strict):
+class _Trailed(StrictModel):
     model: Literal["trailed"]
     psf: "AnyPsf"
     offsets_px: tuple[tuple[float, float], ...]
@@ -134,7 +130,7 @@ AnyPsf = Annotated[_Gaussian | _Moffat | _Empirical | _Field | _Trailed, Field(d
 _Trailed.model_rebuild()
 
 
-class _Wrapped(_Strict):
+class _Wrapped(StrictModel):
     psf: AnyPsf
 
 

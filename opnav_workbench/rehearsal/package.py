@@ -24,9 +24,8 @@ from pydantic import PositiveFloat
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import inside, plain_values, sha256_of, write_text
-from opnav_workbench.kernels.making.scenario_parts import Strict
 from opnav_workbench.mission import mission_names
-from opnav_workbench.yaml_file import read_model
+from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = [
     "PACKAGE_FORMAT",
@@ -50,7 +49,7 @@ SEAL_FIELDS = ("sealed_truth",)  # what is not part of the digest that the truth
 StatedSigma = PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 
 
-class BPlaneContent(Strict):
+class BPlaneContent(StrictModel):
     """The flyby as predicted."""
 
     body: str
@@ -64,7 +63,7 @@ class BPlaneContent(Strict):
     v_infinity_km_s: float
 
 
-class PictureContent(Strict):
+class PictureContent(StrictModel):
     """One picture of the sequence."""
 
     name: str
@@ -76,7 +75,7 @@ class PictureContent(Strict):
     received: bool
 
 
-class SealContent(Strict):
+class SealContent(StrictModel):
     """The sealed truth."""
 
     file: str
@@ -84,7 +83,7 @@ class SealContent(Strict):
     plain_sha256: str
 
 
-class OrtContent(Strict):
+class OrtContent(StrictModel):
     """The whole file."""
 
     format: str

@@ -27,10 +27,10 @@ from pydantic import (
 
 from opnav_workbench.errors import EstimationError, MissionError
 from opnav_workbench.estimation.parameters import parse_groups
-from opnav_workbench.kernels.making.scenario_parts import FileStem, Strict, Utc
+from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_file import BodyAppearance, ScenarioFile, require_distinct
-from opnav_workbench.yaml_file import check_model
+from opnav_workbench.yaml_file import StrictModel, check_model
 
 __all__ = [
     "Distribution",
@@ -45,7 +45,7 @@ __all__ = [
 # ---- How a rehearsal's scenario states its perturbations.
 
 
-class Distribution(Strict):
+class Distribution(StrictModel):
     """A number to draw: normal with a sigma, or uniform between two ends; `either_sign` lets the seed turn its sign."""
 
     normal: PositiveFloat | None = None
@@ -74,7 +74,7 @@ Three = tuple[Amount, Amount, Amount]
 NOTHING = Distribution(uniform=(0.0, 0.0))
 
 
-class TargetShift(Strict):
+class TargetShift(StrictModel):
     """Moves the target's barycenter, and all that belongs to it, from where the predicted kernels have it."""
 
     body: Annotated[str, Field(min_length=1)]
@@ -88,7 +88,7 @@ class TargetShift(Strict):
         return _given((self.toward_sun_km, self.any_direction_km, *self.position_km))
 
 
-class SpacecraftError(Strict):
+class SpacecraftError(StrictModel):
     """True minus predicted state of the spacecraft at the epoch."""
 
     any_direction_km: Amount = NOTHING
@@ -100,14 +100,14 @@ class SpacecraftError(Strict):
         return _given((self.any_direction_km, *self.position_km))
 
 
-class BPlaneShift(Strict):
+class BPlaneShift(StrictModel):
     """Moves the spacecraft's incoming asymptote across, in the axes of the predicted B-plane."""
 
     b_dot_t_km: Amount = NOTHING
     b_dot_r_km: Amount = NOTHING
 
 
-class AttitudeError(Strict):
+class AttitudeError(StrictModel):
     """True against predicted attitude; where it is left out, an error of the camera's a priori size."""
 
     shift_px: Amount = NOTHING  # length, in a direction that the seed draws
@@ -115,7 +115,7 @@ class AttitudeError(Strict):
     every_picture: bool = True  # an error of its own for each picture; else one for all
 
 
-class AlbedoError(Strict):
+class AlbedoError(StrictModel):
     """A mottled surface where the team has a uniform one, and light that is not the predicted."""
 
     bodies: Annotated[tuple[str, ...], Field(min_length=1)]
@@ -129,14 +129,14 @@ class AlbedoError(Strict):
         return self
 
 
-class CameraFault(Strict):
+class CameraFault(StrictModel):
     """The true camera against the calibrated one."""
 
     focal_length: Amount = NOTHING  # relative: 1e-3 is a focal length longer by a thousandth
     corner_px: Amount = NOTHING  # radial (cubic) distortion that is not in the calibration, at the corners
 
 
-class LostImages(Strict):
+class LostImages(StrictModel):
     """Pictures that never arrive, or only in part."""
 
     missing: NonNegativeInt = 0
@@ -144,7 +144,7 @@ class LostImages(Strict):
     spare: tuple[str, ...] = ()  # pictures that are never lost
 
 
-class DataGaps(Strict):
+class DataGaps(StrictModel):
     """Lines and blocks that telemetry loses in some of the pictures."""
 
     pictures: PositiveInt
@@ -153,7 +153,7 @@ class DataGaps(Strict):
     block_px: PositiveInt = 32
 
 
-class CosmicRayStorm(Strict):
+class CosmicRayStorm(StrictModel):
     """A storm of energetic particles while some of the pictures are taken."""
 
     pictures: PositiveInt
@@ -161,7 +161,7 @@ class CosmicRayStorm(Strict):
     electrons_per_um: NonNegativeFloat = 80.0
 
 
-class OrtPerturbations(Strict):
+class OrtPerturbations(StrictModel):
     """All of them; what is left out is as predicted."""
 
     target_barycenter: TargetShift | None = None
@@ -195,7 +195,7 @@ def _given(amounts: Sequence[Distribution]) -> bool:
 Sigma = PositiveFloat | tuple[PositiveFloat, PositiveFloat, PositiveFloat]
 
 
-class OrtPointing(Strict):
+class OrtPointing(StrictModel):
     """Where the commanded attitude puts a target, in place of the attitude that the kernels have."""
 
     target: str | None = None  # None: the first of the picture's targets
@@ -203,7 +203,7 @@ class OrtPointing(Strict):
     twist_deg: float = 0.0
 
 
-class OrtEntry(Strict):
+class OrtEntry(StrictModel):
     """One picture at `utc`, or `count` pictures from `start` every `step_s` (named ``NAME_1``, ...)."""
 
     name: FileStem

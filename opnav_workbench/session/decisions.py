@@ -51,7 +51,7 @@ from opnav_workbench.files import write_text
 from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.history import JournalEntry
 from opnav_workbench.session.settings import Settings
-from opnav_workbench.yaml_file import line_of, read_model
+from opnav_workbench.yaml_file import StrictModel, line_of, read_model
 
 if TYPE_CHECKING:
     from opnav_workbench.session.session import ImageSession
@@ -66,11 +66,7 @@ StepNumber = Annotated[int, Field(ge=1)]
 ScanNumber = Annotated[int, Field(ge=0)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class DecisionItem(_Strict):
+class DecisionItem(StrictModel):
     """One decision or step."""
 
     at: StepNumber | None = None
@@ -182,7 +178,7 @@ def _known_settings(values: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-class PictureDecisions(_Strict):
+class PictureDecisions(StrictModel):
     """The decisions on one picture.
 
     Attributes
@@ -205,7 +201,7 @@ class PictureDecisions(_Strict):
     mission: str = ""
     catalog: str = ""
     attitude: Literal["", "kernels", "header"] = ""
-    settings: Annotated[dict[str, int | float], AfterValidator(_known_settings)] = {}
+    settings: Annotated[dict[str, int | float], AfterValidator(_known_settings)] = Field(default_factory=dict)
     reject: tuple[StarDecision, ...] = ()
     accept: tuple[StarDecision, ...] = ()
     place: tuple[PlacedStar, ...] = ()

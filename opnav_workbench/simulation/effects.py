@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from opnav_workbench.kernels.making.scenario_parts import Strict
+from opnav_workbench.yaml_file import StrictModel
 
 __all__ = ["CosmicRays", "DetectorEffects", "LostData", "Sky"]
 
@@ -26,40 +26,40 @@ def _switched(value: Any) -> Any:
 Switch = Annotated[Effect | None, BeforeValidator(_switched)]
 
 
-class ReadNoise(Strict):
+class ReadNoise(StrictModel):
     """Noise of reading a pixel, as a dark frame shows it: digitisation is part of it, as in flight headers."""
 
     sigma_dn: NonNegativeFloat | None = None
 
 
-class Bias(Strict):
+class Bias(StrictModel):
     """Electronic offset; its pattern from column to column belongs to the camera. Calibration removes both."""
 
     level_dn: NonNegativeFloat | None = None
     pattern_dn: NonNegativeFloat = 0.0  # 1 sigma
 
 
-class DarkCurrent(Strict):
+class DarkCurrent(StrictModel):
     """Thermal electrons, their number in a pixel Poisson-distributed. Calibration removes their mean."""
 
     rate_e_s: NonNegativeFloat | None = None  # per pixel
     nonuniformity: NonNegativeFloat = 0.0  # 1 sigma of the rate from pixel to pixel, of its mean
 
 
-class FullWell(Strict):
+class FullWell(StrictModel):
     """Charge that a pixel can hold; what is more spills along its column, as much up as down."""
 
     electrons: PositiveFloat | None = None
     blooming: bool = True  # False: an anti-blooming drain takes what is too much
 
 
-class Adc(Strict):
+class Adc(StrictModel):
     """Analog-digital converter: whole numbers up to ``2^bits - 1``."""
 
     bits: Annotated[PositiveInt | None, Field(le=32)] = None
 
 
-class BadPixels(Strict):
+class BadPixels(StrictModel):
     """Hot pixels, which leak, and dead pixels, which see nothing: always the same ones of a camera."""
 
     hot_fraction: Fraction | None = None
@@ -68,7 +68,7 @@ class BadPixels(Strict):
     flagged: bool = False  # whether the quality plane knows them
 
 
-class CosmicRays(Strict):
+class CosmicRays(StrictModel):
     """Charged particles: isotropic through a layer of silicon, with log-normal losses along their tracks."""
 
     rate_per_cm2_s: NonNegativeFloat | None = None  # None: 4, the galactic flux of deep space
@@ -79,7 +79,7 @@ class CosmicRays(Strict):
     longest_px: PositiveFloat = 200.0
 
 
-class FrameTransfer(Strict):
+class FrameTransfer(StrictModel):
     """Light that falls while charge moves along columns, where no shutter stops it.
 
     After the exposure the picture moves `toward` its first or last line in `transfer_s`; before it, the rows that
@@ -91,7 +91,7 @@ class FrameTransfer(Strict):
     toward: Literal["first_line", "last_line"] = "first_line"
 
 
-class FlatField(Strict):
+class FlatField(StrictModel):
     """Sensitivity over the field: darker corners, and pixels that differ. Calibration removes all but `error`."""
 
     vignetting: Fraction = 0.0  # light lost in the corners, growing with the square of the radius
@@ -99,14 +99,14 @@ class FlatField(Strict):
     error: NonNegativeFloat = 0.0  # 1 sigma per pixel of the flat that calibration divides by, relative
 
 
-class Sky(Strict):
+class Sky(StrictModel):
     """Evenly bright background."""
 
     rate_e_s: NonNegativeFloat = 0.0  # electrons per pixel and second
     level_dn: NonNegativeFloat = 0.0  # whatever the exposure
 
 
-class StrayLight(Strict):
+class StrayLight(StrictModel):
     """A plane of scattered light, never below zero: at the center, and its change from edge to edge."""
 
     center_e_s: NonNegativeFloat = 0.0  # electrons per pixel and second
@@ -114,7 +114,7 @@ class StrayLight(Strict):
     along_line_e_s: float = 0.0
 
 
-class LostData(Strict):
+class LostData(StrictModel):
     """Lines and blocks that telemetry lost: filled with a value, and flagged in the quality plane."""
 
     lines: NonNegativeInt = 0
@@ -123,7 +123,7 @@ class LostData(Strict):
     fill_dn: float = 0.0  # raw DN: after calibration a lost pixel stands below zero by the bias
 
 
-class DetectorEffects(Strict):
+class DetectorEffects(StrictModel):
     """All effects. Those on by default are in every picture; the others ask for numbers that are no constants.
 
     Examples

@@ -42,10 +42,9 @@ from opnav_workbench.geometry import (
 from opnav_workbench.image import KeywordMap
 from opnav_workbench.image.times import text_from_et
 from opnav_workbench.kernels import State, body_attitude, body_id, sclk_from_et, state, utc_from_et
-from opnav_workbench.kernels.making.scenario_parts import Strict
 from opnav_workbench.mission import Mission
 from opnav_workbench.simulation.detector_properties import DetectorValues, Level
-from opnav_workbench.yaml_file import read_model
+from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = ["FlightRecord", "flight_cards", "utc_text", "wcs_cards"]
 
@@ -286,12 +285,12 @@ class Card:
     comment: str = ""
 
 
-class _Group(Strict):
+class _Group(StrictModel):
     when: dict[str, CardValue] = Field(default_factory=dict)
     cards: tuple[tuple[str, CardValue, str], ...]
 
 
-class _Template(Strict):
+class _Template(StrictModel):
     groups: tuple[_Group, ...]
 
 

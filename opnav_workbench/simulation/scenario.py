@@ -15,10 +15,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
 
 from opnav_workbench.errors import MissionError
-from opnav_workbench.kernels.making.scenario_parts import FileStem, Strict, Utc
+from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_file import BodyAppearance, PicturesFile, require_distinct, word_for
-from opnav_workbench.yaml_file import check_model
+from opnav_workbench.yaml_file import StrictModel, check_model
 
 __all__ = [
     "ActualAttitude",
@@ -44,7 +44,7 @@ Pair = tuple[float, float]
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 
 
-class PredictedAttitude(Strict):
+class PredictedAttitude(StrictModel):
     """What the header says: ``kernels``, the CK; ``fixed``, boresight and twist, or a SPICE quaternion."""
 
     source: Literal["kernels", "fixed"]
@@ -66,7 +66,7 @@ class PredictedAttitude(Strict):
         return self
 
 
-class ActualAttitude(Strict):
+class ActualAttitude(StrictModel):
     """How the true attitude differs from the predicted one.
 
     ``none``: not at all; ``random``: an error of the camera's a priori size, from the seed; ``error``: `shift_px` and
@@ -87,7 +87,7 @@ class ActualAttitude(Strict):
         return self
 
 
-class MotionPlan(Strict):
+class MotionPlan(StrictModel):
     """How the camera turns during the exposure."""
 
     rate_px_s: Pair = (0.0, 0.0)  # of the boresight's sky on the detector: pixel, line
@@ -97,7 +97,7 @@ class MotionPlan(Strict):
     from_kernels: bool = False  # add the turning that the CK has
 
 
-class AttitudePlan(Strict):
+class AttitudePlan(StrictModel):
     """Predicted attitude (it stands in the header), true one, and motion during the exposure."""
 
     predicted: Annotated[PredictedAttitude, word_for("source")] = PredictedAttitude(source="kernels")
@@ -108,7 +108,7 @@ class AttitudePlan(Strict):
 # -- truth ---------------------------------------------------------------------------------------------------------
 
 
-class BodyOffset(Strict):
+class BodyOffset(StrictModel):
     """Moves a body, or a barycenter with all that belongs to it, from where the kernels have it."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -116,21 +116,21 @@ class BodyOffset(Strict):
     toward_sun_km: float = 0.0  # along the line from the body to the Sun
 
 
-class SpacecraftOffset(Strict):
+class SpacecraftOffset(StrictModel):
     """True minus predicted state of the spacecraft, J2000."""
 
     position_km: Vector3 = ZERO3
     velocity_km_s: Vector3 = ZERO3
 
 
-class Perturbations(Strict):
+class Perturbations(StrictModel):
     """What is true but not in the kernels."""
 
     bodies: tuple[BodyOffset, ...] = ()
     spacecraft: SpacecraftOffset = SpacecraftOffset()
 
 
-class ApparentPlaceEffects(Strict):
+class ApparentPlaceEffects(StrictModel):
     """Effects on places, to see what each of them does; flight pictures have them all."""
 
     aberration: bool = True
@@ -142,7 +142,7 @@ class ApparentPlaceEffects(Strict):
 # -- pictures ------------------------------------------------------------------------------------------------------
 
 
-class PictureEntry(Strict):
+class PictureEntry(StrictModel):
     """One picture, or a series of them from `start` to `stop`."""
 
     name: FileStem

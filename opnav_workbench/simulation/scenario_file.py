@@ -24,11 +24,10 @@ from pydantic import (
 )
 
 from opnav_workbench.errors import MissionError, OpNavError
-from opnav_workbench.kernels.making.scenario_parts import Strict
 from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.targets import Photometry
-from opnav_workbench.yaml_file import Location, check_model, line_of, read_model
+from opnav_workbench.yaml_file import Location, StrictModel, check_model, line_of, read_model
 
 __all__ = [
     "Albedo",
@@ -56,27 +55,27 @@ def word_for(key: str) -> BeforeValidator:
     return BeforeValidator(lambda value: {key: value} if isinstance(value, str) else value)
 
 
-class _Lambert(Strict):
+class _Lambert(StrictModel):
     law: Literal["lambert"]
 
 
-class _LommelSeeliger(Strict):
+class _LommelSeeliger(StrictModel):
     law: Literal["lommel_seeliger"]
 
 
-class _LunarLambert(Strict):
+class _LunarLambert(StrictModel):
     """``L`` as a constant, or McEwen's polynomial of the phase angle in degrees, lowest power first."""
 
     law: Literal["lunar_lambert"]
     lunar_weight: float | tuple[float, ...] | None = None  # None: McEwen's polynomial for the Moon
 
 
-class _Minnaert(Strict):
+class _Minnaert(StrictModel):
     law: Literal["minnaert"]
     k: PositiveFloat = 0.9
 
 
-class _Hapke(Strict):
+class _Hapke(StrictModel):
     """See `opnav_workbench.render.Hapke`; a parameter that is left out has the default there."""
 
     law: Literal["hapke"]
@@ -94,14 +93,14 @@ Law = Annotated[
 ]
 
 
-class UniformAlbedo(Strict):
+class UniformAlbedo(StrictModel):
     """The same albedo everywhere; a bare number stands for it."""
 
     map: Literal["uniform"]
     value: Annotated[float, Field(gt=0.0, le=2.0)]
 
 
-class _MapConventions(Strict):
+class _MapConventions(StrictModel):
     first_longitude_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = 0.0  # of the left edge
     east_positive: bool = True  # longitude grows from left to right; else it falls
     north_first: bool = True  # the first row is at the north pole
@@ -123,7 +122,7 @@ class AlbedoPackage(_MapConventions):
     body: str
 
 
-class Mottled(Strict):
+class Mottled(StrictModel):
     """A map made from a seed, see `opnav_workbench.simulation.surfaces`."""
 
     map: Literal["mottled"]
@@ -155,14 +154,14 @@ Albedo = Annotated[
 ]
 
 
-class ShapeFile(Strict):
+class ShapeFile(StrictModel):
     """A shape model in the body-fixed frame: an OBJ or cmod file, or a DSK of type 2 (then `unit` is km)."""
 
     file: Path
     unit: Literal["m", "km"] = "km"
 
 
-class Brightness(Strict):
+class Brightness(StrictModel):
     """Where a body's disk-integrated light comes from.
 
     ``mission``: the mission file's photometry; ``photometry``: one given here; ``magnitude``: V as the spacecraft sees
@@ -181,7 +180,7 @@ class Brightness(Strict):
         return self
 
 
-class BodyAppearance(Strict):
+class BodyAppearance(StrictModel):
     """How one body is drawn; a body in `targets` without an entry of its own is drawn with these defaults."""
 
     name: Annotated[str, Field(min_length=1)]
@@ -209,7 +208,7 @@ class FieldError(MissionError):
     reason = ""  # the same without the place, where it was said of something else first
 
 
-class ScenarioFile(Strict):
+class ScenarioFile(StrictModel):
     """The content of a YAML file, with the place of that file, which relative paths count from."""
 
     WHAT: ClassVar[str]  # its kind, for messages

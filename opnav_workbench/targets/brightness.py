@@ -14,13 +14,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.geometry import angle_between
 from opnav_workbench.photometry import SUN_V_MAG
 from opnav_workbench.targets.target_state import TargetState
+from opnav_workbench.yaml_file import StrictModel
 
 __all__ = [
     "EarthApparent",
@@ -246,11 +247,7 @@ def center_of_light_radii(phase_rad: float) -> tuple[float, float]:
 PHASE_FUNCTIONS = {"lambert": lambert_phase_function, "lommel_seeliger": lommel_seeliger_phase_function}
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class EarthApparent(_Strict):
+class EarthApparent(StrictModel):
     """A V magnitude measured from Earth (or anywhere), and where the body was then."""
 
     mag: float
@@ -259,7 +256,7 @@ class EarthApparent(_Strict):
     phase_deg: Annotated[float, Field(ge=0.0, lt=180.0)] = 0.0
 
 
-class Photometry(_Strict):
+class Photometry(StrictModel):
     """Brightness of a target.
 
     One of `absolute_mag`, `earth_apparent` and `geometric_albedo` says how bright it is, and at most one of

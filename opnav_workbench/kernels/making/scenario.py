@@ -49,12 +49,11 @@ from opnav_workbench.kernels.making.scenario_parts import (
     RelativePath,
     Spacecraft,
     Span,
-    Strict,
     Tdb,
     Utc,
     Vector3,
 )
-from opnav_workbench.yaml_file import check_model, read_model
+from opnav_workbench.yaml_file import StrictModel, check_model, read_model
 
 __all__ = [
     "AttitudeError",
@@ -85,7 +84,7 @@ StateVector = tuple[float, float, float, float, float, float]
 Epoch = JulianDate | Tdb
 
 
-class _Arc(Strict):
+class _Arc(StrictModel):
     """One body's motion; `start` and `end` cut an arc out, so that a body can have several."""
 
     target: BodyRef
@@ -174,7 +173,7 @@ class EphemerisExcerpt(_Arc):
     file: str | None = None  # another SPK than DE440, beside the scenario or with a full path
 
 
-class Radiation(Strict):
+class Radiation(StrictModel):
     """Solar radiation pressure on a sphere or a plate held towards the Sun."""
 
     area_m2: PositiveFloat
@@ -182,14 +181,14 @@ class Radiation(Strict):
     reflectivity: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0  # 1 absorbs all light, 2 returns all of it
 
 
-class Maneuver(Strict):
+class Maneuver(StrictModel):
     """A sudden change of velocity, in the frame of the trajectory."""
 
     epoch: Utc
     delta_v_m_s: Vector3
 
 
-class Forces(Strict):
+class Forces(StrictModel):
     """What moves a body: gravity of point masses and, where they are given, smaller forces."""
 
     perturbers: tuple[BodyRef, ...] | None = None  # none: Sun, planets and Moon
@@ -260,7 +259,7 @@ Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
 Axis = Literal["pixel", "line", "twist"]
 
 
-class DwellPattern(Strict):
+class DwellPattern(StrictModel):
     """Places held one after the other from the window's start; the last one until the window's end."""
 
     dwell_s: PositiveFloat
@@ -317,7 +316,7 @@ class OffsetList(DwellPattern):
         return self.list_px
 
 
-class Scan(Strict):
+class Scan(StrictModel):
     """A turn at an even rate along a great circle, through the whole window.
 
     Either what is aimed at moves along `direction` (pixel, line) on the detector, or the boresight moves toward
@@ -338,7 +337,7 @@ class Scan(Strict):
         return self
 
 
-class PointingWindow(Strict):
+class PointingWindow(StrictModel):
     """A time during which the camera is held on something: targets, or a fixed direction."""
 
     start: Utc
@@ -382,7 +381,7 @@ class PointingWindow(Strict):
         return self.mosaic if self.mosaic is not None else self.offsets
 
 
-class JitterLine(Strict):
+class JitterLine(StrictModel):
     """One sine of the jitter: ``amplitude * cos(2 pi frequency t + phase)``, t from the span's start."""
 
     axis: Axis
@@ -407,7 +406,7 @@ class JitterLine(Strict):
         return self.amplitude_urad * MICRO
 
 
-class JitterSpectrum(Strict):
+class JitterSpectrum(StrictModel):
     """Jitter by its one-sided power spectral density, as many sines of random phase."""
 
     axis: Axis
@@ -429,7 +428,7 @@ class JitterSpectrum(Strict):
         return pixel_scale_rad if self.unit == "px" else MICRO
 
 
-class AttitudeError(Strict):
+class AttitudeError(StrictModel):
     """How the flown attitude differs from the predicted one; see `delta_pixel, delta_line, delta_twist`."""
 
     shift_px: PixelLine = (0.0, 0.0)  # where the boresight's sky moves on the detector
@@ -465,7 +464,7 @@ class AttitudeError(Strict):
         return self
 
 
-class Pointing(Strict):
+class Pointing(StrictModel):
     """The plan for one camera; what carries it follows."""
 
     instrument: BodyName
@@ -476,7 +475,7 @@ class Pointing(Strict):
 # ---- Scenario files.
 
 
-class Scenario(Strict):
+class Scenario(StrictModel):
     """A whole scenario; see `load_scenario`."""
 
     mission: str

@@ -12,9 +12,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PositiveFloat,
     PositiveInt,
@@ -23,6 +21,7 @@ from pydantic import (
 )
 
 from opnav_workbench.geometry.rotations import checked_rotation
+from opnav_workbench.yaml_file import StrictModel
 
 __all__ = [
     "Body",
@@ -39,7 +38,6 @@ __all__ = [
     "Shape",
     "Spacecraft",
     "Span",
-    "Strict",
     "Tdb",
     "Utc",
     "Vector3",
@@ -100,13 +98,7 @@ Keyword = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_/]*$", max_le
 BodyRef = int | str  # a NAIF id, or a name of this scenario
 
 
-class Strict(BaseModel):
-    """Unknown fields are errors: they are misspelt ones. Values are frozen and finite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Span(Strict):
+class Span(StrictModel):
     """The time that the kernels serve."""
 
     start: Utc
@@ -119,14 +111,14 @@ class Span(Strict):
         return self
 
 
-class NamedFrame(Strict):
+class NamedFrame(StrictModel):
     """A frame that a CK orients."""
 
     name: FrameName
     id: int
 
 
-class Spacecraft(Strict):
+class Spacecraft(StrictModel):
     """A spacecraft and its bus frame, the one that its CK gives."""
 
     name: BodyName
@@ -135,7 +127,7 @@ class Spacecraft(Strict):
     frame: NamedFrame
 
 
-class Clock(Strict):
+class Clock(StrictModel):
     """A two-field spacecraft clock, ``seconds:subcounts``, tied to time by `start` or by `correlation`."""
 
     id: Annotated[int, Field(lt=0)]
@@ -178,7 +170,7 @@ class Clock(Strict):
         return self
 
 
-class FixedFrame(Strict):
+class FixedFrame(StrictModel):
     """A frame mounted on another: ``v_frame = matrix @ v_relative``."""
 
     name: FrameName
@@ -187,7 +179,7 @@ class FixedFrame(Strict):
     matrix: RotationRows
 
 
-class OwenTerms(Strict):
+class OwenTerms(StrictModel):
     """Distortion of the JPL OpNav model, in the terms that kernels have room for (``OOC_EM``)."""
 
     model: Literal["owen"]
@@ -196,7 +188,7 @@ class OwenTerms(Strict):
     e6_per_mm: float = 0.0
 
 
-class BrownTerms(Strict):
+class BrownTerms(StrictModel):
     """Distortion of the Brown (OpenCV) model, in the terms that kernels have room for (``OPENCV_OD``)."""
 
     model: Literal["brown"]
@@ -210,7 +202,7 @@ class BrownTerms(Strict):
     p2: float = 0.0
 
 
-class Instrument(Strict):
+class Instrument(StrictModel):
     """A camera: detector and optics as plain numbers; further IK keywords as they are."""
 
     name: BodyName
@@ -237,21 +229,21 @@ class Instrument(Strict):
         return self.pixel_size_um * 1e-3 / self.focal_length_mm
 
 
-class BodyFrame(Strict):
+class BodyFrame(StrictModel):
     """A body-fixed frame that SPICE does not know by itself."""
 
     name: FrameName
     id: int
 
 
-class Shape(Strict):
+class Shape(StrictModel):
     """A shape model of triangles: an OBJ or cmod file, beside the scenario or with a full path."""
 
     file: str
     unit: Literal["km", "m"] = "km"
 
 
-class Body(Strict):
+class Body(StrictModel):
     """A natural body; what is left out does not enter the PCK."""
 
     name: BodyName
