@@ -5,6 +5,7 @@ nobody gave is an error, no empty place on the page.
 """
 
 from functools import cache
+from math import isfinite
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -41,5 +42,5 @@ def _words(name: str) -> str:
 
 
 def _number(value: float | None, spec: str) -> str:
-    """A number in a format of Python's; a dash where there is none."""
-    return "–" if value is None else format(value, spec)
+    """A number in a format of Python's; a dash where there is none, or none that is finite."""
+    return "–" if value is None or not isfinite(value) else format(value, spec)

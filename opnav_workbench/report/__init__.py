@@ -29,7 +29,7 @@ are matplotlib's, not tied to any window.
 ``rehearsal``
     Flyby, residuals and errors of a rehearsal, and its pages.
 ``pages``
-    How a page is made of a template, and the page of a night.
+    How a page is made of a template in ``templates/``, and the page of a night.
 ``paper``
     Panels, captions and tables of comparison, for the notebooks of the paper.
 """

@@ -1,41 +1,72 @@
 """HTML pages that open anywhere, offline: one style for all, small figures inside; and the page of a night.
 
-Templates are jinja2's. Figures are quantised to few colours and stand in the page as data URLs. Every status of the
-night's page has a sign and a word beside its colour.
+Templates are jinja2's, in ``templates/``. Figures are quantised to few colours and stand in the page as data URLs.
+Every status of the night's page has a sign and a word beside its colour.
 """
 
 import base64
 import io
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from jinja2 import Environment, FileSystemLoader
 from PIL import Image
 
-__all__ = ["figure_url", "night_page", "render_page"]
+from opnav_workbench.templating import environment
+
+__all__ = ["few_colors", "night_page", "png_url", "render_template"]
 
 
 # ---- HTML pages that open anywhere, offline: one style for all, small figures inside.
 
+TEMPLATES = Path(__file__).parent / "templates"
 N_COLORS = 48  # enough for charts; a page of hundreds of them stays light
 
 
-def render_page(template: str, filters: dict[str, Callable[..., str]], **content: Any) -> str:
-    """Return a page from a template of this folder, which includes ``page_style.css``."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= filters
-    return environment.get_template(template).render(**content)
+def render_template(name: str, **content: Any) -> str:
+    """Return what a template of ``templates/`` makes of the content; pages extend ``page.html``."""
+    return environment(TEMPLATES).get_template(name).render(**content)
 
 
-def figure_url(picture: Image.Image) -> str:
-    """Return a figure with few colors as a data URL."""
+def png_url(png: bytes) -> str:
+    """Return a PNG as a data URL."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def few_colors(png: bytes, most_px: int | None = None) -> bytes:
+    """Return a figure with few colors, and no larger than `most_px` on either side.
+
+    Raises
+    ------
+    OSError
+        It is no whole picture.
+    """
     stream = io.BytesIO()
-    picture.convert("RGB").quantize(N_COLORS).save(stream, "png", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    with Image.open(io.BytesIO(png)) as figure:
+        if most_px is not None:
+            figure.thumbnail((most_px, most_px))
+        figure.convert("RGB").quantize(N_COLORS).save(stream, "png", optimize=True)
+    return stream.getvalue()
+
+
+def _rounded(value: float | None, sigma: float | None = None) -> str:
+    """A number with three digits of its sigma, or of its own; a dash where there is none.
+
+    Examples
+    --------
+    >>> _rounded(1234.5678, 0.0321), _rounded(0.0321), _rounded(math.nan)
+    ('1,234.5678', '0.0321', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    size = abs(value if sigma is None else sigma) or 1.0
+    digits = min(max(2 - math.floor(math.log10(size)), 0), 8) if math.isfinite(size) else 0
+    return f"{value:,.{digits}f}"
+
+
+environment(TEMPLATES).filters |= {"rounded": _rounded, "linked": quote}
 
 
 # ---- The page of a night: one file that opens anywhere, offline, with small pictures inside.
@@ -68,9 +99,8 @@ def night_page(summary: Mapping[str, Any], out: Path) -> str:
         HTML without a reference to the network.
     """
     pictures = {row["name"]: _thumbnail(out / row["name"] / FIGURE_FILE) for row in summary["images"]}
-    return render_page(
+    return render_template(
         "night_page.html",
-        {"signed": _signed, "plain": _plain, "linked": quote},
         night=summary,
         pictures=pictures,
         signs=STATUS_MARKS,
@@ -81,16 +111,6 @@ def night_page(summary: Mapping[str, Any], out: Path) -> str:
 def _thumbnail(path: Path) -> str:
     """Return a small copy of a figure as a data URL; empty where there is none."""
     try:
-        with Image.open(path) as figure:
-            figure.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
-            return figure_url(figure)
+        return png_url(few_colors(path.read_bytes(), THUMBNAIL_PX))
     except OSError:
         return ""
-
-
-def _signed(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:+.{digits}f}"
-
-
-def _plain(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"

@@ -8,8 +8,6 @@ Arrays are indexed ``[line, pixel]``; lines grow downward. Figures and published
 Dumont (2013), AAS 13-443. A comparison is shown by a notebook and written as ECSV for the tests.
 """
 
-import base64
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -32,6 +30,7 @@ from scipy import ndimage
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.files import atomic_path
 from opnav_workbench.report.drawing import png_bytes
+from opnav_workbench.report.pages import png_url, render_template
 from opnav_workbench.stars.peaks import paraboloid_coefficients
 
 __all__ = [
@@ -48,9 +47,6 @@ __all__ = [
 
 
 # ---- A figure with its number and caption, as a notebook shows it.
-
-IMAGE_STYLE = "display:block;margin:0 auto;max-width:100%"
-CAPTION_STYLE = "max-width:62em;margin:0.5em auto 0.2em;line-height:1.35"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,12 +67,8 @@ class CaptionedFigure:
     caption: str
 
     def _repr_html_(self) -> str:
-        picture = base64.b64encode(self.png).decode("ascii")
-        words = f"<b>{html.escape(self.number)}.</b> {html.escape(self.caption)}"
-        name = html.escape(self.number, quote=True)
-        return (
-            f'<div><img alt="{name}" style="{IMAGE_STYLE}" src="data:image/png;base64,{picture}"/>'
-            f'<p style="{CAPTION_STYLE}">{words}</p></div>'
+        return render_template(
+            "captioned_figure.html", picture=png_url(self.png), number=self.number, caption=self.caption
         )
 
 
@@ -381,10 +373,6 @@ def _draw_relief(axes: Any, panel: PaperPanel) -> None:
 # ---- Published values beside ours, as a table for a notebook and a file for the tests.
 
 UNKNOWN = float("nan")
-TABLE_STYLE = "margin:0.4em auto;border-collapse:collapse;border-top:1.5px solid;border-bottom:1.5px solid"
-HEAD_STYLE = "padding:0.25em 0.7em;border-bottom:1px solid"
-CELL_STYLE = "padding:0.2em 0.7em"
-TABLE_CAPTION_STYLE = "caption-side:top;padding-bottom:0.4em"
 DASH = "–"
 
 
@@ -523,21 +511,11 @@ def _cell_text(cell: str) -> str:
 def _html_table(
     names: Sequence[str], columns: Sequence[Sequence[str]], numeric: Sequence[bool], title: str
 ) -> str:
-    head = "".join(_html_cell("th", name, number) for name, number in zip(names, numeric, strict=True))
-    whole = [
-        number or i == 0 for i, number in enumerate(numeric)
-    ]  # only words after the first column may wrap
-    body = "".join(
-        "<tr>" + "".join(_html_cell("td", *cell) for cell in zip(row, numeric, whole, strict=True)) + "</tr>"
-        for row in zip(*columns, strict=True)
+    """Return a table in which numbers stand at the right, and only words after the first column may wrap."""
+    heads = [
+        (name, "right" if number else "left", not number and i > 0)
+        for i, (name, number) in enumerate(zip(names, numeric, strict=True))
+    ]
+    return render_template(
+        "paper_table.html", title=title, columns=heads, rows=list(zip(*columns, strict=True))
     )
-    caption = f'<caption style="{TABLE_CAPTION_STYLE}">{html.escape(title)}</caption>' if title else ""
-    return (
-        f'<table style="{TABLE_STYLE}">{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'
-    )
-
-
-def _html_cell(tag: str, text: str, numeric: bool, whole: bool = False) -> str:
-    style = f"{HEAD_STYLE if tag == 'th' else CELL_STYLE};text-align:{'right' if numeric else 'left'}"
-    style += ";white-space:nowrap" if whole else ""
-    return f'<{tag} style="{style}">{html.escape(text)}</{tag}>'

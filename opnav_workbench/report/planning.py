@@ -4,7 +4,6 @@ A field chart is drawn as on the detector, pixel to the right and line down. The
 anywhere, offline, with its figures inside; every verdict has a sign and a word beside its colour.
 """
 
-import io
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from PIL import Image
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.constants import DAY_S
@@ -28,7 +26,7 @@ from opnav_workbench.planning import (
     catalog_words,
 )
 from opnav_workbench.report.drawing import png_bytes
-from opnav_workbench.report.pages import figure_url, render_page
+from opnav_workbench.report.pages import few_colors, png_url, render_template
 from opnav_workbench.simulation import stretched
 
 __all__ = ["field_chart", "timeline_figure", "write_plan_page"]
@@ -322,17 +320,16 @@ def plan_page(plan: Plan, charts: Mapping[str, bytes] | None = None) -> str:
         Charts of the fields as PNG, by picture, where they are drawn already.
     """
     drawn = {p.name: png_bytes(field_chart(p)) for p in plan.pictures} if charts is None else charts
-    return render_page(
+    return render_template(
         "plan_page.html",
-        {"number": _number},
         plan=plan,
-        charts={name: _png_url(png) for name, png in drawn.items()},
+        charts={name: _chart_url(png) for name, png in drawn.items()},
         signs=GRADE_MARKS,
         meaning=GRADE_WORDS,
         catalog=catalog_words(plan),
-        timeline=_png_url(png_bytes(timeline_figure(plan.pictures))) if plan.pictures else "",
-        exposures=_png_url(png_bytes(exposure_figure(curves))) if (curves := _shown_curves(plan)) else "",
-        searches=[(approach, _png_url(png_bytes(search_figure(approach)))) for approach in plan.searches],
+        timeline=_chart_url(png_bytes(timeline_figure(plan.pictures))) if plan.pictures else "",
+        exposures=_chart_url(png_bytes(exposure_figure(curves))) if (curves := _shown_curves(plan)) else "",
+        searches=[(approach, _chart_url(png_bytes(search_figure(approach)))) for approach in plan.searches],
     )
 
 
@@ -353,10 +350,5 @@ def _shown_curves(plan: Plan) -> list[PicturePlan]:
     return [known[i] for i in np.linspace(0, len(known) - 1, MOST_CURVES).astype(int)]
 
 
-def _png_url(png: bytes) -> str:
-    with Image.open(io.BytesIO(png)) as picture:
-        return figure_url(picture)
-
-
-def _number(value: float | None, pattern: str = "%.3g") -> str:
-    return "–" if value is None or not np.isfinite(value) else pattern % value
+def _chart_url(png: bytes) -> str:
+    return png_url(few_colors(png))

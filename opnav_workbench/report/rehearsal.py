@@ -5,8 +5,6 @@ comes on a light and on a dark ground. What a team delivers, and how it was scor
 anywhere, offline; every verdict has a word beside its colour.
 """
 
-import base64
-import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from itertools import cycle
@@ -14,7 +12,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -27,7 +24,7 @@ from opnav_workbench.rehearsal.score import OrtScore
 from opnav_workbench.rehearsal.solution import OrtSolution
 from opnav_workbench.rehearsal.truth_checks import PictureScore
 from opnav_workbench.report.drawing import png_bytes
-from opnav_workbench.report.pages import render_page
+from opnav_workbench.report.pages import png_url, render_template
 
 __all__ = ["score_page", "solution_page"]
 
@@ -278,7 +275,8 @@ def score_page(score: OrtScore) -> str:
     figures = {"errors": _on_both_grounds(lambda dark: center_error_figure(score.pictures, dark=dark))}
     if found is not None:
         figures |= _solution_figures(found.solution, found.b_plane_true)
-    return _render_rehearsal(
+    return render_template(
+        "ort_page.html",
         score=score,
         solution=None if found is None else found.solution,
         figures=figures,
@@ -288,7 +286,8 @@ def score_page(score: OrtScore) -> str:
 
 def solution_page(solution: OrtSolution, title: str = "") -> str:
     """Return the overview of a solution, before the truth is opened, as HTML without a reference to the network."""
-    return _render_rehearsal(
+    return render_template(
+        "ort_page.html",
         score=None,
         solution=solution,
         figures=_solution_figures(solution, None),
@@ -296,34 +295,13 @@ def solution_page(solution: OrtSolution, title: str = "") -> str:
     )
 
 
-def _solution_figures(solution: OrtSolution, true: Any) -> dict[str, Markup]:
+def _solution_figures(solution: OrtSolution, true: Any) -> dict[str, dict[str, str]]:
     return {
         "flyby": _on_both_grounds(lambda dark: flyby_figure(solution, true, dark=dark)),
         "residuals": _on_both_grounds(lambda dark: residual_figure(solution, dark=dark)),
     }
 
 
-def _on_both_grounds(draw: Callable[[bool], Figure]) -> Markup:
-    """Return a figure on light ground, and on dark ground where the reader's screen is dark."""
-    light, dark = (base64.b64encode(png_bytes(draw(ground))).decode() for ground in (False, True))
-    return Markup(
-        '<picture><source media="(prefers-color-scheme: dark)" srcset="data:image/png;base64,{}">'
-        '<img src="data:image/png;base64,{}" alt=""></picture>'
-    ).format(dark, light)
-
-
-def _render_rehearsal(**content: Any) -> str:
-    return render_page("ort_page.html", {"signed": _signed, "plain": _plain}, **content)
-
-
-def _signed(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None or not math.isfinite(value) else f"{value:+,.{digits}f}"
-
-
-def _plain(value: float | None, least: float | None = None) -> str:
-    """Return a number with digits that fit the size of `least` (its sigma), or its own."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    size = abs(value if least is None else least) or 1.0
-    digits = int(np.clip(2 - np.floor(np.log10(size)), 0, 8))
-    return f"{value:,.{digits}f}"
+def _on_both_grounds(draw: Callable[[bool], Figure]) -> dict[str, str]:
+    """Return a figure as data URLs: on light ground, and on dark ground where the reader's screen is dark."""
+    return {"light": png_url(png_bytes(draw(False))), "dark": png_url(png_bytes(draw(True)))}
