@@ -16,10 +16,12 @@ from opnav_workbench.errors import SessionError
 
 __all__ = [
     "atomic_path",
+    "digest",
     "inside",
     "json_text",
     "make_folder",
     "plain_values",
+    "read_json",
     "sha256_of",
     "write_json",
     "write_text",
@@ -107,6 +109,23 @@ def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
     write_text(path, json_text(data) + "\n")
 
 
+def read_json(path: str | os.PathLike[str], advice: str) -> dict[str, Any]:
+    """Return the mapping that a JSON file holds; NaN and Infinity, which JSON does not know, become None.
+
+    Raises
+    ------
+    SessionError
+        The file is missing or damaged, or holds something else: what is wrong with it, then `advice`.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=lambda _: None)
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise SessionError(f"{path} cannot be read ({error}); {advice}") from error
+    if not isinstance(data, dict):
+        raise SessionError(f"{path} cannot be read (it holds no mapping); {advice}")
+    return data
+
+
 def plain_values(value: Any) -> Any:
     """Return data as JSON can hold it: arrays become lists, every non-finite number None."""
     if isinstance(value, Mapping):
@@ -129,11 +148,17 @@ def plain_values(value: Any) -> Any:
 
 def sha256_of(path: str | os.PathLike[str]) -> str:
     """Return the SHA-256 of a file as hexadecimal digits."""
-    digest = hashlib.sha256()
+    summed = hashlib.sha256()
     with Path(path).open("rb") as stream:
         while chunk := stream.read(HASH_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+            summed.update(chunk)
+    return summed.hexdigest()
+
+
+def digest(values: Any) -> str:
+    """Return the SHA-256 of plain values, whatever the order of their keys, as hexadecimal digits."""
+    text = json.dumps(plain_values(values), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def inside(folder: str | os.PathLike[str], name: str) -> Path:

@@ -4,8 +4,6 @@ Its digest is free of everything that depends on when, where and in what order i
 file: ECSV with every column that the runs' own files have, CSV, JSON or TDM.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +19,7 @@ from opnav_workbench.campaign.queries import query_observables, query_plain, que
 from opnav_workbench.campaign.run_folder import find_runs, read_run, without_times
 from opnav_workbench.campaign.schema import PARTS, tables
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import atomic_path
+from opnav_workbench.files import atomic_path, digest
 from opnav_workbench.observables import (
     Observable,
     table_observables,
@@ -34,7 +32,7 @@ from opnav_workbench.session.storage import SESSION_FILE
 __all__ = ["ARCHIVE_FILE", "EXPORT_FORMATS", "Campaign", "ImageEntry", "export_observables"]
 
 
-# ---- The archive's content as plain values, free of everything that depends on when, where and in what order ...
+# ---- The content as plain values.
 
 # Where the files were, and when: not what came out.
 PLACES_AND_TIMES = ("id", "image_id", "folder", "path", "processed_utc", "ingested_utc")
@@ -61,8 +59,7 @@ def content_of(connection: sa.Connection) -> dict[str, list[dict[str, Any]]]:
 
 def content_digest(connection: sa.Connection) -> str:
     """Return the SHA-256 of `content_of`."""
-    text = json.dumps(content_of(connection), sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return digest(content_of(connection))
 
 
 def _rows(connection: sa.Connection, query: "sa.Select[Any]") -> list[dict[str, Any]]:
@@ -70,7 +67,7 @@ def _rows(connection: sa.Connection, query: "sa.Select[Any]") -> list[dict[str, 
     return [without_times({k: v for k, v in row.items() if k not in PLACES_AND_TIMES}) for row in rows]
 
 
-# ---- The campaign archive as users hold it: open, ingest runs, ask.
+# ---- The archive itself.
 
 ARCHIVE_FILE = "campaign.sqlite"
 
@@ -184,11 +181,11 @@ class Campaign:
         """
         tops = [runs] if isinstance(runs, str | Path) else list(runs)
         folders = dict.fromkeys(folder for top in tops for folder in find_runs(top))
-        items = []
+        results = []
         for folder in folders:
-            items.append(self.ingest_run(folder))
-            say(items[-1])
-        return IngestReport(tuple(items))
+            results.append(self.ingest_run(folder))
+            say(results[-1])
+        return IngestReport(tuple(results))
 
     def ingest_run(self, folder: str | Path) -> Ingested:
         """Take in one run folder; never raises for what is wrong with it."""
@@ -200,8 +197,8 @@ class Campaign:
         with self._database.read() as connection:
             if changes_nothing(connection, run):
                 return Ingested(place, run.image["image"], "unchanged")
-        what = self._database.write(lambda connection: put_run(connection, run))
-        return Ingested(place, run.image["image"], what)
+        result = self._database.write(lambda connection: put_run(connection, run))
+        return Ingested(place, run.image["image"], result)
 
     # -- out ---------------------------------------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ class Ingested:
     folder : Path
     image : str
         Empty where the folder could not be read.
-    what : {"new", "unchanged", "replaced", "older", "skipped"}
+    result : {"new", "unchanged", "replaced", "older", "skipped"}
         "older": a later run of the same picture stands already; this one is kept as history.
     reason : str
         Why it was skipped.
@@ -39,7 +39,7 @@ class Ingested:
 
     folder: Path
     image: str
-    what: IngestResult
+    result: IngestResult
     reason: str = ""
 
 
@@ -47,16 +47,16 @@ class Ingested:
 class IngestReport:
     """What became of many run folders, in their order."""
 
-    items: tuple[Ingested, ...]
+    results: tuple[Ingested, ...]
 
-    def count(self, what: IngestResult) -> int:
-        """Return how many folders it became so of."""
-        return sum(item.what == what for item in self.items)
+    def count(self, result: IngestResult) -> int:
+        """Return how many folders have this result."""
+        return sum(ingested.result == result for ingested in self.results)
 
     @property
     def skipped(self) -> tuple[Ingested, ...]:
         """Folders that could not be read, each with its reason."""
-        return tuple(item for item in self.items if item.what == "skipped")
+        return tuple(ingested for ingested in self.results if ingested.result == "skipped")
 
 
 def changes_nothing(connection: sa.Connection, run: RunRows) -> bool:

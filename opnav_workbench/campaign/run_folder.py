@@ -8,8 +8,6 @@ its header, and reading that (YAML) takes longer than all else: it is read once 
 """
 
 import csv
-import hashlib
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,12 +24,13 @@ from astropy.table import QTable, Table
 from opnav_workbench.campaign.analyst_queue import attention_reasons
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import digest, read_json
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
 __all__ = ["ObservableColumn", "RunRows", "find_runs", "observables_from_rows", "read_run", "without_times"]
 
 
-# ---- Observables between their ECSV file, the archive's rows, and a table with units again; no column is ...
+# ---- Observables between their ECSV file, the archive's rows, and a table with units again.
 
 HEADERS_KEPT = 16  # kept: as many versions of the program as one is likely to meet at once
 NO_TEXT = "-"
@@ -110,7 +109,7 @@ def observables_from_rows(columns: Sequence[ObservableColumn], cells: Sequence[M
     return table
 
 
-# ---- A run folder read: ``result.json``, ``observables.ecsv`` and ``session.json`` of one picture, checked, ...
+# ---- The folder.
 
 IMAGE_STATUSES = ("ok", "partial", "failed")
 # Keys whose values tell when something was done, not what came out: two runs that differ in them alone are one.
@@ -188,10 +187,10 @@ def read_run(folder: str | Path) -> RunRows:
         A file is missing or damaged, or they do not belong together.
     """
     place = Path(folder).resolve()
-    result = _json(place / RESULT_FILE)
+    result = _read_mapping(place / RESULT_FILE)
     # A picture that failed early has a result only; a session beside it is that of an earlier run.
     with_session = "provenance" in result and (place / SESSION_FILE).is_file()
-    session = _json(place / SESSION_FILE) if with_session else None
+    session = _read_mapping(place / SESSION_FILE) if with_session else None
     try:
         return _run(place, result, session)
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
@@ -211,13 +210,12 @@ def _run(place: Path, result: Mapping[str, Any], session: Mapping[str, Any] | No
         "observables": cells,
         "journal": without_times(parts["journal"]),
     }
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     image = row_of(result, IMAGES, PARTS_OF_RESULT)
     return RunRows(
         folder=place,
         key=result.get("sha256") or name_key,
         name_key=name_key,
-        content_sha256=digest,
+        content_sha256=digest(content),
         processed_utc=_processed_utc(place, parts["journal"]),
         image=image
         | {"attention": list(_attention(result)), "path": None if session is None else session["image"]},
@@ -301,18 +299,10 @@ def _processed_utc(place: Path, journal: Sequence[Mapping[str, Any]]) -> str:
     return written.isoformat(timespec="milliseconds")
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=lambda _: None)
-    except FileNotFoundError as error:
-        raise SessionError(
-            f"{path.name} is missing; the run was not finished, process the picture again"
-        ) from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise SessionError(f"{path.name} cannot be read ({error}); process the picture again") from error
-    if not isinstance(data, dict):
-        raise SessionError(f"{path.name} is damaged (no mapping); process the picture again")
-    return data
+def _read_mapping(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        raise SessionError(f"{path.name} is missing; the run was not finished, process the picture again")
+    return read_json(path, "process the picture again")
 
 
 def without_times(value: Any) -> Any:

@@ -31,8 +31,6 @@ __all__ = [
 ]
 
 
-# ---- What the archive keeps of a run: its columns, their units, and where in ``result.json`` each comes from.
-
 ColumnKind = Literal["text", "number", "whole", "flag", "json"]
 
 
@@ -194,7 +192,7 @@ def _checked(value: Any, column: Column) -> Any:
     return value
 
 
-# ---- Tables of the campaign archive (SQLite), made from `columns`.
+# ---- The tables, made from these columns.
 
 SCHEMA_VERSION = 2
 APPLICATION_ID = 0x4F504E56  # "OPNV": says to `file` and to us whose database this is
@@ -223,7 +221,12 @@ def _of_image(name: str, *columns: "sa.Column[Any]", single: bool = False) -> sa
     return sa.Table(name, metadata, owner, *order, *columns)
 
 
-images = sa.Table(
+def _of_result(name: str, columns: Sequence[Column], *, single: bool = False) -> sa.Table:
+    """A table of rows that stand in ``result.json``."""
+    return _of_image(name, *_columns(columns), sa.Column("extra", JSON), single=single)
+
+
+sa.Table(
     "images",
     metadata,
     sa.Column("id", sa.Integer, primary_key=True),
@@ -238,33 +241,38 @@ images = sa.Table(
     sa.Column("ingested_utc", sa.Text, nullable=False),
     sa.Index("images_by_time", "et"),
 )
-pointings = _of_image("pointings", *_columns(POINTINGS), sa.Column("extra", JSON), single=True)
-provenance = _of_image("provenance", *_columns(PROVENANCE), sa.Column("extra", JSON), single=True)
-stars = _of_image("stars", *_columns(STARS), sa.Column("extra", JSON))
-bodies = _of_image("bodies", *_columns(BODIES), sa.Column("extra", JSON))
-observables = _of_image(
-    "observables",
-    sa.Column("body", sa.Text),
-    sa.Column("method", sa.Text),
-    sa.Column("cells", JSON, nullable=False),
+PARTS: tuple[str, ...] = tuple(
+    table.name
+    for table in (
+        _of_result("pointings", POINTINGS, single=True),
+        _of_result("provenance", PROVENANCE, single=True),
+        _of_result("stars", STARS),
+        _of_result("bodies", BODIES),
+        _of_image(
+            "observables",
+            sa.Column("body", sa.Text),
+            sa.Column("method", sa.Text),
+            sa.Column("cells", JSON, nullable=False),
+        ),
+        _of_image(
+            "decisions",
+            sa.Column("subject", sa.Text),
+            sa.Column("verdict", sa.Text),
+            sa.Column("reason", sa.Text),
+            sa.Column("extra", JSON),
+        ),
+        _of_image(
+            "journal",
+            sa.Column("step", sa.Text, nullable=False),
+            sa.Column("parameters", JSON),
+            sa.Column("reason", sa.Text),
+            sa.Column("outcome", sa.Text),
+            sa.Column("time_utc", sa.Text),
+            sa.Column("extra", JSON),
+        ),
+    )
 )
-decisions = _of_image(
-    "decisions",
-    sa.Column("subject", sa.Text),
-    sa.Column("verdict", sa.Text),
-    sa.Column("reason", sa.Text),
-    sa.Column("extra", JSON),
-)
-journal = _of_image(
-    "journal",
-    sa.Column("step", sa.Text, nullable=False),
-    sa.Column("parameters", JSON),
-    sa.Column("reason", sa.Text),
-    sa.Column("outcome", sa.Text),
-    sa.Column("time_utc", sa.Text),
-    sa.Column("extra", JSON),
-)
-observable_columns = sa.Table(
+sa.Table(
     "observable_columns",
     metadata,
     sa.Column("name", sa.Text, primary_key=True),
@@ -272,7 +280,7 @@ observable_columns = sa.Table(
     sa.Column("description", sa.Text),
     sa.Column("position", sa.Integer, nullable=False),
 )
-history = sa.Table(
+sa.Table(
     "history",
     metadata,
     sa.Column("key", sa.Text, primary_key=True),
@@ -284,8 +292,4 @@ history = sa.Table(
     sa.Column("processed_utc", sa.Text),
     sa.Column("ingested_utc", sa.Text),
 )
-
-PARTS: tuple[str, ...] = (
-    "pointings", "provenance", "stars", "bodies", "observables", "decisions", "journal",
-)  # fmt: skip
 tables: dict[str, sa.Table] = dict(metadata.tables)

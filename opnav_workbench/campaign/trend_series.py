@@ -9,13 +9,13 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.campaign.archive import Campaign
 from opnav_workbench.campaign.detection_curve import Completeness, completeness
 from opnav_workbench.campaign.outliers import Screened, screen
+from opnav_workbench.session import MEASURED_STATUSES
+from opnav_workbench.session.body_models import TRUSTED_STATUSES
 
 __all__ = ["Series", "Trends", "detections", "trends"]
 
-DETECTED = ("used", "rejected", "saturated", "blended")  # statuses of a star that was seen
-ON_DETECTOR = (*DETECTED, "not_detected")  # of a star that was on the detector
+ON_DETECTOR = (*MEASURED_STATUSES, "not_detected")  # of a star that was on the detector
 BODY_FILTERS = ("body", "method", "status")  # filters that choose among bodies
-MEASURED = ("ok", "uncertain")  # of a body whose O-C means something
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ def trends(campaign: Campaign, **filters: str | None) -> Trends:
 def body_series(bodies: Table) -> dict[str, tuple[Series, Series]]:
     """Return O-C (pixel, line) of each body and method, with the sigmas of O-C; `bodies` as of `Campaign.bodies`."""
     series = {}
-    measured = bodies[np.isin(bodies["status"], MEASURED) & np.isfinite(bodies["residual_pixel"])]
+    measured = bodies[np.isin(bodies["status"], TRUSTED_STATUSES) & np.isfinite(bodies["residual_pixel"])]
     for body, method in sorted(set(zip(measured["body"], measured["method"], strict=True))):
         rows = measured[(measured["body"] == body) & (measured["method"] == method)]
         name = f"{body}, {method}"
@@ -141,7 +141,7 @@ def residual_series(pointings: Table) -> Series:
 def detections(stars: Table) -> Completeness:
     """Return detections against magnitude of the stars that were on the detector; `stars` as of `Campaign.stars`."""
     placed = stars[np.isin(stars["status"], ON_DETECTOR)] if len(stars) else stars
-    found = np.isin(placed["status"], DETECTED)
+    found = np.isin(placed["status"], MEASURED_STATUSES)
     return completeness(np.asarray(placed["mag"], dtype=np.float64), found)
 
 

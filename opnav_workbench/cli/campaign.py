@@ -108,7 +108,7 @@ def ingest_progress(runs: Sequence[Path]) -> Iterator[Callable[[Ingested], None]
 
         def advance(item: Ingested) -> None:
             progress.update(task, advance=1, description=escape(item.folder.name))
-            if item.what == "skipped":
+            if item.result == "skipped":
                 console.print(
                     f"[bold red]skipped:[/] {escape(str(item.folder))}: {escape(item.reason)}",
                     highlight=False,
@@ -127,7 +127,7 @@ def print_ingested(console: Console, ingested: IngestReport, archive: Path) -> N
         "skipped": "skipped",
     }
     counts = [f"{ingested.count(what)} {said}" for what, said in words.items() if ingested.count(what)]  # type: ignore[arg-type]
-    number = "1 run" if len(ingested.items) == 1 else f"{len(ingested.items)} runs"
+    number = "1 run" if len(ingested.results) == 1 else f"{len(ingested.results)} runs"
     console.print(f"{number}: {', '.join(counts)}", highlight=False)
     console.print(f"Archive: {escape(str(archive))}", highlight=False)
 

@@ -322,7 +322,7 @@ def _archive(night: Night, campaign: Campaign, name: str) -> None:
     except OpNavError as error:
         night.unarchived.append(f"{name}: {error}")
         return
-    if taken.what == "skipped":
+    if taken.result == "skipped":
         night.unarchived.append(f"{name}: {taken.reason}")
 
 

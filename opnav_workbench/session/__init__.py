@@ -4,7 +4,7 @@ Enter by `ImageSession.open` or `ImageSession.resume`.  A method of `ImageSessio
 function of that name, keeps the state it makes, and writes the journal.
 
 ``session``
-    `ImageSession`: all public steps of stars, bodies and files.
+    `ImageSession`: all public steps, and where the work of each is done.
 ``history``
     States and journal, undo and redo, the table of steps, the journal file.
 ``state``

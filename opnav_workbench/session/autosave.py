@@ -2,12 +2,11 @@
 
 Steps are appended to the journal file.  Once it would take long to carry them out again, the state that they led to is
 kept too.  The kept state is a cache and no more: it counts only for the very steps, picture and version that it was made
-of, anything wrong with it is as good as its absence, and the journal alone says what the session is.  Values are rebuilt
-bit by bit: arrays from an npz file, everything else from a description in JSON; no class from outside the package is
-touched.
+of, and for classes whose fields are still the same; anything wrong with it is as good as its absence, and the journal
+alone says what the session is.  Values are rebuilt bit by bit: arrays from an npz file, everything else from a description
+in JSON; no class from outside the package is touched.
 """
 
-import hashlib
 import importlib
 import json
 import os
@@ -23,17 +22,18 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import atomic_path, make_folder, plain_values
+from opnav_workbench.files import atomic_path, digest, make_folder, write_json
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry, KeptState, journal_line
 from opnav_workbench.session.inputs import Inputs, inputs_added
 from opnav_workbench.session.state import SessionState
+from opnav_workbench.session.storage import SESSION_FILE, SessionOnDisk, session_on_disk
 from opnav_workbench.version import __version__
 
-__all__ = ["STATE_FILE", "Autosave", "read_state"]
+__all__ = ["STATE_FILE", "Autosave", "read_state", "start_autosave"]
 
 
-# ---- A kept state: what the steps so far led to, so that a session resumes without carrying all of them out ...
+# ---- The kept state.
 
 STATE_FILE = ".state.npz"
 PACKAGE = "opnav_workbench."
@@ -76,9 +76,8 @@ def read_state(folder: Path, sha256: str, standing: Sequence[JournalEntry]) -> K
 
 def _key(sha256: str, standing: Sequence[JournalEntry]) -> str:
     """Return what a state depends on, as a hash."""
-    steps = [[item.step, item.parameters, item.time_utc] for item in standing]
-    text = json.dumps(plain_values([__version__, sha256, steps]), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    steps = [[entry.step, entry.parameters, entry.time_utc] for entry in standing]
+    return digest([__version__, sha256, steps])
 
 
 class _Packer:
@@ -161,15 +160,15 @@ def _unpacked(value: Any, arrays: Mapping[str, Any]) -> Any:
 
 def _rebuilt(kind: Any, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> Any:
     """Return an instance with its fields as they were; nothing is checked or computed again."""
-    if not is_dataclass(kind):
-        raise TypeError(f"{kind} is no dataclass")
+    if not is_dataclass(kind) or {field.name for field in fields(kind)} != set(content):
+        raise TypeError(f"{kind} is no dataclass of the fields {', '.join(content)}")
     instance: Any = object.__new__(kind)  # type: ignore[arg-type]
     for name, value in content.items():
         object.__setattr__(instance, name, _unpacked(value, arrays))
     return instance
 
 
-# ---- Autosave: every step is on disk when its method returns, and a crash at any moment loses none.
+# ---- The journal file, and who writes it.
 
 KEEP_AFTER_S = 0.4  # of steps to be carried out again: with the picture itself, a session resumes in a second
 
@@ -228,7 +227,7 @@ class Autosave:
         except OSError as error:
             raise self._failure(error, 0) from error
 
-    def follow(self, history: History, cost_s: float = 0.0) -> None:
+    def append_new(self, history: History, cost_s: float = 0.0) -> None:
         """Append what the journal has gained; keep the state once it would take long to make it again.
 
         Parameters
@@ -252,9 +251,9 @@ class Autosave:
             )
         added: Mapping[str, Any] = inputs_added(self._inputs, history.inputs)
         lines, before = [], self._before
-        for number, item in enumerate(fresh, start=self._count):
-            lines.append(journal_line(self._session, number, before, item, added))
-            before, added = item, {}
+        for number, entry in enumerate(fresh, start=self._count):
+            lines.append(journal_line(self._session, number, before, entry, added))
+            before, added = entry, {}
         self._append(b"".join(lines), len(fresh))
         self._count += len(fresh)
         self._before, self._inputs = before, history.inputs
@@ -299,3 +298,49 @@ class Autosave:
     def close(self) -> None:
         """Stop writing, and let others write."""
         self._lock.release()
+
+
+def start_autosave(folder: Path, history: History, saved: Mapping[str, Any]) -> Autosave:
+    """Open a folder for a session, and bring what it holds up to date.
+
+    Parameters
+    ----------
+    folder
+        Made where it is not there.
+    history
+        Of the session.
+    saved
+        The session as `session_dict` returns it.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written, another process writes into it, or it holds another session or newer steps of this
+        one.
+    """
+    writer = Autosave(folder, saved["session"], saved["sha256"])
+    try:
+        stored = session_on_disk(writer.folder)
+        if stored is None or (stored.sha256 == saved["sha256"] and not stored.journal):
+            write_json(writer.folder / SESSION_FILE, saved)
+            writer.start(history, len(history.journal), 0)
+        else:
+            _check_continued(writer.folder, stored, history, saved["session"])
+            writer.start(history, len(stored.journal), stored.tail_bytes)
+            writer.append_new(history)
+    except BaseException:
+        writer.close()
+        raise
+    return writer
+
+
+def _check_continued(folder: Path, stored: SessionOnDisk, history: History, session: str) -> None:
+    """Refuse a folder whose session is not this one, or knows more."""
+    count = len(stored.journal)
+    if stored.session == session and stored.journal == history.journal[:count]:
+        return
+    what = "newer steps of this session" if stored.session == session else "another session"
+    raise SessionError(
+        f"{folder} holds {what} ({count} entries in its journal); continue it with ImageSession.resume, or choose "
+        "another folder."
+    )

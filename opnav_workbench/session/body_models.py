@@ -20,23 +20,29 @@ from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.render import AlbedoMap, BodyModel, ScatteringLaw, ShapeModel, law_from_mapping
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
-from opnav_workbench.session.pointing import attitude
+from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.session.state import BodyRequest, SessionState
 from opnav_workbench.targets import TargetState
 
 __all__ = [
+    "MAX_POINT_DIAMETER_PX",
+    "TRUSTED_STATUSES",
     "best_center",
     "body_model_if_known",
     "body_picture",
     "has_albedo_map",
     "has_scattering_law",
+    "picture_psf",
     "scene_names",
 ]
 
 
-# ---- How a target looks: the model of its surface and light that mission file and kernels give.
+# ---- The model of a target's surface and light.
 
 UNKNOWN_SURFACE = TargetSurface()
+# A wider body is no point any more: not in the pattern of stars, where its limb would add false detections, and not for the
+# unresolved method, which models a point.
+MAX_POINT_DIAMETER_PX = 3.0
 
 
 def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
@@ -127,9 +133,9 @@ def body_model_if_known(context: Context, inputs: Inputs, name: str) -> BodyMode
         return None
 
 
-# ---- The picture of bodies as the centerfinders take it: signal, noise, attitude, and a model of every body ...
+# ---- The picture as the centerfinders take it.
 
-TRUSTED = ("ok", "uncertain")  # statuses of centers that say where a body is
+TRUSTED_STATUSES = ("ok", "uncertain")  # statuses of centers that say where a body is
 
 
 def scene_names(inputs: Inputs, state: SessionState, request: BodyRequest) -> tuple[str, ...]:
@@ -170,10 +176,10 @@ def _picture(
         bad=context.bad,
         saturated=context.frame.saturated,
         camera=context.camera,
-        camera_from_j2000=attitude(inputs, state),
+        camera_from_j2000=best_attitude(inputs, state),
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         models=models,
-        psf=frame_psf(context, state),
+        psf=picture_psf(context, state),
         sunlight_e=_sunlight(context),
         noise_model=context.noise_model,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
@@ -194,7 +200,7 @@ def _model_where_found(
 
 def best_center(state: SessionState, name: str) -> BodyCenter | None:
     """Return a body's center that is to be trusted most: the last that is ok, else the last uncertain one."""
-    found = [body for body in state.bodies if body.name == name and body.status in TRUSTED]
+    found = [body for body in state.bodies if body.name == name and body.status in TRUSTED_STATUSES]
     return next((body for body in reversed(found) if body.status == "ok"), found[-1] if found else None)
 
 
@@ -205,8 +211,8 @@ def _sunlight(context: Context) -> float | None:
         return None
 
 
-def frame_psf(context: Context, state: SessionState) -> Psf:
-    """Return the PSF of this frame: a calibrated one, else that of its stars, else the camera file's."""
+def picture_psf(context: Context, state: SessionState) -> Psf:
+    """Return the PSF of this picture: a calibrated one, else that of its stars, else the camera file's."""
     if context.camera.psf_shape is not None or state.psf is None:
         return context.camera.psf_model
     shape = state.psf.shape

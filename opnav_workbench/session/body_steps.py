@@ -31,6 +31,7 @@ from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.body_models import (
+    MAX_POINT_DIAMETER_PX,
     best_center,
     body_model_if_known,
     body_picture,
@@ -41,8 +42,8 @@ from opnav_workbench.session.body_models import (
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import (
-    attitude,
     attitude_covariance,
+    best_attitude,
     with_observables,
     with_renewed_observables,
 )
@@ -66,9 +67,6 @@ __all__ = [
 ]
 
 
-# ---- One body's center with one method, or with the one that suits it: from a session's state to a ...
-
-
 BodyMethod = Literal["auto", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"]
 BODY_METHODS: tuple[BodyMethod, ...] = get_args(BodyMethod)
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
@@ -76,15 +74,16 @@ MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour,
 SEARCH_SIGMAS = 4.0
 # A shift of other bodies by less than this is within what a body is searched in anyway, in radii and px.
 COMMON_SHIFT, MIN_COMMON_SHIFT_PX = 0.5, 6.0
-# The unresolved method models a point; a wider disk is a different picture.
-MAX_UNRESOLVED_DIAMETER_PX = 3.0
 
 
 def find_center(context: Context, inputs: Inputs, state: SessionState, request: BodyRequest) -> BodyCenter:
     """Find a body as the request says."""
     name = request.name
     prediction = predict_body(
-        target_with_shape(context, inputs, name), inputs.observer, context.camera, attitude(inputs, state)
+        target_with_shape(context, inputs, name),
+        inputs.observer,
+        context.camera,
+        best_attitude(inputs, state),
     )
     method = chosen_method(context, request, prediction)
     if method == "unresolved":
@@ -180,7 +179,9 @@ def _circle_by_common_shift(
         center = best_center(state, name)
         if center is None or center.pixel_line is None or inputs.targets[name].is_star:
             continue
-        other = predict_body(inputs.targets[name], inputs.observer, context.camera, attitude(inputs, state))
+        other = predict_body(
+            inputs.targets[name], inputs.observer, context.camera, best_attitude(inputs, state)
+        )
         shifts.append((other.diameter_px, name, center.pixel_line - other.pixel_line))
     if not shifts or not prediction.diameter_px > 0.0 or not np.isfinite(prediction.pixel_line).all():
         return None
@@ -207,13 +208,13 @@ def _unresolved(
     request: BodyRequest,
 ) -> BodyCenter:
     target = inputs.targets[request.name]
-    if prediction.diameter_px > MAX_UNRESOLVED_DIAMETER_PX:
+    if prediction.diameter_px > MAX_POINT_DIAMETER_PX:
         return BodyCenter.without_center(
             target.name,
             "unresolved",
             "failed",
             f"it is {prediction.diameter_px:.1f} px wide, too large for the unresolved method "
-            f"(at most {MAX_UNRESOLVED_DIAMETER_PX:g} px)",
+            f"(at most {MAX_POINT_DIAMETER_PX:g} px)",
         )
     circle, radius = start_circle(state, request), request.search_radius_px
     if circle is None and radius is None:
@@ -252,7 +253,7 @@ def _unresolved(
 def predicted_sigma_px(context: Context, inputs: Inputs, state: SessionState, target: TargetState) -> float:
     """Largest one-sigma (px) of the predicted place, from attitude and, where given, ephemeris."""
     camera = context.camera
-    rotation = attitude(inputs, state)
+    rotation = best_attitude(inputs, state)
     vector = rotation @ np.asarray(target.position_km)
     by_attitude = camera.attitude_jacobian(rotation @ target.direction)
     covariance = by_attitude @ attitude_covariance(context, state) @ by_attitude.T
@@ -264,7 +265,7 @@ def predicted_sigma_px(context: Context, inputs: Inputs, state: SessionState, ta
 
 def _neighbours(context: Context, inputs: Inputs, state: SessionState, request: BodyRequest) -> FloatArray:
     """Places of everything else that is bright nearby: other bodies and the catalog's stars."""
-    rotation = attitude(inputs, state)
+    rotation = best_attitude(inputs, state)
     others = [
         predict_body(inputs.targets[name], inputs.observer, context.camera, rotation).pixel_line
         for name in scene_names(inputs, state, request)
@@ -276,7 +277,7 @@ def _neighbours(context: Context, inputs: Inputs, state: SessionState, request: 
     return np.concatenate([np.reshape(others, (-1, 2)), stars])
 
 
-# ---- Session steps that concern bodies: expect, find, observe. Pure: (context, inputs, state, parameters) -> ...
+# ---- The steps: expect, find, observe.
 
 JOINT_METHODS = ("least_squares",)
 
@@ -292,7 +293,7 @@ def add_target(
 def _expecting(state: SessionState, *names: str) -> SessionState:
     """Expect targets; those that were left out before no longer are."""
     for name in names:
-        state = state.noting(skipped_topic(name))
+        state = state.with_notes(skipped_topic(name))
     skipped = tuple(other for other in state.skipped_targets if other not in names)
     targets = tuple(dict.fromkeys((*state.targets, *names)))
     return state.replace(targets=targets, skipped_targets=skipped)
@@ -304,8 +305,8 @@ def skip_target(
     """Record a target that cannot be predicted, so that the result is not taken for complete."""
     name, reason = parameters["name"], parameters["reason"]
     skipped = tuple(dict.fromkeys((*state.skipped_targets, name)))
-    said = reason if name in reason else f"{name}: {reason}"
-    return state.replace(skipped_targets=skipped).noting(skipped_topic(name), said)
+    message = reason if name in reason else f"{name}: {reason}"
+    return state.replace(skipped_targets=skipped).with_notes(skipped_topic(name), message)
 
 
 def find_body(
@@ -345,7 +346,7 @@ def _with_center(state: SessionState, request: BodyRequest, center: BodyCenter) 
         for b, r in zip(state.bodies, state.requests, strict=True)
     ]
     for body in (b for b, g in zip(state.bodies, gone, strict=True) if g):
-        state = state.noting(_center_topic(body))
+        state = state.with_notes(_center_topic(body))
     kept = [
         pair for pair, g in zip(zip(state.bodies, state.requests, strict=True), gone, strict=True) if not g
     ]
@@ -361,8 +362,8 @@ def _center_topic(center: BodyCenter) -> str:
 
 
 def _with_center_note(state: SessionState, center: BodyCenter) -> SessionState:
-    said = tuple(f"{center.name}: {message}" for message in center.messages if center.status != "ok")
-    return state.noting(_center_topic(center), *said)
+    messages = tuple(f"{center.name}: {message}" for message in center.messages if center.status != "ok")
+    return state.with_notes(_center_topic(center), *messages)
 
 
 def _others_found_again(context: Context, inputs: Inputs, state: SessionState, name: str) -> SessionState:
@@ -379,7 +380,7 @@ def _found_again(context: Context, inputs: Inputs, state: SessionState, request:
         return state  # bodies found jointly are found again jointly, when the analyst asks for it
     place = state.requests.index(request)
     center = find_center(context, inputs, state, request)
-    state = state.noting(_center_topic(state.bodies[place]))
+    state = state.with_notes(_center_topic(state.bodies[place]))
     bodies = (*state.bodies[:place], center, *state.bodies[place + 1 :])
     return _with_center_note(state.replace(bodies=bodies), center)
 
@@ -455,9 +456,6 @@ def scans_outcome(state: SessionState, parameters: dict[str, Any]) -> str:
         _center_line(b) for b in state.bodies if b.name == parameters["name"] and b.method == "limb_scan"
     ]
     return "; ".join([f"{parameters['name']}: {chosen}", *lines])
-
-
-# ---- Session steps that record what the analyst says of bodies and of the picture. Pure functions of the ...
 
 
 def set_circle(

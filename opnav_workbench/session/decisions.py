@@ -28,11 +28,10 @@ written by hand needs no ``at``.  Stars are named by catalog id, never by number
 `ImageSession` method that it stands for.
 """
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import (
@@ -59,7 +58,7 @@ if TYPE_CHECKING:
 __all__ = ["Decisions", "load_decisions", "write_decisions"]
 
 
-# ---- What a decisions file says of one picture: the fields, their types and their defaults.
+# ---- One picture: the fields, their types and their defaults.
 
 NonEmptyText = Annotated[str, Field(min_length=1)]
 StepNumber = Annotated[int, Field(ge=1)]
@@ -152,12 +151,15 @@ class Remark(DecisionItem):
     text: NonEmptyText
 
 
+PlainStepName = Literal[
+    "predict", "find_stars", "refit_stars", "repoint", "add_target", "skip_target", "observables"
+]
+
+
 class PlainStep(DecisionItem):
     """A step of the session that decides nothing; its parameters are those of the method of that name."""
 
-    step: Literal[
-        "predict", "find_stars", "refit_stars", "repoint", "add_target", "skip_target", "observables"
-    ]
+    step: PlainStepName
     initial: str | None = None
     final: str | None = None
     search_radius_px: PositiveFloat | None = None
@@ -217,7 +219,7 @@ class PictureDecisions(StrictModel):
     @model_validator(mode="after")
     def _places_once(self) -> "PictureDecisions":
         taken: dict[int, str] = {}
-        for section, _, item in self.items():
+        for section, _, item in self.all_items():
             if item.at is not None and taken.setdefault(item.at, section) != section:
                 raise ValueError(f"at: {item.at} stands in {taken[item.at]} and in {section}; it is one step")
         return self
@@ -225,9 +227,9 @@ class PictureDecisions(StrictModel):
     @property
     def recorded(self) -> bool:
         """Whether the whole session is recorded, so that it can be taken again step by step."""
-        return any(item.at is not None for _, _, item in self.items())
+        return any(item.at is not None for _, _, item in self.all_items())
 
-    def items(self) -> Iterator[tuple[str, int, DecisionItem]]:
+    def all_items(self) -> Iterator[tuple[str, int, DecisionItem]]:
         """Yield every item with its section and its place there."""
         for section in SECTIONS:
             for number, item in enumerate(getattr(self, section)):
@@ -239,7 +241,7 @@ SECTIONS = (
 )  # fmt: skip
 
 
-# ---- From a session's steps to the items of a decisions file, and back: each kind of item names its ...
+# ---- From a session's steps to items, and back.
 
 Parameters = Mapping[str, Any]
 RecordedItems = list[tuple[str, DecisionItem]]
@@ -293,10 +295,10 @@ def _remark_items(p: Parameters, at: int) -> RecordedItems:
     return [("notes", Remark(text=p["text"], at=at))]
 
 
-def _step_items(name: str) -> Callable[[Parameters, int], RecordedItems]:
+def _step_items(name: PlainStepName) -> Callable[[Parameters, int], RecordedItems]:
     def recorded(p: Parameters, at: int) -> RecordedItems:
         values = {"stars" if key == "ids" else key: value for key, value in p.items()}
-        return [("steps", PlainStep(step=name, at=at, **values))]  # type: ignore[arg-type]
+        return [("steps", PlainStep(step=name, at=at, **values))]
 
     return recorded
 
@@ -313,13 +315,8 @@ ITEMS_OF_STEP: dict[str, Callable[[Parameters, int], RecordedItems]] = {
     "find_body": _search_items,
     "find_bodies": _joint_search_items,
     "note": _remark_items,
-    **{
-        name: _step_items(name)
-        for name in (
-            "predict", "find_stars", "refit_stars", "repoint", "add_target", "skip_target", "observables"
-        )
-    },
-}  # fmt: skip
+    **{name: _step_items(name) for name in get_args(PlainStepName)},
+}
 
 
 def perform(session: "ImageSession", section: str, items: list[Any]) -> None:
@@ -369,28 +366,23 @@ def _one_by_one(act: Callable[["ImageSession", Any], object]) -> Callable[["Imag
 
 
 def _take_step(session: "ImageSession", item: PlainStep) -> None:
-    search: dict[str, Any] = {
-        "initial": item.initial,
-        "final": item.final,
-        "search_radius_px": item.search_radius_px,
-    }
-    given = {key: value for key, value in search.items() if value is not None}
-    if item.step == "find_stars":
-        session.find_stars(**given)
-    elif item.step == "refit_stars":
-        session.refit_stars(item.stars, template=item.template, **given)
-    elif item.step == "repoint":
-        session.repoint(item.model or "euler", a_priori=item.a_priori)
-    elif item.step == "add_target":
-        session.add_target(item.name or "")
-    elif item.step == "skip_target":
-        session.skip_target(item.name or "", item.reason)
-    elif item.step == "predict":
-        session.predict()
-    else:
-        session.observables()
+    METHOD_OF_STEP[item.step](session, item)
 
 
+def _search_options(item: PlainStep) -> dict[str, Any]:
+    options = {"initial": item.initial, "final": item.final, "search_radius_px": item.search_radius_px}
+    return {key: value for key, value in options.items() if value is not None}
+
+
+METHOD_OF_STEP: dict[PlainStepName, Callable[["ImageSession", PlainStep], object]] = {
+    "predict": lambda s, _: s.predict(),
+    "find_stars": lambda s, i: s.find_stars(**_search_options(i)),
+    "refit_stars": lambda s, i: s.refit_stars(i.stars, template=i.template, **_search_options(i)),
+    "repoint": lambda s, i: s.repoint(i.model or "euler", a_priori=i.a_priori),
+    "add_target": lambda s, i: s.add_target(i.name or ""),
+    "skip_target": lambda s, i: s.skip_target(i.name or "", i.reason),
+    "observables": lambda s, _: s.observables(),
+}
 METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "reject": lambda s, items: _decide_stars(s, items, accept=False),
     "accept": lambda s, items: _decide_stars(s, items, accept=True),
@@ -406,10 +398,9 @@ METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
 }
 
 
-# ---- Decisions: what an analyst decided on pictures, as a file (YAML) that headless runs carry out.
+# ---- The file of many pictures.
 
 EVERY_IMAGE = "*"
-SHA256 = re.compile(r"[0-9a-f]{64}")
 HEAD = """# Decisions on pictures, by the SHA-256 of the picture; opnav process --decisions carries them out.
 # "at" orders the steps of a session; decisions without it are made when the stars are found.
 """
@@ -465,7 +456,7 @@ class Decisions(BaseModel):
         )
         return cls(images={session.context.frame.sha256: picture})
 
-    def read_from(self, path: str | Path) -> "Decisions":
+    def with_path(self, path: str | Path) -> "Decisions":
         """Remember the file, so that errors name its lines; return the decisions themselves."""
         self._path = Path(path)
         return self
@@ -501,7 +492,7 @@ class Decisions(BaseModel):
         if recorded is not None and not session.standing:
             self._replay(session, recorded)
             return
-        for key, picture in self._of(session):
+        for key, picture in self._entries_for(session):
             for section in AFTER_STARS:
                 for number, item in enumerate(getattr(picture, section)):
                     if key != EVERY_IMAGE or _concerns(session, item):
@@ -510,7 +501,7 @@ class Decisions(BaseModel):
     def apply_field(self, session: "ImageSession") -> bool:
         """Make the decisions on where the star field is (marked stars, nudges); tell whether there were any."""
         made = False
-        for key, picture in self._of(session):
+        for key, picture in self._entries_for(session):
             for section in BEFORE_STARS:
                 for number, item in enumerate(getattr(picture, section)):
                     self._perform(session, key, section, number, [item])
@@ -519,16 +510,16 @@ class Decisions(BaseModel):
 
     def methods_of(self, session: "ImageSession", body: str) -> tuple[dict[str, Any], ...]:
         """Return how a body shall be found: arguments of `ImageSession.find_body`; none where nothing is said."""
-        chosen = [m for _, picture in self._of(session) for m in picture.methods if m.body == body]
+        chosen = [m for _, picture in self._entries_for(session) for m in picture.methods if m.body == body]
         last = {method.method: method for method in chosen}
         return tuple(m.model_dump(exclude={"at", "body"}) for m in last.values())
 
     def bodies_of(self, session: "ImageSession") -> tuple[str, ...]:
         """Return the bodies whose method is decided, in order."""
-        methods = (m.body for _, picture in self._of(session) for m in picture.methods)
+        methods = (m.body for _, picture in self._entries_for(session) for m in picture.methods)
         return tuple(dict.fromkeys(methods))
 
-    def _of(self, session: "ImageSession") -> list[tuple[str, PictureDecisions]]:
+    def _entries_for(self, session: "ImageSession") -> list[tuple[str, PictureDecisions]]:
         """Return the entries that concern a picture, the most general first."""
         frame = session.context.frame
         keys = (EVERY_IMAGE, frame.path.name, frame.sha256)
@@ -539,8 +530,8 @@ class Decisions(BaseModel):
         _check_opened(session, picture)
         first = next((s.at for s in picture.steps if s.step == "find_stars" and s.at), 1)
         groups: dict[tuple[int, int, str, int], list[tuple[int, DecisionItem]]] = {}
-        last = 1 + max((item.at or 0 for _, _, item in picture.items()), default=0)
-        for order, (section, number, item) in enumerate(picture.items()):
+        last = 1 + max((item.at or 0 for _, _, item in picture.all_items()), default=0)
+        for order, (section, number, item) in enumerate(picture.all_items()):
             # What was added by hand follows the first search for stars; methods added by hand come last.
             added = last if section in ("methods", "together", "steps") else first
             place = (item.at, 0, section, 0) if item.at is not None else (added, 1, section, order)
@@ -596,7 +587,7 @@ def load_decisions(path: str | Path) -> Decisions:
         The file is missing, is not YAML, or breaks the layout (line and field are named).
     """
     decisions = read_model(path, Decisions, "decisions file", SessionError)
-    return decisions.read_from(path)
+    return decisions.with_path(path)
 
 
 def write_decisions(path: str | Path, decisions: Decisions | Iterable[Decisions]) -> Path:

@@ -1,11 +1,11 @@
 """One writer per session folder: a lock of the operating system, which a process that dies gives up by itself.
 
-The lock file says who holds it. Where the file system knows no locks, that word is taken for it: a process of this
-machine that no longer runs has left a stale lock, which is taken over.
+`filelock` takes it.  Ours is what filelock has not: the lock file says who holds it, and where the file system knows no
+locks, that word is taken for it instead of the file's mere existence: a process of this machine that no longer runs has
+left a stale lock, which is taken over.
 """
 
 import errno
-import importlib
 import json
 import os
 import socket
@@ -15,22 +15,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from opnav_workbench.errors import SessionError
 
 __all__ = ["FolderLock", "check_unlocked"]
 
-fcntl: Any
-try:
-    fcntl = importlib.import_module("fcntl")
-except ImportError:  # Windows
-    fcntl = None
-
 LOCK_FILE = ".session.lock"
-HELD_ELSEWHERE = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)
+NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)  # of a file system that knows none
 
 
 class FolderLock:
-    """The right to write into a session's folder, until `release` or the end of the process.
+    """The right to write into a session's folder, until `release`, its own end or that of the process.
 
     Raises
     ------
@@ -41,34 +37,31 @@ class FolderLock:
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOCK_FILE
         try:
-            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._lock = _taken(self._path)
         except OSError as error:
             raise SessionError(
                 f"cannot write into {folder}: {error.strerror}. Choose another folder."
             ) from error
-        try:
-            _take(self._descriptor, self._path)
-            self._sign()
-        except BaseException:
-            os.close(self._descriptor)
-            raise
+        self._held = True
+        self._sign()
 
     def _sign(self) -> None:
         """Say who holds the lock; a full disk keeps nobody from working."""
         since = datetime.now(UTC).isoformat(timespec="seconds")
-        text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since})
         with suppress(OSError):
-            os.ftruncate(self._descriptor, 0)
-            os.pwrite(self._descriptor, text.encode(), 0)
+            self._path.write_text(
+                json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}),
+                encoding="utf-8",
+            )
 
     def release(self) -> None:
         """Let others write."""
-        if self._descriptor < 0:
+        if not self._held:
             return
         with suppress(OSError):
-            os.ftruncate(self._descriptor, 0)
-        os.close(self._descriptor)
-        self._descriptor = -1
+            os.truncate(self._path, 0)
+        self._lock.release()
+        self._held = False
 
 
 def check_unlocked(folder: Path) -> None:
@@ -80,37 +73,33 @@ def check_unlocked(folder: Path) -> None:
         The process is named.
     """
     path = folder / LOCK_FILE
-    if not path.exists():
-        return
+    if path.exists():
+        with suppress(OSError):  # writing will say what is wrong
+            _taken(path).release()
+
+
+def _taken(path: Path) -> FileLock:
+    """Return the lock, taken; one of a file system without locks is not, but nobody else says that he has it.
+
+    Raises
+    ------
+    SessionError
+        Another process holds it.
+    OSError
+        The file cannot be written.
+    """
+    lock = FileLock(path, blocking=False, thread_local=False, fallback_to_soft=False)
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-    except OSError:
-        return  # writing will say what is wrong
-    try:
-        _take(descriptor, path)
-    finally:
-        os.close(descriptor)
-
-
-def _take(descriptor: int, path: Path) -> None:
-    if _locked(descriptor, path):
-        return
-    holder = _holder(path)
-    if _runs_here(holder) or holder.get("host") not in (None, socket.gethostname()):
-        raise SessionError(_refusal(path, holder))
-
-
-def _locked(descriptor: int, path: Path) -> bool:
-    """Take the operating system's lock; False where there is none to take."""
-    if fcntl is None:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock.acquire()
+    except Timeout:
+        raise SessionError(_refusal(path, _holder(path))) from None
     except OSError as error:
-        if error.errno in HELD_ELSEWHERE:
-            raise SessionError(_refusal(path, _holder(path))) from error
-        return False
-    return True
+        if error.errno not in NO_LOCKS:
+            raise
+        holder = _holder(path)
+        if _runs_here(holder) or holder.get("host") not in (None, socket.gethostname()):
+            raise SessionError(_refusal(path, holder)) from error
+    return lock
 
 
 def _holder(path: Path) -> Mapping[str, Any]:

@@ -1,15 +1,14 @@
 """The history of a session: its states and its journal, and how steps are taken, taken back, repeated and replayed.
 
-`STEPS` names every step and the pure function that carries it out.  A state follows from the steps before it, so that
-only the journal has to be kept: states of a session read from a file, and old ones that were dropped to save memory, are
-made again when they are asked for.
+`STEPS` names every step, the pure function that carries it out, and what the journal says of it.  A state follows from
+the steps before it, so that only the journal has to be kept: states of a session read from a file, and old ones that were
+dropped to save memory, are made again when they are asked for.
 
 ``journal.jsonl`` holds the steps since session.json was written, one line each, on disk before the step's method returns.
 A line holds the entry, its place in the journal, a check of the entry before it, and what kernels and catalog gave for
 this step.  A line that a crash cut short is not read; what follows a line that does not fit is not read either.
 """
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import plain_values
+from opnav_workbench.files import digest, plain_values
 from opnav_workbench.session import body_steps, pointing, star_field, star_steps
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
@@ -34,9 +33,6 @@ __all__ = [
     "note",
     "read_journal_file",
 ]
-
-
-# ---- The journal: every step and decision with its time, parameters, reason and outcome, in order.
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +70,7 @@ def stamped_entry(step: str, parameters: Mapping[str, Any], reason: str, outcome
     return JournalEntry(step, dict(parameters), reason, outcome, now)
 
 
-# ---- journal.jsonl: the steps since session.json was written, one line each, on disk before the step's ...
+# ---- journal.jsonl: the steps since session.json was written.
 
 JOURNAL_FILE = "journal.jsonl"
 CHECK_DIGITS = 12
@@ -88,7 +84,7 @@ class JournalTail:
     ----------
     entries : tuple of JournalEntry
     inputs : tuple of mapping
-        What the steps added to the inputs, as `storage` writes them.
+        What the steps added to the inputs, as `inputs_added` gives them.
     length : int
         Bytes of the file that are whole and belong to the session.
     note : str
@@ -102,22 +98,19 @@ class JournalTail:
 
 
 def journal_line(
-    session: str, number: int, before: JournalEntry | None, item: JournalEntry, inputs: Mapping[str, Any]
+    session: str, number: int, before: JournalEntry | None, entry: JournalEntry, inputs: Mapping[str, Any]
 ) -> bytes:
     """Return the line of the entry at place `number` (from 0) of the journal."""
-    data = {"session": session, "n": number, "after": _entry_check(before), "entry": item.to_dict()}
+    data = {"session": session, "n": number, "after": _entry_check(before), "entry": entry.to_dict()}
     if inputs:
         data["inputs"] = inputs
     text = json.dumps(plain_values(data), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     return text.encode() + b"\n"
 
 
-def _entry_check(item: JournalEntry | None) -> str:
+def _entry_check(entry: JournalEntry | None) -> str:
     """Return a short check of an entry, so that a line is read after no other than the one it was written after."""
-    if item is None:
-        return ""
-    text = json.dumps(plain_values(item.to_dict()), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:CHECK_DIGITS]
+    return "" if entry is None else digest(entry.to_dict())[:CHECK_DIGITS]
 
 
 def read_journal_file(path: Path, session: str, journal: Sequence[JournalEntry]) -> JournalTail:
@@ -132,29 +125,28 @@ def read_journal_file(path: Path, session: str, journal: Sequence[JournalEntry])
         return JournalTail((), (), 0)
     content, known = path.read_bytes(), list(journal)
     inputs: list[Mapping[str, Any]] = []
-    length = 0
+    length, message = 0, ""
     for number, raw in enumerate(content.splitlines(keepends=True), start=1):
         line = _parsed_line(raw)
         if line is None:
             what = "the last line" if length + len(raw) == len(content) else f"line {number} and what follows"
-            note = f"{path.name}: {what} was cut short by a crash and is left out"
-            return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length, note)
-        if line["session"] != session or line["n"] > len(known):
-            return JournalTail(
-                tuple(known[len(journal) :]), tuple(inputs), length, _foreign_note(path, number, len(content))
-            )
+            message = f"{path.name}: {what} was cut short by a crash and is left out"
+            break
+        if not _belongs(line, session, known):
+            message = f"{path.name}: from line {number} on it belongs to another session and is left out"
+            break
         if line["n"] == len(known):
-            if line["after"] != _entry_check(known[-1] if known else None):
-                note = _foreign_note(path, number, len(content))
-                return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length, note)
             known.append(JournalEntry(**line["entry"]))
             inputs.append(line.get("inputs", {}))
         length += len(raw)
-    return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length)
+    return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length, message)
 
 
-def _foreign_note(path: Path, number: int, _size: int) -> str:
-    return f"{path.name}: from line {number} on it belongs to another session and is left out"
+def _belongs(line: Mapping[str, Any], session: str, known: Sequence[JournalEntry]) -> bool:
+    """Whether a line is one of the entries known, or the very next one."""
+    if line["session"] != session or line["n"] > len(known):
+        return False
+    return bool(line["n"] < len(known) or line["after"] == _entry_check(known[-1] if known else None))
 
 
 def _parsed_line(raw: bytes) -> dict[str, Any] | None:
@@ -171,9 +163,6 @@ def _parsed_line(raw: bytes) -> dict[str, Any] | None:
     return line if whole else None
 
 
-# ---- A kept state: what the steps so far led to, so that a session resumes without carrying all of them out ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptState:
     """The state after the first `count` standing steps of a session."""
@@ -182,7 +171,11 @@ class KeptState:
     state: SessionState
 
 
-# ---- Session steps that record what the analyst says of bodies and of the picture. Pure functions of the ...
+# ---- The table of steps: the pure function behind every `ImageSession` method that changes the state, and the line that
+# the journal says of what came out.
+
+Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
+OutcomeText = Callable[[SessionState, dict[str, Any]], str]
 
 
 def note(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
@@ -190,61 +183,32 @@ def note(context: Context, inputs: Inputs, state: SessionState, parameters: dict
     return state.replace(user_notes=(*state.user_notes, parameters["text"]))
 
 
-# ---- The table of steps: all `ImageSession` methods that change the state, as pure functions, and their ...
-
-Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
-
-STEPS: dict[str, Step] = {
-    "predict": star_steps.predict,
-    "two_star_pointing": star_field.two_star_pointing,
-    "nudge": star_field.nudge,
-    "find_stars": star_steps.find_stars,
-    "refit_stars": star_steps.refit_stars,
-    "place_star": star_steps.place_star,
-    "reject_stars": star_steps.reject_stars,
-    "accept_stars": star_steps.accept_stars,
-    "repoint": pointing.repoint,
-    "add_target": body_steps.add_target,
-    "skip_target": body_steps.skip_target,
-    "set_circle": body_steps.set_circle,
-    "clear_circle": body_steps.clear_circle,
-    "choose_scans": body_steps.choose_scans,
-    "find_body": body_steps.find_body,
-    "find_bodies": body_steps.find_bodies,
-    "observables": body_steps.observables,
-    "note": note,
-}
-
-OutcomeText = Callable[[SessionState, dict[str, Any]], str]
-
-OUTCOMES: dict[str, OutcomeText] = {
-    "predict": lambda s, _: f"{0 if s.a_priori is None else len(s.a_priori)} stars on or near the detector",
-    "two_star_pointing": lambda s, _: star_field.two_star_outcome(s),
-    "nudge": lambda s, _: star_field.nudge_outcome(s),
-    "find_stars": lambda s, _: f"{int(s.mask('used').sum())} stars found",
-    "refit_stars": star_steps.refit_outcome,
-    "place_star": star_steps.place_outcome,
-    "reject_stars": lambda _, p: f"{len(p['ids'])} rejected",
-    "accept_stars": lambda _, p: f"{len(p['ids'])} accepted",
-    "repoint": lambda s, _: pointing.repoint_outcome(s),
-    "add_target": lambda _, p: f"{p['name']} expected",
-    "skip_target": lambda _, p: f"{p['name']} left out",
-    "set_circle": lambda _, p: f"{p['name']}: circle of radius {p['radius_px']:.1f} px",
-    "clear_circle": lambda _, p: f"{p['name']}: no circle",
-    "choose_scans": body_steps.scans_outcome,
-    "find_body": body_steps.body_outcome,
-    "find_bodies": body_steps.bodies_outcome,
-    "observables": lambda s, _: f"{len(s.observables)} observables",
-    "note": lambda s, _: f"note {len(s.user_notes)}",
+STEPS: dict[str, tuple[Step, OutcomeText]] = {
+    "predict": (star_steps.predict, star_steps.predict_outcome),
+    "two_star_pointing": (star_field.two_star_pointing, star_field.two_star_outcome),
+    "nudge": (star_field.nudge, star_field.nudge_outcome),
+    "find_stars": (star_steps.find_stars, lambda s, _: f"{int(s.mask('used').sum())} stars found"),
+    "refit_stars": (star_steps.refit_stars, star_steps.refit_outcome),
+    "place_star": (star_steps.place_star, star_steps.place_outcome),
+    "reject_stars": (star_steps.reject_stars, lambda _, p: f"{len(p['ids'])} rejected"),
+    "accept_stars": (star_steps.accept_stars, lambda _, p: f"{len(p['ids'])} accepted"),
+    "repoint": (pointing.repoint, pointing.repoint_outcome),
+    "add_target": (body_steps.add_target, lambda _, p: f"{p['name']} expected"),
+    "skip_target": (body_steps.skip_target, lambda _, p: f"{p['name']} left out"),
+    "set_circle": (
+        body_steps.set_circle,
+        lambda _, p: f"{p['name']}: circle of radius {p['radius_px']:.1f} px",
+    ),
+    "clear_circle": (body_steps.clear_circle, lambda _, p: f"{p['name']}: no circle"),
+    "choose_scans": (body_steps.choose_scans, body_steps.scans_outcome),
+    "find_body": (body_steps.find_body, body_steps.body_outcome),
+    "find_bodies": (body_steps.find_bodies, body_steps.bodies_outcome),
+    "observables": (body_steps.observables, lambda s, _: f"{len(s.observables)} observables"),
+    "note": (note, lambda s, _: f"note {len(s.user_notes)}"),
 }
 
 
-def outcome_of(step: str, state: SessionState, parameters: dict[str, Any]) -> str:
-    """Return one line of what came out of a step, for the journal."""
-    return OUTCOMES[step](state, parameters)
-
-
-# ---- The history of a session: its states, its journal, and how steps are taken, taken back, repeated and ...
+# ---- The history itself.
 
 KEPT_STATES = 60  # each holds the pictures of its bodies: up to 10 MB for a body of 600 px
 
@@ -296,16 +260,18 @@ class History:
         """Entries that `redo` would repeat, the next one first."""
         return tuple(taken.entry for taken in reversed(self._undone))
 
-    def tried(self, step: str, parameters: dict[str, Any]) -> SessionState:
+    def state_after_step(self, step: str, parameters: dict[str, Any]) -> SessionState:
         """Return the state that a step would lead to, without taking it."""
-        return STEPS[step](self._context, self.inputs, self.state, parameters)
+        carry_out, _ = STEPS[step]
+        return carry_out(self._context, self.inputs, self.state, parameters)
 
     def record(self, step: str, parameters: dict[str, Any], state: SessionState, reason: str = "") -> None:
         """Take a step whose outcome is known; what was undone cannot be repeated after it."""
-        made = stamped_entry(step, parameters, reason, outcome_of(step, state, parameters))
-        self._standing.append(_StepTaken(made, state))
+        _, outcome = STEPS[step]
+        entry = stamped_entry(step, parameters, reason, outcome(state, parameters))
+        self._standing.append(_StepTaken(entry, state))
         self._undone.clear()
-        self._journal.append(made)
+        self._journal.append(entry)
         if len(self._standing) > KEPT_STATES:
             self._standing[-KEPT_STATES - 1].state = None
 
@@ -320,7 +286,7 @@ class History:
         if not self._standing:
             raise SessionError("nothing to undo: no step has been taken yet.")
         self._state_after(len(self._standing) - 1)  # before anything changes: it may have to be made again
-        return self._moved("undo")
+        return self._undo_or_redo("undo")
 
     def redo(self) -> JournalEntry:
         """Take the last undone step again and return its entry.
@@ -334,14 +300,14 @@ class History:
             raise SessionError("nothing to redo: no step has been undone since the last one was taken.")
         taken = self._undone[-1]
         if taken.state is None:
-            taken.state = self._made(self.state, taken.entry)
-        return self._moved("redo")
+            taken.state = self._replayed(self.state, taken.entry)
+        return self._undo_or_redo("redo")
 
-    def _moved(self, how: str) -> JournalEntry:
+    def _undo_or_redo(self, how: str) -> JournalEntry:
         """Move one step from those that stand to those that are undone, or back."""
-        came, went = (self._standing, self._undone) if how == "undo" else (self._undone, self._standing)
-        taken = came.pop()
-        went.append(taken)
+        origin, goal = (self._standing, self._undone) if how == "undo" else (self._undone, self._standing)
+        taken = origin.pop()
+        goal.append(taken)
         step = taken.entry.step
         self._journal.append(
             stamped_entry(how, {"step": step}, "", f"{step} {'undone' if how == 'undo' else 'redone'}")
@@ -371,8 +337,8 @@ class History:
         SessionError
             The journal names an unknown step, or cannot be carried out.
         """
-        for item in journal:
-            self._take_stored(item, source)
+        for entry in journal:
+            self._take_stored(entry, source)
         self._journal = list(journal)
         known = kept(self.standing)
         if known is not None:
@@ -382,22 +348,21 @@ class History:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise SessionError(f"{source} is damaged ({error!r}); process the picture again.") from error
 
-    def _take_stored(self, item: JournalEntry, source: str) -> None:
-        if item.step in ("undo", "redo"):
-            came, went = (
-                (self._standing, self._undone) if item.step == "undo" else (self._undone, self._standing)
-            )
-            if not came:
+    def _take_stored(self, entry: JournalEntry, source: str) -> None:
+        if entry.step in ("undo", "redo"):
+            undo = entry.step == "undo"
+            origin, goal = (self._standing, self._undone) if undo else (self._undone, self._standing)
+            if not origin:
                 raise SessionError(
-                    f"{source} is damaged: it {item.step}es more than was done; process the picture again."
+                    f"{source} is damaged: it {entry.step}es more than was done; process the picture again."
                 )
-            went.append(came.pop())
+            goal.append(origin.pop())
             return
-        if item.step not in STEPS:
+        if entry.step not in STEPS:
             raise SessionError(
-                f"{source} names an unknown step {item.step!r}; it was written by a newer version."
+                f"{source} names an unknown step {entry.step!r}; it was written by a newer version."
             )
-        self._standing.append(_StepTaken(item, None))
+        self._standing.append(_StepTaken(entry, None))
         self._undone.clear()
 
     def _state_after(self, count: int) -> SessionState:
@@ -408,8 +373,9 @@ class History:
         state = self._standing[known - 1].state if known else self._first
         assert state is not None
         for taken in self._standing[known:count]:
-            state = taken.state = self._made(state, taken.entry)
+            state = taken.state = self._replayed(state, taken.entry)
         return state
 
-    def _made(self, state: SessionState, item: JournalEntry) -> SessionState:
-        return STEPS[item.step](self._context, self.inputs, state, dict(item.parameters))
+    def _replayed(self, state: SessionState, entry: JournalEntry) -> SessionState:
+        carry_out, _ = STEPS[entry.step]
+        return carry_out(self._context, self.inputs, state, dict(entry.parameters))

@@ -6,6 +6,7 @@ values they stand in ``session.json`` whole, and in ``journal.jsonl`` as what a 
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -15,7 +16,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
-from opnav_workbench.errors import ImageError, KernelError, SessionError
+from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionError
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc
 from opnav_workbench.kernels.dsk_files import shape_file_of
@@ -38,12 +39,10 @@ __all__ = [
     "inputs_dict",
     "inputs_from",
     "with_inputs_added",
+    "with_scene",
     "with_target",
     "with_wide_stars",
 ]
-
-
-# ---- The one place where a session's state lives: a frozen value that every step replaces.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +81,7 @@ class Inputs:
         freeze_arrays(self)
 
 
-# ---- Inputs of a session from the world outside the picture: kernels, image header, catalog, target lists.
+# ---- From kernels, image header, catalog and target lists.
 
 WIDE_STARS = 1000  # of a wide search: dozens on the detector of any camera, and a session file of a megabyte
 FAINT_MARGIN_MAG = 1.0  # colors, and the zero point's own error
@@ -131,7 +130,9 @@ def collect_inputs(context: Context, source: InputSource, catalog: Catalog | Non
 
 
 def with_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> Inputs:
-    """Add one target to the inputs: a star of the target list, else a SPICE body."""
+    """Add one target to the inputs, unless they hold it: a star of the target list, else a SPICE body."""
+    if name in inputs.targets:
+        return inputs
     target = _star_target(context, source, inputs, name)
     shape = None
     if target is None:
@@ -143,11 +144,25 @@ def with_target(context: Context, source: InputSource, inputs: Inputs, name: str
     )
 
 
+def with_scene(context: Context, source: InputSource, inputs: Inputs) -> tuple[Inputs, list[str]]:
+    """Add the mission's bodies that may hide, shade or outshine another; return which of them are known, too."""
+    names = []
+    for name in context.mission.default_targets:
+        if KernelSet.active() is not None:
+            with suppress(OpNavError):  # nothing is known of it: it is not in the scene
+                inputs = with_target(context, source, inputs, name)
+        if name in inputs.targets:
+            names.append(name)
+    return inputs, names
+
+
 def with_wide_stars(
     context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
 ) -> Inputs:
-    """Add the brightest stars as far around the a priori field as the widest search of the settings goes."""
-    reach_px = max((shift for shift, _ in context.settings.wide_searches), default=0.0)
+    """Add the brightest stars as far around the a priori field as the widest search goes, once, where there is one."""
+    if inputs.wide_stars is not None or not context.settings.wide_searches:
+        return inputs
+    reach_px = max(shift for shift, _ in context.settings.wide_searches)
     radius = context.camera.half_diagonal_rad + reach_px * context.camera.pixel_scale_rad
     limit = min(context.settings.mag_limit, faintest_magnitude(context) + FAINT_MARGIN_MAG)
     stars = _cone(context, catalog or open_catalog(source.catalog), inputs, radius, limit)
@@ -231,7 +246,7 @@ def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:
     return context.mission.with_magnitude(body_target(name, context.mission.spacecraft_id, inputs.et))
 
 
-# ---- Inputs of a session as plain values, and back: whole, and what a step added to them.
+# ---- As plain values, and back: whole, and what a step added to them.
 
 
 def inputs_dict(inputs: Inputs) -> dict[str, Any]:

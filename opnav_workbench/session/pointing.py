@@ -19,6 +19,7 @@ from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.state import (
     ACCEPTED,
     BY_HAND,
+    MARKED,
     SessionState,
     StarStatus,
     has_center,
@@ -28,29 +29,32 @@ from opnav_workbench.stars.pointing import solve_pointing
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 
 __all__ = [
-    "attitude",
     "attitude_covariance",
-    "field_attitude",
+    "best_attitude",
     "repoint",
     "with_observables",
     "with_renewed_observables",
 ]
 
 
-# ---- From centers to observables, and the attitude that both rest on. Pure functions of context, inputs and ...
+def best_attitude(inputs: Inputs, state: SessionState, *, with_identified: bool = False) -> FloatArray:
+    """Return the best known ``camera_from_j2000``: solved, else that of the field, else a priori.
 
-
-def attitude(inputs: Inputs, state: SessionState) -> FloatArray:
-    """Best known ``camera_from_j2000``: solved, else where the analyst put the field, else a priori."""
+    Parameters
+    ----------
+    with_identified
+        Whether a field that was identified automatically, to a pixel, counts too. Where stars are expected (boxes, fits,
+        nudges) it does; bodies and observables rest on what was solved, or put there by the analyst.
+    """
     if state.pointing is not None:
         return state.pointing.camera_from_j2000
-    if state.star_field is not None and state.star_field.search in (BY_HAND, "marked"):
+    if state.star_field is not None and (with_identified or state.star_field.search in (BY_HAND, MARKED)):
         return state.star_field.camera_from_j2000
     return inputs.a_priori_camera_from_j2000
 
 
 def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
-    """Covariance (3, 3) rad^2 that goes with `attitude`; the camera's a priori one before the stars are solved."""
+    """Covariance (3, 3) rad^2 that goes with `best_attitude`; the camera's a priori one before the stars are solved."""
     if state.pointing is None:
         return context.camera.a_priori_covariance_rad2
     return state.pointing.covariance_rad2
@@ -69,12 +73,12 @@ def with_renewed_observables(context: Context, inputs: Inputs, state: SessionSta
 def _observable(context: Context, inputs: Inputs, state: SessionState, center: BodyCenter) -> Observable:
     target = inputs.targets[center.name]
     a_priori = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
-    solved = predict_body(target, inputs.observer, context.camera, attitude(inputs, state))
+    solved = predict_body(target, inputs.observer, context.camera, best_attitude(inputs, state))
     return observe(
         target,
         center,
         context.camera,
-        attitude(inputs, state),
+        best_attitude(inputs, state),
         attitude_covariance(context, state),
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         a_priori_px=a_priori.pixel_line,
@@ -101,7 +105,7 @@ def _center_cross(state: SessionState, center: BodyCenter) -> Mapping[str, Float
     return {}
 
 
-# ---- Session step: the camera's attitude from the stars in use. Pure: (context, inputs, state, parameters) ...
+# ---- The step.
 
 # A field moved by hand may keep its a priori twist, unless it was turned by more than the camera's twist is off.
 HAND_TWIST_SIGMAS = 3.0
@@ -124,7 +128,7 @@ def repoint(
         solved = _solved(context, inputs, solved, usable, parameters)
     else:
         none = f"no usable star among {len(candidates)} candidates; the a priori pointing stands."
-        solved = solved.replace(pointing=None).noting("pointing", none)
+        solved = solved.replace(pointing=None).with_notes("pointing", none)
     # Predictions and O-C rest on the pointing: those already computed follow it.
     return with_renewed_observables(context, inputs, solved)
 
@@ -153,7 +157,7 @@ def _solved(
             state.status, usable, solution.used, solution.reasons, strict=True
         )
     )
-    return state.replace(pointing=solution, status=status).noting("pointing", *solution.messages)
+    return state.replace(pointing=solution, status=status).with_notes("pointing", *solution.messages)
 
 
 def _start(context: Context, state: SessionState, a_priori: bool) -> dict[str, Any]:
@@ -173,7 +177,7 @@ def _near_a_priori(context: Context, state: SessionState) -> bool:
     return found.search == BY_HAND and abs(found.twist_rad) <= most
 
 
-def repoint_outcome(state: SessionState) -> str:
+def repoint_outcome(state: SessionState, _: dict[str, Any]) -> str:
     """One line of what came out, for the journal."""
     pointing = state.pointing
     if pointing is None:
@@ -182,15 +186,3 @@ def repoint_outcome(state: SessionState) -> str:
         f"pointing moved by {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines; "
         f"rms {pointing.rms_px:.3f} px with {pointing.n_stars} stars"
     )
-
-
-# ---- Session step: the analyst moves the predicted field by hand, pixel by pixel, until it lies on the stars.
-
-
-def field_attitude(inputs: Inputs, state: SessionState) -> FloatArray:
-    """Return where the field is known best: solved, else identified or moved by hand, else a priori."""
-    if state.pointing is not None:
-        return state.pointing.camera_from_j2000
-    if state.star_field is not None:
-        return state.star_field.camera_from_j2000
-    return inputs.a_priori_camera_from_j2000

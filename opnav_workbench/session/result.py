@@ -20,10 +20,10 @@ from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, Session
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
 
-__all__ = ["body_results", "result_dict"]
+__all__ = ["body_results", "kernel_entries", "result_dict"]
 
 
-# ---- Bodies in the layout of ``result.json``: what was observed, how, how well, and what is to be known of ...
+# ---- Bodies.
 
 
 def body_results(state: SessionState) -> list[dict[str, Any]]:
@@ -71,7 +71,7 @@ def _joint_covariances(o: Observable) -> dict[str, Any] | None:
     return {name: np.asarray(cross) for name, cross in o.center_cross_px2.items()} or None
 
 
-# ---- The result of a session as plain values: the layout of ``result.json``.
+# ---- The whole.
 
 
 def result_dict(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
@@ -188,13 +188,16 @@ def _sigmas(covariance: FloatArray) -> FloatArray:
     return np.sqrt(np.diag(covariance))
 
 
-def _provenance(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
+def kernel_entries() -> list[dict[str, str]]:
+    """Return name and SHA-256 of every kernel that is loaded."""
     active = KernelSet.active()
+    return [] if active is None else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()]
+
+
+def _provenance(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
     return {
         "version": __version__,
-        "kernels": []
-        if active is None
-        else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()],
+        "kernels": kernel_entries(),
         "catalog": source.catalog,
         "attitude_source": inputs.attitude_source,
         "observer_source": inputs.observer.source,

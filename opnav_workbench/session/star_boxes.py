@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.errors import SessionError
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
-from opnav_workbench.session.pointing import field_attitude
-from opnav_workbench.session.state import SessionState, check_star_ids, has_center
+from opnav_workbench.session.pointing import best_attitude
+from opnav_workbench.session.state import SessionState, check_star_ids, has_center, predicted_stars
 from opnav_workbench.stars import default_box_px, describe_flags
 
 __all__ = ["StarBox", "star_boxes"]
@@ -70,10 +69,8 @@ def star_boxes(
     context: Context, inputs: Inputs, state: SessionState, ids: Sequence[str] | None = None
 ) -> tuple[StarBox, ...]:
     """Return the boxes of stars; see `ImageSession.star_boxes`."""
-    stars = state.a_priori
-    if stars is None:
-        raise SessionError("no stars are predicted yet: call predict() first.")
-    predicted = stars.places(context.camera, field_attitude(inputs, state))
+    stars = predicted_stars(state)
+    predicted = stars.places(context.camera, best_attitude(inputs, state, with_identified=True))
     known = stars.id.tolist()
     if ids is None:
         rows = np.flatnonzero(context.camera.on_detector(predicted) | has_center(state)).tolist()

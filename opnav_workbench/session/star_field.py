@@ -25,14 +25,17 @@ from opnav_workbench.scene import (
     predict_body,
     predict_stars,
 )
+from opnav_workbench.session.body_models import MAX_POINT_DIAMETER_PX
 from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
 from opnav_workbench.session.inputs import Inputs
-from opnav_workbench.session.pointing import field_attitude
+from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.session.state import (
     BY_HAND,
+    MARKED,
     FieldFound,
     FieldMatch,
     SessionState,
+    predicted_stars,
     unsearched_statuses,
     with_decisions,
 )
@@ -51,16 +54,12 @@ __all__ = [
 ]
 
 
-# ---- Which detection is which star: the field's rotation against the a priori pointing.
-
 # A proposal less sure than this is a guess. One star by nearness and brightness reaches 0.9; in fields that have nothing
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
 # An analyst brings the field nearer than this to its stars; the pattern then says how near.
 HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
-# A body larger than this is not a point of the pattern, and its limb would add false detections.
-MAX_POINT_DIAMETER_PX = 3.0
 
 
 def identify_field(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
@@ -72,7 +71,7 @@ def identify_field(context: Context, inputs: Inputs, state: SessionState) -> Fie
         return _expected_stars(
             context, state.a_priori, state.pointing.camera_from_j2000, state.star_field, radius
         )
-    if state.star_field is not None and state.star_field.search == "marked":
+    if state.star_field is not None and state.star_field.search == MARKED:
         radius = context.settings.search_radius_px
         return _expected_stars(
             context, state.a_priori, state.star_field.camera_from_j2000, state.star_field, radius
@@ -110,9 +109,9 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     if near.confidence < MIN_CONFIDENCE:
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
     found = found_field(inputs, near, "a priori")
-    said = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
+    messages = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
     return _expected_stars(
-        context, state.a_priori, found.camera_from_j2000, found, settings.search_radius_px, *said
+        context, state.a_priori, found.camera_from_j2000, found, settings.search_radius_px, *messages
     )
 
 
@@ -130,8 +129,8 @@ def _around_moved_field(
         attitude = answer.rotation @ placed.camera_from_j2000
         found = field_at(context, inputs, attitude, BY_HAND, answer.confidence, sure=True)
         return _expected_stars(context, state.a_priori, attitude, found, radius)
-    said = f"the field rests on the analyst's hand: {answer.message}"
-    return _expected_stars(context, state.a_priori, placed.camera_from_j2000, placed, radius, said)
+    message = f"the field rests on the analyst's hand: {answer.message}"
+    return _expected_stars(context, state.a_priori, placed.camera_from_j2000, placed, radius, message)
 
 
 def _from_wide_search(
@@ -145,12 +144,12 @@ def _from_wide_search(
             continue
         found = found_field(inputs, answer, "wide")
         stars = stars_around(context, inputs, catalog, found.camera_from_j2000)
-        said = (
+        message = (
             f"the field lies ({answer.shift_px[0]:.0f}, {answer.shift_px[1]:.0f}) px and "
             f"{np.degrees(answer.twist_rad):.2f} deg off its a priori place: {answer.message}"
         )
         radius = context.settings.search_radius_px
-        return _expected_stars(context, stars, found.camera_from_j2000, found, radius, said, anew=True)
+        return _expected_stars(context, stars, found.camera_from_j2000, found, radius, message, anew=True)
     return None
 
 
@@ -292,8 +291,7 @@ def two_star_pointing(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Solve shift and twist of the field from two marked stars; `find_stars` then goes on from there."""
-    if state.a_priori is None:
-        raise SessionError("no stars are predicted yet: call predict() first.")
+    predicted_stars(state)
     catalog = catalog_stars(inputs)
     answer = _marked_identification(context, inputs, catalog, parameters)
     if parameters["ids"] is None and answer.confidence < MIN_CONFIDENCE:
@@ -301,20 +299,26 @@ def two_star_pointing(
             f"the two marked stars cannot be told from others of the same separation ({answer.message}); "
             "name them (ids=[...]), or mark two others, bright and far apart."
         )
-    found = found_field(inputs, answer, "marked")
-    stars = stars_around(context, inputs, catalog, found.camera_from_j2000)
+    found = found_field(inputs, answer, MARKED)
+    messages = () if found.sure else (f"the field rests on two marked stars: {answer.message}",)
+    return _with_new_field(context, inputs, state, found).with_notes("stars", *messages)
+
+
+def _with_new_field(context: Context, inputs: Inputs, state: SessionState, found: FieldFound) -> SessionState:
+    """Predict the stars anew around a field that the analyst found; what was measured before, and said of it, is dropped."""
+    stars = stars_around(context, inputs, catalog_stars(inputs), found.camera_from_j2000)
+    on_detector = context.camera.on_detector(stars.places(context.camera, found.camera_from_j2000))
     fresh = state.replace(
         a_priori=stars,
         centers=None,
         pointing=None,
         psf=None,
         star_field=found,
-        found_status=unsearched_statuses(
-            context.camera.on_detector(stars.places(context.camera, found.camera_from_j2000))
-        ),
+        found_status=unsearched_statuses(on_detector),
+        star_methods=MappingProxyType({}),
     )
-    said = () if found.sure else (f"the field rests on two marked stars: {answer.message}",)
-    return fresh.replace(status=with_decisions(fresh, fresh.found_status)).noting("stars", *said)
+    status = with_decisions(fresh, fresh.found_status)
+    return fresh.replace(status=status).with_notes("stars").with_notes("pointing")
 
 
 def _marked_identification(
@@ -362,7 +366,7 @@ def unknown_star_ids(inputs: Inputs, ids: Sequence[str]) -> list[str]:
     return [star for star in ids if star not in known]
 
 
-def two_star_outcome(state: SessionState) -> str:
+def two_star_outcome(state: SessionState, _: dict[str, Any]) -> str:
     """One line of what came out, for the journal."""
     found = state.star_field
     assert found is not None
@@ -375,24 +379,14 @@ def two_star_outcome(state: SessionState) -> str:
 
 def nudge(context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]) -> SessionState:
     """Move the field from where it is known best; what was found with the older pointing is dropped."""
-    if state.a_priori is None:
-        raise SessionError("no stars are predicted yet: call predict() first.")
+    predicted_stars(state)
     shift = np.array([parameters["delta_pixel"], parameters["delta_line"]])
     twist = float(np.radians(parameters["delta_twist_deg"]))
-    attitude = nudged_attitude(context.camera, field_attitude(inputs, state), shift, twist)
-    found = field_at(context, inputs, attitude, BY_HAND, 0.0, sure=False)
-    stars = stars_around(context, inputs, catalog_stars(inputs), attitude)
-    expected = context.camera.on_detector(stars.places(context.camera, attitude))
-    fresh = state.replace(
-        a_priori=stars,
-        centers=None,
-        pointing=None,
-        psf=None,
-        star_field=found,
-        found_status=unsearched_statuses(expected),
-        star_methods=MappingProxyType({}),
+    before = best_attitude(inputs, state, with_identified=True)
+    attitude = nudged_attitude(context.camera, before, shift, twist)
+    return _with_new_field(
+        context, inputs, state, field_at(context, inputs, attitude, BY_HAND, 0.0, sure=False)
     )
-    return fresh.replace(status=with_decisions(fresh, fresh.found_status)).noting("stars").noting("pointing")
 
 
 def nudged_attitude(
@@ -424,11 +418,12 @@ def nudge_reach_px(
 ) -> float:
     """Return how far from its a priori place a nudge would bring the field, at least."""
     shift = np.array([parameters["delta_pixel"], parameters["delta_line"]])
-    here = field_at(context, inputs, field_attitude(inputs, state), BY_HAND, 0.0, sure=False)
+    before = best_attitude(inputs, state, with_identified=True)
+    here = field_at(context, inputs, before, BY_HAND, 0.0, sure=False)
     return float(np.hypot(*(here.shift_px + shift)))
 
 
-def nudge_outcome(state: SessionState) -> str:
+def nudge_outcome(state: SessionState, _: dict[str, Any]) -> str:
     """One line of what came out, for the journal."""
     found = state.star_field
     assert found is not None

@@ -34,8 +34,6 @@ from opnav_workbench.stars import (
 __all__ = ["FINAL_METHODS", "StarFitOptions", "centers_with_rows", "fit_all", "fit_some", "star_statuses"]
 
 
-# ---- Star centers at expected places: coarse by correlation, then least squares; for all stars of a frame or ...
-
 InitialMethod = Literal["matched_filter", "cross_correlation"]
 INITIAL_METHODS: tuple[InitialMethod, ...] = get_args(InitialMethod)
 FITTED_METHODS = ("least_squares", "psf_fit")  # neighbors are fitted together
@@ -75,14 +73,14 @@ class StarFitOptions:
 
 
 def fit_all(
-    context: Context, match: FieldMatch, prior: ShapePrior, how: StarFitOptions
+    context: Context, match: FieldMatch, prior: ShapePrior, options: StarFitOptions
 ) -> tuple[StarCenters, ShapePrior]:
     """Measure all stars of a match at once; return the PSF that they agree on, too."""
-    coarse = _coarse(context, match, match.expected_px, prior, how)
-    if how.final not in FITTED_METHODS:
+    coarse = _coarse(context, match, match.expected_px, prior, options)
+    if options.final not in FITTED_METHODS:
         return coarse, prior
     start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, match.expected_px)
-    if how.final == "psf_fit":
+    if options.final == "psf_fit":
         return _psf_fit(context, start), prior
     return fit_stars(
         context.signal_dn,
@@ -101,17 +99,17 @@ def fit_some(
     rows: IntArray,
     psf: ShapePrior,
     psf_error: float,
-    how: StarFitOptions,
+    options: StarFitOptions,
 ) -> StarCenters:
     """Measure the stars `rows` (k,) of a match with a known PSF; neighbors are fitted with them, but not returned."""
     near = _with_neighbors(match.expected_px, rows, 2.0 * default_box_px(psf.sigma_px))
     expected = match.expected_px[near]
-    coarse = _coarse(context, match, expected, psf, how)
-    if how.final in FITTED_METHODS:
+    coarse = _coarse(context, match, expected, psf, options)
+    if options.final in FITTED_METHODS:
         start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, expected)
         coarse = (
             _psf_fit(context, start)
-            if how.final == "psf_fit"
+            if options.final == "psf_fit"
             else fit_gaussian(
                 context.signal_dn,
                 context.noise_dn,
@@ -135,16 +133,16 @@ def _with_neighbors(places: FloatArray, rows: IntArray, reach_px: float) -> IntA
 
 
 def _coarse(
-    context: Context, match: FieldMatch, expected: FloatArray, prior: ShapePrior, how: StarFitOptions
+    context: Context, match: FieldMatch, expected: FloatArray, prior: ShapePrior, options: StarFitOptions
 ) -> StarCenters:
     return correlate(
         context.signal_dn,
         context.noise_dn,
         context.not_stars,
         expected,
-        _template(context, match, prior, how),
-        search_radius_px=how.radius_px,
-        method=how.coarse,
+        _template(context, match, prior, options),
+        search_radius_px=options.radius_px,
+        method=options.coarse,
         saturated=context.frame.saturated,
     )
 
@@ -161,13 +159,15 @@ def _psf_fit(context: Context, start: FloatArray) -> StarCenters:
     )
 
 
-def _template(context: Context, match: FieldMatch, prior: ShapePrior, how: StarFitOptions) -> StarTemplate:
+def _template(
+    context: Context, match: FieldMatch, prior: ShapePrior, options: StarFitOptions
+) -> StarTemplate:
     """A Gaussian for cross-correlation; for the matched filter a well-exposed star of this picture, if there is one."""
     gaussian = gaussian_template(prior.sigma_px, default_box_px(prior.sigma_px))
     chosen: BoolArray = match.visible
-    if how.template is not None:
-        chosen = np.arange(len(match.visible)) == how.template
-    if how.coarse == "cross_correlation" or not chosen.any():
+    if options.template is not None:
+        chosen = np.arange(len(match.visible)) == options.template
+    if options.coarse == "cross_correlation" or not chosen.any():
         return gaussian
     centers = correlate(
         context.signal_dn,
@@ -179,7 +179,7 @@ def _template(context: Context, match: FieldMatch, prior: ShapePrior, how: StarF
         saturated=context.frame.saturated,
     )
     clean = centers.usable & (centers.flags == 0)
-    if how.template is None:
+    if options.template is None:
         clean &= centers.snr > TEMPLATE_SNR
     if not clean.any():
         return gaussian
@@ -256,8 +256,8 @@ def star_statuses(
     match: FieldMatch,
     centers: StarCenters,
     psf: ShapePrior,
-    how: StarFitOptions,
-    behind: Sequence[str],
+    options: StarFitOptions,
+    occulting: Sequence[str],
 ) -> tuple[StarStatus, ...]:
     """Give every star its status, the first that applies.
 
@@ -268,12 +268,14 @@ def star_statuses(
     match : FieldMatch
         Where the stars were expected.
     centers : StarCenters
-        (n,) measured with `psf` in the way of `how`.
-    behind : (n,) sequence of str
+        (n,) measured with `psf` as `options` say.
+    occulting : (n,) sequence of str
         Body that stands before each star; empty for none.
     """
-    settings, radius_px = context.settings, how.radius_px
-    blend_px = UNSEPARATED_SIGMAS * psf.sigma_px if how.final in FITTED_METHODS else settings.blend_radius_px
+    settings, radius_px = context.settings, options.radius_px
+    blend_px = (
+        UNSEPARATED_SIGMAS * psf.sigma_px if options.final in FITTED_METHODS else settings.blend_radius_px
+    )
     blended = _blended(match.expected_px, mag, blend_px, settings.blend_magnitude)
     moved = np.hypot(*(centers.pixel_line - match.expected_px).T)
     magnitude_error = _magnitude_error(context, mag, centers, match)
@@ -282,11 +284,11 @@ def star_statuses(
         faint = ~(np.isfinite(snr) & (snr >= settings.min_snr))
         far = moved > radius_px + 1.0
     unlike = np.abs(magnitude_error) > settings.max_magnitude_error
-    verdicts: tuple[StatusRule, ...] = (
+    rules: tuple[StatusRule, ...] = (
         (~match.visible, "off_detector", lambda _: "outside the detector with the pointing found"),
         (_on_bodies(context, match), "not_detected", lambda _: "behind a body, or lost in its light"),
         (_has(flags, StarFlag.SATURATED), "saturated", lambda _: "its core is saturated"),
-        (faint & _occulted(behind), "not_detected", lambda i: f"behind {behind[i]}"),
+        (faint & _occulted(occulting), "not_detected", lambda i: f"behind {occulting[i]}"),
         (faint, "not_detected", lambda i: f"SNR {snr[i]:.1f} is below {settings.min_snr:g}"),
         (far, "not_detected", lambda _: f"nothing within {radius_px:.1f} px of its expected place"),
         (_has(flags, NOT_CONVERGED), "rejected", lambda _: "the fit did not converge"),
@@ -294,18 +296,18 @@ def star_statuses(
         (blended, "blended", lambda _: f"another star within {blend_px:.1f} px"),
         (unlike, "rejected", lambda i: f"{magnitude_error[i]:+.1f} mag off its catalog brightness"),
     )
-    return tuple(_first_rule(verdicts, i) for i in range(len(mag)))
+    return tuple(_first_rule(rules, i) for i in range(len(mag)))
 
 
-def _first_rule(verdicts: Sequence[StatusRule], i: int) -> StarStatus:
-    for holds, status, reason in verdicts:
+def _first_rule(rules: Sequence[StatusRule], i: int) -> StarStatus:
+    for holds, status, reason in rules:
         if holds[i]:
             return StarStatus(status, reason(i))
     return StarStatus("used")
 
 
-def _occulted(behind: Sequence[str]) -> BoolArray:
-    return np.array([bool(name) for name in behind], dtype=bool)
+def _occulted(occulting: Sequence[str]) -> BoolArray:
+    return np.array([bool(name) for name in occulting], dtype=bool)
 
 
 def _has(flags: IntArray, wanted: StarFlag) -> BoolArray:

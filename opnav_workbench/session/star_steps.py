@@ -16,7 +16,7 @@ from opnav_workbench.scene import StarPrediction, predict_body, predict_stars
 from opnav_workbench.session.body_models import best_center
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
-from opnav_workbench.session.pointing import attitude, field_attitude
+from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.session.star_field import brightest, catalog_stars, identify_field
 from opnav_workbench.session.star_measurement import (
     StarFitOptions,
@@ -33,6 +33,7 @@ from opnav_workbench.session.state import (
     SessionState,
     check_star_ids,
     decide_stars,
+    predicted_stars,
     skipped_topic,
     unsearched_statuses,
     with_decisions,
@@ -44,7 +45,7 @@ __all__ = [
     "place_outcome",
     "place_star",
     "predict",
-    "predicted",
+    "predict_outcome",
     "refit_outcome",
     "refit_stars",
     "reject_stars",
@@ -65,7 +66,9 @@ def occulted_by(
     if state.pointing is None:
         return tuple(names)
     for name in state.targets:
-        body = predict_body(inputs.targets[name], inputs.observer, context.camera, attitude(inputs, state))
+        body = predict_body(
+            inputs.targets[name], inputs.observer, context.camera, best_attitude(inputs, state)
+        )
         if len(body.limb_px) == 0 or not np.isfinite(body.limb_px).all():
             continue
         found = best_center(state, name)
@@ -86,7 +89,7 @@ def _inside_outline(points: FloatArray, outline: FloatArray) -> BoolArray:
         return np.asarray((side > 0.0).all(axis=1) | (side < 0.0).all(axis=1))
 
 
-# ---- Session steps that concern stars: predict, find, decide. Pure: (context, inputs, state, parameters) -> ...
+# ---- Predict, find, decide.
 
 
 def predict(
@@ -110,9 +113,9 @@ def predict(
         scan_choices=state.scan_choices,
         user_notes=state.user_notes,
         skipped_targets=state.skipped_targets,
-        notes=MappingProxyType({topic: said for topic, said in state.notes.items() if topic in topics}),
+        notes=MappingProxyType({topic: notes for topic, notes in state.notes.items() if topic in topics}),
     )
-    return fresh.replace(status=with_decisions(fresh, status)).noting("predict", *_empty_field(stars))
+    return fresh.replace(status=with_decisions(fresh, status)).with_notes("predict", *_empty_field(stars))
 
 
 def _empty_field(stars: StarPrediction) -> list[str]:
@@ -129,38 +132,67 @@ def find_stars(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Find the predicted stars in the picture and fit their centers."""
-    predicted(state)
-    how = StarFitOptions(parameters["initial"], parameters["final"], 0.0)
+    predicted_stars(state)
+    options = StarFitOptions(parameters["initial"], parameters["final"], 0.0)
     match = identify_field(context, inputs, state)
-    how = StarFitOptions(how.initial, how.final, parameters["search_radius_px"] or match.radius_px)
-    state = state.noting("stars", *match.messages).replace(star_methods=MappingProxyType({}))
+    options = replace(options, radius_px=parameters["search_radius_px"] or match.radius_px)
+    state = state.with_notes("stars", *match.messages).replace(star_methods=MappingProxyType({}))
     if match.stars is not None:
         state = state.replace(a_priori=match.stars)
-    if match.found is None and state.pointing is None:
-        return _placed_stars_only(context, state.replace(centers=None, star_field=None), match, how)
     match = with_placed_stars(context, state, match)
-    centers, psf = fit_all(context, match, state.psf or context.camera_psf, how)
-    behind = occulted_by(context, inputs, state, match.expected_px)
-    found = star_statuses(context, predicted(state).mag, match, centers, psf, how, behind)
-    state = state.replace(centers=centers, psf=psf, found_status=found, star_field=match.found)
-    return state.replace(status=with_decisions(state, found))
-
-
-def _placed_stars_only(
-    context: Context, state: SessionState, match: FieldMatch, how: StarFitOptions
-) -> SessionState:
-    """Where the field is not identified, measure the stars that the analyst placed, if any."""
-    match = with_placed_stars(context, state, match)
-    rows = np.flatnonzero(match.visible)
+    if match.found is not None or state.pointing is not None:
+        return _with_all_fitted(context, inputs, state.replace(star_field=match.found), match, options)
+    # Where the field is not identified, the stars that the analyst placed are measured, if any.
+    state, rows = state.replace(centers=None, star_field=None), np.flatnonzero(match.visible)
     if len(rows) == 0:
         return state
-    psf = state.psf or context.camera_psf
-    how = StarFitOptions(how.initial, how.final, context.settings.search_radius_px)
-    stars = predicted(state)
-    centers = centers_with_rows(None, len(stars), rows, fit_some(context, match, rows, psf, 0.0, how))
-    found = star_statuses(context, stars.mag, match, centers, psf, how, [""] * len(stars))
-    state = state.replace(centers=centers, psf=psf, found_status=found)
-    return state.replace(status=with_decisions(state, found))
+    options = replace(options, radius_px=context.settings.search_radius_px)
+    state = _with_some_fitted(context, state, match, rows, options)
+    return _with_statuses(context, inputs, state, match, options)
+
+
+def _with_all_fitted(
+    context: Context, inputs: Inputs, state: SessionState, match: FieldMatch, options: StarFitOptions
+) -> SessionState:
+    """Fit all stars of a match, and give each its status."""
+    centers, psf = fit_all(context, match, state.psf or context.camera_psf, options)
+    state = state.replace(centers=centers, psf=psf, star_methods=MappingProxyType({}))
+    return _with_statuses(context, inputs, state, match, options)
+
+
+def _with_some_fitted(
+    context: Context, state: SessionState, match: FieldMatch, rows: IntArray, options: StarFitOptions
+) -> SessionState:
+    """Fit the stars `rows` with the PSF of the others; these keep their centers."""
+    stars, base, psf = predicted_stars(state), state.centers, state.psf or context.camera_psf
+    fresh = fit_some(context, match, rows, psf, 0.0 if base is None else base.psf_error, options)
+    centers = centers_with_rows(base, len(stars), rows, fresh)
+    methods = dict(state.star_methods) | {str(stars.id[row]): fresh.method for row in rows}
+    methods = {star: method for star, method in methods.items() if method != centers.method}
+    return state.replace(centers=centers, psf=psf, star_methods=MappingProxyType(methods))
+
+
+def _with_statuses(
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    match: FieldMatch,
+    options: StarFitOptions,
+    rows: IntArray | None = None,
+) -> SessionState:
+    """Give all stars, or those in `rows`, the status that their centers earn; then the analyst's decisions count."""
+    stars = predicted_stars(state)
+    assert state.centers is not None
+    assert state.psf is not None
+    occulting = occulted_by(context, inputs, state, match.expected_px)
+    earned = star_statuses(context, stars.mag, match, state.centers, state.psf, options, occulting)
+    found, status = list(earned), list(earned)
+    if rows is not None:
+        found, status = list(state.found_status), list(state.status)
+        for row in rows:
+            found[row] = status[row] = earned[row]
+    state = state.replace(found_status=tuple(found))
+    return state.replace(status=with_decisions(state, status))
 
 
 def with_placed_stars(context: Context, state: SessionState, match: FieldMatch) -> FieldMatch:
@@ -177,19 +209,6 @@ def with_placed_stars(context: Context, state: SessionState, match: FieldMatch) 
     return replace(match, expected_px=expected, visible=visible)
 
 
-def predicted(state: SessionState) -> StarPrediction:
-    """Return the predicted stars.
-
-    Raises
-    ------
-    SessionError
-        There are none yet.
-    """
-    if state.a_priori is None:
-        raise SessionError("no stars are predicted yet: call predict() first.")
-    return state.a_priori
-
-
 def reject_stars(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
@@ -204,7 +223,7 @@ def accept_stars(
     return decide_stars(state, parameters["ids"], ACCEPTED, parameters["reason"])
 
 
-# ---- Session steps of the analyst at a star: fit it again in another way, or place a star that was not found.
+# ---- The analyst at a star: fit it again in another way, or place a star that was not found.
 
 PLACED_RADIUS_PX = 3.0  # a hand marks a star to a pixel or two
 PLACED = "placed by the analyst"
@@ -214,55 +233,22 @@ def refit_stars(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Fit some stars again, or all, around the places where they are expected now; the field stays as it is."""
-    stars = predicted(state)
+    stars = predicted_stars(state)
     if state.centers is None or state.psf is None:
         raise SessionError("no star centers yet: call find_stars() first.")
     rows = _star_rows(stars, parameters["ids"])
     match = _stars_at_field(context, inputs, state)
-    how = StarFitOptions(
+    template = parameters["template"]
+    options = StarFitOptions(
         parameters["initial"],
         parameters["final"],
         parameters["search_radius_px"] or match.radius_px,
-        None if parameters["template"] is None else int(_star_rows(stars, [parameters["template"]])[0]),
+        None if template is None else int(_star_rows(stars, [template])[0]),
     )
     if parameters["ids"] is None:
-        centers, psf = fit_all(context, match, state.psf, how)
-        behind = occulted_by(context, inputs, state, match.expected_px)
-        found = star_statuses(context, stars.mag, match, centers, psf, how, behind)
-        state = state.replace(centers=centers, psf=psf, found_status=found, star_methods=MappingProxyType({}))
-        return state.replace(status=with_decisions(state, found))
-    return _refitted(context, inputs, state, match, rows, how)
-
-
-def _refitted(
-    context: Context,
-    inputs: Inputs,
-    state: SessionState,
-    match: FieldMatch,
-    rows: IntArray,
-    how: StarFitOptions,
-) -> SessionState:
-    """Fit the stars `rows`, and judge them alone; the others keep center and status."""
-    stars = predicted(state)
-    psf = state.psf or context.camera_psf
-    base = state.centers
-    fresh = fit_some(context, match, rows, psf, 0.0 if base is None else base.psf_error, how)
-    centers = centers_with_rows(base, len(stars), rows, fresh)
-    judged = star_statuses(
-        context, stars.mag, match, centers, psf, how, occulted_by(context, inputs, state, match.expected_px)
-    )
-    found, status = list(state.found_status), list(state.status)
-    for row in rows:
-        found[row] = status[row] = judged[row]
-    methods = dict(state.star_methods) | {str(stars.id[row]): fresh.method for row in rows}
-    methods = {star: method for star, method in methods.items() if method != centers.method}
-    state = state.replace(
-        centers=centers,
-        psf=psf,
-        found_status=tuple(found),
-        star_methods=MappingProxyType(methods),
-    )
-    return state.replace(status=with_decisions(state, status))
+        return _with_all_fitted(context, inputs, state, match, options)
+    state = _with_some_fitted(context, state, match, rows, options)
+    return _with_statuses(context, inputs, state, match, options, rows)
 
 
 def place_star(
@@ -277,9 +263,10 @@ def place_star(
     state = _with_predicted_star(context, inputs, state, star)
     state = state.replace(placed=MappingProxyType({**state.placed, star: place}))
     match = _stars_at_field(context, inputs, state)
-    rows = _star_rows(predicted(state), [star])
-    how = StarFitOptions("matched_filter", "least_squares", PLACED_RADIUS_PX)
-    state = _refitted(context, inputs, state, match, rows, how)
+    rows = _star_rows(predicted_stars(state), [star])
+    options = StarFitOptions("matched_filter", "least_squares", PLACED_RADIUS_PX)
+    state = _with_some_fitted(context, state, match, rows, options)
+    state = _with_statuses(context, inputs, state, match, options, rows)
     if state.status[int(rows[0])].status not in MEASURED_STATUSES:
         return state  # nothing is there to be accepted; its status says so
     return decide_stars(state, [star], ACCEPTED, PLACED)
@@ -287,7 +274,7 @@ def place_star(
 
 def _with_predicted_star(context: Context, inputs: Inputs, state: SessionState, star: str) -> SessionState:
     """Predict a star that is not among the predicted ones: a faint one, or one off the field."""
-    stars = predicted(state)
+    stars = predicted_stars(state)
     if star in stars.id.tolist():
         return state
     catalog = catalog_stars(inputs)
@@ -316,7 +303,9 @@ def _stars_at_field(context: Context, inputs: Inputs, state: SessionState) -> Fi
     """Expect the stars where the field is known to be, without identifying it again."""
     settings = context.settings
     radius = settings.search_radius_px if state.pointing is None else settings.refined_radius_px
-    expected = predicted(state).places(context.camera, field_attitude(inputs, state))
+    expected = predicted_stars(state).places(
+        context.camera, best_attitude(inputs, state, with_identified=True)
+    )
     match = FieldMatch(state.star_field, None, expected, context.camera.on_detector(expected), radius)
     return with_placed_stars(context, state, match)
 
@@ -329,6 +318,11 @@ def _star_rows(stars: StarPrediction, ids: list[str] | None) -> IntArray:
     return np.array([known.index(star) for star in dict.fromkeys(ids)], dtype=np.int64)
 
 
+def predict_outcome(state: SessionState, _: dict[str, Any]) -> str:
+    """One line of what came out of `predict`, for the journal."""
+    return f"{len(predicted_stars(state))} stars on or near the detector"
+
+
 def refit_outcome(state: SessionState, parameters: dict[str, Any]) -> str:
     """One line of what came out of `refit_stars`, for the journal."""
     which = "all stars" if parameters["ids"] is None else f"{len(parameters['ids'])} stars"
@@ -337,5 +331,5 @@ def refit_outcome(state: SessionState, parameters: dict[str, Any]) -> str:
 
 def place_outcome(state: SessionState, parameters: dict[str, Any]) -> str:
     """One line of what came out of `place_star`, for the journal."""
-    row = predicted(state).id.tolist().index(parameters["id"])
+    row = predicted_stars(state).id.tolist().index(parameters["id"])
     return f"{parameters['id']}: {state.status[row].status}"

@@ -22,6 +22,7 @@ from opnav_workbench.stars.pointing import PointingSolution
 __all__ = [
     "ACCEPTED",
     "BY_HAND",
+    "MARKED",
     "MEASURED_STATUSES",
     "REJECTED",
     "BodyRequest",
@@ -35,14 +36,14 @@ __all__ = [
     "decide_stars",
     "has_center",
     "open_decisions",
+    "predicted_stars",
     "skipped_topic",
     "unsearched_statuses",
     "with_decisions",
 ]
 
 
-# ---- The one place where a session's state lives: a frozen value that every step replaces.
-
+EXAMPLE_NAMES = 3  # names that a message gives as examples
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
 
@@ -166,7 +167,7 @@ class SessionState:
     centers : StarCenters or None
         Fitted centers, one row per star of `a_priori`.
     found_status : tuple of StarStatus
-        One per star of `a_priori`, as measuring left it: neither pointing nor analyst has judged yet.
+        One per star of `a_priori`, as measuring left it: neither pointing nor analyst has rejected any yet.
     status : tuple of StarStatus
         The same after the pointing's outliers and the analyst's decisions.
     targets : tuple of str
@@ -229,7 +230,7 @@ class SessionState:
         """All notes in the order of their topics, each once."""
         return tuple(dict.fromkeys(note for notes in self.notes.values() for note in notes))
 
-    def noting(self, topic: str, *messages: str) -> "SessionState":
+    def with_notes(self, topic: str, *messages: str) -> "SessionState":
         """Return a copy whose notes on `topic` are these and no others."""
         notes = {key: value for key, value in self.notes.items() if key != topic}
         return replace(self, notes=MappingProxyType(notes | ({topic: messages} if messages else {})))
@@ -241,7 +242,7 @@ class SessionState:
 
 # ---- Which detection is which star: the field's rotation against the a priori pointing.
 
-BY_HAND = "by hand"  # the search of a field that the analyst moved
+BY_HAND, MARKED = "by hand", "marked"  # searches of a field that the analyst moved, or marked two stars of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -275,7 +276,6 @@ class FieldMatch:
 # ---- The analyst's decisions on stars, and what they make of the automatic statuses: a decision outranks ...
 
 ACCEPTED, REJECTED = "accepted", "rejected"
-EXAMPLE_IDS = 3  # star ids that an error message gives as examples
 
 
 def unsearched_statuses(on_detector: BoolArray) -> tuple[StarStatus, ...]:
@@ -286,6 +286,19 @@ def unsearched_statuses(on_detector: BoolArray) -> tuple[StarStatus, ...]:
         else StarStatus("off_detector", "predicted outside the detector")
         for on in on_detector
     )
+
+
+def predicted_stars(state: SessionState) -> StarPrediction:
+    """Return the predicted stars.
+
+    Raises
+    ------
+    SessionError
+        There are none yet.
+    """
+    if state.a_priori is None:
+        raise SessionError("no stars are predicted yet: call predict() first.")
+    return state.a_priori
 
 
 def has_center(state: SessionState) -> BoolArray:
@@ -326,7 +339,7 @@ def check_star_ids(stars: StarPrediction, ids: Sequence[str]) -> None:
     if unknown:
         raise SessionError(
             f"no star {', '.join(unknown)} in this field; stars are named as in result.json, "
-            f"such as {', '.join(sorted(known)[:EXAMPLE_IDS])}."
+            f"such as {', '.join(sorted(known)[:EXAMPLE_NAMES])}."
         )
 
 
@@ -338,20 +351,16 @@ def decide_stars(state: SessionState, ids: Sequence[str], verdict: str, reason: 
     SessionError
         No stars are predicted yet, or one of `ids` is not among them.
     """
-    if state.a_priori is None:
-        raise SessionError("no stars are predicted yet: call predict() first.")
-    known = state.a_priori.id.tolist()
-    check_star_ids(state.a_priori, ids)
+    stars = predicted_stars(state)
+    check_star_ids(stars, ids)
     decisions = dict(state.decisions) | dict.fromkeys(ids, (verdict, reason))
-    rows = zip(known, state.found_status, state.status, strict=True)
+    rows = zip(stars.id.tolist(), state.found_status, state.status, strict=True)
     statuses = [found if star in ids else status for star, found, status in rows]
     state = state.replace(decisions=MappingProxyType(decisions))
     return state.replace(status=with_decisions(state, statuses))
 
 
 # ---- Gates of a notebook: what must be decided before its later cells may run.
-
-EXAMPLE_NAMES = 3  # names that a message gives as examples
 
 
 def open_decisions(state: SessionState, needs: Sequence[str]) -> list[str]:

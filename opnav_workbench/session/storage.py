@@ -4,7 +4,6 @@ Written together with ``result.json`` and ``observables.ecsv``: none of the file
 Read back, the journal file's steps are added, and the picture must be the same one (SHA-256).
 """
 
-import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from opnav_workbench.errors import CatalogError, KernelError, SessionError
-from opnav_workbench.files import atomic_path, json_text
+from opnav_workbench.files import atomic_path, json_text, read_json
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.session.context import Context, open_context
@@ -36,8 +35,6 @@ __all__ = [
     "write_together",
 ]
 
-
-# ---- session.json: everything needed to continue a session on another machine, except the picture itself.
 
 SCHEMA = 1
 SESSION_FILE = "session.json"
@@ -132,8 +129,7 @@ class LoadedSession:
         Its id.
     context, source, inputs
     journal : tuple of JournalEntry
-    stored : int
-        Entries that ``session.json`` holds; the others are in the journal file.
+        Of both files.
     tail : JournalTail
         What the journal file adds.
     """
@@ -143,7 +139,6 @@ class LoadedSession:
     source: InputSource
     inputs: Inputs
     journal: tuple[JournalEntry, ...]
-    stored: int
     tail: JournalTail
 
 
@@ -156,7 +151,7 @@ def load_session(folder: Path, image: str | Path | None) -> LoadedSession:
         A file is missing, damaged or of a newer schema; the picture is missing or another one.
     """
     path = folder / SESSION_FILE
-    data = _read_session_file(path)
+    data = _session_file(path)
     try:
         context = _reopened_context(data, image)
         source = InputSource(
@@ -170,7 +165,7 @@ def load_session(folder: Path, image: str | Path | None) -> LoadedSession:
         inputs = inputs_from(data["inputs"])
         for added in tail.inputs:
             inputs = with_inputs_added(inputs, added)
-        return LoadedSession(session, context, source, inputs, stored + tail.entries, len(stored), tail)
+        return LoadedSession(session, context, source, inputs, stored + tail.entries, tail)
     except (AttributeError, KeyError, TypeError, ValueError, OSError, CatalogError, KernelError) as error:
         raise SessionError(f"{path} is damaged ({error!r}); process the picture again.") from error
 
@@ -204,7 +199,7 @@ def session_on_disk(folder: Path) -> SessionOnDisk | None:
     """
     if not (folder / SESSION_FILE).exists():
         return None
-    data = _read_session_file(folder / SESSION_FILE)
+    data = _session_file(folder / SESSION_FILE)
     try:
         session, stored = str(data.get("session", "")), tuple(JournalEntry(**e) for e in data["journal"])
         tail = read_journal_file(folder / JOURNAL_FILE, session, stored)
@@ -215,14 +210,9 @@ def session_on_disk(folder: Path) -> SessionOnDisk | None:
         ) from error
 
 
-def _read_session_file(path: Path) -> dict[str, Any]:
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise SessionError(
-            f"no session can be read from {path}: {error}. Give a folder that save() wrote."
-        ) from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+def _session_file(path: Path) -> dict[str, Any]:
+    data = read_json(path, "give a folder that save() wrote.")
+    if data.get("schema") != SCHEMA:
         raise SessionError(f"{path} is not a session of schema {SCHEMA}; use the version that wrote it.")
     return data
 

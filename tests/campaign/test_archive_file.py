@@ -190,11 +190,11 @@ def test_readers_do_not_wait_for_a_writer(make_run, tmp_path):
         blocker.execute("BEGIN IMMEDIATE")
         begun = time.monotonic()
         assert len(campaign.images()) == 1
-        assert campaign.ingest_run(tmp_path / "a").what == "unchanged"
+        assert campaign.ingest_run(tmp_path / "a").result == "unchanged"
         assert time.monotonic() - begun < 5.0
         blocker.execute("COMMIT")
         blocker.close()
-        assert campaign.ingest_run(make_run(tmp_path / "b", 2)).what == "new"
+        assert campaign.ingest_run(make_run(tmp_path / "b", 2)).result == "new"
 
 
 def test_the_digest_sees_every_part(make_run, tmp_path):

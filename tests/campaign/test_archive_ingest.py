@@ -11,14 +11,14 @@ from opnav_workbench.errors import SessionError
 
 
 def ingested(campaign, *folders):
-    return [campaign.ingest_run(folder).what for folder in folders]
+    return [campaign.ingest_run(folder).result for folder in folders]
 
 
 def test_everything_of_a_run_is_there(real_run, tmp_path):
     result = json.loads((real_run / "result.json").read_text())
     with Campaign(tmp_path / "c.sqlite") as campaign:
         report = campaign.ingest(real_run.parent)
-        assert [(item.image, item.what) for item in report.items] == [("lorri_4x4.fit", "new")]
+        assert [(item.image, item.result) for item in report.results] == [("lorri_4x4.fit", "new")]
         images, bodies, stars = campaign.images(), campaign.bodies(), campaign.stars()
         (entry,) = campaign.entries()
         (provenance,) = campaign.provenance()

@@ -1,19 +1,24 @@
 """Autosave: on disk when the method returns, whole after a crash, one writer at a time, and clear words on a full disk."""
 
 import errno
+import gc
 import json
 import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.session import ImageSession
-from opnav_workbench.session.autosave import STATE_FILE
+from opnav_workbench.session.autosave import STATE_FILE, read_state
+from opnav_workbench.session.folder_lock import FolderLock, check_unlocked
 from opnav_workbench.session.history import JOURNAL_FILE
 
 WORKER = """
@@ -203,6 +208,22 @@ def test_a_kept_state_saves_the_work_but_decides_nothing(near, tmp_path, monkeyp
         assert _result(ImageSession.resume(tmp_path)) == _result(near)
 
 
+def test_a_kept_state_of_a_class_with_other_fields_is_not_taken(near, tmp_path, monkeypatch):
+    """A class that gained or lost a field since the state was kept would be rebuilt in part only."""
+    monkeypatch.setattr("opnav_workbench.session.autosave.KEEP_AFTER_S", 0.0)
+    near.autosave(tmp_path)
+    near.note("kept")
+    sha256 = near.context.frame.sha256
+    assert read_state(tmp_path, sha256, near.standing) is not None
+    with np.load(tmp_path / STATE_FILE) as file:
+        arrays = dict(file)
+    tree = json.loads(arrays.pop("tree").tobytes())
+    del tree["state"]["fields"]["user_notes"]
+    np.savez(tmp_path / STATE_FILE, tree=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8), **arrays)
+    assert read_state(tmp_path, sha256, near.standing) is None
+    assert ImageSession.resume(tmp_path).state.user_notes == ("kept",)
+
+
 def _steps(session: ImageSession) -> list[str]:
     return [entry.step for entry in session.journal]
 
@@ -251,14 +272,48 @@ def test_a_stale_lock_file_is_taken_over(opened, tmp_path):
     assert len(ImageSession.resume(tmp_path).journal) == 1
 
 
-def test_a_file_system_without_locks_goes_by_the_word_of_the_file(opened, tmp_path, monkeypatch):
-    monkeypatch.setattr("opnav_workbench.session.folder_lock.fcntl", None)
+@pytest.mark.parametrize("error", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_goes_by_the_word_of_the_file(opened, tmp_path, monkeypatch, error):
+    fcntl = pytest.importorskip("fcntl")
+
+    def no_locks(*_):
+        raise OSError(error, os.strerror(error))
+
+    monkeypatch.setattr(fcntl, "flock", no_locks)
     lock = tmp_path / ".session.lock"
     lock.write_text(json.dumps({"pid": 1, "host": os.uname().nodename, "since": "today"}))
-    with pytest.raises(SessionError, match="process 1 on"):
-        opened.autosave(tmp_path)
+    for act in (opened.autosave, opened.save):
+        with pytest.raises(SessionError, match="process 1 on"):
+            act(tmp_path)
     lock.write_text(json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename}))
     opened.autosave(tmp_path)
+    assert json.loads(lock.read_text())["pid"] == os.getpid()
+    opened.autosave(None)
+    assert lock.read_text() == ""
+
+
+def test_a_session_that_is_gone_holds_no_lock(truth, kernels, tmp_path):
+    """A notebook's variable that is bound anew; nobody closed the older session."""
+    session = ImageSession.open_or_resume(tmp_path, truth.picture, "new_horizons")
+    session.note("first")
+    del session
+    gc.collect()
+    again = ImageSession.open_or_resume(tmp_path, truth.picture, "new_horizons")
+    assert again.state.user_notes == ("first",)
+
+
+def test_only_one_of_many_threads_gets_the_lock(tmp_path):
+    def taken(_):
+        with suppress(SessionError):
+            return FolderLock(tmp_path)
+        return None
+
+    with ThreadPoolExecutor(8) as pool:
+        locks = [lock for lock in pool.map(taken, range(32)) if lock is not None]
+        assert len(locks) == 1
+        pool.submit(locks[0].release).result()  # whichever thread releases it
+    FolderLock(tmp_path).release()
+    check_unlocked(tmp_path)
 
 
 @pytest.mark.slow

@@ -251,6 +251,26 @@ def test_what_cannot_be_fitted_again(opened, options, said):
     assert opened.state is state
 
 
+@pytest.mark.parametrize("step", ["two_star_pointing", "nudge"])
+def test_a_new_field_drops_what_was_said_of_the_older_one(opened, step):
+    """Also what a repoint without stars said, and by which method single stars were fitted."""
+    opened.predict()
+    opened.find_stars()
+    rows, (first, second) = _rows(opened), _used(opened)[:2]
+    opened.refit_stars([first], final="cross_correlation")
+    opened.reject_stars(_used(opened), "none is to be trusted")
+    opened.repoint()
+    assert any("no usable star" in message for message in opened.state.messages)
+    if step == "nudge":
+        opened.nudge(1.0, 0.0)
+    else:
+        opened.two_star_pointing([rows[star]["observed"] for star in (first, second)], [first, second])
+    assert not any("no usable star" in message for message in opened.state.messages)
+    assert not opened.state.star_methods
+    assert opened.state.pointing is None
+    assert opened.state.centers is None
+
+
 # -- boxes ---------------------------------------------------------------------------------------------------------
 
 

@@ -20,7 +20,7 @@ from scipy import ndimage, sparse
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.campaign.stacking.frames import StackFrame, check_frames, weights_of
 from opnav_workbench.campaign.stacking.grid import Follow, Grid, resample, resampling_rows
-from opnav_workbench.campaign.stacking.subtraction import Subtraction, subtract_stars
+from opnav_workbench.campaign.stacking.subtraction import SLOPE_PART, Subtraction, subtract_stars
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.targets import TargetState
@@ -54,7 +54,6 @@ def mean_state(frames: Sequence[StackFrame], et: float) -> TargetState:
 MIN_FRAMES = 3  # of two that differ nobody knows which one is right
 HIT_SIGMAS = 5.0  # one pixel in two million by noise alone
 SKIRT_SIGMAS = 3.0  # beside a hit: charge that went astray
-SLOPE_PART = 1.2  # of the difference to the steepest neighbour; driz_cr's own value
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 
 

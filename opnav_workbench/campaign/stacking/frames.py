@@ -16,8 +16,9 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CenterfindingError, OpNavError, SessionError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.mission import Mission
-from opnav_workbench.psf import GaussianPsf, Psf
+from opnav_workbench.psf import Psf
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.body_models import picture_psf
 from opnav_workbench.targets import TargetState
 
 __all__ = ["RunFrames", "StackFrame", "check_frames", "frame_of_session", "frames_of_runs", "weights_of"]
@@ -221,8 +222,6 @@ def frame_of_session(session: ImageSession, target: str | None = None) -> StackF
     if target is not None and target not in inputs.targets:
         session.add_target(target)
         inputs = session.inputs
-    shape = (session.state.psf or context.camera_psf).shape
-    gaussian = GaussianPsf(shape.sigma_major_px, shape.sigma_minor_px, shape.angle_rad)
     gain = context.camera.gain_e_per_dn
     return StackFrame(
         name=context.frame.path.name,
@@ -234,7 +233,7 @@ def frame_of_session(session: ImageSession, target: str | None = None) -> StackF
         camera=context.camera,
         camera_from_j2000=pointing.camera_from_j2000,
         observer_velocity_km_s=inputs.observer.velocity_km_s,
-        psf=context.camera.psf_shape or gaussian,  # a calibrated PSF, else that of the picture's own stars
+        psf=picture_psf(context, session.state),
         target=None if target is None else inputs.targets[target],
         attitude_covariance_rad2=pointing.covariance_rad2,
         catalog_covariance_rad2=_catalog_covariance(session),

@@ -20,9 +20,8 @@ from opnav_workbench.campaign.stacking.frames import StackFrame
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.files import atomic_path, make_folder, sha256_of
 from opnav_workbench.image.times import text_from_et
-from opnav_workbench.kernels import KernelSet
 from opnav_workbench.observables import Observable, observe
-from opnav_workbench.session.result import body_results
+from opnav_workbench.session.result import body_results, kernel_entries
 from opnav_workbench.session.state import SessionState
 from opnav_workbench.session.storage import RESULT_FILE, TABLE_FILE, write_data, write_table, write_together
 from opnav_workbench.version import __version__
@@ -172,7 +171,6 @@ def _result(
     messages = [*stacked.messages, *(f"{Path(run).name} left out: {reason}" for run, reason in left_out)]
     if center is not None and center.status != "ok":
         messages += [f"{center.name}: {message}" for message in center.messages]
-    active = KernelSet.active()
     return {
         "image": picture.name,
         "sha256": sha256_of(picture),
@@ -188,9 +186,7 @@ def _result(
         "stack": _stack_facts(stacked),
         "provenance": {
             "version": __version__,
-            "kernels": []
-            if active is None
-            else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()],
+            "kernels": kernel_entries(),
         },
     }
 

@@ -19,7 +19,7 @@ from opnav_workbench.campaign.stacking.frames import StackFrame
 from opnav_workbench.campaign.stacking.grid import Grid, resampling_rows, target_direction
 from opnav_workbench.errors import CenterfindingError
 
-__all__ = ["Subtraction", "subtract_stars"]
+__all__ = ["SLOPE_PART", "Subtraction", "subtract_stars"]
 
 MIN_SOURCES = (
     2  # pictures in each pixel of a template: one alone is as noisy as the picture, and shows its hits
@@ -32,7 +32,7 @@ KERNEL_PRIOR = (
     0.3  # of each element, against a kernel that does nothing: where no star tells, none is made up
 )
 CLIP_SIGMAS = 5.0
-SLOPE_PART = 1.2  # as for hits: undersampled stars differ from phase to phase
+SLOPE_PART = 1.2  # of the steepest slope, driz_cr's own value: undersampled stars differ from phase to phase
 STAR_SIGMAS = 5.0  # pixels of a template that show how well the PSFs match
 
 
