@@ -167,7 +167,7 @@ class _SearchGeometry:
         effects, t, gain = self.opened.sequence.detector, self.search.exposure_s, self.values.gain_e_per_dn
         stray = self.opened.stray_light_dn_s(elongation_deg) * gain * t if self.search.stray_light else 0.0
         sky = 0.0 if effects.sky is None else effects.sky.rate_e_s * t + effects.sky.level_dn * gain
-        dark = self.values.dark_e_s * (t + 0.5 * self.values.transfer_s)
+        dark = self.values.dark_e(t)
         return float(np.sqrt(self.values.read_noise_dn**2 + (sky + stray + dark) / gain**2))
 
     def snr(self, flux_dn: FloatArray, noise_dn: FloatArray) -> FloatArray:

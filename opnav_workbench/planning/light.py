@@ -55,7 +55,7 @@ class ExpectedLight:
     @property
     def dark_e(self) -> float:
         """Mean thermal electrons of a pixel."""
-        return self.values.dark_e_s * (self.inputs.exposure_s + 0.5 * self.values.transfer_s)
+        return self.values.dark_e(self.inputs.exposure_s)
 
     @property
     def noise_model(self) -> NoiseModel:

@@ -15,7 +15,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.files import write_text
 from opnav_workbench.kernels import et_from_utc
 from opnav_workbench.mission import Mission
-from opnav_workbench.rehearsal.package import OrtContent, PictureContent
+from opnav_workbench.rehearsal.package import BRIEFING_FILE, BRIEFING_PAGE_FILE, OrtContent, PictureContent
 from opnav_workbench.scene.states import body_target
 
 __all__ = ["BriefingSection", "as_html", "as_markdown", "write_briefing"]
@@ -126,7 +126,6 @@ def _html_row(cells: Sequence[str], tag: str) -> str:
 
 # ---- The briefing of a rehearsal: what the team is told, as text and as a page, from the same few sections.
 
-TEXT, PAGE = "briefing.md", "briefing.html"
 POSSIBLE = (
     "Ephemerides: the target system's or the spacecraft's own may be wrong, and with it B-plane point and time of flight.",
     "Attitudes may be off by far more than the camera's a priori error.",
@@ -156,8 +155,8 @@ def write_briefing(
     """
     parts = briefing_sections(content, mission, cameras)
     lead = f"Operational readiness test · mission {mission.name} · {content.name}"
-    write_text(folder / TEXT, as_markdown(content.title, lead, parts))
-    write_text(folder / PAGE, as_html(content.title, lead, parts))
+    write_text(folder / BRIEFING_FILE, as_markdown(content.title, lead, parts))
+    write_text(folder / BRIEFING_PAGE_FILE, as_html(content.title, lead, parts))
 
 
 def briefing_sections(

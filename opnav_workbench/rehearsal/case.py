@@ -6,7 +6,6 @@ own model can say. What the Sun's tide would make of an offset is a share GM t^2
 month, at Bennu half a percent in a week.
 """
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -20,6 +19,7 @@ from opnav_workbench.geometry import unit
 from opnav_workbench.kernels import body_gm_km3_s2, et_from_utc, state
 from opnav_workbench.mission import Mission
 from opnav_workbench.rehearsal.scenario import Distribution, OrtPerturbations, OrtScenario
+from opnav_workbench.simulation.randomness import seed_of_name
 
 __all__ = ["OrtCase", "OrtGeometry", "draw_case", "geometry_at_epoch", "perturbation_random"]
 
@@ -98,7 +98,7 @@ class OrtCase:
         position = self.offsets.get(f"{mover}_position", none) + later_s * velocity
         return np.concatenate([position, velocity])
 
-    def relative(self) -> FloatArray:
+    def relative_state_error(self) -> FloatArray:
         """Return how the spacecraft's state relative to the target is off at the epoch (6,)."""
         return self.offset("spacecraft", 0.0) - self.offset("target", 0.0)
 
@@ -112,7 +112,7 @@ def perturbation_random(seed: int, name: str) -> np.random.Generator:
     >>> first == second
     True
     """
-    return np.random.default_rng([seed, zlib.crc32(name.encode())])
+    return np.random.default_rng([seed, seed_of_name(name)])
 
 
 def geometry_at_epoch(scenario: OrtScenario, mission: Mission) -> OrtGeometry:
@@ -265,14 +265,13 @@ def _draw_attitudes(
 ) -> dict[str, tuple[float, float, float]]:
     if p.attitude is None:
         return {}
-    found, first = {}, None
+    found = {}
     for name in names:
         rng = perturbation_random(seed, f"attitude/{name}" if p.attitude.every_picture else "attitude")
         angle = rng.uniform(0.0, 2.0 * np.pi)
         length = draw_amount(p.attitude.shift_px, rng)
         twist = draw_amount(p.attitude.twist_deg, rng)
-        first = (float(length * np.cos(angle)), float(length * np.sin(angle)), twist)
-        found[name] = first
+        found[name] = (float(length * np.cos(angle)), float(length * np.sin(angle)), twist)
     return found
 
 

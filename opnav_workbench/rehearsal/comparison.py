@@ -23,7 +23,7 @@ from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.simulation import Truth
 from opnav_workbench.stars.pointing import attitude_shift
 
-__all__ = ["Comparison", "center_errors", "compare", "sky_per_pixel"]
+__all__ = ["Comparison", "boresight_shift", "center_errors", "compare", "sky_per_pixel"]
 
 
 # ---- Truth beside solution, in sigmas.
@@ -78,15 +78,16 @@ def _attitude_rows(truth: Truth, pointing: Mapping[str, Any], camera: Camera) ->
     )
     # A turn about the pixel axis moves the sky along lines, one about the line axis along pixels.
     sigmas = (about_line / scale, about_pixel / scale, np.degrees(twist))
-    moved = _boresight_shift(truth.predicted_camera_from_j2000, solved, camera)
-    true = _boresight_shift(truth.predicted_camera_from_j2000, truth.camera_from_j2000, camera)
+    moved = boresight_shift(truth.predicted_camera_from_j2000, solved, camera)
+    true = boresight_shift(truth.predicted_camera_from_j2000, truth.camera_from_j2000, camera)
     rows = zip(("Δpixel", "Δline", "Δtwist"), ("px", "px", "deg"), moved, true, sigmas, strict=True)
     return [
         Comparison(name, unit, float(s), float(t), float(e), float(s - t)) for name, unit, s, t, e in rows
     ]
 
 
-def _boresight_shift(first: FloatArray, second: FloatArray, camera: Camera) -> tuple[float, float, float]:
+def boresight_shift(first: FloatArray, second: FloatArray, camera: Camera) -> tuple[float, float, float]:
+    """Return how far one attitude's sky stands from another's on the detector: px, px, and twist in deg."""
     shift = attitude_shift(camera, first, second)
     return shift.delta_pixel, shift.delta_line, float(np.degrees(shift.delta_twist_rad))
 

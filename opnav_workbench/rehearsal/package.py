@@ -254,11 +254,6 @@ class OrtPackage:
         """The briefing as text."""
         return self.folder / BRIEFING_FILE
 
-    @property
-    def briefing_page(self) -> Path:
-        """The briefing as a page."""
-        return self.folder / BRIEFING_PAGE_FILE
-
 
 def key_beside(folder: Path) -> Path:
     """Return the key file of a package's folder."""

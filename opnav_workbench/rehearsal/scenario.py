@@ -107,7 +107,7 @@ class BPlaneShift(StrictModel):
     b_dot_r_km: Amount = NOTHING
 
 
-class AttitudeError(StrictModel):
+class AttitudePerturbation(StrictModel):
     """True against predicted attitude; where it is left out, an error of the camera's a priori size."""
 
     shift_px: Amount = NOTHING  # length, in a direction that the seed draws
@@ -168,7 +168,7 @@ class OrtPerturbations(StrictModel):
     spacecraft_ephemeris: SpacecraftError | None = None
     b_plane_target: BPlaneShift | None = None
     time_of_flight_s: Amount = NOTHING  # positive: the spacecraft arrives later than predicted
-    attitude: AttitudeError | None = None
+    attitude: AttitudePerturbation | None = None
     albedo: AlbedoError | None = None
     camera: CameraFault | None = None
     lost_images: LostImages | None = None

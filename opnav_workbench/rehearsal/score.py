@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.files import plain_values
-from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal.results import PictureResult, picture_results
 from opnav_workbench.rehearsal.sealed_truth import Delivery
 from opnav_workbench.rehearsal.solution import OrtSolution
@@ -285,7 +285,7 @@ class OrtScore:
     center_scatter : (float, float)
         Rms of the center errors in their own sigmas, and the probability of so much.
     altered_package : tuple of str
-        Files of the package that are not as they were made.
+        Empty: `open_rehearsal` refuses a package that is not as it was made. The score's file has the field.
     """
 
     package: str
@@ -332,7 +332,7 @@ def score_rehearsal(
         The results cannot be read, or the solution is of another rehearsal.
     """
     mission = load_mission(package.mission)
-    cameras: dict[str, Camera] = {c.name: c for c in _cameras(mission)}
+    cameras = {c.name: c for c in (Camera.from_yaml(choice.file) for choice in mission.cameras)}
     reported = picture_results((p.name for p in package.pictures), results)
     disk_sigma_px = 0.0 if solution is None else solution.disk_sigma_px
     pictures = tuple(
@@ -350,12 +350,7 @@ def score_rehearsal(
         grade=grade_rehearsal(pictures, scored, altered),
         delivery=delivery,
         center_scatter=center_scatter(pictures),
-        altered_package=tuple(getattr(package, "altered", ())),
     )
-
-
-def _cameras(mission: Mission) -> list[Camera]:
-    return [Camera.from_yaml(choice.file) for choice in mission.cameras]
 
 
 def _score_one_picture(

@@ -13,26 +13,28 @@ import io
 import json
 import os
 import secrets
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from astropy.table import QTable
 from cryptography.fernet import Fernet, InvalidToken
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import atomic_path, plain_values, sha256_of, write_text
+from opnav_workbench.rehearsal.package import PICTURE_FOLDER, OrtPackage
 from opnav_workbench.simulation import Truth
 from opnav_workbench.simulation.charge import CosmicRayHits
-
-if TYPE_CHECKING:
-    from opnav_workbench.rehearsal.package import OrtPackage
+from opnav_workbench.simulation.truth import (
+    ATTITUDE_FIELDS,
+    PLAIN_FIELDS,
+    objects_from_ecsv,
+    truth_from_values,
+)
 
 __all__ = [
     "Delivery",
@@ -48,8 +50,6 @@ __all__ = [
 
 # ---- What a picture truly shows, as plain values inside the sealed truth, and back.
 
-PLAIN_FIELDS = ("mission", "camera", "utc", "et", "exposure_s", "seed", "settings", "exposure")
-ATTITUDE_FIELDS = ("camera_from_j2000", "predicted_camera_from_j2000")
 HIT_FIELDS = ("start_px", "end_px", "electrons")
 HIT_DECIMALS = 2  # of a pixel: tracks are for the eye
 
@@ -59,8 +59,7 @@ def picture_truth_values(truth: Truth) -> dict[str, Any]:
     table = io.StringIO()
     truth.objects.write(table, format="ascii.ecsv")
     return {
-        **{name: getattr(truth, name) for name in PLAIN_FIELDS},
-        **{name: getattr(truth, name) for name in ATTITUDE_FIELDS},
+        **{name: getattr(truth, name) for name in (*PLAIN_FIELDS, *ATTITUDE_FIELDS)},
         "picture": truth.picture.name,
         "objects": table.getvalue(),
         "cosmic_rays": {name: getattr(truth.cosmic_rays, name).round(HIT_DECIMALS) for name in HIT_FIELDS},
@@ -69,20 +68,10 @@ def picture_truth_values(truth: Truth) -> dict[str, Any]:
 
 def picture_truth_from_values(values: Mapping[str, Any], folder: Path) -> Truth:
     """Return the truth of a picture that stands, or stood, in `folder`."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        objects = QTable.read(values["objects"].splitlines(), format="ascii.ecsv")
-    hits = {name: np.array(values["cosmic_rays"][name], dtype=np.float64) for name in HIT_FIELDS}
-    matrices: dict[str, Any] = {name: np.array(values[name], dtype=np.float64) for name in ATTITUDE_FIELDS}
-    return Truth(
-        picture=folder / values["picture"],
-        objects=objects,
-        cosmic_rays=CosmicRayHits(
-            hits["start_px"].reshape(-1, 2), hits["end_px"].reshape(-1, 2), hits["electrons"]
-        ),
-        **matrices,
-        **{name: values[name] for name in PLAIN_FIELDS},
-    )
+    objects = objects_from_ecsv(values["objects"].splitlines())
+    start, end, electrons = (np.array(values["cosmic_rays"][name], dtype=np.float64) for name in HIT_FIELDS)
+    hits = CosmicRayHits(start.reshape(-1, 2), end.reshape(-1, 2), electrons)
+    return truth_from_values(folder / values["picture"], values, objects, None, hits)
 
 
 # ---- The sealed truth of a rehearsal: written encrypted, opened with the director's key and in no other way.
@@ -243,9 +232,9 @@ def _decrypted(package: "OrtPackage", key: Path) -> dict[str, Any]:
     return dict(json.loads(plain))
 
 
-def _truth_of_values(values: Mapping[str, Any], package: "OrtPackage") -> OrtTruth:
+def _truth_of_values(values: Mapping[str, Any], package: OrtPackage) -> OrtTruth:
     pictures = {
-        name: picture_truth_from_values(content, package.folder / "pictures")
+        name: picture_truth_from_values(content, package.folder / PICTURE_FOLDER)
         for name, content in values["pictures"].items()
     }
     return OrtTruth(

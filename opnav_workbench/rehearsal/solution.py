@@ -181,11 +181,11 @@ class PredictedFlyby:
         freeze_arrays(self)
 
     @property
-    def values(self) -> FloatArray:
+    def b_plane_values(self) -> FloatArray:
         """Return (B.T, B.R, linearised time after the epoch), km and s."""
         return self.plane.in_axes_of(self.plane)
 
-    def moved(self, correction: ArrayLike) -> FloatArray:
+    def corrected(self, correction: ArrayLike) -> FloatArray:
         """Return the same of the state with a correction (6,), in the axes of the predicted flyby."""
         state = self.state + np.asarray(correction, float)
         return b_plane(state[:3], state[3:], self.gm_km3_s2, self.pole).in_axes_of(self.plane)
@@ -390,8 +390,8 @@ def solve_rehearsal(
         sigma_before=np.sqrt(np.diag(before_covariance)),
         covariance=found.covariance,
         b_plane_body=flyby.body,
-        b_plane_before=flyby.values,
-        b_plane_after=flyby.moved(after),
+        b_plane_before=flyby.b_plane_values,
+        b_plane_after=flyby.corrected(after),
         b_plane_covariance_before=flyby.covariance(np.zeros(6), relative @ before_covariance @ relative.T),
         b_plane_covariance=flyby.covariance(after, after_covariance),
         chi2_before=found.chi2_before,

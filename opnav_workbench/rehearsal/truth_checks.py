@@ -467,7 +467,7 @@ def score_solution(
     """
     _require_same(package, solution)
     flyby = predicted_flyby(package)
-    true_values = flyby.moved(np.asarray(truth.relative_state_km) - flyby.state)
+    true_values = flyby.corrected(np.asarray(truth.relative_state_km) - flyby.state)
     ratios, remark = _supported_sigmas(package, results, solution)
     groups = parse_groups(solution.parameters)
     true = np.concatenate([np.atleast_1d(truth.parameters[group.name]) for group in groups])

@@ -12,10 +12,10 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.kernels import state
 from opnav_workbench.rehearsal.case import OrtCase, OrtGeometry
+from opnav_workbench.rehearsal.comparison import boresight_shift
 from opnav_workbench.rehearsal.scenario import OrtScenario
 from opnav_workbench.rehearsal.sealed_truth import picture_truth_values
 from opnav_workbench.simulation import Truth
-from opnav_workbench.stars.pointing import attitude_shift
 
 __all__ = ["sealed_values"]
 
@@ -114,11 +114,14 @@ def sealed_values(
         By picture, as calibrated.
     spacecraft : int
     """
-    errors = {name: _attitude_error(truth, cameras[name]) for name, truth in truths.items()}
+    errors = {
+        name: boresight_shift(truth.predicted_camera_from_j2000, truth.camera_from_j2000, cameras[name])
+        for name, truth in truths.items()
+    }
     values = {
         "parameters": {name: case.offsets.get(name, np.zeros(3)) for name in scenario.parameters},
         "predicted_state_km": geometry.relative_state,
-        "relative_state_km": geometry.relative_state + case.relative(),
+        "relative_state_km": geometry.relative_state + case.relative_state_error(),
         "b_plane": _flyby_values(case, geometry),
         "states_km": {
             name: _true_state(truth.et, scenario, case, geometry, spacecraft)
@@ -140,7 +143,7 @@ def sealed_values(
 def _flyby_values(case: OrtCase, geometry: OrtGeometry) -> dict[str, dict[str, float]]:
     nominal = geometry.flyby()
     predicted = nominal.in_axes_of(nominal)
-    true = geometry.flyby(case.relative()).in_axes_of(nominal)
+    true = geometry.flyby(case.relative_state_error()).in_axes_of(nominal)
     return {
         name: {"predicted": float(p), "true": float(t), "shift": float(t - p)}
         for name, p, t in zip(FLYBY, predicted, true, strict=True)
@@ -153,11 +156,6 @@ def _true_state(
     seen, later_s = state(spacecraft, et, scenario.b_plane), et - geometry.epoch_et
     predicted = np.concatenate([seen.position_km, seen.velocity_km_s])
     return np.asarray(predicted + case.offset("spacecraft", later_s) - case.offset("target", later_s))
-
-
-def _attitude_error(truth: Truth, camera: Camera) -> list[float]:
-    shift = attitude_shift(camera, truth.predicted_camera_from_j2000, truth.camera_from_j2000)
-    return [shift.delta_pixel, shift.delta_line, float(np.degrees(shift.delta_twist_rad))]
 
 
 def _camera_errors(case: OrtCase) -> dict[str, float]:

@@ -277,7 +277,7 @@ def _calibrated(
     if pattern.bias_dn is not None:
         image = image - pattern.bias_dn
     if values.dark_e_s > 0.0:
-        image = image - values.dark_e_s * (exposure_s + 0.5 * values.transfer_s) / values.gain_e_per_dn
+        image = image - values.dark_e(exposure_s) / values.gain_e_per_dn
     if values.transfer is not None:
         image = values.transfer.remove(image)
     known = pattern.known_response
@@ -305,5 +305,5 @@ def _dark_columns(
 ) -> FloatArray:
     """Return covered columns: bias, dark current and read noise."""
     rng = picture_random(seed, "dark_columns")
-    thermal = np.full((camera.n_line, count), values.dark_e_s * (exposure_s + 0.5 * values.transfer_s))
+    thermal = np.full((camera.n_line, count), values.dark_e(exposure_s))
     return _digitised(poisson_counts(thermal, rng), values, None, rng)

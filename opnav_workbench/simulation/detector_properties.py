@@ -39,7 +39,7 @@ class DetectorValues:
         Whether data numbers are whole numbers.
     ceiling_dn : float or None
         Highest raw value.
-    transfer : Transfer or None
+    transfer : ChargeTransfer or None
     transfer_s : float
         Time of the frame transfer, 0 without.
     prnu, hot_fraction, dead_fraction : float
@@ -57,6 +57,10 @@ class DetectorValues:
     prnu: float
     hot_fraction: float
     dead_fraction: float
+
+    def dark_e(self, exposure_s: float) -> float:
+        """Return the mean thermal electrons of a pixel in an exposure and its readout."""
+        return self.dark_e_s * (exposure_s + 0.5 * self.transfer_s)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers by name, for the truth file."""

@@ -20,7 +20,13 @@ from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.render import BodyModel
 from opnav_workbench.scene import Observer
-from opnav_workbench.simulation.attitude_path import AttitudePath, CameraMotion, kernel_path, moving_path
+from opnav_workbench.simulation.attitude_path import (
+    STEP_PX,
+    STILL_PX,
+    AttitudePath,
+    kernel_path,
+    moving_path,
+)
 from opnav_workbench.simulation.detector_properties import detector_values
 from opnav_workbench.simulation.flight_fits import dark_columns_of
 from opnav_workbench.simulation.picture import PictureInputs
@@ -38,8 +44,6 @@ from opnav_workbench.yaml_file import Location
 __all__ = ["OpenedScenario", "ScenarioPicture", "picture_seed"]
 
 CONE_SHARE = 1.05  # of the half diagonal: distortion, aberration, and the light of stars just outside
-STILL_BODY_PX = 0.02  # a body that moves less against the sky is drawn without a trail of its own
-BODY_STEP_PX = 0.25  # between the copies of a body that moves
 SEED_BYTES = 6
 
 
@@ -204,7 +208,7 @@ class OpenedScenario:
     ) -> AttitudePath:
         plan, folder = self.scenario.attitude, self.scenario.folder
         true = true_attitude(plan.actual, predicted, camera, et, seed, folder)
-        moving = CameraMotion(**plan.motion.model_dump(exclude={"from_kernels"}))
+        moving = plan.motion.camera_motion()
         if not plan.motion.from_kernels:
             return moving_path(camera, true, et, exposure_s, motion=moving, seed=seed)
         with (
@@ -248,13 +252,13 @@ class OpenedScenario:
         """Return how a body moves on the detector during the exposure; None: as the sky does, or out of sight."""
         et, half_s = self._mid_exposure_et(picture), 0.5 * picture.entry.exposure_s
         start, stop = (self._direction(name, et + t) for t in (-half_s, half_s))
-        if np.linalg.norm(stop - start) < STILL_BODY_PX * camera.pixel_scale_rad:
+        if np.linalg.norm(stop - start) < STILL_PX * camera.pixel_scale_rad:
             return None
         if path.is_still:
             moved = np.diff(camera.project(np.stack([start, stop]) @ path.middle.T), axis=0)
             if not np.isfinite(moved).all():
                 return None
-            count = 2 * int(np.ceil(np.linalg.norm(moved) / BODY_STEP_PX)) + 1
+            count = 2 * int(np.ceil(np.linalg.norm(moved) / STEP_PX)) + 1
             return np.asarray(((np.arange(count) + 0.5) / count - 0.5)[:, None] * moved)
         time = (path.et - et) / (2.0 * half_s) + 0.5
         places = path.places(camera, (start + time[:, None] * (stop - start))[None])[0]

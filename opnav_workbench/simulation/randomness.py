@@ -60,4 +60,9 @@ def picture_random(seed: int, stream: str) -> np.random.Generator:
 
 def camera_random(camera_name: str, stream: str) -> np.random.Generator:
     """Return the generator of a fixed pattern: the same for every picture of the camera, whatever its seed."""
-    return np.random.default_rng([zlib.crc32(camera_name.encode()), STREAMS[stream]])
+    return np.random.default_rng([seed_of_name(camera_name), STREAMS[stream]])
+
+
+def seed_of_name(name: str) -> int:
+    """Return the number by which a name enters a seed."""
+    return zlib.crc32(name.encode())

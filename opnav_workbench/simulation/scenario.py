@@ -16,6 +16,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, mo
 
 from opnav_workbench.errors import MissionError
 from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
+from opnav_workbench.simulation.attitude_path import CameraMotion
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_file import BodyAppearance, PicturesFile, require_distinct, word_for
 from opnav_workbench.yaml_file import StrictModel, check_model
@@ -95,6 +96,10 @@ class MotionPlan(StrictModel):
     jitter_px: NonNegativeFloat = 0.0  # 1 sigma of each axis
     jitter_hz: PositiveFloat = 5.0  # band in which it is
     from_kernels: bool = False  # add the turning that the CK has
+
+    def camera_motion(self) -> CameraMotion:
+        """Return the motion, but for what the CK has."""
+        return CameraMotion(**self.model_dump(exclude={"from_kernels"}))
 
 
 class AttitudePlan(StrictModel):

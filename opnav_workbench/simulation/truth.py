@@ -30,8 +30,10 @@ __all__ = [
     "BodyTruth",
     "Truth",
     "body_rows",
+    "objects_from_ecsv",
     "read_truth",
     "star_rows",
+    "truth_from_values",
     "truth_paths",
     "truth_table",
     "write_truth",
@@ -166,6 +168,9 @@ def _truth_rows(**columns: Any) -> QTable:
 
 # ---- What a simulated picture really shows.
 
+# Of a truth, as they stand in its file and in a sealed one.
+PLAIN_FIELDS = ("mission", "camera", "utc", "et", "exposure_s", "seed", "settings", "exposure")
+ATTITUDE_FIELDS = ("camera_from_j2000", "predicted_camera_from_j2000")
 SUFFIXES = (".truth.json", ".truth.ecsv", ".truth.fits")
 
 
@@ -221,7 +226,7 @@ class Truth:
         return {str(name): center for name, center in zip(rows["id"], centers, strict=True)}
 
     @property
-    def stars(self) -> int:
+    def n_stars(self) -> int:
         """Number of stars on the detector."""
         return int(np.sum((self.objects["kind"] == "star") & self.objects["on_detector"]))
 
@@ -264,7 +269,7 @@ def _description(truth: Truth) -> dict[str, Any]:
         "predicted_camera_from_j2000": truth.predicted_camera_from_j2000,
         "predicted_quaternion_camera_from_j2000": quaternion_from_matrix(truth.predicted_camera_from_j2000),
         "bodies": truth.bodies,
-        "stars_on_detector": truth.stars,
+        "stars_on_detector": truth.n_stars,
         "seed": truth.seed,
         "settings": truth.settings,
         "exposure": truth.exposure,
@@ -308,11 +313,11 @@ def read_truth(path: str | PathLike[str]) -> Truth:
     description, table, image = truth_paths(path)
     try:
         values = json.loads(description.read_text(encoding="utf-8"))
-        objects = _read_table(table)
+        objects = objects_from_ecsv(table)
         with fits.open(image, memmap=False) as hdus:
             light = None if hdus[0].data is None else hdus[0].data.astype(np.float64)
             hits = _hits_from_rows(hdus["COSMIC RAYS"].data)
-        return _truth_from_files(description.with_name(values["picture"]), values, objects, light, hits)
+        return truth_from_values(description.with_name(values["picture"]), values, objects, light, hits)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SessionError(
             f"truth of {Path(path).name} cannot be read ({type(error).__name__}: {error}); it needs "
@@ -320,10 +325,11 @@ def read_truth(path: str | PathLike[str]) -> Truth:
         ) from error
 
 
-def _read_table(path: Path) -> QTable:
+def objects_from_ecsv(source: Path | list[str]) -> QTable:
+    """Return the table of what a picture shows from a file, or from its lines."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return QTable.read(path, format="ascii.ecsv")
+        return QTable.read(source, format="ascii.ecsv")
 
 
 def _hits_from_rows(rows: Any) -> CosmicRayHits:
@@ -334,16 +340,16 @@ def _hits_from_rows(rows: Any) -> CosmicRayHits:
     return CosmicRayHits(start, end, rows["ELECTRONS"].astype(np.float64))
 
 
-def _truth_from_files(
+def truth_from_values(
     picture: Path, values: Mapping[str, Any], objects: QTable, light: FloatArray | None, hits: CosmicRayHits
 ) -> Truth:
-    plain = ("mission", "camera", "utc", "et", "exposure_s", "seed", "settings", "exposure")
+    """Return a truth from its plain values and arrays."""
+    matrices: dict[str, Any] = {name: np.array(values[name], dtype=np.float64) for name in ATTITUDE_FIELDS}
     return Truth(
         picture=picture,
-        camera_from_j2000=np.array(values["camera_from_j2000"], dtype=np.float64),
-        predicted_camera_from_j2000=np.array(values["predicted_camera_from_j2000"], dtype=np.float64),
         objects=objects,
         cosmic_rays=hits,
         noiseless_electrons=light,
-        **{name: values[name] for name in plain},
+        **matrices,
+        **{name: values[name] for name in PLAIN_FIELDS},
     )

@@ -107,7 +107,7 @@ def test_one_kind_more_changes_no_other():
 def test_every_b_plane_point_is_reached(b_t, b_r, time_s):
     scenario = _perturbed(b_plane_target={"b_dot_t_km": b_t, "b_dot_r_km": b_r}, time_of_flight_s=time_s)
     nominal = GEOMETRY.flyby()
-    there = GEOMETRY.flyby(draw_case(scenario, GEOMETRY, 1).relative()).in_axes_of(nominal)
+    there = GEOMETRY.flyby(draw_case(scenario, GEOMETRY, 1).relative_state_error()).in_axes_of(nominal)
     np.testing.assert_allclose(there - nominal.in_axes_of(nominal), [b_t, b_r, time_s], rtol=0, atol=1e-5)
 
 
@@ -127,7 +127,7 @@ def test_offsets_grow_from_the_epoch():
     )
     case = draw_case(scenario, GEOMETRY, 1)
     assert case.offset("spacecraft", 1000.0).tolist() == [2.0, 2.0, 3.0, 1e-3, 0.0, 0.0]
-    assert case.relative().tolist() == [1.0, 2.0, 3.0, 1e-3, 0.0, 0.0]
+    assert case.relative_state_error().tolist() == [1.0, 2.0, 3.0, 1e-3, 0.0, 0.0]
     assert not case.offset("target", 1000.0).any()
 
 
@@ -305,7 +305,7 @@ def test_briefing_escapes_what_it_quotes():
 
 def test_briefing_page_stands_alone_and_tells_the_prediction(tmp_path):
     package = new_rehearsal(_content(), tmp_path / "case", seed=1, pictures=1)
-    page, text = package.briefing_page.read_text(), package.briefing.read_text()
+    page, text = (package.folder / "briefing.html").read_text(), package.briefing.read_text()
     assert "http" not in page
     assert "src=" not in page
     for words in (

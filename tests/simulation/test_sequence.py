@@ -91,7 +91,7 @@ def test_the_truth_holds_what_made_the_picture(made):
     assert sorted(values["bodies"]) == ["CHARON", "PLUTO"]
     truth = read_truth(out / "lorri.fit")
     assert truth.noiseless_electrons.shape == (256, 256)
-    assert truth.stars >= reports[0].stars_drawn > 0
+    assert truth.n_stars >= reports[0].stars_drawn > 0
     assert {body.name: body.regime for body in reports[0].bodies}.keys() == {"PLUTO", "CHARON"}
     assert all(body.snr > 50.0 for body in reports[0].bodies)
 
