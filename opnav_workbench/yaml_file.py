@@ -3,16 +3,35 @@
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    StringConstraints,
+    ValidationError,
+)
 
 from opnav_workbench.errors import OpNavError
 
-__all__ = ["Location", "StrictModel", "check_model", "line_of", "read_model"]
+__all__ = [
+    "CalendarTime",
+    "FileStem",
+    "Location",
+    "Pair",
+    "StrictModel",
+    "Utc",
+    "Vector3",
+    "check_model",
+    "line_of",
+    "read_model",
+]
 
 ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
 FIELDS_SHOWN = 12  # a longer list of allowed fields is no help in one line
@@ -25,6 +44,29 @@ class StrictModel(BaseModel):
     """What a file may say: unknown fields are errors, for they are misspelt ones; values are frozen and finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+# ---- Types of fields that several kinds of file have.
+
+
+def _calendar(moment: Any) -> Any:
+    if isinstance(moment, int | float):  # pydantic would take it for seconds since 1970
+        raise ValueError(f"{moment} is a number; write a calendar time such as 2015-07-01T00:00:00")  # noqa: TRY004
+    return moment
+
+
+def _naive_utc(moment: datetime) -> datetime:
+    return moment if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)
+
+
+Pair = tuple[float, float]
+Vector3 = tuple[float, float, float]
+FileStem = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
+CalendarTime = Annotated[datetime, BeforeValidator(_calendar)]
+Utc = Annotated[CalendarTime, AfterValidator(_naive_utc)]
+
+
+# ---- Files read and checked.
 
 
 def read_model(path: str | PathLike[str], model: type[Model], what: str, failure: type[OpNavError]) -> Model:

@@ -25,15 +25,13 @@ from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrio
 from opnav_workbench.errors import CameraError
 from opnav_workbench.photometry import Bandpass, ColorResponse
 from opnav_workbench.psf.schema import AnyPsf
-from opnav_workbench.yaml_file import StrictModel, read_model
+from opnav_workbench.yaml_file import Pair, StrictModel, Vector3, read_model
 
 __all__ = ["camera_fields"]
 
 
 # ---- The schema of camera files: what each field is called, its unit, and what values it may take.
 
-Pair = tuple[float, float]
-Vector3 = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Terms = Annotated[tuple[float, ...], Field(min_length=20, max_length=20)]

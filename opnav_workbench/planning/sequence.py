@@ -23,11 +23,10 @@ from pydantic import (
 )
 
 from opnav_workbench.errors import MissionError
-from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
 from opnav_workbench.simulation import PictureScenario
-from opnav_workbench.simulation.scenario import MotionPlan, Pair, PictureEntry
+from opnav_workbench.simulation.scenario import MotionPlan, PictureEntry
 from opnav_workbench.simulation.scenario_file import PicturesFile, require_distinct
-from opnav_workbench.yaml_file import StrictModel
+from opnav_workbench.yaml_file import FileStem, Pair, StrictModel, Utc
 
 __all__ = [
     "ApproachSearch",

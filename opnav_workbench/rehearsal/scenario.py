@@ -27,10 +27,9 @@ from pydantic import (
 
 from opnav_workbench.errors import EstimationError, MissionError
 from opnav_workbench.estimation.parameters import parse_groups
-from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_file import BodyAppearance, ScenarioFile, require_distinct
-from opnav_workbench.yaml_file import StrictModel, check_model
+from opnav_workbench.yaml_file import FileStem, StrictModel, Utc, check_model
 
 __all__ = [
     "Distribution",

@@ -15,11 +15,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
 
 from opnav_workbench.errors import MissionError
-from opnav_workbench.kernels.making.scenario_parts import FileStem, Utc
 from opnav_workbench.simulation.attitude_path import CameraMotion
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_file import BodyAppearance, PicturesFile, require_distinct, word_for
-from opnav_workbench.yaml_file import StrictModel, check_model
+from opnav_workbench.yaml_file import FileStem, Pair, StrictModel, Utc, Vector3, check_model
 
 __all__ = [
     "ActualAttitude",
@@ -40,8 +39,6 @@ __all__ = [
 
 # ---- The parts of a picture scenario beside its bodies: attitude, perturbations of the truth, pictures.
 
-Vector3 = tuple[float, float, float]
-Pair = tuple[float, float]
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 
 

@@ -162,7 +162,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         simulate(scenario(), tmp_path, done=stop)
     assert {path.stem for path in tmp_path.glob("*.fit")} == {"lorri", "series_0001"}
-    assert read_truth(tmp_path / "series_0001.fit").stars > 0
+    assert read_truth(tmp_path / "series_0001.fit").n_stars > 0
 
 
 def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch):

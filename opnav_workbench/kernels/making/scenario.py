@@ -41,7 +41,6 @@ from opnav_workbench.kernels.making.scenario_parts import (
     BodyName,
     BodyRef,
     Clock,
-    FileStem,
     FixedFrame,
     FrameName,
     Instrument,
@@ -50,10 +49,8 @@ from opnav_workbench.kernels.making.scenario_parts import (
     Spacecraft,
     Span,
     Tdb,
-    Utc,
-    Vector3,
 )
-from opnav_workbench.yaml_file import StrictModel, check_model, read_model
+from opnav_workbench.yaml_file import FileStem, Pair, StrictModel, Utc, Vector3, check_model, read_model
 
 __all__ = [
     "AttitudeError",
@@ -254,7 +251,6 @@ Trajectory = Annotated[
 MOST_PLACES = 10_000  # of a mosaic; more is a misprint
 MICRO = 1e-6
 
-PixelLine = tuple[float, float]  # pixel, line
 Fraction = Annotated[float, Field(ge=0.0, lt=1.0)]
 Axis = Literal["pixel", "line", "twist"]
 
@@ -289,7 +285,7 @@ class Mosaic(DwellPattern):
         """Number of places."""
         return self.columns * self.rows
 
-    def places_px(self, n_pixel: int, n_line: int) -> Iterable[PixelLine]:
+    def places_px(self, n_pixel: int, n_line: int) -> Iterable[Pair]:
         """Return where the aim is put, px from the boresight, in order."""
         steps = (1.0 - self.overlap) * n_pixel, (1.0 - self.overlap) * n_line
         for row in range(self.rows):
@@ -304,14 +300,14 @@ class Mosaic(DwellPattern):
 class OffsetList(DwellPattern):
     """Fields at given offsets: where the aim is put, px from the boresight, one after the other."""
 
-    list_px: Annotated[tuple[PixelLine, ...], Field(min_length=1, max_length=MOST_PLACES)]
+    list_px: Annotated[tuple[Pair, ...], Field(min_length=1, max_length=MOST_PLACES)]
 
     @property
     def count(self) -> int:
         """Number of places."""
         return len(self.list_px)
 
-    def places_px(self, _n_pixel: int, _n_line: int) -> Iterable[PixelLine]:
+    def places_px(self, _n_pixel: int, _n_line: int) -> Iterable[Pair]:
         """Return the list."""
         return self.list_px
 
@@ -324,9 +320,9 @@ class Scan(StrictModel):
     """
 
     rate_deg_s: PositiveFloat
-    direction: PixelLine | None = None
+    direction: Pair | None = None
     position_angle_deg: float | None = None
-    start_px: PixelLine = (0.0, 0.0)  # where the aim is at the start
+    start_px: Pair = (0.0, 0.0)  # where the aim is at the start
 
     @model_validator(mode="after")
     def _one_direction(self) -> Self:
@@ -350,7 +346,7 @@ class PointingWindow(StrictModel):
     ra_deg: float | None = None
     dec_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
     twist_deg: float = 0.0  # position angle of increasing line, east of J2000 north
-    offset_px: PixelLine = (0.0, 0.0)  # pixel, line of what is tracked, from the boresight
+    offset_px: Pair = (0.0, 0.0)  # pixel, line of what is tracked, from the boresight
     mosaic: Mosaic | None = None
     offsets: OffsetList | None = None
     scan: Scan | None = None
@@ -431,9 +427,9 @@ class JitterSpectrum(StrictModel):
 class AttitudeError(StrictModel):
     """How the flown attitude differs from the predicted one; see `delta_pixel, delta_line, delta_twist`."""
 
-    shift_px: PixelLine = (0.0, 0.0)  # where the boresight's sky moves on the detector
+    shift_px: Pair = (0.0, 0.0)  # where the boresight's sky moves on the detector
     twist_deg: float = 0.0
-    drift_px_h: PixelLine = (0.0, 0.0)  # growth of the shift per hour since the span's start
+    drift_px_h: Pair = (0.0, 0.0)  # growth of the shift per hour since the span's start
     drift_twist_deg_h: float = 0.0
     jitter: tuple[JitterLine, ...] = ()
     spectra: tuple[JitterSpectrum, ...] = ()

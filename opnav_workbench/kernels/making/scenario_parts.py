@@ -4,7 +4,7 @@ Calendar times are UTC; tables of states and orbit epochs are TDB unless they sa
 """
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
+from datetime import datetime
 from itertools import pairwise
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Field,
     PositiveFloat,
     PositiveInt,
@@ -21,14 +20,13 @@ from pydantic import (
 )
 
 from opnav_workbench.geometry.rotations import checked_rotation
-from opnav_workbench.yaml_file import StrictModel
+from opnav_workbench.yaml_file import CalendarTime, StrictModel, Utc, Vector3
 
 __all__ = [
     "Body",
     "BodyName",
     "BodyRef",
     "Clock",
-    "FileStem",
     "FixedFrame",
     "FrameName",
     "Instrument",
@@ -39,8 +37,6 @@ __all__ = [
     "Spacecraft",
     "Span",
     "Tdb",
-    "Utc",
-    "Vector3",
 ]
 
 FRAME_NAME_CHARS = 26  # SPICE: the pool variable FRAME_<name> has at most 32
@@ -49,21 +45,11 @@ CLOCK_COUNTS = 4294967296  # a 32-bit counter of seconds, as spacecraft clocks h
 FIRST_JD, LAST_JD = 2086302.5, 2688976.5  # years 1000 and 2650: beyond the planetary ephemeris on both sides
 
 
-def _calendar(moment: Any) -> Any:
-    if isinstance(moment, int | float):  # pydantic would take it for seconds since 1970
-        raise ValueError(f"{moment} is a number; write a calendar time such as 2015-07-01T00:00:00")  # noqa: TRY004
-    return moment
-
-
 def _beside(name: str) -> str:
     path = PurePosixPath(name)
     if not name or path.is_absolute() or ".." in path.parts or "\\" in name:
         raise ValueError(f"{name!r} is not a path inside the scenario's folder")
     return name
-
-
-def _naive_utc(moment: datetime) -> datetime:
-    return moment if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)
 
 
 def _no_zone(moment: datetime) -> datetime:
@@ -83,17 +69,14 @@ def _orthonormal(rows: tuple[Any, ...]) -> tuple[Any, ...]:
     return rows
 
 
-Utc = Annotated[datetime, BeforeValidator(_calendar), AfterValidator(_naive_utc)]
-Tdb = Annotated[datetime, BeforeValidator(_calendar), AfterValidator(_no_zone)]
+Tdb = Annotated[CalendarTime, AfterValidator(_no_zone)]
 JulianDate = Annotated[float, Field(strict=True, ge=FIRST_JD, le=LAST_JD)]  # TDB
 RelativePath = Annotated[str, AfterValidator(_beside)]
-Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 RotationRows = Annotated[Matrix3, AfterValidator(_rotation)]
 FocalAxes = Annotated[Matrix3, AfterValidator(_orthonormal)]
 FrameName = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_+-]*$", max_length=FRAME_NAME_CHARS)]
 BodyName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9][A-Z0-9_ +./-]*$", max_length=BODY_NAME_CHARS)]
-FileStem = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
 Keyword = Annotated[str, StringConstraints(pattern=r"^[A-Z][A-Z0-9_/]*$", max_length=22)]
 BodyRef = int | str  # a NAIF id, or a name of this scenario
 
