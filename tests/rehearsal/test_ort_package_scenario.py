@@ -289,7 +289,7 @@ def test_ready_scenarios_make_packages(name, tmp_path):
     arrived = [truth.pictures[p.name] for p in package.received if p.name not in truth.lost]
     assert arrived
     for picture in arrived:
-        assert picture.stars >= 2  # or nobody could find the twist
+        assert picture.n_stars >= 2  # or nobody could find the twist
 
 
 # -- briefing ------------------------------------------------------------------------------------------------------

@@ -238,7 +238,7 @@ def test_truth_of_pictures_survives_the_seal(rehearse):
     picture = truth.pictures["last"]
     stars = picture.objects[picture.objects["kind"] == "star"]
     assert picture.picture == package.pictures[-1].path
-    assert picture.stars >= 3
+    assert picture.n_stars >= 3
     assert str(stars["pixel"].unit) == "pix"
     assert np.isfinite(stars["mag"].value).all()
     assert truth.words == ("Nothing was perturbed but the attitude, by its usual errors.",)

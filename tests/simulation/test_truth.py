@@ -85,7 +85,7 @@ def test_what_a_comparison_asks_for(truth):
     again = read_truth(truth.picture)
     assert sorted(again.bodies) == ["CHARON", "PLUTO"]
     assert again.bodies["PLUTO"].tolist() == [10.5, 20.25]
-    assert again.stars == 4
+    assert again.n_stars == 4
     plain = json.loads(truth.picture.with_name("lorri_4x4.truth.json").read_text())
     assert plain["bodies"]["PLUTO"] == [10.5, 20.25]
     assert plain["stars_on_detector"] == 4
@@ -118,7 +118,7 @@ def test_pictures_without_stars_or_bodies(truth, bodies):
     )
     write_truth(empty)
     again = read_truth(empty.picture)
-    assert again.stars == 0
+    assert again.n_stars == 0
     assert list(again.bodies) == [b.name for b in bodies]
     assert again.noiseless_electrons is None
     assert len(again.cosmic_rays) == 0
