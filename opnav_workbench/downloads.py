@@ -26,7 +26,7 @@ from opnav_workbench.errors import DownloadError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.version import __version__
 
-__all__ = ["Progress", "download", "require_web_address", "transfer"]
+__all__ = ["Opener", "Progress", "download", "require_web_address"]
 
 
 # ---- Which addresses may be opened: those of the web, also after redirects.
@@ -188,7 +188,7 @@ def transfer(job: RemoteFile) -> None:
 
     Raises
     ------
-    TryAgain
+    TransientError
         The connection failed, was cut or fell silent, or the server has a passing trouble.
     DownloadError
         The file is not to be had.

@@ -69,17 +69,17 @@ def find_cross_correlation(
     """
     picture.model(name)
     circles = {} if circle is None else {name: circle}
-    company = detect_bodies(
+    detected = detect_bodies(
         picture, (name,), SearchRequest(METHOD, circles, search_radius_px=search_radius_px)
     )
-    if name in company.missed:
-        return company.missed[name]
-    cutout = fit_pixels(picture, company)
+    if name in detected.missed:
+        return detected.missed[name]
+    cutout = fit_pixels(picture, detected)
     if cutout is None or np.count_nonzero(cutout.use) < MIN_PIXELS:
         return BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
-    fit = _iterate(picture, cutout, company)
+    fit = _iterate(picture, cutout, detected)
     centers, _ = report_fitted_bodies(
-        picture, cutout, company, fit, METHOD, np.zeros(len(fit.state.names), bool)
+        picture, cutout, detected, fit, METHOD, np.zeros(len(fit.state.names), bool)
     )
     return centers[name]
 
@@ -130,11 +130,11 @@ def _offset(samples: FloatArray) -> FloatArray:
     return np.asarray(paraboloid_peak(samples.reshape(1, 3, 3))[0][0])
 
 
-def _iterate(picture: BodyPicture, cutout: Cutout, company: DetectedScene) -> SceneFit:
+def _iterate(picture: BodyPicture, cutout: Cutout, detected: DetectedScene) -> SceneFit:
     """Render and correlate until the peak stands still; look for hits once it does."""
-    (body,) = company.found.values()
-    names = (*company.found, *company.overlapping)
-    places = np.array([body.place.center_px, *company.overlapping.values()])
+    (body,) = detected.found.values()
+    names = (*detected.found, *detected.overlapping)
+    places = np.array([body.place.center_px, *detected.overlapping.values()])
     state = SceneState(names, places, np.zeros(len(names)), np.ones(len(names)))
     hits = np.zeros(cutout.use.shape, dtype=bool)
     slopes = np.empty((0, *cutout.use.shape))

@@ -287,11 +287,13 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
     found: dict[str, DetectedBody] = {}
     shift = np.zeros(2)
     for name in sorted(expected, key=lambda name: -expected[name].radius_px):
-        task = expected[name]
+        expectation = expected[name]
         if found and name not in search.circles:
-            task = replace(task, center_px=task.center_px + shift)
+            expectation = replace(expectation, center_px=expectation.center_px + shift)
         light = _light_of(picture, found.values()) if found else None
-        result = detect_body(picture, task, search.method, solve_range=search.solve_range, subtract_dn=light)
+        result = detect_body(
+            picture, expectation, search.method, solve_range=search.solve_range, subtract_dn=light
+        )
         if isinstance(result, BodyCenter):
             missed[name] = result
             continue
@@ -342,15 +344,16 @@ def _in_contact(
     return touching
 
 
-def fit_pixels(picture: BodyPicture, company: DetectedScene) -> Cutout | None:
+def fit_pixels(picture: BodyPicture, detected: DetectedScene) -> Cutout | None:
     """Return the pixels about the bodies that are fitted together, without those of other bodies; None: there are none."""
     spread = _psf_reach_px(picture)
     circles = [
-        (body.place.center_px, _measured_radius_px(body) + spread + RIM_PX) for body in company.found.values()
+        (body.place.center_px, _measured_radius_px(body) + spread + RIM_PX)
+        for body in detected.found.values()
     ]
     circles += [
         (place, outline_radius_px(picture, name) + spread + RIM_PX)
-        for name, place in company.overlapping.items()
+        for name, place in detected.overlapping.items()
     ]
     size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     low = np.stack([center - reach for center, reach in circles]).min(axis=0)
@@ -370,7 +373,7 @@ def fit_pixels(picture: BodyPicture, company: DetectedScene) -> Cutout | None:
     use = np.zeros(cutout.use.shape, dtype=bool)
     for center, reach in circles:
         use |= near(center, reach, square=True)
-    for name, place in company.apart.items():
+    for name, place in detected.apart.items():
         if np.isfinite(place).all():
             use &= ~near(place, outline_radius_px(picture, name) + spread + NEIGHBOUR_ERROR_PX, square=False)
     return replace(cutout, use=cutout.use & use)

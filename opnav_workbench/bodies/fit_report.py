@@ -24,7 +24,7 @@ from opnav_workbench.bodies.results import (
     SIZE_TOLERANCE,
     BodyCenter,
     BodyFlag,
-    BodyPictures,
+    BodyResiduals,
     ModelFit,
     flag_messages,
     flags_where,
@@ -201,7 +201,7 @@ RENDERING_ERROR_PX = 0.004
 def report_fitted_bodies(
     picture: BodyPicture,
     cutout: Cutout,
-    company: DetectedScene,
+    detected: DetectedScene,
     fit: SceneFit,
     method: str,
     range_solved: BoolArray,
@@ -209,17 +209,17 @@ def report_fitted_bodies(
     """Return the centers of the bodies that were found, and their joint covariance (2 n, 2 n)."""
     patterns = _patterns(fit)
     n = len(fit.state.names)
-    honest = fit.noise_covariance * _misfit_factor(fit, patterns)
-    honest = honest + sum(pattern.covariance for pattern in patterns)
+    covariance = fit.noise_covariance * _misfit_factor(fit, patterns)
+    covariance = covariance + sum(pattern.covariance for pattern in patterns)
     own = np.array([_rendering_error(picture, fit, index) for index in range(n)]) ** 2
-    honest[np.arange(2 * n), np.arange(2 * n)] += np.repeat(own + picture.excess_sigma_px**2, 2)
+    covariance[np.arange(2 * n), np.arange(2 * n)] += np.repeat(own + picture.excess_sigma_px**2, 2)
     ratios = np.full(n, np.nan)
     if not range_solved.any():
-        ratios = size_ratios(picture, cutout, fit, tuple(company.found.values()))
-    reported = list(company.found)
-    task = _FitContext(picture, cutout, company, fit, method, range_solved, patterns, honest, ratios)
-    centers = {name: _body_center(task, index) for index, name in enumerate(reported)}
-    return centers, honest[: 2 * len(reported), : 2 * len(reported)]
+        ratios = size_ratios(picture, cutout, fit, tuple(detected.found.values()))
+    reported = list(detected.found)
+    context = _FitContext(picture, cutout, detected, fit, method, range_solved, patterns, covariance, ratios)
+    centers = {name: _body_center(context, index) for index, name in enumerate(reported)}
+    return centers, covariance[: 2 * len(reported), : 2 * len(reported)]
 
 
 def _rendering_error(picture: BodyPicture, fit: SceneFit, index: int) -> float:
@@ -232,7 +232,7 @@ def _rendering_error(picture: BodyPicture, fit: SceneFit, index: int) -> float:
 class _FitContext:
     picture: BodyPicture
     cutout: Cutout
-    company: DetectedScene
+    detected: DetectedScene
     fit: SceneFit
     method: str
     range_solved: BoolArray
@@ -271,49 +271,49 @@ def explained_share(
     return float(np.clip(1.0 - left / max(power, 1e-300), 0.0, 1.0))
 
 
-def _body_center(task: _FitContext, index: int) -> BodyCenter:
-    fit, name = task.fit, task.fit.state.names[index]
+def _body_center(context: _FitContext, index: int) -> BodyCenter:
+    fit, name = context.fit, context.fit.state.names[index]
     scale, light = float(fit.state.scales[index]), fit.light.each[index] * fit.state.scales[index]
     scale_sigma = float(np.sqrt(fit.covariance[_scale_row(fit, index), _scale_row(fit, index)]))
     if not scale > 0.0 or not np.isfinite(fit.state.centers_px[index]).all():
         return BodyCenter.without_center(
-            name, task.method, "not_detected", "the fit found no light of it at its place"
+            name, context.method, "not_detected", "the fit found no light of it at its place"
         )
     part = slice(2 * index, 2 * index + 2)
     evidence = FitEvidence(
-        found=task.company.found[name],
+        found=context.detected.found[name],
         center_px=fit.state.centers_px[index],
-        covariance_px2=task.covariance[part, part],
+        covariance_px2=context.covariance[part, part],
         snr=scale / scale_sigma if scale_sigma > 0.0 else np.nan,
         occulted=float(fit.light.occulted[index]),
         light_dn=light,
         flux_dn=float(fit.light.flux_dn[index]) * scale,
-        use=task.cutout.use & ~fit.hits,
-        saturated=task.cutout.saturated,
+        use=context.cutout.use & ~fit.hits,
+        saturated=context.cutout.saturated,
         hits=fit.hits,
         explained=explained_share(
-            task.cutout.data_dn, fit.residual_dn, fit.weight, light, fit.state.level_dn
+            context.cutout.data_dn, fit.residual_dn, fit.weight, light, fit.state.level_dn
         ),
-        size_ratio=float(task.size_ratios[index]),
+        size_ratio=float(context.size_ratios[index]),
         converged=fit.converged,
     )
-    return _result(task, index, evidence, scale_sigma)
+    return _result(context, index, evidence, scale_sigma)
 
 
-def _result(task: _FitContext, index: int, evidence: FitEvidence, scale_sigma: float) -> BodyCenter:
-    fit, picture = task.fit, task.picture
+def _result(context: _FitContext, index: int, evidence: FitEvidence, scale_sigma: float) -> BodyCenter:
+    fit, picture = context.fit, context.picture
     name, part = fit.state.names[index], slice(2 * index, 2 * index + 2)
-    solved = bool(task.range_solved[index])
+    solved = bool(context.range_solved[index])
     flags = fit_flags(picture, evidence, size_solved=solved)
     range_km = picture.model(name).target.range_km * float(np.exp(fit.state.log_range[index]))
     log_sigma = np.nan
     if solved:
-        row = 2 * len(fit.state.names) + int(task.range_solved[:index].sum())
-        log_sigma = float(np.sqrt(task.covariance[row, row]))
+        row = 2 * len(fit.state.names) + int(context.range_solved[:index].sum())
+        log_sigma = float(np.sqrt(context.covariance[row, row]))
     diameter = float(fit.light.diameter_px[index])
     return BodyCenter(
         name=name,
-        method=task.method,
+        method=context.method,
         status=fit_status(evidence, flags),
         pixel_line=evidence.center_px,
         covariance_px2=evidence.covariance_px2,
@@ -331,18 +331,18 @@ def _result(task: _FitContext, index: int, evidence: FitEvidence, scale_sigma: f
         background_sigma_dn=float(np.sqrt(fit.covariance[-1, -1])),
         range_km=range_km if solved else np.nan,
         range_sigma_km=range_km * log_sigma,
-        pictures=_pictures(task),
-        detail=_detail(task, index),
+        pictures=_pictures(context),
+        detail=_detail(context, index),
     )
 
 
-def _pictures(task: _FitContext) -> BodyPictures:
-    fit = task.fit
-    return BodyPictures(
-        window=task.cutout.window,
-        data_dn=task.cutout.data_dn,
+def _pictures(context: _FitContext) -> BodyResiduals:
+    fit = context.fit
+    return BodyResiduals(
+        window=context.cutout.window,
+        data_dn=context.cutout.data_dn,
         model_dn=fit.model_dn + fit.state.level_dn,
-        difference_dn=np.where(task.cutout.use, fit.residual_dn, 0.0),
+        difference_dn=np.where(context.cutout.use, fit.residual_dn, 0.0),
         mask=fit.weight > 0.0,
     )
 
@@ -351,12 +351,12 @@ def _scale_row(fit: SceneFit, index: int) -> int:
     return len(fit.columns) - 1 - len(fit.state.names) + index
 
 
-def _detail(task: _FitContext, index: int) -> ModelFit:
-    fit, names = task.fit, task.fit.state.names
-    solved = [name for name, wanted in zip(names, task.range_solved, strict=True) if wanted]
+def _detail(context: _FitContext, index: int) -> ModelFit:
+    fit, names = context.fit, context.fit.state.names
+    solved = [name for name, wanted in zip(names, context.range_solved, strict=True) if wanted]
     parameters = [f"{name} {axis}" for name in names for axis in ("pixel", "line")]
     parameters += [f"{name} log range" for name in solved] + [f"{name} scale" for name in names] + ["level"]
-    log_range = fit.state.log_range[task.range_solved]
+    log_range = fit.state.log_range[context.range_solved]
     values = [*fit.state.centers_px.ravel(), *log_range, *fit.state.scales, fit.state.level_dn]
     return ModelFit(
         parameters=tuple(parameters),
@@ -365,6 +365,6 @@ def _detail(task: _FitContext, index: int) -> ModelFit:
         iterations=tuple((float(step[index, 0]), float(step[index, 1])) for step in fit.steps_px),
         residual_sigma=fit.residual_dn * np.sqrt(fit.weight),
         hits=fit.hits,
-        pattern_sigma=task.patterns[index].relative_sigma,
-        pattern_length_px=task.patterns[index].length_px,
+        pattern_sigma=context.patterns[index].relative_sigma,
+        pattern_length_px=context.patterns[index].length_px,
     )

@@ -64,18 +64,18 @@ def find_jointly(
     """
     _check(picture, names)
     search = SearchRequest(METHOD, circles or {}, solve_range, search_radius_px)
-    company = detect_bodies(picture, names, search)
-    if not company.found:
-        return _collected(names, company.missed, {}, np.empty((0, 0)))
-    cutout = fit_pixels(picture, company)
-    fitted = (*company.found, *company.overlapping)
+    detected = detect_bodies(picture, names, search)
+    if not detected.found:
+        return _collected(names, detected.missed, {}, np.empty((0, 0)))
+    cutout = fit_pixels(picture, detected)
+    fitted = (*detected.found, *detected.overlapping)
     enough = MIN_PIXELS_PER_PARAMETER * (4 * len(fitted) + 1)
     if cutout is None or np.count_nonzero(cutout.use) < enough:
-        return _collected(names, {**company.missed, **_empty(company)}, {}, np.empty((0, 0)))
-    wanted = np.array([solve_range and name in company.found for name in fitted])
-    fit = fit_scene(picture, cutout, _start(company, solve_range=solve_range), solve_range=wanted)
-    centers, covariance = report_fitted_bodies(picture, cutout, company, fit, METHOD, wanted)
-    return _collected(names, company.missed, centers, covariance)
+        return _collected(names, {**detected.missed, **_empty(detected)}, {}, np.empty((0, 0)))
+    wanted = np.array([solve_range and name in detected.found for name in fitted])
+    fit = fit_scene(picture, cutout, _start(detected, solve_range=solve_range), solve_range=wanted)
+    centers, covariance = report_fitted_bodies(picture, cutout, detected, fit, METHOD, wanted)
+    return _collected(names, detected.missed, centers, covariance)
 
 
 def _check(picture: BodyPicture, names: Sequence[str]) -> None:
@@ -85,20 +85,20 @@ def _check(picture: BodyPicture, names: Sequence[str]) -> None:
         picture.model(name)
 
 
-def _start(company: DetectedScene, *, solve_range: bool) -> SceneState:
-    names = (*company.found, *company.overlapping)
-    found = company.found.values()
+def _start(detected: DetectedScene, *, solve_range: bool) -> SceneState:
+    names = (*detected.found, *detected.overlapping)
+    found = detected.found.values()
     places = [(body.sized_place if solve_range else body.place).center_px for body in found]
     log_range = [-np.log(body.size_ratio) if solve_range else 0.0 for body in found]
-    places += list(company.overlapping.values())
-    log_range += [0.0] * len(company.overlapping)
+    places += list(detected.overlapping.values())
+    log_range += [0.0] * len(detected.overlapping)
     return SceneState(names, np.array(places), np.array(log_range), np.ones(len(names)))
 
 
-def _empty(company: DetectedScene) -> dict[str, BodyCenter]:
+def _empty(detected: DetectedScene) -> dict[str, BodyCenter]:
     return {
         name: BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
-        for name in company.found
+        for name in detected.found
     }
 
 

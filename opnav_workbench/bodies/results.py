@@ -29,7 +29,7 @@ __all__ = [
     "USED",
     "BodyCenter",
     "BodyFlag",
-    "BodyPictures",
+    "BodyResiduals",
     "FreeEllipse",
     "JointCenters",
     "LimbEllipse",
@@ -48,7 +48,7 @@ BODY_STATUSES = ("ok", "uncertain", "not_detected", "off_detector", "saturated",
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyPictures:
+class BodyResiduals:
     """The sub-array that a center was found in: data, model at the solution, and their difference.
 
     Attributes
@@ -104,7 +104,7 @@ class BodyCenter:
         What was left under the body.
     range_km, range_sigma_km : float
         Where the size was solved for.
-    pictures : BodyPictures or None
+    pictures : BodyResiduals or None
     detail : object or None
         The method's own arrays.
     """
@@ -128,7 +128,7 @@ class BodyCenter:
     background_sigma_dn: float = np.nan
     range_km: float = np.nan
     range_sigma_km: float = np.nan
-    pictures: BodyPictures | None = None
+    pictures: BodyResiduals | None = None
     detail: object | None = None
 
     def __post_init__(self) -> None:

@@ -334,15 +334,15 @@ def fit_scene(
         Leave out pixels whose light is not that of the bodies (see `find_hit_pixels`), and fit again.
     """
     wanted = np.zeros(len(start.names), dtype=bool) if solve_range is None else np.asarray(solve_range, bool)
-    task = _SceneProblem(picture, cutout, wanted)
+    problem = _SceneProblem(picture, cutout, wanted)
     first = _minimize(
-        task, _linearised(task, replace(start, scales=np.ones(len(start.names))), _no_hits(cutout))
+        problem, _linearised(problem, replace(start, scales=np.ones(len(start.names))), _no_hits(cutout))
     )
     hits = find_hit_pixels(first.residual_dn, first.weight) if reject_hits else _no_hits(cutout)
     if not hits.any():
         return first
-    again = _linearised(task, first.state, hits)
-    second = _minimize(task, again)
+    again = _linearised(problem, first.state, hits)
+    second = _minimize(problem, again)
     return replace(second, steps_px=first.steps_px + second.steps_px)
 
 
@@ -383,22 +383,24 @@ def _no_hits(cutout: Cutout) -> BoolArray:
 
 
 def _linearised(
-    task: _SceneProblem, state: SceneState, hits: BoolArray, known: _LinearizedScene | None = None
+    problem: _SceneProblem, state: SceneState, hits: BoolArray, known: _LinearizedScene | None = None
 ) -> _LinearizedScene:
     """Render a state, solve for its scales and level, and take the derivatives: those `known`, if they are near enough."""
     near = known is not None and float(np.abs(state.centers_px - known.derived_at).max()) < FRESH_PX
-    light = light_scene(task.picture, task.cutout.window, state, derivatives=not near)
+    light = light_scene(problem.picture, problem.cutout.window, state, derivatives=not near)
     before = state.scales
-    state, weight = solve_brightness(task.cutout, state, light.each, hits)
+    state, weight = solve_brightness(problem.cutout, state, light.each, hits)
     n = len(state.names)
     if known is not None and near:
-        ratio = np.concatenate([np.repeat(_ratio(state.scales, known.state.scales), 2), np.ones(task.count)])
-        changing, derived_at = known.columns[: 2 * n + task.count] * ratio[:, None, None], known.derived_at
+        ratio = np.concatenate(
+            [np.repeat(_ratio(state.scales, known.state.scales), 2), np.ones(problem.count)]
+        )
+        changing, derived_at = known.columns[: 2 * n + problem.count] * ratio[:, None, None], known.derived_at
     else:
         moving = light.d_center * np.repeat(_ratio(state.scales, before), 2)[:, None, None]
-        sizes = range_derivatives(task.picture, task.cutout.window, state, light, task.wanted)
+        sizes = range_derivatives(problem.picture, problem.cutout.window, state, light, problem.wanted)
         changing, derived_at = np.concatenate([moving, sizes]), state.centers_px
-    residual = task.cutout.data_dn - light.total(state.scales) - state.level_dn
+    residual = problem.cutout.data_dn - light.total(state.scales) - state.level_dn
     columns = np.concatenate([changing, light.each, np.ones((1, *weight.shape))])
     return _LinearizedScene(state, light, columns, weight, residual, hits, derived_at)
 
@@ -421,47 +423,47 @@ def solve_brightness(
     return replace(state, scales=solved[:-1], level_dn=float(solved[-1])), weight
 
 
-def _minimize(task: _SceneProblem, linear: _LinearizedScene) -> SceneFit:
+def _minimize(problem: _SceneProblem, linear: _LinearizedScene) -> SceneFit:
     """Step until the steps are small; a step that makes the fit worse is halved."""
     steps: list[FloatArray] = []
     for _ in range(MAX_RENDERINGS):
-        change = _step(linear, task)
-        small = _length(change, linear, task) < CONVERGED_PX
-        state = _stepped(linear.state, change, task)
+        change = _step(linear, problem)
+        small = _length(change, linear, problem) < CONVERGED_PX
+        state = _stepped(linear.state, change, problem)
         steps.append(state.centers_px - linear.state.centers_px)
         if small:
             return _finished(linear, change, state, tuple(steps), converged=True)
-        previous, linear = linear, _linearised(task, state, linear.hits, linear)
+        previous, linear = linear, _linearised(problem, state, linear.hits, linear)
         if linear.chi2 / linear.degrees > GROWTH * previous.chi2 / previous.degrees:
             steps[-1] = 0.5 * steps[-1]
-            linear = _linearised(task, _between(previous.state, state), previous.hits, previous)
+            linear = _linearised(problem, _between(previous.state, state), previous.hits, previous)
     return _finished(linear, np.zeros(len(linear.columns)), linear.state, tuple(steps), converged=False)
 
 
-def _step(linear: _LinearizedScene, task: _SceneProblem) -> FloatArray:
+def _step(linear: _LinearizedScene, problem: _SceneProblem) -> FloatArray:
     """Return the change of all parameters, those of centers and ranges within limits."""
     change = solve_normal(
         normal_matrix(linear.columns, linear.weight),
         right_hand_side(linear.columns, linear.weight, linear.residual),
     )
-    n, k = len(linear.state.names), task.count
+    n, k = len(linear.state.names), problem.count
     centers = change[: 2 * n].reshape(n, 2)
     longest = float(np.sqrt(np.max(np.sum(centers**2, axis=1))))
     largest = float(np.abs(change[2 * n : 2 * n + k]).max(initial=0.0))
     return change * min(1.0, MAX_STEP_PX / max(longest, 1e-300), MAX_STEP_LOG / max(largest, 1e-300))
 
 
-def _length(change: FloatArray, linear: _LinearizedScene, task: _SceneProblem) -> float:
+def _length(change: FloatArray, linear: _LinearizedScene, problem: _SceneProblem) -> float:
     """Return how far a step moves centers and limbs, px."""
-    n, k = len(linear.state.names), task.count
-    limbs = change[2 * n : 2 * n + k] * 0.5 * linear.light.diameter_px[task.wanted]
+    n, k = len(linear.state.names), problem.count
+    limbs = change[2 * n : 2 * n + k] * 0.5 * linear.light.diameter_px[problem.wanted]
     return float(np.abs(np.concatenate([change[: 2 * n], limbs])).max())
 
 
-def _stepped(state: SceneState, change: FloatArray, task: _SceneProblem) -> SceneState:
-    n, k = len(state.names), task.count
+def _stepped(state: SceneState, change: FloatArray, problem: _SceneProblem) -> SceneState:
+    n, k = len(state.names), problem.count
     log_range = np.zeros(n)
-    log_range[task.wanted] = change[2 * n : 2 * n + k]
+    log_range[problem.wanted] = change[2 * n : 2 * n + k]
     limited = np.clip(state.log_range + log_range, -MAX_LOG_RANGE, MAX_LOG_RANGE) - state.log_range
     moved = state.moved(change[: 2 * n].reshape(n, 2), limited)
     scales = state.scales + change[2 * n + k : 3 * n + k]

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies.detection import detection_snr
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
-from opnav_workbench.bodies.results import BodyCenter, BodyFlag, BodyPictures
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag, BodyResiduals
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.stars import (
@@ -149,7 +149,7 @@ class StarFitAssessment:
         return []
 
 
-def _pictures(fit: StarCenters) -> BodyPictures | None:
+def _pictures(fit: StarCenters) -> BodyResiduals | None:
     images = fit.images
     if images is None:
         return None
@@ -158,7 +158,7 @@ def _pictures(fit: StarCenters) -> BodyPictures | None:
     pixel, line = (int(n) for n in images.first[0])
     known = np.where(np.isfinite(data), data, 0.0)
     window = (pixel, line, images.size, images.size)
-    return BodyPictures(window, known, model, np.where(mask, known - model, 0.0), mask)
+    return BodyResiduals(window, known, model, np.where(mask, known - model, 0.0), mask)
 
 
 def _misfit(fit: StarCenters) -> float:
@@ -413,7 +413,7 @@ def find_unresolved_body(
     expected = picture.center_px(name) if circle is None else circle.center_px
     diameter = picture.diameter_px(name)
     others = [picture.center_px(m.target.name) for m in picture.models if m.target.name != name]
-    task = _StarLikeRequest(
+    request = _StarLikeRequest(
         picture=picture,
         name=name,
         prior=prior or psf_prior(picture),
@@ -424,13 +424,13 @@ def find_unresolved_body(
         final=final,
         law_px2=law_covariance(picture, name, law_sigma),
     )
-    found = task.measured(picture.signal_dn, expected, np.zeros(2))
+    found = request.measured(picture.signal_dn, expected, np.zeros(2))
     if picture.model(name).is_point or found.status in ("off_detector", "saturated", "failed"):
         return found
     for _ in range(MAX_ROUNDS):
         if found.pixel_line is None:
             break
-        before, found = found.pixel_line, _corrected(task, found, expected)
+        before, found = found.pixel_line, _corrected(request, found, expected)
         if found.pixel_line is not None and np.abs(found.pixel_line - before).max() < STILL_PX:
             break
     return found
@@ -492,14 +492,14 @@ class _StarLikeRequest:
         )
 
 
-def _corrected(task: _StarLikeRequest, found: BodyCenter, expected: FloatArray) -> BodyCenter:
+def _corrected(request: _StarLikeRequest, found: BodyCenter, expected: FloatArray) -> BodyCenter:
     """Measure the body again, with what its rendered light at the place found shows."""
     assert found.pixel_line is not None
-    picture, center = task.picture, found.pixel_line
-    margin = default_box_px(task.prior.sigma_px) + MARGIN_PX
-    radius = max(0.5 * task.diameter_px, 0.5)
-    part = choose_subarray(picture, task.name, Circle(center, radius), margin)
-    light = model_picture(picture, part.window, {task.name: center}, only=(task.name,))
+    picture, center = request.picture, found.pixel_line
+    margin = default_box_px(request.prior.sigma_px) + MARGIN_PX
+    radius = max(0.5 * request.diameter_px, 0.5)
+    part = choose_subarray(picture, request.name, Circle(center, radius), margin)
+    light = model_picture(picture, part.window, {request.name: center}, only=(request.name,))
     if part.empty or not light.sum() > 0.0:
         return found
     raised = max(1.0, CLEAR_SNR / found.snr)
@@ -509,24 +509,24 @@ def _corrected(task: _StarLikeRequest, found: BodyCenter, expected: FloatArray) 
         picture.noise_dn[part.slices],
         picture.bad[part.slices],
         center - first,
-        task.prior,
-        name=task.name,
+        request.prior,
+        name=request.name,
         search_radius_px=radius + MARGIN_PX,
         saturated=picture.saturated[part.slices],
         noise_model=picture.noise_model,
-        diameter_px=task.diameter_px,
-        final=task.final,
+        diameter_px=request.diameter_px,
+        final=request.final,
     )
     if model.pixel_line is None:
         return found
     image = picture.signal_dn
-    if task.final == "least_squares" and model.pictures is not None:
+    if request.final == "least_squares" and model.pictures is not None:
         image = _without(image, model.pictures, part.window, raised)
-    return task.measured(image, expected, model.pixel_line + first - center)
+    return request.measured(image, expected, model.pixel_line + first - center)
 
 
 def _without(
-    image: FloatArray, own: BodyPictures, window: tuple[int, int, int, int], raised: float
+    image: FloatArray, own: BodyResiduals, window: tuple[int, int, int, int], raised: float
 ) -> FloatArray:
     """Return the image less what the body's light has beyond the Gaussian that is fitted to it."""
     pixel, line = own.window[0] + window[0], own.window[1] + window[1]

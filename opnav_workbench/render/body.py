@@ -112,7 +112,7 @@ class PlacedBody:
             self.albedo = self.albedo.coarsened(PATTERN_PX * pixel_rad)
             self._finely_patterned = self.albedo.cell_rad < COARSE_PATTERN_PX * pixel_rad
         self._shading_bodies: list[PlacedBody] = []
-        self._hiding_bodies: list[PlacedBody] = []
+        self._occulters: list[PlacedBody] = []
 
     @property
     def sunlight(self) -> float:
@@ -120,9 +120,9 @@ class PlacedBody:
         return float((AU_KM / np.linalg.norm(self.sun_km)) ** 2)
 
     @property
-    def hidden_by(self) -> "list[PlacedBody]":
+    def occulters(self) -> "list[PlacedBody]":
         """Bodies that may stand before this one."""
-        return self._hiding_bodies
+        return self._occulters
 
     @property
     def finely_patterned(self) -> bool:
@@ -138,17 +138,17 @@ class PlacedBody:
         """Return J2000 rays (3, n) in the body-fixed frame."""
         return np.asarray(self.body_from_j2000 @ rays)
 
-    def meet_others(self, others: "list[PlacedBody]") -> None:
+    def note_occulters(self, others: "list[PlacedBody]") -> None:
         """Note which of the other bodies may hide this one, or shade it."""
-        self._hiding_bodies = [b for b in others if b is not self and b.may_hide(self)]
+        self._occulters = [b for b in others if b is not self and b.may_occult(self)]
         self._shading_bodies = [b for b in others if b is not self and b.may_shade(self)]
 
     def radiance(self, rays: FloatArray) -> FloatArray:
         """Return I/F (n,) times sunlight (see `sunlight`) along rays; 0 where another body is nearer."""
-        points = self.surface.meet(self.to_body(rays))
+        points = self.surface.first_hits(self.to_body(rays))
         out = np.zeros(rays.shape[1])
         out[points.ray] = self.brightness(points.point, points.normal)
-        for other in self._hiding_bodies:
+        for other in self._occulters:
             if len(points.ray) == 0:
                 break
             hidden = other.blocks(rays[:, points.ray], points.distance)
@@ -171,7 +171,7 @@ class PlacedBody:
 
     def blocks(self, rays: FloatArray, distance: FloatArray) -> BoolArray:
         """Tell which rays meet this body before `distance` (n,), in lengths of the ray vectors."""
-        met: SurfacePoints = self.surface.meet(self.to_body(rays))
+        met: SurfacePoints = self.surface.first_hits(self.to_body(rays))
         out = np.zeros(rays.shape[1], dtype=bool)
         out[met.ray] = met.distance < distance[met.ray]
         return out
@@ -185,7 +185,7 @@ class PlacedBody:
         rays = self.body_from_j2000.T @ (nodes.point - self.camera_km[:, None])
         light = self.brightness(nodes.point, nodes.normal) * nodes.solid_angle
         seen = np.ones(len(light))
-        for other in self._hiding_bodies:
+        for other in self._occulters:
             seen[other.blocks(rays, np.ones(len(light)))] = 0.0
         return rays, light, seen
 
@@ -211,7 +211,7 @@ class PlacedBody:
         covered = 0.5 + (depth * np.sqrt(1.0 - depth * depth) + np.arcsin(depth)) / np.pi
         return np.asarray(1.0 - covered * min(1.0, (own_radius / sun_radius) ** 2))
 
-    def may_hide(self, other: "PlacedBody") -> bool:
+    def may_occult(self, other: "PlacedBody") -> bool:
         """Tell whether this body may stand before another, as the camera sees them."""
         cosine = self.position_km @ other.position_km
         across = float(np.linalg.norm(np.cross(self.position_km, other.position_km)))

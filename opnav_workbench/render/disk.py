@@ -215,7 +215,7 @@ def add_disk(
 
     def near_edge(rays: FloatArray, reach_rad: float) -> BoolArray:
         near = body.surface.crossed_by_limb(body.to_body(rays), reach_rad)
-        for other in body.hidden_by:
+        for other in body.occulters:
             near |= other.surface.crossed_by_limb(other.to_body(rays), reach_rad)
         return near
 

@@ -55,7 +55,7 @@ class Surface(Protocol):
         """Radius of a sphere about the body's center that holds the surface."""
         ...
 
-    def meet(self, rays: FloatArray) -> SurfacePoints:
+    def first_hits(self, rays: FloatArray) -> SurfacePoints:
         """Return where rays (3, n) from the camera first meet the surface."""
         ...
 
@@ -115,7 +115,7 @@ class Ellipsoid:
         """Its largest radius."""
         return float(self.radii_km.max())
 
-    def meet(self, rays: FloatArray) -> SurfacePoints:
+    def first_hits(self, rays: FloatArray) -> SurfacePoints:
         """Return where rays (3, n) from the camera first meet the surface."""
         scaled, under = self._discriminant(rays)
         toward = column_dot(self._camera, scaled)

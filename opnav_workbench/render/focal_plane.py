@@ -108,7 +108,7 @@ def place_scene(
         i: PlacedBody(model, camera.pixel_scale_rad) for i, model in enumerate(models) if not model.is_point
     }
     for body in placed.values():
-        body.meet_others(list(placed.values()))
+        body.note_occulters(list(placed.values()))
     return PlacedScene(replace(view, placed=tuple(placed.values())), tuple(models), each_psf, placed)
 
 

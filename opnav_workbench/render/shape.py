@@ -275,7 +275,7 @@ class PlateSurface:
         """Radius of the sphere about the center that holds the shape."""
         return self._shape.bounding_km
 
-    def meet(self, rays: FloatArray) -> SurfacePoints:
+    def first_hits(self, rays: FloatArray) -> SurfacePoints:
         """Return where rays (3, n) from the camera first meet the surface."""
         local = self._axes.T @ rays
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -306,7 +306,7 @@ class PlateSurface:
         reach = np.tan(np.arcsin(self.bounding_km / far))
         at = reach * ((2.0 * np.arange(NODES) + 1.0) / NODES - 1.0)
         u, v = (g.ravel() for g in np.meshgrid(at, at))
-        points = self.meet(self._axes @ np.stack([u, v, np.ones_like(u)]))
+        points = self.first_hits(self._axes @ np.stack([u, v, np.ones_like(u)]))
         lit = self.sunlit(points.point)
         u, v = u[points.ray[lit]], v[points.ray[lit]]
         solid_angle = (2.0 * reach / NODES) ** 2 * (1.0 + u * u + v * v) ** -1.5

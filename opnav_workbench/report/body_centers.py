@@ -18,7 +18,7 @@ from matplotlib.patches import Circle, Patch
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies import BodyCenter, BodyPictures
+from opnav_workbench.bodies import BodyCenter, BodyResiduals
 from opnav_workbench.errors import SessionError
 from opnav_workbench.report.body_panels import (
     DARK_EDGE,
@@ -141,7 +141,7 @@ def _center_numbers(shown: ShownBody, place: FloatArray) -> str:
     return "   ".join(words)
 
 
-def _draw_pictures(panels: Sequence[Axes], pictures: BodyPictures) -> list[tuple[Artist, str]]:
+def _draw_pictures(panels: Sequence[Axes], pictures: BodyResiduals) -> list[tuple[Artist, str]]:
     """Draw the three panels; return what the veil over pixels that were not used means, where there is one."""
     window, light = pictures.window, linear_limits(pictures.data_dn, pictures.model_dn)
     limit = symmetric_limit(pictures.difference_dn)

@@ -20,7 +20,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies import BodyCenter, BodyPictures, Circle, describe_body_flags
+from opnav_workbench.bodies import BodyCenter, BodyResiduals, Circle, describe_body_flags
 from opnav_workbench.bodies.results import LimbEllipse
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import radec_from_unit, tangent_basis
@@ -134,7 +134,7 @@ def _limb_of(center: BodyCenter) -> FloatArray:
     return center.detail.outline_px if isinstance(center.detail, LimbEllipse) else np.empty((0, 2))
 
 
-def pictures_around(shown: ShownBody) -> BodyPictures:
+def pictures_around(shown: ShownBody) -> BodyResiduals:
     """Return the pictures of a center; of a window much larger than the body, as of joint fits, the part around it.
 
     Raises
@@ -152,7 +152,7 @@ def pictures_around(shown: ShownBody) -> BodyPictures:
     )
 
 
-def _cut_around(pictures: BodyPictures, outline: FloatArray) -> BodyPictures:
+def _cut_around(pictures: BodyResiduals, outline: FloatArray) -> BodyResiduals:
     if not len(outline):
         return pictures
     first, size = np.array(pictures.window[:2]), np.array(pictures.window[2:])
@@ -164,7 +164,7 @@ def _cut_around(pictures: BodyPictures, outline: FloatArray) -> BodyPictures:
     end = np.clip(np.ceil(high + rim).astype(int) - first, begin + 1, size)
     part = np.s_[begin[1] : end[1], begin[0] : end[0]]
     window = tuple(int(value) for value in (*(first + begin), *(end - begin)))
-    return BodyPictures(
+    return BodyResiduals(
         window,  # type: ignore[arg-type]
         pictures.data_dn[part],
         pictures.model_dn[part],

@@ -56,79 +56,81 @@ CENTRAL_PART = (
 CENTRAL_SIGMA = 0.25
 
 
-def log_evidence(scene: StarField, limits: SearchLimits, h: RotationHypothesis) -> float:
+def log_evidence(star_field: StarField, limits: SearchLimits, h: RotationHypothesis) -> float:
     """Log of the evidence of one hypothesis and its surroundings, over that of detections at random."""
     if len(h.pairs) == 0:
         return -np.inf
-    pairs, missed = _log_ratios(scene, h)
-    return float(np.sum(pairs) + missed + _log_volume(scene, limits, h))
+    pairs, missed = _log_ratios(star_field, h)
+    return float(np.sum(pairs) + missed + _log_volume(star_field, limits, h))
 
 
-def log_ratio_of_other_stars(scene: StarField, h: RotationHypothesis, known: IntArray) -> float:
+def log_ratio_of_other_stars(star_field: StarField, h: RotationHypothesis, known: IntArray) -> float:
     """Log of the likelihood ratio of all stars but those in pairs (k, 2) that are taken as given."""
-    pairs, missed = _log_ratios(scene, h)
+    pairs, missed = _log_ratios(star_field, h)
     others = ~np.isin(h.pairs[:, 0], known[:, 0])
     return float(np.sum(pairs[others]) + missed)
 
 
-def _log_ratios(scene: StarField, h: RotationHypothesis) -> tuple[FloatArray, float]:
+def _log_ratios(star_field: StarField, h: RotationHypothesis) -> tuple[FloatArray, float]:
     """Log likelihood ratio of each pair (k,), and of the stars missed together."""
     star, detection = h.pairs.T
-    zero_point = _zero_point(scene, h)
-    detected = detection_probability(scene, zero_point)
-    background = len(scene.detected) / scene.area_px2
+    zero_point = _zero_point(star_field, h)
+    detected = detection_probability(star_field, zero_point)
+    background = len(star_field.detected) / star_field.area_px2
     gaussian = -0.5 * (h.distance_px / POSITION_SIGMA_PX) ** 2 - np.log(2.0 * np.pi * POSITION_SIGMA_PX**2)
-    missed = scene.inside(scene.places(h.rotation))
+    missed = star_field.inside(star_field.places(h.rotation))
     missed[star] = False
     pairs: FloatArray = (
-        gaussian + np.log(detected[star]) - np.log(background) + _log_sharpness_ratio(scene)[detection]
+        gaussian + np.log(detected[star]) - np.log(background) + _log_sharpness_ratio(star_field)[detection]
     )
-    return pairs + _log_brightness_ratio(scene, h, zero_point), float(np.sum(np.log1p(-detected[missed])))
+    return pairs + _log_brightness_ratio(star_field, h, zero_point), float(
+        np.sum(np.log1p(-detected[missed]))
+    )
 
 
-def detection_probability(scene: StarField, zero_point: float) -> FloatArray:
+def detection_probability(star_field: StarField, zero_point: float) -> FloatArray:
     """Probability (n,) that each star is among the detections, if it is on the detector."""
-    limit = scene.limit_mag + zero_point
-    bright = ndtr((limit - scene.magnitude) / LIMIT_SIGMA_MAG)
+    limit = star_field.limit_mag + zero_point
+    bright = ndtr((limit - star_field.magnitude) / LIMIT_SIGMA_MAG)
     return np.asarray(DETECTED_FAINT + (DETECTED_PART - DETECTED_FAINT) * bright)
 
 
-def _zero_point(scene: StarField, h: RotationHypothesis) -> float:
+def _zero_point(star_field: StarField, h: RotationHypothesis) -> float:
     if not np.isnan(h.zero_point_mag):
         return h.zero_point_mag
-    return float(np.median(scene.magnitude[h.pairs[:, 0]] - scene.detected_mag[h.pairs[:, 1]]))
+    return float(np.median(star_field.magnitude[h.pairs[:, 0]] - star_field.detected_mag[h.pairs[:, 1]]))
 
 
-def _log_sharpness_ratio(scene: StarField) -> FloatArray:
+def _log_sharpness_ratio(star_field: StarField) -> FloatArray:
     """Log ratio of how often a star, and any detection, looks as sharp as each detection; (m,)."""
-    part = (np.sum(scene.suspect) + 1.0) / (len(scene.suspect) + 2.0)
-    star = np.where(scene.suspect, SUSPECT_STARS, 1.0 - SUSPECT_STARS)
-    return np.asarray(np.log(star / np.where(scene.suspect, part, 1.0 - part)), float)
+    part = (np.sum(star_field.sharper_than_star) + 1.0) / (len(star_field.sharper_than_star) + 2.0)
+    star = np.where(star_field.sharper_than_star, SUSPECT_STARS, 1.0 - SUSPECT_STARS)
+    return np.asarray(np.log(star / np.where(star_field.sharper_than_star, part, 1.0 - part)), float)
 
 
-def _log_brightness_ratio(scene: StarField, h: RotationHypothesis, zero_point: float) -> FloatArray:
+def _log_brightness_ratio(star_field: StarField, h: RotationHypothesis, zero_point: float) -> FloatArray:
     """Log ratio of a star's brightness being as seen, and any detection's; (k,), with the cost of a zero point."""
     star, detection = h.pairs.T
     if np.isnan(h.zero_point_mag):
         return np.zeros(len(star))
-    seen = scene.detected_mag
+    seen = star_field.detected_mag
     spread = max(float(np.std(seen)), 1.0)
     any_one = -0.5 * ((seen[detection] - seen.mean()) / spread) ** 2 - np.log(spread)
-    off = seen[detection] + zero_point - scene.magnitude[star]
+    off = seen[detection] + zero_point - star_field.magnitude[star]
     core = (1.0 - BRIGHTNESS_OUTLIERS) * np.exp(-0.5 * (off / MAGNITUDE_SIGMA) ** 2) / MAGNITUDE_SIGMA
     tail = BRIGHTNESS_OUTLIERS * np.exp(-0.5 * (off / OUTLIER_SPREAD_MAG) ** 2) / OUTLIER_SPREAD_MAG
-    ratio = np.where(scene.censored[detection], 0.0, np.log(core + tail) - any_one)
-    if np.isnan(scene.zero_point_mag):  # it was fitted to these very stars
+    ratio = np.where(star_field.saturated[detection], 0.0, np.log(core + tail) - any_one)
+    if np.isnan(star_field.zero_point_mag):  # it was fitted to these very stars
         cost = np.log(np.sqrt(2.0 * np.pi / len(star)) * MAGNITUDE_SIGMA / ZERO_POINT_RANGE_MAG)
         ratio = ratio + cost / len(star)
     return np.asarray(ratio)
 
 
-def _log_volume(scene: StarField, limits: SearchLimits, h: RotationHypothesis) -> float:
+def _log_volume(star_field: StarField, limits: SearchLimits, h: RotationHypothesis) -> float:
     """Log of the part of the searched shifts and twists, weighed by their prior, in which the fit is as good."""
-    place = scene.detected_plane[h.pairs[:, 1]]
+    place = star_field.detected_plane[h.pairs[:, 1]]
     k, lever = len(place), np.sum((place - place.mean(axis=0)) ** 2)
-    shift, _ = shift_and_twist(h.rotation, scene.focal_px)
+    shift, _ = shift_and_twist(h.rotation, star_field.focal_px)
     limit = max(limits.max_shift_px, limits.tolerance_px)
     uniform = 1.0 / (np.pi * limit**2)
     sigma = CENTRAL_SIGMA * limit
@@ -175,7 +177,7 @@ class Identification:
 
 
 def best_identification(
-    scene: StarField, limits: SearchLimits, hypotheses: list[RotationHypothesis], evidence: FloatArray
+    star_field: StarField, limits: SearchLimits, hypotheses: list[RotationHypothesis], evidence: FloatArray
 ) -> Identification:
     """Choose the likeliest hypothesis; its confidence is its share, "another field" having evidence one."""
     order = np.argsort(-evidence, kind="stable")
@@ -183,7 +185,9 @@ def best_identification(
     rotations = np.stack([h.rotation for h in hypotheses])
     distinct: list[int] = []
     for i in order:
-        near = _moved_px(scene, rotations[i], rotations[distinct]) <= SAME_TOLERANCES * limits.tolerance_px
+        near = (
+            _moved_px(star_field, rotations[i], rotations[distinct]) <= SAME_TOLERANCES * limits.tolerance_px
+        )
         if not (np.any(near) or any(2 * len(pairs[i] & pairs[j]) > len(pairs[i]) for j in distinct)):
             distinct.append(int(i))
     best = hypotheses[distinct[0]]
@@ -191,48 +195,48 @@ def best_identification(
     confidence = float(np.exp(evidence[distinct[0]] - total))
     if len(best.pairs) == 1:
         confidence = min(confidence, SINGLE_STAR_CONFIDENCE)
-    return identification_from(scene, best, confidence)
+    return identification_from(star_field, best, confidence)
 
 
-def identification_from(scene: StarField, best: RotationHypothesis, confidence: float) -> Identification:
+def identification_from(star_field: StarField, best: RotationHypothesis, confidence: float) -> Identification:
     """Word a hypothesis as the identification."""
-    shift, twist = shift_and_twist(best.rotation, scene.focal_px)
+    shift, twist = shift_and_twist(best.rotation, star_field.focal_px)
     return Identification(
-        scene.pixel_from_plane @ shift,
+        star_field.pixel_from_plane @ shift,
         float(twist),
         best.pairs,
         confidence,
-        _message(scene, best, confidence),
+        _message(star_field, best, confidence),
         _none_if_nan(best.zero_point_mag),
         best.rotation,
     )
 
 
-def _moved_px(scene: StarField, rotation: FloatArray, others: FloatArray) -> FloatArray:
+def _moved_px(star_field: StarField, rotation: FloatArray, others: FloatArray) -> FloatArray:
     """Return how far the detector's corners are apart (n,), px, by a rotation and by others (n, 3, 3)."""
     between = vector_from_rotation(rotation @ np.swapaxes(others, -1, -2))
     shift, twist = np.hypot(between[:, 0], between[:, 1]), np.abs(between[:, 2])
-    return np.asarray(scene.focal_px * shift + scene.half_diagonal_px * twist)
+    return np.asarray(star_field.focal_px * shift + star_field.half_diagonal_px * twist)
 
 
-def _message(scene: StarField, h: RotationHypothesis, confidence: float) -> str:
+def _message(star_field: StarField, h: RotationHypothesis, confidence: float) -> str:
     doubt = "" if confidence >= SURE_CONFIDENCE else ": not sure, confirm by eye or mark two stars"
     if len(h.pairs) == 1:
-        known = "nearness" if np.isnan(scene.zero_point_mag) else "brightness and nearness"
+        known = "nearness" if np.isnan(star_field.zero_point_mag) else "brightness and nearness"
         return (
-            f"one star only, chosen among {len(scene.detected)} detections by {known} only, "
+            f"one star only, chosen among {len(star_field.detected)} detections by {known} only, "
             f"confidence {confidence:.2f}{doubt}"
         )
-    expected = int(scene.inside(scene.places(h.rotation)).sum())
+    expected = int(star_field.inside(star_field.places(h.rotation)).sum())
     return (
         f"{len(h.pairs)} of {expected} stars on the detector identified, confidence {confidence:.4f}{doubt}"
     )
 
 
-def no_identification(scene: StarField, message: str) -> Identification:
+def no_identification(star_field: StarField, message: str) -> Identification:
     """Return that nothing is identified, and why."""
     return Identification(
-        np.zeros(2), 0.0, np.zeros((0, 2), np.int64), 0.0, message, _none_if_nan(scene.zero_point_mag)
+        np.zeros(2), 0.0, np.zeros((0, 2), np.int64), 0.0, message, _none_if_nan(star_field.zero_point_mag)
     )
 
 

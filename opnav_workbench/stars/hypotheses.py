@@ -45,69 +45,77 @@ FAINT_MARGIN_MAG = 1.0  # stars fainter than the faintest detection by more do n
 
 
 def vote_for_rotations(
-    scene: StarField, limits: SearchLimits, detections: IntArray | None = None, kept: int = KEPT_HYPOTHESES
+    star_field: StarField,
+    limits: SearchLimits,
+    detections: IntArray | None = None,
+    kept: int = KEPT_HYPOTHESES,
 ) -> FloatArray:
     """Return the rotations (h, 3, 3) with most votes, best first, at most `kept`; given detections alone vote."""
-    stars, brightest = _voters(scene, limits)
+    stars, brightest = _voters(star_field, limits)
     detections = brightest if detections is None else detections
-    allowed = _allowed_pairs(scene, limits, stars, detections)
-    star_pairs, detection_pairs = _pairs_of_pairs(scene, stars, detections, allowed)
-    rotation = pair_rotations(scene, star_pairs, detection_pairs)
-    shift, twist = shift_and_twist(rotation, scene.focal_px)
+    allowed = _allowed_pairs(star_field, limits, stars, detections)
+    star_pairs, detection_pairs = _pairs_of_pairs(star_field, stars, detections, allowed)
+    rotation = pair_rotations(star_field, star_pairs, detection_pairs)
+    shift, twist = shift_and_twist(rotation, star_field.focal_px)
     separation = np.linalg.norm(
-        scene.detected_plane[detection_pairs[:, 0]] - scene.detected_plane[detection_pairs[:, 1]], axis=1
+        star_field.detected_plane[detection_pairs[:, 0]] - star_field.detected_plane[detection_pairs[:, 1]],
+        axis=1,
     )
     slack = limits.tolerance_px / np.maximum(separation, 1.0)
-    reach = limits.max_shift_px + limits.tolerance_px + slack * scene.half_diagonal_px
+    reach = limits.max_shift_px + limits.tolerance_px + slack * star_field.half_diagonal_px
     fits = (np.hypot(*shift.T) <= reach) & (np.abs(twist) <= limits.max_twist_rad + slack)
-    chosen = _fullest_cells(scene, limits, shift[fits], twist[fits], separation[fits])[:kept]
+    chosen = _fullest_cells(star_field, limits, shift[fits], twist[fits], separation[fits])[:kept]
     return np.asarray(rotation[fits][chosen])
 
 
-def _voters(scene: StarField, limits: SearchLimits) -> tuple[IntArray, IntArray]:
+def _voters(star_field: StarField, limits: SearchLimits) -> tuple[IntArray, IntArray]:
     """Brightest stars that can be on the detector, and brightest detections, those that may be stars first."""
-    reach = scene.half_diagonal_px + limits.max_shift_px
-    plane = scene.plane(scene.stars)
+    reach = star_field.half_diagonal_px + limits.max_shift_px
+    plane = star_field.plane(star_field.stars)
     near = np.hypot(*plane.T) <= reach
-    if not np.isnan(scene.zero_point_mag):
-        near &= scene.magnitude <= scene.limit_mag + scene.zero_point_mag + FAINT_MARGIN_MAG
+    if not np.isnan(star_field.zero_point_mag):
+        near &= star_field.magnitude <= star_field.limit_mag + star_field.zero_point_mag + FAINT_MARGIN_MAG
     if limits.max_twist_rad < 0.1:  # what stays off the detector however the field is shifted
         margin = limits.max_shift_px + limits.max_twist_rad * reach
-        near &= scene.inside(plane - np.clip(plane, -margin, margin))
-    share = max(np.pi * reach**2 / scene.area_px2, 1.0) if limits.max_twist_rad >= 0.1 else (
-        np.prod(scene.size_px + 2.0 * limits.max_shift_px) / scene.area_px2
+        near &= star_field.inside(plane - np.clip(plane, -margin, margin))
+    share = max(np.pi * reach**2 / star_field.area_px2, 1.0) if limits.max_twist_rad >= 0.1 else (
+        np.prod(star_field.size_px + 2.0 * limits.max_shift_px) / star_field.area_px2
     )  # fmt: skip
     count = min(int(STARS_ON_DETECTOR * share), VOTING_STARS)
     stars = np.flatnonzero(near)
-    stars = stars[np.argsort(scene.magnitude[stars], kind="stable")[:count]]
-    detections = np.lexsort((scene.detected_mag, scene.suspect))[:VOTING_DETECTIONS]
+    stars = stars[np.argsort(star_field.magnitude[stars], kind="stable")[:count]]
+    detections = np.lexsort((star_field.detected_mag, star_field.sharper_than_star))[:VOTING_DETECTIONS]
     return stars, detections
 
 
 def _allowed_pairs(
-    scene: StarField, limits: SearchLimits, stars: IntArray, detections: IntArray
+    star_field: StarField, limits: SearchLimits, stars: IntArray, detections: IntArray
 ) -> BoolArray:
     """Which star may be which detection, by place and brightness; (stars, detections)."""
-    plane, seen = scene.plane(scene.stars[stars]), scene.detected_plane[detections]
+    plane, seen = star_field.plane(star_field.stars[stars]), star_field.detected_plane[detections]
     turn = 2.0 * np.sin(0.5 * min(limits.max_twist_rad, np.pi)) * np.hypot(*plane.T)
     # Off the boresight the tangent plane stretches shifts by a few per cent in the widest fields.
     reach = 1.1 * limits.max_shift_px + turn + 2.0 * limits.tolerance_px
     offset = plane[:, None] - seen
     allowed = np.asarray(np.hypot(offset[..., 0], offset[..., 1]) <= reach[:, None])
-    if not np.isnan(scene.zero_point_mag):
-        difference = scene.detected_mag[detections] + scene.zero_point_mag - scene.magnitude[stars][:, None]
+    if not np.isnan(star_field.zero_point_mag):
+        difference = (
+            star_field.detected_mag[detections]
+            + star_field.zero_point_mag
+            - star_field.magnitude[stars][:, None]
+        )
         allowed &= (np.abs(difference) <= MAGNITUDE_TOLERANCE) | (
-            scene.censored[detections] & (difference > 0.0)
+            star_field.saturated[detections] & (difference > 0.0)
         )
     return allowed
 
 
 def _pairs_of_pairs(
-    scene: StarField, stars: IntArray, detections: IntArray, allowed: BoolArray
+    star_field: StarField, stars: IntArray, detections: IntArray, allowed: BoolArray
 ) -> tuple[IntArray, IntArray]:
     """Pairs of stars and pairs of detections of the same separation and difference in brightness; (h, 2) each."""
-    points = scene.focal_px * scene.stars[stars]
-    seen = scene.focal_px * scene.detected[detections]
+    points = star_field.focal_px * star_field.stars[stars]
+    seen = star_field.focal_px * star_field.detected[detections]
     first, second = np.triu_indices(len(seen), 1)
     apart = np.linalg.norm(seen[first] - seen[second], axis=1)
     candidates = cKDTree(points).query_pairs(
@@ -126,7 +134,7 @@ def _pairs_of_pairs(
     a, b, i, j = np.r_[a, b], np.r_[b, a], np.r_[i, i], np.r_[j, j]
     good = allowed[a, i] & allowed[b, j]
     a, b, i, j = stars[a[good]], stars[b[good]], detections[i[good]], detections[j[good]]
-    good = _same_contrast(scene, a, b, i, j)
+    good = _same_contrast(star_field, a, b, i, j)
     return np.column_stack([a, b])[good], np.column_stack([i, j])[good]
 
 
@@ -137,17 +145,17 @@ def _within_budget(first: IntArray, second: IntArray, count: IntArray) -> IntArr
     return np.where(total[rank] <= PAIR_BUDGET, count, 0)
 
 
-def _same_contrast(scene: StarField, a: IntArray, b: IntArray, i: IntArray, j: IntArray) -> BoolArray:
-    stars = scene.magnitude[a] - scene.magnitude[b]
-    seen = scene.detected_mag[i] - scene.detected_mag[j]
-    unknown = scene.censored[i] | scene.censored[j]
+def _same_contrast(star_field: StarField, a: IntArray, b: IntArray, i: IntArray, j: IntArray) -> BoolArray:
+    stars = star_field.magnitude[a] - star_field.magnitude[b]
+    seen = star_field.detected_mag[i] - star_field.detected_mag[j]
+    unknown = star_field.saturated[i] | star_field.saturated[j]
     return np.asarray(unknown | (np.abs(stars - seen) <= MAGNITUDE_TOLERANCE))
 
 
-def pair_rotations(scene: StarField, star_pairs: IntArray, detection_pairs: IntArray) -> FloatArray:
+def pair_rotations(star_field: StarField, star_pairs: IntArray, detection_pairs: IntArray) -> FloatArray:
     """Rotations (h, 3, 3) that turn pairs of stars onto pairs of detections."""
-    stars = _pair_axes(scene.stars[star_pairs[:, 0]], scene.stars[star_pairs[:, 1]])
-    seen = _pair_axes(scene.detected[detection_pairs[:, 0]], scene.detected[detection_pairs[:, 1]])
+    stars = _pair_axes(star_field.stars[star_pairs[:, 0]], star_field.stars[star_pairs[:, 1]])
+    seen = _pair_axes(star_field.detected[detection_pairs[:, 0]], star_field.detected[detection_pairs[:, 1]])
     return np.asarray(np.swapaxes(seen, -1, -2) @ stars)
 
 
@@ -160,13 +168,13 @@ def _pair_axes(one: FloatArray, two: FloatArray) -> FloatArray:
 
 
 def _fullest_cells(
-    scene: StarField, limits: SearchLimits, shift: FloatArray, twist: FloatArray, separation: FloatArray
+    star_field: StarField, limits: SearchLimits, shift: FloatArray, twist: FloatArray, separation: FloatArray
 ) -> IntArray:
     """One vote from each of the fullest cells, that of its widest pair."""
     size = CELL_TOLERANCES * limits.tolerance_px
-    turn = (twist + np.pi) * scene.half_diagonal_px
+    turn = (twist + np.pi) * star_field.half_diagonal_px
     place = np.column_stack([shift, turn]) / size
-    period = max(int(np.ceil(2.0 * np.pi * scene.half_diagonal_px / size)), 1)
+    period = max(int(np.ceil(2.0 * np.pi * star_field.half_diagonal_px / size)), 1)
     votes = np.zeros(len(place), np.int64)
     cell = np.zeros(len(place), np.int64)
     for grid, start in enumerate((0.0, 0.5)):  # a cluster on the edge of a cell is in the middle of another
@@ -192,53 +200,61 @@ REFINEMENTS = 4
 FIRST_TOLERANCES = 2.5  # a guess from one pair is off by this many tolerances at the far end of the detector
 
 
-def most_promising(scene: StarField, limits: SearchLimits, rotations: FloatArray, count: int) -> FloatArray:
+def most_promising(
+    star_field: StarField, limits: SearchLimits, rotations: FloatArray, count: int
+) -> FloatArray:
     """Return the `count` rotations (k, 3, 3) that bring most stars near detections, best first."""
-    places = scene.places(rotations)
-    on = scene.inside(places)
+    places = star_field.places(rotations)
+    on = star_field.inside(places)
     reach = FIRST_TOLERANCES * limits.tolerance_px
     distance = np.full(on.shape, np.inf)
-    found, index = scene.tree.query(places[on], distance_upper_bound=reach)
+    found, index = star_field.tree.query(places[on], distance_upper_bound=reach)
     seen = np.isfinite(found)
-    if not np.isnan(scene.zero_point_mag):
+    if not np.isnan(star_field.zero_point_mag):
         detection = np.where(seen, index, 0)
-        difference = scene.detected_mag[detection] + scene.zero_point_mag - scene.magnitude[np.nonzero(on)[1]]
-        seen &= (np.abs(difference) <= MAGNITUDE_TOLERANCE) | scene.censored[detection]
+        difference = (
+            star_field.detected_mag[detection]
+            + star_field.zero_point_mag
+            - star_field.magnitude[np.nonzero(on)[1]]
+        )
+        seen &= (np.abs(difference) <= MAGNITUDE_TOLERANCE) | star_field.saturated[detection]
     distance[on] = np.where(seen, found, np.inf)
     score = np.sum(np.maximum(1.0 - 0.5 * (distance / reach) ** 2, 0.0), axis=1)
     return rotations[np.argsort(-score, kind="stable")[:count]]
 
 
-def refine_rotation(scene: StarField, limits: SearchLimits, rotation: FloatArray) -> RotationHypothesis:
+def refine_rotation(star_field: StarField, limits: SearchLimits, rotation: FloatArray) -> RotationHypothesis:
     """Match one-to-one, fit the rotation, and again, with a zero point once there are stars for one."""
-    zero_point = scene.zero_point_mag
+    zero_point = star_field.zero_point_mag
     for step in range(REFINEMENTS):
         tolerance = limits.tolerance_px * (FIRST_TOLERANCES if step == 0 else 1.0)
-        pairs, _ = _match_stars(scene, tolerance, rotation, zero_point)
+        pairs, _ = _match_stars(star_field, tolerance, rotation, zero_point)
         if len(pairs) == 0:
             break
-        rotation = _fit_rotation(scene, limits, pairs, rotation)
-        clear = pairs[~scene.censored[pairs[:, 1]]]
+        rotation = _fit_rotation(star_field, limits, pairs, rotation)
+        clear = pairs[~star_field.saturated[pairs[:, 1]]]
         if len(clear) >= MIN_STARS_FOR_ZERO_POINT:
-            zero_point = float(np.median(scene.magnitude[clear[:, 0]] - scene.detected_mag[clear[:, 1]]))
-    pairs, distance = _match_stars(scene, limits.tolerance_px, rotation, zero_point)
+            zero_point = float(
+                np.median(star_field.magnitude[clear[:, 0]] - star_field.detected_mag[clear[:, 1]])
+            )
+    pairs, distance = _match_stars(star_field, limits.tolerance_px, rotation, zero_point)
     return RotationHypothesis(rotation, pairs, distance, zero_point)
 
 
 def _match_stars(
-    scene: StarField, tolerance_px: float, rotation: FloatArray, zero_point: float
+    star_field: StarField, tolerance_px: float, rotation: FloatArray, zero_point: float
 ) -> tuple[IntArray, FloatArray]:
     """One-to-one pairs within the tolerances: each star's best detection, each detection's best star."""
-    places = scene.places(rotation)
-    on = np.flatnonzero(scene.inside(places))
-    nearest = scene.tree.query(places[on], k=DETECTIONS_PER_STAR, distance_upper_bound=tolerance_px)
+    places = star_field.places(rotation)
+    on = np.flatnonzero(star_field.inside(places))
+    nearest = star_field.tree.query(places[on], k=DETECTIONS_PER_STAR, distance_upper_bound=tolerance_px)
     distance, index = np.asarray(nearest[0], float), np.asarray(nearest[1], np.int64)
     found = np.isfinite(distance)
     cost = np.where(found, (distance / tolerance_px) ** 2, np.inf)
     if not np.isnan(zero_point):
         detection = np.where(found, index, 0)
-        difference = scene.detected_mag[detection] + zero_point - scene.magnitude[on][:, None]
-        difference = np.where(scene.censored[detection], np.minimum(difference, 0.0), difference)
+        difference = star_field.detected_mag[detection] + zero_point - star_field.magnitude[on][:, None]
+        difference = np.where(star_field.saturated[detection], np.minimum(difference, 0.0), difference)
         cost = np.where(
             np.abs(difference) <= MAGNITUDE_TOLERANCE,
             cost + 0.1 * (difference / MAGNITUDE_SIGMA) ** 2,
@@ -256,22 +272,22 @@ def _match_stars(
 
 
 def _fit_rotation(
-    scene: StarField, limits: SearchLimits, pairs: IntArray, rotation: FloatArray
+    star_field: StarField, limits: SearchLimits, pairs: IntArray, rotation: FloatArray
 ) -> FloatArray:
     """Least-squares rotation; the twist is held to its limit as by a Gaussian of half of it."""
     prior = (limits.tolerance_px / 4.0) ** 2 / max(0.5 * limits.max_twist_rad, 1e-9) ** 2
-    observed = scene.detected_plane[pairs[:, 1]]
+    observed = star_field.detected_plane[pairs[:, 1]]
     for _ in range(2):  # the second step takes up the curvature of the first
-        place = scene.plane(scene.stars[pairs[:, 0]] @ rotation.T)
+        place = star_field.plane(star_field.stars[pairs[:, 0]] @ rotation.T)
         residual = observed - place
         slope = np.column_stack([-place[:, 1], place[:, 0]])
         mean_residual, mean_slope = residual.mean(axis=0), slope.mean(axis=0)
         slope, residual = slope - mean_slope, residual - mean_residual
-        twist = float(shift_and_twist(rotation, scene.focal_px)[1])
+        twist = float(shift_and_twist(rotation, star_field.focal_px)[1])
         step = (np.sum(slope * residual) - prior * twist) / (np.sum(slope**2) + prior)
         step = float(np.clip(twist + step, -limits.max_twist_rad, limits.max_twist_rad)) - twist
         shift = mean_residual - step * mean_slope
-        turn = np.array([-shift[1] / scene.focal_px, shift[0] / scene.focal_px, step])
+        turn = np.array([-shift[1] / star_field.focal_px, shift[0] / star_field.focal_px, step])
         rotation = rotation_from_vector(turn) @ rotation
     return rotation
 
@@ -282,29 +298,30 @@ SINGLE_STAR_CANDIDATES = 3  # brightest stars that may be the only one seen
 SINGLE_STAR_TWIST_RAD = 0.1  # with a twist less known than this one star says nothing
 
 
-def single_star_hypotheses(scene: StarField, limits: SearchLimits) -> list[RotationHypothesis]:
+def single_star_hypotheses(star_field: StarField, limits: SearchLimits) -> list[RotationHypothesis]:
     """One of the brightest stars alone, as each of the detections within reach."""
     if limits.max_twist_rad > SINGLE_STAR_TWIST_RAD:
         return []
-    place = scene.places(np.eye(3))
-    inside = scene.inside(place)
-    stars = np.argsort(np.where(inside | ~inside.any(), scene.magnitude, np.inf), kind="stable")
+    place = star_field.places(np.eye(3))
+    inside = star_field.inside(place)
+    stars = np.argsort(np.where(inside | ~inside.any(), star_field.magnitude, np.inf), kind="stable")
     singles: list[RotationHypothesis] = []
     for star in stars[: min(SINGLE_STAR_CANDIDATES, max(int(inside.sum()), 1))]:
-        near = np.hypot(*(scene.detected_plane - place[star]).T) <= limits.max_shift_px
-        if not np.isnan(scene.zero_point_mag):
-            difference = scene.detected_mag + scene.zero_point_mag - scene.magnitude[star]
-            near &= (np.abs(difference) <= MAGNITUDE_TOLERANCE) | scene.censored
+        near = np.hypot(*(star_field.detected_plane - place[star]).T) <= limits.max_shift_px
+        if not np.isnan(star_field.zero_point_mag):
+            difference = star_field.detected_mag + star_field.zero_point_mag - star_field.magnitude[star]
+            near &= (np.abs(difference) <= MAGNITUDE_TOLERANCE) | star_field.saturated
         singles.extend(
-            _single_star_hypothesis(scene, int(star), int(detection)) for detection in np.flatnonzero(near)
+            _single_star_hypothesis(star_field, int(star), int(detection))
+            for detection in np.flatnonzero(near)
         )
     return singles
 
 
-def _single_star_hypothesis(scene: StarField, star: int, detection: int) -> RotationHypothesis:
-    first, second = scene.stars[star], scene.detected[detection]
+def _single_star_hypothesis(star_field: StarField, star: int, detection: int) -> RotationHypothesis:
+    first, second = star_field.stars[star], star_field.detected[detection]
     across = np.cross(first, second)
     angle = np.arctan2(np.linalg.norm(across), first @ second)
     turn = across * (angle / max(float(np.linalg.norm(across)), np.finfo(float).tiny))
     pairs = np.array([[star, detection]], np.int64)
-    return RotationHypothesis(rotation_from_vector(turn), pairs, np.zeros(1), scene.zero_point_mag)
+    return RotationHypothesis(rotation_from_vector(turn), pairs, np.zeros(1), star_field.zero_point_mag)

@@ -107,8 +107,8 @@ def identify_sky(
     >>> len(found.pairs), found.sure, bool(np.allclose(found.rotation, turn, atol=1e-6))
     (8, True, True)
     """
-    scene, kept = star_field_in_camera(directions, magnitude, detections, camera, zero_point_mag)
-    found = identify_star_field(scene, checked_limits(max_shift_px, max_twist_rad, tolerance_px))
+    star_field, kept = star_field_in_camera(directions, magnitude, detections, camera, zero_point_mag)
+    found = identify_star_field(star_field, checked_limits(max_shift_px, max_twist_rad, tolerance_px))
     return in_camera_frame(found, kept, camera.focal_from_camera)
 
 
@@ -152,36 +152,40 @@ def identify(
     >>> found.shift_px.round(3).tolist(), len(found.pairs), found.sure
     ([12.0, -7.0], 4, True)
     """
-    scene = star_field_in_plane(predicted_px, magnitude, detections, center_px, zero_point_mag)
-    return identify_star_field(scene, checked_limits(max_shift_px, max_twist_rad, tolerance_px))
+    star_field = star_field_in_plane(predicted_px, magnitude, detections, center_px, zero_point_mag)
+    return identify_star_field(star_field, checked_limits(max_shift_px, max_twist_rad, tolerance_px))
 
 
 def identify_star_field(
-    scene: StarField, limits: SearchLimits, voting: IntArray | None = None, kept: int = KEPT_HYPOTHESES
+    star_field: StarField, limits: SearchLimits, voting: IntArray | None = None, kept: int = KEPT_HYPOTHESES
 ) -> Identification:
     """Return the likeliest rotation; all detections vote for it, or only some."""
-    if len(scene.stars) == 0:
-        return no_identification(scene, "no predicted star near the detector: nothing to identify")
-    if len(scene.detected) == 0:
-        return no_identification(scene, "no star detected in the image")
+    if len(star_field.stars) == 0:
+        return no_identification(star_field, "no predicted star near the detector: nothing to identify")
+    if len(star_field.detected) == 0:
+        return no_identification(star_field, "no star detected in the image")
     rotations = most_promising(
-        scene, limits, vote_for_rotations(scene, limits, voting, kept), REFINED_HYPOTHESES
+        star_field, limits, vote_for_rotations(star_field, limits, voting, kept), REFINED_HYPOTHESES
     )
-    hypotheses = [refine_rotation(scene, limits, rotation) for rotation in rotations]
-    hypotheses = [h for h in hypotheses if len(h.pairs) > 1 and _within_limits(scene, limits, h)]
-    evidence = [log_evidence(scene, limits, h) for h in hypotheses]
+    hypotheses = [refine_rotation(star_field, limits, rotation) for rotation in rotations]
+    hypotheses = [h for h in hypotheses if len(h.pairs) > 1 and _within_limits(star_field, limits, h)]
+    evidence = [log_evidence(star_field, limits, h) for h in hypotheses]
     if voting is None and max(evidence, default=-np.inf) < np.log(1.0 / (1.0 - SURE_CONFIDENCE)):
-        singles = [h for h in single_star_hypotheses(scene, limits) if _within_limits(scene, limits, h)]
+        singles = [
+            h for h in single_star_hypotheses(star_field, limits) if _within_limits(star_field, limits, h)
+        ]
         hypotheses += singles
-        evidence += [log_evidence(scene, limits, h) for h in singles]
+        evidence += [log_evidence(star_field, limits, h) for h in singles]
     if not hypotheses:
         within = f"{limits.max_shift_px:g} px and {np.degrees(limits.max_twist_rad):.3g} deg"
-        return no_identification(scene, f"no detection has place and brightness of a star within {within}")
-    return best_identification(scene, limits, hypotheses, np.array(evidence))
+        return no_identification(
+            star_field, f"no detection has place and brightness of a star within {within}"
+        )
+    return best_identification(star_field, limits, hypotheses, np.array(evidence))
 
 
-def _within_limits(scene: StarField, limits: SearchLimits, h: RotationHypothesis) -> bool:
-    shift, _ = shift_and_twist(h.rotation, scene.focal_px)
+def _within_limits(star_field: StarField, limits: SearchLimits, h: RotationHypothesis) -> bool:
+    shift, _ = shift_and_twist(h.rotation, star_field.focal_px)
     return bool(np.hypot(*shift) <= limits.max_shift_px + limits.tolerance_px)
 
 
@@ -235,20 +239,20 @@ def identify_marked(
             f"mark two stars at least {MIN_MARKS_APART_PX:g} px apart, got {np.round(marks, 1).tolist()}."
         )
     detections, chosen = _marked_detections(detections, marks)
-    scene, kept = star_field_in_camera(directions, magnitude, detections, camera, zero_point_mag)
+    star_field, kept = star_field_in_camera(directions, magnitude, detections, camera, zero_point_mag)
     marked = np.searchsorted(kept, chosen)
     limits = checked_limits(max_shift_px, np.pi, tolerance_px)
     if stars is None:
-        found = identify_star_field(scene, limits, marked, MARKED_PAIRS)
+        found = identify_star_field(star_field, limits, marked, MARKED_PAIRS)
         return in_camera_frame(found, kept, camera.focal_from_camera)
     pairs = np.column_stack([np.asarray(stars, np.int64), marked])
-    _check_separation(scene, pairs)
-    start = pair_rotations(scene, pairs[None, :, 0], pairs[None, :, 1])[0]
-    refined = refine_rotation(scene, limits, start)
+    _check_separation(star_field, pairs)
+    start = pair_rotations(star_field, pairs[None, :, 0], pairs[None, :, 1])[0]
+    refined = refine_rotation(star_field, limits, start)
     named = np.isin(pairs @ [1 << 32, 1], refined.pairs @ [1 << 32, 1]).all()
-    best = refined if named else RotationHypothesis(start, pairs, np.zeros(2), scene.zero_point_mag)
-    confidence = float(1.0 / (1.0 + np.exp(-log_ratio_of_other_stars(scene, best, pairs))))
-    return in_camera_frame(identification_from(scene, best, confidence), kept, camera.focal_from_camera)
+    best = refined if named else RotationHypothesis(start, pairs, np.zeros(2), star_field.zero_point_mag)
+    confidence = float(1.0 / (1.0 + np.exp(-log_ratio_of_other_stars(star_field, best, pairs))))
+    return in_camera_frame(identification_from(star_field, best, confidence), kept, camera.focal_from_camera)
 
 
 def _marked_detections(detections: Detections, marks: FloatArray) -> tuple[Detections, IntArray]:
@@ -276,10 +280,10 @@ def _marked_detections(detections: Detections, marks: FloatArray) -> tuple[Detec
     ), rows.astype(np.int64)
 
 
-def _check_separation(scene: StarField, pairs: IntArray) -> None:
-    stars, seen = scene.stars[pairs[:, 0]], scene.detected[pairs[:, 1]]
-    expected = scene.focal_px * float(np.linalg.norm(stars[1] - stars[0]))
-    measured = scene.focal_px * float(np.linalg.norm(seen[1] - seen[0]))
+def _check_separation(star_field: StarField, pairs: IntArray) -> None:
+    stars, seen = star_field.stars[pairs[:, 0]], star_field.detected[pairs[:, 1]]
+    expected = star_field.focal_px * float(np.linalg.norm(stars[1] - stars[0]))
+    measured = star_field.focal_px * float(np.linalg.norm(seen[1] - seen[0]))
     if abs(expected - measured) > SEPARATION_TOLERANCE_PX:
         raise CenterfindingError(
             f"the marked places are {measured:.1f} px apart, the two stars {expected:.1f} px: "

@@ -44,8 +44,8 @@ class StarField:
     magnitude: FloatArray  # (n,)
     detected: FloatArray  # (m, 3)
     detected_mag: FloatArray  # (m,)
-    suspect: BoolArray  # (m,) sharper than a star
-    censored: BoolArray  # (m,) saturated: brighter than detected_mag says
+    sharper_than_star: BoolArray  # (m,) sharper than a star
+    saturated: BoolArray  # (m,) saturated: brighter than detected_mag says
     limit_mag: float  # detected_mag of the faintest star that is detected
     zero_point_mag: float  # magnitude of 1 DN, nan where unknown
     focal_px: float  # pixels per radian at the boresight
@@ -137,7 +137,7 @@ def star_field_in_camera(
     camera: Camera,
     zero_point_mag: float | None,
 ) -> tuple[StarField, IntArray]:
-    """Return the scene of a camera, stars (n, 3) in its own frame, and the detections (m,) kept in it.
+    """Return the star field of a camera, stars (n, 3) in its own frame, and the detections (m,) kept in it.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def star_field_in_camera(
     seen = camera.unproject(detections.pixel_line.reshape(-1, 2))
     kept = np.flatnonzero(np.isfinite(seen).all(axis=1))
     focal_px = 1.0 / camera.pixel_scale_rad
-    scene = StarField(
+    star_field = StarField(
         stars=stars @ camera.focal_from_camera.T,
         magnitude=_star_magnitudes(magnitude, len(stars)),
         detected=seen[kept] @ camera.focal_from_camera.T,
@@ -160,7 +160,7 @@ def star_field_in_camera(
         center_px=np.asarray(camera.center_pixel_line),
         size_px=np.array([camera.n_pixel, camera.n_line], float),
     )
-    return scene, kept
+    return star_field, kept
 
 
 def star_field_in_plane(
@@ -170,7 +170,7 @@ def star_field_in_plane(
     center_px: ArrayLike,
     zero_point_mag: float | None,
 ) -> StarField:
-    """Return the scene of a plane picture, predicted stars (n, 2) in its pixels.
+    """Return the star field of a plane picture, predicted stars (n, 2) in its pixels.
 
     Raises
     ------
@@ -210,8 +210,8 @@ def _detected_brightness(detections: Detections, zero_point_mag: float | None) -
     faintest = float(np.max(mag, initial=-np.inf))
     return {
         "detected_mag": mag,
-        "suspect": (detections.flags & StarFlag.COSMIC_RAY) > 0,
-        "censored": (detections.flags & StarFlag.SATURATED) > 0,
+        "sharper_than_star": (detections.flags & StarFlag.COSMIC_RAY) > 0,
+        "saturated": (detections.flags & StarFlag.SATURATED) > 0,
         "limit_mag": -2.5 * float(np.log10(detections.limit_dn)) if detections.limit_dn > 0.0 else faintest,
         "zero_point_mag": np.nan if zero_point_mag is None else zero_point_mag,
     }

@@ -5,7 +5,7 @@ import pytest
 
 from opnav_workbench.bodies import (
     BodyFlag,
-    BodyPictures,
+    BodyResiduals,
     Circle,
     JointCenters,
     choose_method,
@@ -239,4 +239,4 @@ def test_flags_in_words():
     assert all(describe_body_flags(flag) != "ok" for flag in BodyFlag)
     assert choose_method(np.nan) == "unresolved"
     assert choose_method(190.0, 0.3, known_surface=True) == "least_squares"
-    assert BodyPictures.__slots__
+    assert BodyResiduals.__slots__

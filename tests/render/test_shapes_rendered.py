@@ -60,7 +60,7 @@ def test_plates_are_met_where_spice_meets_them(tmp_path):
     rng = np.random.default_rng(11)
     rays = (rng.uniform(-130.0, 130.0, (3000, 3)) - camera).T
     surface = PlateSurface(shape, camera, np.array([1e8, 2e7, -3e7]))
-    met = surface.meet(rays)
+    met = surface.first_hits(rays)
     with KernelSet(tmp_path / "lumpy.bds"):
         places, found = spiceypy.dskxv(
             False, "PLUTO", [], 0.0, "IAU_PLUTO", np.tile(camera, (3000, 1)), np.ascontiguousarray(rays.T)

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Ellipse
 
-from opnav_workbench.bodies import BodyCenter, BodyFlag, BodyPictures
+from opnav_workbench.bodies import BodyCenter, BodyFlag, BodyResiduals
 from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
@@ -69,7 +69,7 @@ def found(method: str, off: tuple[float, float], sigma: tuple[float, float], **m
         "ok",
         place,
         np.diag(np.square(sigma)),
-        pictures=BodyPictures(WINDOW, data, model, data - model, mask),
+        pictures=BodyResiduals(WINDOW, data, model, data - model, mask),
         **more,
     )
 

@@ -165,7 +165,7 @@ def _refined(
         solved = False
         known = FitStart(stage.outline.center_px, 1.0, start.spread_px)
         stage, steps, converged = _settled(picture, silhouette, known, solve_range=False)
-    if stage.motion is None or missing_share(stage.verdict) > MOSTLY_MISSING:
+    if stage.motion is None or missing_share(stage.selection) > MOSTLY_MISSING:
         return _no_limb(silhouette.name, stage)
     return limb_center(
         picture, silhouette.name, stage, circle, steps, converged=converged, asked_range=solve_range,
@@ -182,13 +182,13 @@ def _tells_range(stage: LimbStage, target: TargetState) -> bool:
 
 
 def _no_limb(name: str, stage: LimbStage) -> BodyCenter:
-    verdict = stage.verdict
-    lit = verdict.status != "not_chosen"
-    if verdict.saturated.sum() > MOSTLY_SATURATED * lit.sum():
+    selection = stage.selection
+    lit = selection.status != "not_chosen"
+    if selection.saturated.sum() > MOSTLY_SATURATED * lit.sum():
         return _saturated(name)
     if not lit.any():
         return _without(name, "off_detector", "no lit limb lies on the detector", int(BodyFlag.CUT_BY_EDGE))
-    reasons, counts = np.unique(verdict.reason[lit], return_counts=True)
+    reasons, counts = np.unique(selection.reason[lit], return_counts=True)
     return _without(
         name,
         "not_detected",
@@ -246,13 +246,13 @@ def _stage(
         offset = _lagged(picture, pieces, model, window, reach, search)
         pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
     edges = fit_edges(picture, pieces, model, window, outline.center_px, offset)
-    verdict = select_limb(picture, silhouette, pieces, edges, reach)
+    selection = select_limb(picture, silhouette, pieces, edges, reach)
     motion = limb_motion(
-        edges.shift_px, edges.sigma_px, edges.response, verdict.usable, solve_range=solve_range
+        edges.shift_px, edges.sigma_px, edges.response, selection.usable, solve_range=solve_range
     )
     if motion is not None:
-        verdict = verdict.with_outliers(motion.used, motion.residual_px, edges.sigma_px)
-    return LimbStage(outline, scale, window, model, pieces, edges, verdict, motion)
+        selection = selection.with_outliers(motion.used, motion.residual_px, edges.sigma_px)
+    return LimbStage(outline, scale, window, model, pieces, edges, selection, motion)
 
 
 def _lagged(

@@ -370,7 +370,7 @@ class LimbSelection:
     def with_outliers(
         self, used: BoolArray, residual_px: FloatArray, sigma_px: FloatArray
     ) -> "LimbSelection":
-        """Return the verdict with those usable pieces rejected that the fit left out."""
+        """Return the selection with those usable pieces rejected that the fit left out."""
         status, reason = self.status.copy(), self.reason.copy()
         for row in np.flatnonzero(self.usable & ~used):
             status[row] = "rejected"
@@ -391,9 +391,9 @@ def select_limb(
     hidden, by = _occulted_pieces(picture, silhouette.name, pieces, reach)
     lit = edges.peak >= LIT_SHARE * max(float(edges.peak.max()), np.finfo(float).tiny)
 
-    def mark(which: BoolArray, verdict: str, why: str | list[str]) -> None:
+    def mark(which: BoolArray, selection: str, why: str | list[str]) -> None:
         rows = np.flatnonzero(which & (status == "used"))
-        status[rows] = verdict
+        status[rows] = selection
         reason[rows] = why if isinstance(why, str) else [why[row] for row in rows]
 
     mark(~pieces.complete, "not_chosen", "off the detector")
@@ -448,6 +448,6 @@ def _occulted_pieces(
     return hidden, by
 
 
-def missing_share(verdict: LimbSelection) -> float:
+def missing_share(selection: LimbSelection) -> float:
     """Return the share of the model's lit limb, as far as it lies on the detector, that the picture does not show."""
-    return float(verdict.missing.sum() / max(int((verdict.missing | verdict.usable).sum()), 1))
+    return float(selection.missing.sum() / max(int((selection.missing | selection.usable).sum()), 1))

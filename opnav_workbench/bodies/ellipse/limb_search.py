@@ -286,10 +286,10 @@ def _followed(
     picture: BodyPicture, silhouette: Silhouette, start: FitStart, least: float, *, solve_range: bool
 ) -> FitStart:
     """Bring the outline to the limb in one or two steps, the second one nearer."""
-    look = _LimbSearch(picture, silhouette, start)
+    search = _LimbSearch(picture, silhouette, start)
     for share in (SEARCH_SHARE, SECOND_SHARE):
         diameter = picture.diameter_px(silhouette.name) / start.range_scale
-        moved = look.moved(
+        moved = search.moved(
             start, max(LEAST_SEARCH_PX, share * 0.5 * diameter), least, solve_range=solve_range
         )
         resized = abs(moved.range_scale / start.range_scale - 1.0) * diameter

@@ -11,7 +11,7 @@ from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import (
     BodyCenter,
     BodyFlag,
-    BodyPictures,
+    BodyResiduals,
     FreeEllipse,
     LimbEllipse,
     describe_body_flags,
@@ -51,7 +51,7 @@ class LimbStage:
     model_dn : (n_line, n_pixel) array
     pieces : LimbPieces
     edges : EdgeFit
-    verdict : LimbVerdict
+    selection : LimbSelection
     motion : LimbMotion or None
         None: too few pieces.
     """
@@ -62,7 +62,7 @@ class LimbStage:
     model_dn: FloatArray
     pieces: LimbPieces
     edges: EdgeFit
-    verdict: LimbSelection
+    selection: LimbSelection
     motion: LimbMotion | None
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ def limb_center(
     flags = _flags(picture, name, stage, motion, detail, diameter, circle)
     flags |= BodyFlag.OK if converged else BodyFlag.NOT_CONVERGED
     flags |= BodyFlag.SIZE_UNSOLVED if asked_range and not solved_range else BodyFlag.OK
-    missing, expected = missing_share(stage.verdict), _expected(picture, name, circle)
+    missing, expected = missing_share(stage.selection), _expected(picture, name, circle)
     excess = picture.excess_sigma_px**2 * np.eye(2)
     center = BodyCenter(
         name=name,
@@ -114,7 +114,7 @@ def _with_brightness(center: BodyCenter, picture: BodyPicture, stage: LimbStage)
         snr=height / sigma,
         brightness_scale=height,
         brightness_scale_sigma=sigma,
-        background_dn=float(np.median(stage.edges.background_dn[stage.verdict.usable])),
+        background_dn=float(np.median(stage.edges.background_dn[stage.selection.usable])),
         pictures=_pictures(picture, stage, height),
     )
 
@@ -135,7 +135,7 @@ def _with_size(
 
 
 def _mean_height(stage: LimbStage) -> tuple[float, float]:
-    used = stage.verdict.usable
+    used = stage.selection.usable
     weight = stage.edges.height_sigma[used] ** -2.0
     return float(weight @ stage.edges.height[used] / weight.sum()), float(weight.sum() ** -0.5)
 
@@ -147,7 +147,7 @@ def _detail(
     motion: LimbMotion,
     iterations: tuple[tuple[float, float], ...],
 ) -> LimbEllipse:
-    pieces, verdict, outline = stage.pieces, stage.verdict, stage.outline
+    pieces, selection, outline = stage.pieces, stage.selection, stage.outline
     move = motion.motion
 
     def moved(points: FloatArray) -> FloatArray:
@@ -155,7 +155,7 @@ def _detail(
 
     observed = pieces.point_px + stage.edges.shift_px[:, None] * pieces.normal
     around = moved(outline.points(outline.angle_rad))
-    used = verdict.usable
+    used = selection.usable
     sigma = np.hypot(stage.edges.sigma_px, motion.rough_px)
     arc = float(_arc_rad(pieces.angle_rad, used))
     model = picture.model(name)
@@ -170,8 +170,8 @@ def _detail(
         residual_px=motion.residual_px,
         sigma_px=stage.edges.sigma_px,
         height=stage.edges.height,
-        status=verdict.status,
-        reason=verdict.reason,
+        status=selection.status,
+        reason=selection.reason,
         outline_px=around,
         rms_px=float(np.sqrt(np.mean(motion.residual_px[used] ** 2))),
         rough_px=motion.rough_px,
@@ -220,12 +220,12 @@ def _flags(
     ratios = [diameter / expected for expected in _expected(picture, name, circle)]
     reasons = {
         BodyFlag.CUT_BY_EDGE: not stage.pieces.complete.all(),
-        BodyFlag.OVEREXPOSED: stage.verdict.saturated.any(),
-        BodyFlag.OCCULTED: stage.verdict.hidden.any(),
+        BodyFlag.OVEREXPOSED: stage.selection.saturated.any(),
+        BodyFlag.OCCULTED: stage.selection.hidden.any(),
         BodyFlag.BAD_PIXELS: stage.edges.n_bad.any(),
         BodyFlag.THIN_CRESCENT: thickness < THIN_SIGMAS * float(np.max(picture.psf.sigma_px)),
         BodyFlag.POOR_FIT: detail.rough_px > rough_limit
-        or missing_share(stage.verdict) > MISSING_SHARE
+        or missing_share(stage.selection) > MISSING_SHARE
         or _another_ellipse(detail),
         BodyFlag.CIRCLE_MISFIT: any(max(r, 1.0 / r) > 1.0 + MISFIT_SHARE for r in ratios),
         BodyFlag.WEAK_GEOMETRY: sigma_max > max(WEAK_SIGMA_PX, WEAK_SHARE * 0.5 * diameter)
@@ -286,12 +286,12 @@ def _said_of_radii(detail: LimbEllipse) -> list[str]:
     return said
 
 
-def _pictures(picture: BodyPicture, stage: LimbStage, height: float) -> BodyPictures:
+def _pictures(picture: BodyPicture, stage: LimbStage, height: float) -> BodyResiduals:
     pixel, line, n_pixel, n_line = stage.window
     part = np.s_[line : line + n_line, pixel : pixel + n_pixel]
     data, model = picture.signal_dn[part], height * stage.model_dn
     mask = np.zeros(data.shape, dtype=bool)
-    used = stage.verdict.usable[stage.pieces.piece]
+    used = stage.selection.usable[stage.pieces.piece]
     mask[stage.pieces.line[used] - line, stage.pieces.pixel[used] - pixel] = True
     mask &= ~(picture.bad[part] | picture.saturated[part])
-    return BodyPictures(stage.window, data, model, data - model, mask)
+    return BodyResiduals(stage.window, data, model, data - model, mask)

@@ -27,7 +27,7 @@ from opnav_workbench.bodies.results import (
     REJECTED,
     BodyCenter,
     BodyFlag,
-    BodyPictures,
+    BodyResiduals,
     LimbScans,
     flag_messages,
     flags_where,
@@ -59,7 +59,7 @@ class ScanRun:
     picture: BodyPicture
     found: DetectedBody
     captured: Acquisition
-    rounds: ScanSolution
+    solution: ScanSolution
     by_hand: bool
     size_solved: bool
 
@@ -76,8 +76,8 @@ class ScanRun:
     @property
     def last(self) -> ScanIteration:
         """The last round."""
-        assert self.rounds.last is not None
-        return self.rounds.last
+        assert self.solution.last is not None
+        return self.solution.last
 
     @property
     def size_ratio(self) -> float:
@@ -90,9 +90,11 @@ def report_scan_run(run: ScanRun, method: str) -> BodyCenter:
     flags = _flags(run)
     status = "uncertain" if flags & DOUBTFUL_FLAGS or _too_uncertain(run) else "ok"
     model = _final_model(run)
-    use = run.last.look.cutout.use
+    use = run.last.evaluation.cutout.use
     under = float(np.sum(model[use] ** 2))
-    scale = float(np.sum(run.last.look.cutout.data_dn[use] * model[use])) / under if under > 0.0 else np.nan
+    scale = (
+        float(np.sum(run.last.evaluation.cutout.data_dn[use] * model[use])) / under if under > 0.0 else np.nan
+    )
     scatter = run.last.match.brightness[run.last.solved.used]
     detail = _detail(run, float(np.mean(scatter)), model)
     excess = run.picture.excess_sigma_px**2 * np.eye(2)
@@ -102,9 +104,9 @@ def report_scan_run(run: ScanRun, method: str) -> BodyCenter:
         name=run.name,
         method=method,
         status=status,
-        pixel_line=run.last.look.center + run.last.solved.step_px,
+        pixel_line=run.last.evaluation.center + run.last.solved.step_px,
         covariance_px2=run.last.solved.covariance_px2 + excess,
-        flux_dn=scale * run.last.look.body.flux_dn,
+        flux_dn=scale * run.last.evaluation.body.flux_dn,
         snr=run.found.place.snr,
         diameter_px=diameter,
         diameter_sigma_px=diameter * run.last.solved.size_sigma,
@@ -127,27 +129,29 @@ def report_scan_run(run: ScanRun, method: str) -> BodyCenter:
 
 def _final_model(run: ScanRun) -> FloatArray:
     """Return the body's light at the solution: the last picture, moved by the last step."""
-    moved = run.last.look.body.light_dn + np.tensordot(
-        run.last.solved.step_px, run.last.look.body.slope_dn, axes=1
+    moved = run.last.evaluation.body.light_dn + np.tensordot(
+        run.last.solved.step_px, run.last.evaluation.body.slope_dn, axes=1
     )
     return np.asarray(np.maximum(moved, 0.0))
 
 
-def _pictures(run: ScanRun, model_dn: FloatArray) -> BodyPictures:
-    pixel, line, n_pixel, n_line = run.last.look.body.window
+def _pictures(run: ScanRun, model_dn: FloatArray) -> BodyResiduals:
+    pixel, line, n_pixel, n_line = run.last.evaluation.body.window
     data = run.picture.signal_dn[line : line + n_line, pixel : pixel + n_pixel]
-    return BodyPictures(run.last.look.body.window, data, model_dn, data - model_dn, run.last.look.cutout.use)
+    return BodyResiduals(
+        run.last.evaluation.body.window, data, model_dn, data - model_dn, run.last.evaluation.cutout.use
+    )
 
 
 def _flags(run: ScanRun) -> BodyFlag:
-    bright = run.last.look.body.light_dn > 0.1 * run.last.look.body.light_dn.max(initial=0.0)
+    bright = run.last.evaluation.body.light_dn > 0.1 * run.last.evaluation.body.light_dn.max(initial=0.0)
     chosen, used = int(run.last.choice.chosen.sum()), int(run.last.solved.used.sum())
     minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(run.last.solved.covariance_px2), 0.0))
-    pixel, line, n_pixel, n_line = run.last.look.body.window
-    part, cutout = np.s_[line : line + n_line, pixel : pixel + n_pixel], run.last.look.cutout
+    pixel, line, n_pixel, n_line = run.last.evaluation.body.window
+    part, cutout = np.s_[line : line + n_line, pixel : pixel + n_pixel], run.last.evaluation.cutout
     bad = run.picture.bad[part] | ~np.isfinite(run.picture.signal_dn[part])
     expected = run.found.expectation
-    final = run.last.look.center + run.last.solved.step_px
+    final = run.last.evaluation.center + run.last.solved.step_px
     conditions = {
         BodyFlag.CUT_BY_EDGE: _cut(run, final),
         BodyFlag.OVEREXPOSED: bool(np.any(bright & cutout.saturated)),
@@ -162,7 +166,7 @@ def _flags(run: ScanRun) -> BodyFlag:
         or (major > WEAK_MATTERS_PX and major > WEAK_RATIO * minor),
         BodyFlag.BAD_PIXELS: bool(np.any(bright & bad)),
         BodyFlag.HIT: bool(np.any(bright & ~cutout.use & ~cutout.saturated & ~bad)),
-        BodyFlag.NOT_CONVERGED: not run.rounds.converged,
+        BodyFlag.NOT_CONVERGED: not run.solution.converged,
     }
     return flags_where(conditions)
 
@@ -170,7 +174,7 @@ def _flags(run: ScanRun) -> BodyFlag:
 def _sky_share(run: ScanRun) -> float:
     """Return the light beside the limb over that inside of it: a limb has the dark of the sky behind it."""
     used = run.last.solved.used
-    inside = (run.last.match.brightness[:, None] * run.last.look.view.model).max(axis=1)
+    inside = (run.last.match.brightness[:, None] * run.last.evaluation.view.model).max(axis=1)
     return float(
         np.median(run.last.match.background_dn[used] / np.maximum(inside[used], np.finfo(float).tiny))
     )
@@ -226,13 +230,15 @@ def _messages(run: ScanRun, flags: BodyFlag) -> tuple[str, ...]:
 
 def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
     fan, solved = run.fan, run.last.solved
-    center = run.last.look.center + solved.step_px
+    center = run.last.evaluation.center + solved.step_px
     last = int((fan.first + fan.n_samples).max())
     distance: FloatArray = STEP_PX * np.arange(last + 1.0)
     places = fan.places(center, distance)
-    sampler = ScanSampler(places, run.last.look.body.window)
+    sampler = ScanSampler(places, run.last.evaluation.body.window)
     data = np.where(
-        sampler.blocked(run.last.look.cutout.use), np.nan, sampler.sample(run.last.look.cutout.data_dn)
+        sampler.blocked(run.last.evaluation.cutout.use),
+        np.nan,
+        sampler.sample(run.last.evaluation.cutout.data_dn),
     )
     lag, correlation = _correlation(run)
     status, reason = _scan_statuses(run)
@@ -257,7 +263,7 @@ def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
         status=status,
         reason=reason,
         roughness=run.last.roughness,
-        iterations=run.rounds.steps,
+        iterations=run.solution.steps,
         summary=run.last.choice.summary,
     )
 
@@ -265,10 +271,10 @@ def _detail(run: ScanRun, brightness: float, model_dn: FloatArray) -> LimbScans:
 def _correlation(run: ScanRun) -> tuple[FloatArray, FloatArray]:
     """Return lags (k,) px and correlations (n, k) about the last model's place."""
     reach = round(LAG_PX / STEP_PX)
-    look, fan = run.last.look, run.fan
-    sampler = ScanSampler(fan.places(look.center, fan.distances(reach, reach)), look.body.window)
-    data, blocked = sampler.sample(look.cutout.data_dn), sampler.blocked(look.cutout.use)
-    correlation = correlate_scans(run.last.system, look.view.model, data, blocked, run.last.roughness)
+    evaluation, fan = run.last.evaluation, run.fan
+    sampler = ScanSampler(fan.places(evaluation.center, fan.distances(reach, reach)), evaluation.body.window)
+    data, blocked = sampler.sample(evaluation.cutout.data_dn), sampler.blocked(evaluation.cutout.use)
+    correlation = correlate_scans(run.last.system, evaluation.view.model, data, blocked, run.last.roughness)
     return np.asarray(STEP_PX * np.arange(-reach, reach + 1.0)), correlation
 
 
@@ -348,13 +354,13 @@ def find_limb_scan(
         return found
     try:
         captured = acquire(picture, silhouette, found.sized_place.center_px, 1.0 / found.size_ratio, n_scans)
-        rounds = iterate_center(picture, name, captured, numbers, solve_size=solve_range)
+        solution = iterate_center(picture, name, captured, numbers, solve_size=solve_range)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, METHOD, "failed", str(error))
-    if rounds.last is None:
-        return _undetermined(name, rounds.choice)
+    if solution.last is None:
+        return _undetermined(name, solution.choice)
     return report_scan_run(
-        ScanRun(picture, found, captured, rounds, numbers is not None, solve_range), METHOD
+        ScanRun(picture, found, captured, solution, numbers is not None, solve_range), METHOD
     )
 
 

@@ -208,7 +208,7 @@ def _covered(
     inner = center_px + (places_px - center_px) * (1.0 - 0.5 * DEPTH_SHARE)
     rays = pixel_rays(picture, inner)
     alone = own.radiance(rays)
-    own.meet_others(placed)
+    own.note_occulters(placed)
     together = own.radiance(rays)
     covered = np.abs(alone - together) > 0.01 * alone
     for body in placed:  # one behind it shows beside its limb

@@ -104,7 +104,7 @@ class ScanIteration:
 
     Attributes
     ----------
-    look : Look
+    evaluation : ScanEvaluation
     roughness : float
     choice : Choice
     uneven : (n,) array
@@ -116,7 +116,7 @@ class ScanIteration:
     solved : CenterStep
     """
 
-    look: ScanEvaluation
+    evaluation: ScanEvaluation
     roughness: float
     choice: ScanSelection
     uneven: FloatArray
@@ -133,7 +133,7 @@ class ScanSolution:
 
     Attributes
     ----------
-    last : Round or None
+    last : ScanIteration or None
         None where fewer scans than `FEWEST` were left, or a step left the body.
     choice : Choice
     steps : tuple of (float, float)
@@ -172,13 +172,13 @@ def iterate_center(
     trust = 1.0 if solve_size else None
     steps: list[tuple[float, float]] = []
     for _ in range(MAX_ROUNDS):
-        look = _evaluate(picture, name, fan, profiles, center, scale)
+        evaluation = _evaluate(picture, name, fan, profiles, center, scale)
         if settings is None or not settled:
-            settings = _scan_conditions(picture, fan, look, numbers)
+            settings = _scan_conditions(picture, fan, evaluation, numbers)
         if settings.choice.chosen.sum() < FEWEST:
             seen = None
             break
-        seen = _solve_round(picture, name, fan, look, settings, -np.log(scale), trust)
+        seen = _solve_iteration(picture, name, fan, evaluation, settings, -np.log(scale), trust)
         step = seen.solved.step_px
         turned = bool(steps) and float(step @ np.array(steps[-1])) < 0.0
         steps.append((float(step[0]), float(step[1])))
@@ -196,7 +196,7 @@ def iterate_center(
         changed = _other_law(picture, name, seen.common)
         if changed is not picture:
             picture, settled = changed, False
-            profiles = scan_profiles(picture, name, fan, look.center, scale)
+            profiles = scan_profiles(picture, name, fan, evaluation.center, scale)
         elif moved < CONVERGED_PX + LIMB_MOVED_PX and np.hypot(*step) < CONVERGED_PX:
             converged = True
             break
@@ -233,24 +233,26 @@ def _evaluate(
 
 
 def _scan_conditions(
-    picture: BodyPicture, fan: ScanFan, look: ScanEvaluation, numbers: NDArray[np.int64] | None
+    picture: BodyPicture, fan: ScanFan, evaluation: ScanEvaluation, numbers: NDArray[np.int64] | None
 ) -> _ScanConditions:
     """Let the data tell how rough the albedo is, and choose scans."""
     psf_sigma = float(np.max(picture.psf.sigma_px))
-    uneven = unevenness(fan, look.view, look.brightness, psf_sigma, look.cutout.gain_e_per_dn)
-    system, roughness = look.system, 0.0
+    uneven = unevenness(
+        fan, evaluation.view, evaluation.brightness, psf_sigma, evaluation.cutout.gain_e_per_dn
+    )
+    system, roughness = evaluation.system, 0.0
     for _ in range(2):
-        chosen = _choice(fan, look, system, roughness, uneven, numbers).chosen
+        chosen = _choice(fan, evaluation, system, roughness, uneven, numbers).chosen
         if not chosen.any():
             break
-        roughness = find_roughness(look.system, chosen, _psf_variance(picture))
-        system = look.system.without_common(_common(picture, fan, look, roughness, chosen).values)
-    return _ScanConditions(roughness, _choice(fan, look, system, roughness, uneven, numbers), uneven)
+        roughness = find_roughness(evaluation.system, chosen, _psf_variance(picture))
+        system = evaluation.system.without_common(_common(picture, fan, evaluation, roughness, chosen).values)
+    return _ScanConditions(roughness, _choice(fan, evaluation, system, roughness, uneven, numbers), uneven)
 
 
 def _choice(
     fan: ScanFan,
-    look: ScanEvaluation,
+    evaluation: ScanEvaluation,
     system: ScanSystem,
     roughness: float,
     uneven: FloatArray,
@@ -258,8 +260,8 @@ def _choice(
 ) -> ScanSelection:
     """Choose scans; which of them may speak depends a little on the roughness."""
     match = system.match(MARGIN * roughness)
-    sigma = look.errors(match, MARGIN * roughness).sigma_px
-    return choose_scans(fan, look.view, sigma, match.motion, uneven, numbers)
+    sigma = evaluation.errors(match, MARGIN * roughness).sigma_px
+    return choose_scans(fan, evaluation.view, sigma, match.motion, uneven, numbers)
 
 
 def _psf_variance(picture: BodyPicture) -> float:
@@ -267,12 +269,18 @@ def _psf_variance(picture: BodyPicture) -> float:
 
 
 def _common(
-    picture: BodyPicture, fan: ScanFan, look: ScanEvaluation, roughness: float, chosen: NDArray[np.bool_]
+    picture: BodyPicture,
+    fan: ScanFan,
+    evaluation: ScanEvaluation,
+    roughness: float,
+    chosen: NDArray[np.bool_],
 ) -> CommonTerms:
     if float(np.median(fan.limb_px)) < SMALLEST_COMMON_PX:
         return no_common_terms()
     alike = _alike(fan, roughness)
-    return solve_common_terms(look.system, ERROR_MARGIN * roughness, chosen, _psf_variance(picture), alike)
+    return solve_common_terms(
+        evaluation.system, ERROR_MARGIN * roughness, chosen, _psf_variance(picture), alike
+    )
 
 
 def _alike(fan: ScanFan, roughness: float) -> float:
@@ -283,28 +291,28 @@ def _alike(fan: ScanFan, roughness: float) -> float:
     return max(1.0, pixels, float(albedo))
 
 
-def _solve_round(
+def _solve_iteration(
     picture: BodyPicture,
     name: str,
     fan: ScanFan,
-    look: ScanEvaluation,
+    evaluation: ScanEvaluation,
     settings: _ScanConditions,
     size_in_model: float,
     trust: float | None,
 ) -> ScanIteration:
     """Match the scans and solve for the center, with what all scans share taken out."""
     roughness, chosen = settings.roughness, settings.choice.chosen
-    common = _common(picture, fan, look, roughness, chosen)
-    system = look.system.without_common(common.values)
+    common = _common(picture, fan, evaluation, roughness, chosen)
+    system = evaluation.system.without_common(common.values)
     match = system.match(MARGIN * roughness)
     law = law_share(picture, name) + float(common.values[LAW])
     covariance = common.covariance + np.diag([(LAW_FAMILY * law) ** 2, 0.0])
     sources = ErrorSources(
-        look.sampler, look.variance_dn2, ERROR_MARGIN * roughness, fan.angle_rad, covariance
+        evaluation.sampler, evaluation.variance_dn2, ERROR_MARGIN * roughness, fan.angle_rad, covariance
     )
-    weight_sigma = look.errors(match, MARGIN * roughness).sigma_px
+    weight_sigma = evaluation.errors(match, MARGIN * roughness).sigma_px
     solved = solve_center(match, weight_sigma, chosen, fan.limb_px, sources, float(size_in_model), trust)
-    errors = look.errors(match, ERROR_MARGIN * roughness)
+    errors = evaluation.errors(match, ERROR_MARGIN * roughness)
     return ScanIteration(
-        look, roughness, settings.choice, settings.uneven, common, system, match, errors, solved
+        evaluation, roughness, settings.choice, settings.uneven, common, system, match, errors, solved
     )
