@@ -3,8 +3,9 @@
 import os
 import pickle
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from hashlib import blake2b
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -81,12 +82,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 
 @dataclass(frozen=True)
-class Trials:
+class Sample:
     """How many trials a statistical test makes, and bounds that follow: all with --all, a share in the short run."""
 
     share: float
 
-    def __call__(self, number: int) -> int:
+    def trials(self, number: int) -> int:
         return max(round(number * self.share), 1)
 
     def within(self, bound: float) -> float:
@@ -95,8 +96,8 @@ class Trials:
 
 
 @pytest.fixture(scope="session")
-def trials(pytestconfig: pytest.Config) -> Trials:
-    return Trials(1.0 if is_whole(pytestconfig) else SHORT_SHARE)
+def sample(pytestconfig: pytest.Config) -> Sample:
+    return Sample(1.0 if is_whole(pytestconfig) else SHORT_SHARE)
 
 
 # ---- Flight data, and what is made once a run
@@ -151,6 +152,24 @@ def demo_truths(made_once: Callable[..., Any]) -> tuple[Truth, Truth]:
         return lorri, mvic
 
     return made_once("demo", make)
+
+
+@pytest.fixture(scope="module")
+def backgrounds_once() -> Iterator[None]:
+    """The background of a picture that many tests of a file open is estimated once: that is most of opening it."""
+    from opnav_workbench.session import context
+
+    estimate, known = context.sky_and_bodies, {}
+
+    def once(*pixels: np.ndarray, **sizes: float) -> Any:
+        key = (*(blake2b(np.ascontiguousarray(p)).digest() for p in pixels), pixels[0].shape, *sizes.items())
+        if key not in known:
+            known[key] = estimate(*pixels, **sizes)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(context, "sky_and_bodies", once)
+        yield
 
 
 @pytest.fixture(scope="session")

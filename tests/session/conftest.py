@@ -25,6 +25,11 @@ def truth(demo_truths: tuple[Truth, Truth]) -> Truth:
     return demo_truths[1]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _open_quickly(backgrounds_once: None) -> None:
+    """Most tests here open the same few pictures."""
+
+
 @pytest.fixture
 def kernels() -> Iterator[None]:
     with KernelSet(DEMO_KERNELS):

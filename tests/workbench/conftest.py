@@ -95,6 +95,11 @@ class Hands:
         self.controller.runner.wait()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _open_quickly(backgrounds_once: None) -> None:
+    """Most tests here open the same few pictures."""
+
+
 @pytest.fixture
 def kernels() -> Iterator[None]:
     with KernelSet(DEMO_KERNELS):
