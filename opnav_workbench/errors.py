@@ -17,6 +17,7 @@ __all__ = [
     "PointingError",
     "SelectionPending",
     "SessionError",
+    "counted",
 ]
 
 
@@ -66,3 +67,14 @@ class SessionError(OpNavError):
 
 class SelectionPending(SessionError):  # noqa: N818 - not a fault: an analyst's decision is still to come
     """A decision of the analyst that the next step waits for."""
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun, for messages.
+
+    Examples
+    --------
+    >>> counted(1, "pixel"), counted(2, "pixel")
+    ('1 pixel', '2 pixels')
+    """
+    return f"{count} {noun}{'' if count == 1 else 's'}"

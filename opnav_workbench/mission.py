@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field, TypeAdapter
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.image.header import KeywordMap
+from opnav_workbench.image.header import KeywordMap, header_matches
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import Photometry, TargetState
 from opnav_workbench.yaml_file import StrictModel, read_model
@@ -217,7 +217,8 @@ class Mission:
         """
         required = self.keywords.get("required", {})
         for choice in self.cameras:
-            if _header_matches(header, {**required, **choice.match}):
+            wanted = {**required, **choice.match}
+            if all(header_matches(header.get(keyword), value) for keyword, value in wanted.items()):
                 return Camera.from_yaml(choice.file)
         keywords = sorted({*required, *(keyword for choice in self.cameras for keyword in choice.match)})
         found = ", ".join(f"{k} = {header[k]!r}" if k in header else f"no {k}" for k in keywords)
@@ -303,19 +304,3 @@ def _with_files_beside(surface: TargetSurface, folder: Path) -> TargetSurface:
             update={"file": folder / surface.albedo_map.file}
         )
     return surface.model_copy(update=changes)
-
-
-def _header_matches(header: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
-    """Tell whether every keyword has its value, or one of its values."""
-    for keyword, value in wanted.items():
-        choices = value if isinstance(value, list | tuple) else (value,)
-        if not any(_same_header_value(header.get(keyword), choice) for choice in choices):
-            return False
-    return True
-
-
-def _same_header_value(found: Any, wanted: Value) -> bool:
-    """Compare as headers are written: blanks and case do not count, and 1 is 1.0."""
-    if isinstance(wanted, str) or isinstance(found, str):
-        return str(found).strip().casefold() == str(wanted).strip().casefold()
-    return bool(found == wanted)

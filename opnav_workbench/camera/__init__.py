@@ -24,7 +24,6 @@ from opnav_workbench.camera.distortion import (
     NoDistortion,
     OwenDistortion,
     SipDistortion,
-    undistort,
 )
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
@@ -44,5 +43,4 @@ __all__ = [
     "OwenDistortion",
     "PsfPrior",
     "SipDistortion",
-    "undistort",
 ]

@@ -36,7 +36,6 @@ __all__ = [
     "OwenDistortion",
     "SipDistortion",
     "reach_mm",
-    "undistort",
 ]
 
 
@@ -91,18 +90,6 @@ class InverseDistortion(Distortion):
     def jacobian(self, xy_mm: ArrayLike) -> FloatArray:
         """Return d(distorted)/d(ideal) (..., 2, 2) at ideal coordinates (..., 2) mm."""
         return inverse_2x2(self.undistort_jacobian(self.distort(xy_mm)))
-
-
-def undistort(distortion: Distortion, xy_mm: ArrayLike) -> FloatArray:
-    """Return the ideal coordinates (..., 2) mm of points (..., 2) mm on the detector; nan where none are.
-
-    Examples
-    --------
-    >>> lens = OwenDistortion(e2_per_mm2=2.7e-5, e5_per_mm=-1.9e-5, e6_per_mm=-2.9e-5)
-    >>> undistort(lens, lens.distort([[6.0, -3.0]])).round(12)
-    array([[ 6., -3.]])
-    """
-    return distortion.undistort(xy_mm)
 
 
 @dataclass(frozen=True, slots=True)

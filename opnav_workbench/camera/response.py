@@ -122,11 +122,6 @@ class CameraResponse:
             object.__setattr__(self, "zero_point_b_v", 0.0)
 
     @property
-    def adc_bits(self) -> int | None:
-        """Bits of the analog-digital converter."""
-        return self.bits
-
-    @property
     def psf_model(self) -> Psf:
         """The point spread function: `psf_shape`, or the round Gaussian of `psf`."""
         return self.psf_shape or GaussianPsf(self.psf.sigma_px, self.psf.sigma_px)

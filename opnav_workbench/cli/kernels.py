@@ -33,7 +33,7 @@ from opnav_workbench.cli.kernel_tables import (
     print_made,
 )
 from opnav_workbench.downloads import Progress as DownloadProgress
-from opnav_workbench.errors import KernelError, SessionError
+from opnav_workbench.errors import KernelError, SessionError, counted
 from opnav_workbench.files import json_text
 from opnav_workbench.kernels import (
     FetchedKernels,
@@ -190,7 +190,7 @@ def _print_reconstruction(written: Reconstruction) -> None:
     count = len(written.pictures)
     console.print(
         f"[green]{escape(str(written.path))}[/]: attitude of {escape(written.frame)} ({written.structure_id}) from "
-        f"{count} picture{'' if count == 1 else 's'}",
+        f"{counted(count, 'picture')}",
         highlight=False,
     )
     for name, why in written.skipped:

@@ -26,7 +26,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.constants import OBLIQUITY_J2000_RAD
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.batch import Estimate
-from opnav_workbench.observables.differences import jacobian_by_differences
+from opnav_workbench.geometry.differences import jacobian_by_differences
 
 __all__ = [
     "BPlane",
@@ -90,11 +90,6 @@ class BPlane:
     def b_dot_r_km(self) -> float:
         """Return B.R."""
         return float(self.b_km @ self.r)
-
-    @property
-    def miss_km(self) -> float:
-        """Return the length of B."""
-        return float(np.linalg.norm(self.b_km))
 
     def in_axes_of(self, other: "BPlane") -> FloatArray:
         """Return (B.T, B.R, linearised time), km and s, with the axes of another flyby."""

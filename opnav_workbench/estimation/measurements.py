@@ -24,12 +24,12 @@ from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.parameters import ParameterGroup, parameter_count
 from opnav_workbench.estimation.state_transition import Transition
-from opnav_workbench.geometry import tangent_basis, unit, unit_from_radec
+from opnav_workbench.geometry import tangent_basis, tangent_offset, unit_from_radec
+from opnav_workbench.geometry.light_time import light_time_jacobian, where_light_left
 from opnav_workbench.observables import Observable, joint_covariance_px2
 
 __all__ = ["Dynamics", "Measurements", "measurements_of"]
 
-LIGHT_TIME_PASSES = 4  # each is better by v/c
 # Partials that older tables do not hold; without them nothing can be weighted or recomputed.
 NEEDED_FIELDS = ("position_km", "sky_partials_px_per_rad")
 
@@ -92,9 +92,7 @@ class Measurements:
         rho, by_rho = self._relative(correction)
         distance = np.linalg.norm(rho, axis=1)
         n = rho / distance[:, None]
-        along = np.sum(n * self.observed, axis=1)
-        offset = np.einsum("mij,mj->mi", self.tangent, n / along[:, None])
-        of_n = (self.tangent - offset[:, :, None] * self.observed[:, None]) / along[:, None, None]
+        offset, of_n = tangent_offset(n, self.observed, self.tangent)
         across = (np.eye(3) - n[:, :, None] * n[:, None]) / distance[:, None, None]
         aberration = self.tangent @ self.by_velocity / SPEED_OF_LIGHT_KM_S
         jacobian = self.to_px @ (of_n @ across @ by_rho + aberration)
@@ -108,14 +106,8 @@ class Measurements:
         by_place = self.by_target - self.by_spacecraft
         moved = self.position_km + by_place @ correction
         before = np.linalg.norm(self.position_km, axis=1)
-        rho = moved
-        for _ in range(LIGHT_TIME_PASSES):
-            later_s = (np.linalg.norm(rho, axis=1) - before) / SPEED_OF_LIGHT_KM_S
-            rho = moved - later_s[:, None] * self.velocity_km_s
-        n = unit(rho)
-        slower = SPEED_OF_LIGHT_KM_S + np.sum(n * self.velocity_km_s, axis=1)
-        light_time = np.eye(3) - self.velocity_km_s[:, :, None] * n[:, None] / slower[:, None, None]
-        return rho, light_time @ by_place
+        rho = where_light_left(moved, before, self.velocity_km_s)
+        return rho, light_time_jacobian(rho, self.velocity_km_s) @ by_place
 
     def _ranges(
         self, correction: FloatArray, n: FloatArray, distance: FloatArray, by_rho: FloatArray

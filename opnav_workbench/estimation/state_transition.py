@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import EstimationError
-from opnav_workbench.observables.differences import jacobian_by_differences
+from opnav_workbench.geometry.differences import jacobian_by_differences
 
 __all__ = ["Transition", "kepler", "propagate_two_body", "straight_line"]
 

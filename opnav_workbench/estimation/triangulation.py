@@ -32,7 +32,7 @@ from scipy.linalg import block_diag
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly, symmetric
 from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import EstimationError
-from opnav_workbench.geometry import radec_from_unit, tangent_basis, unit, unit_from_radec
+from opnav_workbench.geometry import radec_from_unit, tangent_basis, tangent_offset, unit, unit_from_radec
 
 __all__ = ["Triangulation", "triangulate"]
 
@@ -398,8 +398,7 @@ class _LinearizedSightings(NamedTuple):
         line = given.seen_from(position_km)
         depth = np.sum(line * given.directions, axis=1)
         _check_ahead(depth, given)
-        offset = np.einsum("nij,nj->ni", given.tangent, line) / depth[:, None]
-        by_star = (given.tangent - offset[:, :, None] * given.directions[:, None]) / depth[:, None, None]
+        offset, by_star = tangent_offset(line, given.directions, given.tangent)
         n = len(depth)
         return cls(
             offset.reshape(2 * n),

@@ -8,10 +8,16 @@ Come in by the functions that the package exports, such as `apparent_direction`,
     Attitudes that put a direction at a place on the detector; turns about a camera's own axes.
 ``conics``
     Limb and terminator of a triaxial ellipsoid, and the ellipse that a limb draws.
+``differences``
+    Derivatives by central differences that choose their own step.
+``light_time``
+    Where a body was seen that is elsewhere by now, and the derivative of that.
 ``rotations``
     Directions, attitudes, RA/Dec/twist, quaternions, rotation vectors.
 ``spacemotion``
     A star's direction at an epoch and from a place, with its covariance.
+``times``
+    UTC and TDB seconds past J2000 without kernels.
 """
 
 from opnav_workbench.geometry.aberration import Convention, apparent_direction, geometric_direction
@@ -34,6 +40,7 @@ from opnav_workbench.geometry.rotations import (
     radec_from_unit,
     rotation_from_vector,
     tangent_basis,
+    tangent_offset,
     unit,
     unit_from_radec,
     vector_from_rotation,
@@ -63,6 +70,7 @@ __all__ = [
     "rotation_from_vector",
     "sphere_center_offset",
     "tangent_basis",
+    "tangent_offset",
     "terminator_points",
     "unit",
     "unit_from_radec",

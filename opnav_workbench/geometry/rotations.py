@@ -22,6 +22,7 @@ __all__ = [
     "radec_from_unit",
     "rotation_from_vector",
     "tangent_basis",
+    "tangent_offset",
     "unit",
     "unit_from_radec",
     "vector_from_rotation",
@@ -87,6 +88,37 @@ def tangent_basis(ra_rad: ArrayLike, dec_rad: ArrayLike) -> tuple[FloatArray, Fl
     east = np.stack([0.0 - sin_ra, cos_ra, np.zeros_like(ra)], axis=-1)  # 0 - x: no negative zeros
     north = np.stack([0.0 - sin_dec * cos_ra, 0.0 - sin_dec * sin_ra, cos_dec], axis=-1)
     return east, north
+
+
+def tangent_offset(
+    vectors: FloatArray, directions: FloatArray, tangent: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return where vectors stand on the tangent planes of n directions, and the derivative of that.
+
+    The gnomonic offset e = T v / (v.u) from the direction u with the tangent axes T, and de/dv = (T - e u') / (v.u).
+
+    Parameters
+    ----------
+    vectors, directions : (n, 3) arrays
+        Vectors of any length, each within 90 deg of its unit direction.
+    tangent : (n, 2, 3) array
+        Unit vectors across each direction, such as east and north.
+
+    Returns
+    -------
+    offset : (n, 2) array
+        rad, for small ones.
+    by_vector : (n, 2, 3) array
+
+    Examples
+    --------
+    >>> offset, _ = tangent_offset(np.array([[2.0, 0.002, 0.0]]), np.eye(3)[:1], np.eye(3)[None, 1:])
+    >>> offset.tolist()
+    [[0.001, 0.0]]
+    """
+    along = np.sum(vectors * directions, axis=1)
+    offset = np.einsum("nij,nj->ni", tangent, vectors / along[:, None])
+    return offset, (tangent - offset[:, :, None] * directions[:, None]) / along[:, None, None]
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:

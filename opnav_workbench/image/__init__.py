@@ -12,8 +12,6 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
     Picture, error and masks of one shape from the stored arrays; squeezed values expanded.
 ``masks``
     What the bits of quality planes mean, as data.
-``times``
-    UTC and TDB seconds past J2000 without kernels.
 ``background``
     Level and noise of the sky, robust against stars and a resolved body; columns that a frame-transfer CCD smears.
 ``extended``

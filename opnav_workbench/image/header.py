@@ -39,6 +39,7 @@ __all__ = [
     "KeywordMap",
     "barycentric_from_heliocentric",
     "header_geometry",
+    "header_matches",
     "header_number",
 ]
 
@@ -73,6 +74,24 @@ class Header(Mapping[str, HeaderValue]):
 
     def __repr__(self) -> str:
         return f"Header({self._values!r})"
+
+
+def header_matches(found: Any, wanted: Any) -> bool:
+    """Tell whether a header has a value, or one of several: as headers are written, blanks and case do not count.
+
+    Examples
+    --------
+    >>> header_matches(" lor ", ["LOR", "MVIC"]), header_matches(1, 1.0), header_matches(None, "LOR")
+    (True, True, False)
+    """
+    choices = wanted if isinstance(wanted, list | tuple) else (wanted,)
+    return any(_same_value(found, choice) for choice in choices)
+
+
+def _same_value(found: Any, wanted: Any) -> bool:
+    if isinstance(found, str) or isinstance(wanted, str):
+        return str(found).strip().casefold() == str(wanted).strip().casefold()
+    return bool(found == wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,22 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray
+from opnav_workbench.errors import counted
 
-__all__ = ["QUALITY_TABLES", "QualityBit", "QualityTable", "counted", "read_quality"]
+__all__ = ["QUALITY_TABLES", "QualityBit", "QualityTable", "read_quality"]
 
 
 # ---- What every reader hands over: planes and header of one file, before masks and time are made of them.
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun.
-
-    Examples
-    --------
-    >>> counted(1, "pixel"), counted(2, "pixel")
-    ('1 pixel', '2 pixels')
-    """
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 # ---- What the bits of a quality plane mean, as data: one table an instrument.

@@ -15,17 +15,23 @@ import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import ImageError
+from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.formats import StoredPicture, file_bytes, image_error, read_stored
-from opnav_workbench.image.header import Header, HeaderGeometry, KeywordMap, header_geometry, header_number
+from opnav_workbench.image.header import (
+    Header,
+    HeaderGeometry,
+    KeywordMap,
+    header_geometry,
+    header_matches,
+    header_number,
+)
 from opnav_workbench.image.planes import make_planes
-from opnav_workbench.image.times import et_from_text, text_from_et
 
 __all__ = ["Picture", "picture_from_stored", "read_image"]
 
@@ -45,7 +51,8 @@ class Picture:
     image_dn : (n_line, n_pixel) array
         Native float64; 0 in pixels without a value, which are `bad` too.
     error_dn : (n_line, n_pixel) array or None
-        One-sigma error, positive everywhere.
+        One-sigma error as the file has it, positive everywhere. For the reader: measurements take `pixel_noise`,
+        which knows what this picture's sky really scatters by.
     bad, saturated : (n_line, n_pixel) bool arrays
         Pixels not to use, and pixels whose value is only a lower bound. A saturated pixel need not be bad.
     header : Header
@@ -80,7 +87,7 @@ class Picture:
         freeze_arrays(self)
 
     def with_saturated(self, saturated: ArrayLike) -> "Picture":
-        """Return the same frame with another saturation mask.
+        """Return the same picture with another saturation mask.
 
         Raises
         ------
@@ -139,9 +146,9 @@ def picture_from_stored(
 
 def _check_mission(name: str, header: Header, keywords: KeywordMap) -> None:
     for keyword, wanted in keywords.required.items():
-        choices = wanted if isinstance(wanted, list | tuple) else (wanted,)
         found = header.get(keyword)
-        if not any(_same(found, choice) for choice in choices):
+        if not header_matches(found, wanted):
+            choices = wanted if isinstance(wanted, list | tuple) else (wanted,)
             expected = " or ".join(repr(choice) for choice in choices)
             state = f"has {keyword} = {found!r}" if found is not None else f"has no {keyword}"
             raise image_error(
@@ -149,12 +156,6 @@ def _check_mission(name: str, header: Header, keywords: KeywordMap) -> None:
                 f"is not a frame of this mission: its header {state}, expected {expected}; choose the "
                 "mission file that describes this picture (--mission).",
             )
-
-
-def _same(found: Any, wanted: Any) -> bool:
-    if isinstance(found, str) or isinstance(wanted, str):
-        return str(found).strip().casefold() == str(wanted).strip().casefold()
-    return bool(found == wanted)
 
 
 def _exposure(name: str, header: Header, keywords: KeywordMap) -> float:
@@ -255,18 +256,18 @@ def read_image(
 
     Returns
     -------
-    Frame
+    Picture
 
     Raises
     ------
     ImageError
         One line with the file's name, what is wrong and what to do: missing, empty, truncated or damaged
-        file, unknown format, no picture, a cube, no usable pixel, another mission's frame, no time, bad
+        file, unknown format, no picture, a cube, no usable pixel, another mission's picture, no time, bad
         exposure.
 
     Notes
     -----
-    Warnings of the libraries below do not escape; they end in ``Frame.messages``.
+    Warnings of the libraries below do not escape; they end in ``Picture.messages``.
     """
     file = Path(path)
     with warnings.catch_warnings(record=True) as caught:
@@ -274,8 +275,8 @@ def read_image(
         data = file_bytes(file)
         pixels, source = read_stored(file, data, keywords)
         digest = hashlib.sha256(data if pixels == file else pixels.read_bytes()).hexdigest()
-        frame = picture_from_stored(pixels, digest, source, keywords, saturation_dn)
-    return replace(frame, messages=(*frame.messages, *_remarks(caught)))
+        picture = picture_from_stored(pixels, digest, source, keywords, saturation_dn)
+    return replace(picture, messages=(*picture.messages, *_remarks(caught)))
 
 
 def _remarks(caught: Iterable[warnings.WarningMessage]) -> tuple[str, ...]:

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.errors import counted
 from opnav_workbench.image.formats import StoredPicture, image_error
 from opnav_workbench.image.header import Header, KeywordMap, header_number
-from opnav_workbench.image.masks import QUALITY_TABLES, counted, read_quality
+from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
 
 __all__ = ["expanded", "make_planes"]
 

@@ -19,7 +19,7 @@ import numpy as np
 import spiceypy
 
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
-from opnav_workbench.errors import KernelError
+from opnav_workbench.errors import KernelError, counted
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.coverage import Coverage, ck_structures, windows_of
 
@@ -356,7 +356,7 @@ def _windows_text(window: Coverage, et: float) -> str:
     nearest = np.sort(np.argsort(distance, kind="stable")[:SHOWN_WINDOWS])
     shown = ", ".join(f"{_stamp(start)} to {_stamp(stop)}" for start, stop in spans[nearest])
     rest = len(spans) - SHOWN_WINDOWS
-    return shown + (f" and {rest} window{'' if rest == 1 else 's'} farther away" if rest > 0 else "")
+    return shown + (f" and {counted(rest, 'window')} farther away" if rest > 0 else "")
 
 
 def _stamp(et: float) -> str:

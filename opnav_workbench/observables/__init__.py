@@ -9,8 +9,6 @@ Enter by `observe`, which makes an `Observable` of a measured center; by `write_
     `observe`: how a measured center becomes an observable.
 ``partials``
     How the center moves when spacecraft, target or camera move: by differences and analytically.
-``differences``
-    Derivatives by central differences that choose their own step.
 ``columns``
     Names, units and descriptions of an observable's values in files; an observable as a row, and back.
 ``files``

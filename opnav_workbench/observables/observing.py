@@ -20,9 +20,9 @@ from opnav_workbench.geometry import apparent_direction, geometric_direction, ra
 from opnav_workbench.observables.observable import LIGHT_TIMES, Observable
 from opnav_workbench.observables.partials import (
     aberration_jacobian,
-    light_time_jacobian,
     numerical_position_partials,
     numerical_target_partials,
+    seen_place_jacobian,
 )
 from opnav_workbench.targets import TargetState
 
@@ -195,7 +195,7 @@ def _derivatives(
         else symmetric(to_sky @ total @ to_sky.T),
         "diameter_partials_px_per_km": diameter_partials(view.target, diameter_px) if sized else None,
         "range_partials": -view.target.direction
-        @ light_time_jacobian(view.target.position_km, view.target_velocity_km_s),
+        @ seen_place_jacobian(view.target.position_km, view.target_velocity_km_s),
     }
 
 

@@ -29,22 +29,22 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import apparent_direction
-from opnav_workbench.observables.differences import STEP_COUNT, STEP_RATIO, limit_of_slopes
+from opnav_workbench.geometry import apparent_direction, unit
+from opnav_workbench.geometry.differences import STEP_COUNT, STEP_RATIO, limit_of_slopes
+from opnav_workbench.geometry.light_time import LIGHT_TIME_PASSES, light_time_jacobian, where_light_left
 
 __all__ = [
     "aberration_jacobian",
     "analytic_position_partials",
     "analytic_target_partials",
-    "light_time_jacobian",
     "numerical_position_partials",
     "numerical_target_partials",
+    "seen_place_jacobian",
 ]
 
 # The largest step moves the body by this angle. The smallest (1/64 of it) still keeps rounding (1e-16 of a direction,
 # 1e-12 mm of a distortion found by iteration) below 1e-8 of the partials.
 STEP_RAD = 1e-5
-LIGHT_TIME_PASSES = 8  # each is better by v/c; 1e-3 for a fast comet near the Sun
 
 
 def numerical_position_partials(
@@ -57,7 +57,7 @@ def numerical_position_partials(
 ) -> FloatArray:
     """Central differences of (pixel, line) over the spacecraft's position, one component at a time.
 
-    The step is chosen by the differences themselves (`jacobian_by_differences`): a fixed step fails where distortion
+    The step is chosen by the differences themselves (`limit_of_slopes`): a fixed step fails where distortion
     bends strongly or its calibration ends (MVIC).
 
     Parameters
@@ -99,7 +99,7 @@ def analytic_position_partials(
 ) -> FloatArray:
     """Return the same partials (2, 3), px/km, by the chain rule; parameters and errors as there."""
     of_seen = _of_seen_position(position_km, velocity_km_s, camera, camera_from_j2000)
-    return np.asarray(-of_seen @ light_time_jacobian(position_km, target_velocity_km_s))
+    return np.asarray(-of_seen @ seen_place_jacobian(position_km, target_velocity_km_s))
 
 
 def numerical_target_partials(
@@ -166,15 +166,14 @@ def analytic_target_partials(
     return np.concatenate([-by_spacecraft, by_spacecraft * light_time_s], axis=1)
 
 
-def light_time_jacobian(position_km: ArrayLike, target_velocity_km_s: ArrayLike | None) -> FloatArray:
+def seen_place_jacobian(position_km: ArrayLike, target_velocity_km_s: ArrayLike | None) -> FloatArray:
     """Return d(place where the light left)/d(place of the target), (3, 3), both relative to the spacecraft.
 
     The identity where the light time is held fixed (`target_velocity_km_s` None).
     """
     if target_velocity_km_s is None:
         return np.eye(3)
-    unit, velocity = _unit(np.asarray(position_km, float)), np.asarray(target_velocity_km_s, float)
-    return np.asarray(np.eye(3) - np.outer(velocity, unit) / (SPEED_OF_LIGHT_KM_S + unit @ velocity))
+    return light_time_jacobian(position_km, target_velocity_km_s)
 
 
 def aberration_jacobian(direction: ArrayLike, velocity_km_s: ArrayLike) -> FloatArray:
@@ -182,12 +181,12 @@ def aberration_jacobian(direction: ArrayLike, velocity_km_s: ArrayLike) -> Float
 
     The apparent direction n' satisfies n = unit(n' - beta): n' = beta + k n with k from |n'| = 1.
     """
-    unit, beta = np.asarray(direction, float), np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S
-    along = float(beta @ unit)
+    geometric, beta = np.asarray(direction, float), np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S
+    along = float(beta @ geometric)
     root = np.sqrt(along**2 + 1.0 - beta @ beta)
     k = -along + root
     gradient = beta * (along / root - 1.0)
-    return np.asarray(k * np.eye(3) + np.outer(unit, gradient))
+    return np.asarray(k * np.eye(3) + np.outer(geometric, gradient))
 
 
 def _of_seen_position(
@@ -195,12 +194,12 @@ def _of_seen_position(
 ) -> FloatArray:
     """d(pixel, line)/d(place where the light left, relative to the spacecraft), (2, 3) px/km."""
     position, rotation = np.asarray(position_km, float), np.asarray(camera_from_j2000, float)
-    unit = _unit(position)
-    of_unit = (np.eye(3) - np.outer(unit, unit)) / float(np.linalg.norm(position))
-    apparent = apparent_direction(unit, velocity_km_s)
+    toward = unit(position)
+    of_unit = (np.eye(3) - np.outer(toward, toward)) / float(np.linalg.norm(position))
+    apparent = apparent_direction(toward, velocity_km_s)
     of_pixel = camera.project_jacobian((rotation @ apparent)[None])[0] @ rotation
     _require_seen(of_pixel)
-    return np.asarray(of_pixel @ aberration_jacobian(unit, velocity_km_s) @ of_unit)
+    return np.asarray(of_pixel @ aberration_jacobian(toward, velocity_km_s) @ of_unit)
 
 
 def _steps(range_km: float) -> FloatArray:
@@ -211,12 +210,7 @@ def _seen_from(moved_km: FloatArray, position_km: FloatArray, velocity_km_s: Arr
     """Places (..., 3) where the light left of bodies moved to (..., 3), relative to the spacecraft."""
     if velocity_km_s is None:
         return moved_km
-    velocity, range_km = np.asarray(velocity_km_s, float), np.linalg.norm(position_km)
-    seen = moved_km
-    for _ in range(LIGHT_TIME_PASSES):
-        later_s = (np.linalg.norm(seen, axis=-1, keepdims=True) - range_km) / SPEED_OF_LIGHT_KM_S
-        seen = moved_km - later_s * velocity
-    return np.asarray(seen)
+    return where_light_left(moved_km, np.linalg.norm(position_km), velocity_km_s)
 
 
 def _seen_moving(
@@ -238,7 +232,7 @@ def _seen_places(
     seen_km: FloatArray, velocity_km_s: ArrayLike, camera: Camera, camera_from_j2000: ArrayLike
 ) -> FloatArray:
     """(pixel, line) of bodies at (steps, 2 signs, 3 components, 3)."""
-    directions = apparent_direction(_unit(seen_km), velocity_km_s)
+    directions = apparent_direction(unit(seen_km), velocity_km_s)
     places = camera.project(directions @ np.asarray(camera_from_j2000, float).T)
     _require_seen(places)
     return places
@@ -247,10 +241,6 @@ def _seen_places(
 def _slopes(places: FloatArray, steps: FloatArray) -> FloatArray:
     slopes = (places[:, 0] - places[:, 1]) / (2.0 * steps[:, None, None])
     return limit_of_slopes(np.swapaxes(slopes, 1, 2))
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def _require_seen(values: FloatArray) -> None:

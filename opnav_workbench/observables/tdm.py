@@ -25,7 +25,7 @@ from astropy.table import QTable
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import write_text
-from opnav_workbench.image.times import et_from_text, text_from_et
+from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.observables.observable import Observable
 
 __all__ = ["TdmOptions", "TrackingMessage", "parse_tdm", "read_tdm", "tdm_table", "tdm_text", "write_tdm"]

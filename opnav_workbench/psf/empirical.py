@@ -233,44 +233,6 @@ class EmpiricalPsf(TablePsf):
         object.__setattr__(self, "_table", table)
 
     @classmethod
-    def from_stars(
-        cls,
-        image: ArrayLike,
-        bad: ArrayLike | None,
-        centers: ArrayLike,
-        fluxes: ArrayLike,
-        oversampling: int,
-        *,
-        half_size_px: float = 6.0,
-    ) -> Self:
-        """Extract the PSF from many stars of an image by least squares; see `cells_from_stars`.
-
-        Parameters
-        ----------
-        image : (n_line, n_pixel) array_like
-            With its background removed.
-        bad : (n_line, n_pixel) array_like of bool, optional
-            Pixels to leave out, also saturated ones.
-        centers : (n, 2) array_like
-            Stars, (pixel, line), good to a few hundredths of a pixel.
-        fluxes : (n,) array_like
-            Their fluxes, in the unit of the image. Their common scale does not matter.
-        oversampling : int
-            Cells a pixel; the stars' sub-pixel phases must fill them, which 5 * oversampling^2 stars do.
-        half_size_px : float
-            Half the side of the template.
-
-        Raises
-        ------
-        CameraError
-            Fewer usable pixels than cells, or arrays that do not fit together.
-        """
-        return cls(
-            cells_from_stars(image, bad, centers, fluxes, oversampling, half_size_px=half_size_px),
-            oversampling,
-        )
-
-    @classmethod
     def load(cls, path: str | PathLike[str]) -> Self:
         """Read a template that `save` wrote.
 

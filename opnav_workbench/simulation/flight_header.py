@@ -39,8 +39,9 @@ from opnav_workbench.geometry import (
     radec_from_unit,
     tangent_basis,
 )
+from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.image import KeywordMap
-from opnav_workbench.image.times import text_from_et
+from opnav_workbench.image.header import header_matches
 from opnav_workbench.kernels import State, body_attitude, body_id, sclk_from_et, state, utc_from_et
 from opnav_workbench.mission import Mission
 from opnav_workbench.simulation.detector_properties import DetectorValues, Level
@@ -329,7 +330,7 @@ def _template_cards(record: FlightRecord, values: DetectorValues, level: Level) 
     for path in templates:
         template = _template(path, path.stat().st_mtime_ns)
         for group in template.groups:
-            if all(_same_value(told.get(keyword), value) for keyword, value in group.when.items()):
+            if all(header_matches(told.get(keyword), value) for keyword, value in group.when.items()):
                 yield from (_card(card, known, missing, path.name) for card in group.cards)
 
 
@@ -350,10 +351,6 @@ def _card(card: tuple[str, CardValue, str], known: Mapping[str, Any], missing: f
         )
     found = known[name]
     return Card(keyword, missing if found is None else found, comment)
-
-
-def _same_value(found: Any, wanted: CardValue) -> bool:
-    return str(found).strip().casefold() == str(wanted).strip().casefold()
 
 
 def _keyword_cards(record: FlightRecord) -> Iterator[Card]:

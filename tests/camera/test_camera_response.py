@@ -78,7 +78,6 @@ def test_every_camera_can_be_simulated(path):
         "prnu",
     ):
         assert camera.require(name) > 0.0
-    assert camera.adc_bits == camera.bits
     assert float(camera.electrons(10.0, 1.0)) > 0.0
     assert camera.sunlight_e(1e-6) > 0.0
     assert camera.psf_model.half_size_px > 1.0

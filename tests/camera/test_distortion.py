@@ -15,7 +15,6 @@ from opnav_workbench.camera import (
     NoDistortion,
     OwenDistortion,
     SipDistortion,
-    undistort,
 )
 from opnav_workbench.errors import CameraError
 from opnav_workbench.resources import kernels_meta_dir
@@ -62,8 +61,8 @@ def grid(half_mm, n=15):
 @each_model
 def test_undistort_inverts_to_1e_12_mm(model, half_mm):
     ideal = grid(half_mm)
-    np.testing.assert_allclose(undistort(model, model.distort(ideal)), ideal, rtol=0, atol=3e-12)
-    np.testing.assert_allclose(model.distort(undistort(model, ideal)), ideal, rtol=0, atol=1.1e-12)
+    np.testing.assert_allclose(model.undistort(model.distort(ideal)), ideal, rtol=0, atol=3e-12)
+    np.testing.assert_allclose(model.distort(model.undistort(ideal)), ideal, rtol=0, atol=1.1e-12)
 
 
 @each_model
@@ -81,9 +80,9 @@ def test_jacobian_equals_central_differences(model, half_mm):
 def test_shapes_pass_through_and_nan_stays_where_it_is(model, half_mm):
     assert model.distort([0.1, 0.2]).shape == (2,)
     assert model.jacobian(np.zeros((4, 3, 2))).shape == (4, 3, 2, 2)
-    assert undistort(model, np.zeros((0, 2))).shape == (0, 2)
+    assert model.undistort(np.zeros((0, 2))).shape == (0, 2)
     points = np.array([[0.3, 0.2], [np.nan, 0.2], [0.1, 0.1]])
-    for result in (model.distort(points), undistort(model, points)):
+    for result in (model.distort(points), model.undistort(points)):
         np.testing.assert_array_equal(np.isfinite(result).all(axis=1), [True, False, True])
 
 
@@ -91,7 +90,7 @@ def test_lorri_distortion_as_published():
     """Distorted minus ideal at the corner pixels of the 1x1 frame: facts of the 2013 calibration."""
     corners_px = np.array([[0.0, 0.0], [1023.0, 1023.0]])
     distorted = (corners_px - 511.5) / LORRI_K
-    shift_px = (distorted - undistort(LORRI, distorted)) * LORRI_K
+    shift_px = (distorted - LORRI.undistort(distorted)) * LORRI_K
     np.testing.assert_allclose(shift_px, [[-1.38, -1.38], [1.06, 1.06]], rtol=0, atol=0.005)
 
 
@@ -158,7 +157,7 @@ def test_sip_agrees_with_astropy_both_ways():
     offsets_px = grid((500.0, 500.0)).reshape(-1, 2)
     offsets_mm = offsets_px @ np.linalg.inv(SIP_MATRIX).T
     from_reverse = reverse.distort(offsets_mm) @ SIP_MATRIX.T
-    from_forward = undistort(forward, offsets_mm) @ SIP_MATRIX.T
+    from_forward = forward.undistort(offsets_mm) @ SIP_MATRIX.T
     np.testing.assert_allclose(from_reverse, astropy_sip.foc2pix(offsets_px, 1), rtol=0, atol=1e-9)
     np.testing.assert_allclose(from_forward, astropy_sip.pix2foc(offsets_px, 1), rtol=0, atol=1e-9)
 
@@ -183,23 +182,21 @@ def test_legendre_equals_a_plain_sum():
             x + half_x * np.dot(model.x_coefficients, p),
             y + half_y * np.dot(model.y_coefficients, p),
         )
-        np.testing.assert_allclose(undistort(model, [x, y]), expected, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(model.undistort([x, y]), expected, rtol=0, atol=1e-13)
 
 
 def test_legendre_goes_on_unchanged_beyond_its_area():
     model = mvic()
     edge, beyond = np.array([[32.5, 0.4], [10.0, -0.832]]), np.array([[40.0, 0.4], [10.0, -5.0]])
     np.testing.assert_allclose(
-        undistort(model, beyond) - beyond, undistort(model, edge) - edge, rtol=0, atol=1e-13
+        model.undistort(beyond) - beyond, model.undistort(edge) - edge, rtol=0, atol=1e-13
     )
 
 
 def test_a_point_with_no_origin_is_nan():
     barrel = BrownDistortion(100.0, k1=-1.0)  # r (1 - r^2) reaches 0.385 at most
-    assert np.isnan(undistort(barrel, [50.0, 0.0])).all()
-    np.testing.assert_allclose(
-        barrel.distort(undistort(barrel, [30.0, 0.0])), [30.0, 0.0], rtol=0, atol=1e-12
-    )
+    assert np.isnan(barrel.undistort([50.0, 0.0])).all()
+    np.testing.assert_allclose(barrel.distort(barrel.undistort([30.0, 0.0])), [30.0, 0.0], rtol=0, atol=1e-12)
 
 
 @given(
@@ -210,7 +207,7 @@ def test_a_point_with_no_origin_is_nan():
 def test_any_small_owen_distortion_is_inverted(coefficients, x, y):
     scales = (1e-3, 1e-4, 1e-5, 1e-6, 1e-3, 1e-3)  # each up to 5 % at 7 mm
     model = OwenDistortion(*(c * s for c, s in zip(coefficients, scales, strict=True)))
-    np.testing.assert_allclose(undistort(model, model.distort([x, y])), [x, y], rtol=0, atol=3e-12)
+    np.testing.assert_allclose(model.undistort(model.distort([x, y])), [x, y], rtol=0, atol=3e-12)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from opnav_workbench.estimation import estimate, observability
 from opnav_workbench.estimation.measurements import Dynamics, measurements_of
 from opnav_workbench.estimation.parameters import parameter_count, parse_groups
 from opnav_workbench.estimation.state_transition import straight_line
-from opnav_workbench.observables.differences import jacobian_by_differences
+from opnav_workbench.geometry.differences import jacobian_by_differences
 
 ENCOUNTER_ET = 490146664.0
 OFFSET_KM = 4500.0

@@ -6,7 +6,7 @@ import spiceypy
 
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation import estimate, kepler, propagate_two_body, straight_line
-from opnav_workbench.observables.differences import jacobian_by_differences
+from opnav_workbench.geometry.differences import jacobian_by_differences
 
 CHARON = np.array([17500.0, 3000.0, -8000.0, 0.03, 0.19, 0.06])
 GM = 975.5

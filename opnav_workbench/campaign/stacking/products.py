@@ -19,7 +19,7 @@ from opnav_workbench.campaign.stacking.combining import Stacked
 from opnav_workbench.campaign.stacking.frames import StackFrame
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.files import atomic_path, make_folder, sha256_of
-from opnav_workbench.image.times import text_from_et
+from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.observables import Observable, observe
 from opnav_workbench.session.result import body_results, kernel_entries
 from opnav_workbench.session.state import SessionState

@@ -8,7 +8,7 @@ import spiceypy as spice
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from opnav_workbench.image.times import et_from_text, text_from_et
+from opnav_workbench.geometry.times import et_from_text, text_from_et
 
 MS = 1e-3
 DAY = 86400.0
