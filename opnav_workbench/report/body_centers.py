@@ -27,7 +27,6 @@ from opnav_workbench.report.body_panels import (
     draw_compass,
     draw_mark,
     draw_panel,
-    error_ellipse_patch,
     legend_below,
     linear_limits,
     method_title,
@@ -36,9 +35,16 @@ from opnav_workbench.report.body_panels import (
     shown_of_session,
     symmetric_limit,
     title_remarks,
-    titled_figure,
 )
-from opnav_workbench.report.drawing import OBSERVED_COLOR, png_bytes, round_scale, write_png
+from opnav_workbench.report.drawing import (
+    OBSERVED_COLOR,
+    SERIES_COLORS,
+    error_ellipse_patch,
+    png_bytes,
+    round_scale,
+    titled_figure,
+    write_png,
+)
 from opnav_workbench.session import ImageSession
 
 __all__ = [
@@ -112,11 +118,9 @@ def body_png(
     return png_bytes(body_figure(source, name, method, truth_px=truth_px))
 
 
-def write_body(
-    session: BodyCenter | ImageSession, path: str | Path, name: str = "", method: str = ""
-) -> None:
+def write_body(source: BodyCenter | ImageSession, path: str | Path, name: str = "", method: str = "") -> None:
     """Write `body_figure` as a PNG, whole or not at all."""
-    write_png(body_figure(session, name, method), path)
+    write_png(body_figure(source, name, method), path)
 
 
 def _center_title(shown: ShownBody) -> str:
@@ -187,9 +191,8 @@ def _draw_ellipse(axes: Axes, center: BodyCenter, entries: dict[str, Artist]) ->
     """Draw the error ellipse as large as is seen well, and say by how much it is enlarged."""
     if center.pixel_line is None or not np.isfinite(center.covariance_px2).all():
         return
-    longest = float(np.sqrt(np.linalg.eigvalsh(center.covariance_px2)[-1]))
     side = min(abs(np.diff(axes.get_xlim())[0]), abs(np.diff(axes.get_ylim())[0]))
-    factor = max(1.0, round_scale(ELLIPSE_SHARE * side / max(longest, 1e-9)))
+    factor = max(1.0, round_scale(ELLIPSE_SHARE * side / _semi_major_px(center)))
     style = {"edgecolor": OBSERVED_COLOR, "linewidth": 1.3, "path_effects": [DARK_EDGE]}
     axes.add_patch(error_ellipse_patch(center.pixel_line, center.covariance_px2, factor, **style))
     enlarged = f", drawn {factor:g} × larger" if factor > 1.0 else ""
@@ -201,7 +204,6 @@ def _draw_ellipse(axes: Axes, center: BodyCenter, entries: dict[str, Artist]) ->
 # ---- Figures that set methods side by side: their centers with error ellipses, and what each leaves over of ...
 
 CentersByMethod = ImageSession | Mapping[str, BodyCenter]
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("solid", (0, (5, 2)), (0, (1, 1)), (0, (5, 2, 1, 2)), (0, (8, 2)), (0, (3, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P")
 SIZE_INCH = (13.0, 4.9)
@@ -369,7 +371,7 @@ def _draw_centers(
 ) -> list[tuple[Artist, str]]:
     entries: list[tuple[Artist, str]] = []
     for index, (label, body) in enumerate(shown.items()):
-        color, dashes, marker = (styles[index % len(styles)] for styles in (COLORS, DASHES, MARKERS))
+        color, dashes, marker = (styles[index % len(styles)] for styles in (SERIES_COLORS, DASHES, MARKERS))
         place, covariance = places[label], body.center.covariance_px2
         (mark,) = axes.plot(*place, marker=marker, color=color, linestyle=dashes, markersize=5, linewidth=1.3)
         if np.isfinite(covariance).all():

@@ -13,10 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
@@ -24,7 +21,7 @@ from opnav_workbench.bodies import BodyCenter, BodyResiduals, Circle, describe_b
 from opnav_workbench.bodies.results import LimbEllipse
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import radec_from_unit, tangent_basis
-from opnav_workbench.report.drawing import BODY_COLOR, OBSERVED_COLOR, PREDICTED_COLOR
+from opnav_workbench.report.drawing import BODY_COLOR, GREEN, OBSERVED_COLOR, PREDICTED_COLOR
 from opnav_workbench.session import ImageSession
 
 __all__ = [
@@ -32,7 +29,6 @@ __all__ = [
     "draw_compass",
     "draw_mark",
     "draw_panel",
-    "error_ellipse_patch",
     "legend_below",
     "linear_limits",
     "method_title",
@@ -41,10 +37,8 @@ __all__ = [
     "shown_of_session",
     "symmetric_limit",
     "title_remarks",
-    "titled_figure",
 ]
 
-TRUTH = "#009E73"
 DARK_EDGE = withStroke(linewidth=2.6, foreground="black")
 # The stretch is linear between these percentiles: a cosmic ray or a hot pixel does not darken the rest.
 BRIGHTEST, LARGEST = 99.9, 99.8
@@ -56,7 +50,7 @@ TEXT_WIDTH = 190  # characters that fit a line of the title
 MARKS: dict[str, dict[str, Any]] = {
     "predicted": {"marker": "o", "color": PREDICTED_COLOR, "markersize": 11.0},
     "observed": {"marker": "+", "color": OBSERVED_COLOR, "markersize": 11.0},
-    "truth": {"marker": "x", "color": TRUTH, "markersize": 8.0},
+    "truth": {"marker": "x", "color": GREEN, "markersize": 8.0},
 }
 OUTLINE: dict[str, Any] = {"color": BODY_COLOR, "linewidth": 1.0, "linestyle": (0, (4, 3))}
 
@@ -190,14 +184,6 @@ def method_title(method: str) -> str:
     return {"cross_correlation": "cross-correlation"}.get(method, method.replace("_", " "))
 
 
-def titled_figure(width: float, height: float, title: str) -> Figure:
-    """Return an empty figure with its title at the left, drawn without a window."""
-    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06))
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
-    return figure
-
-
 def linear_limits(*values: FloatArray) -> tuple[float, float]:
     """Return where a linear stretch begins and ends that suits all of these."""
     good = np.concatenate([v[np.isfinite(v)] for v in values])
@@ -272,14 +258,6 @@ def draw_compass(axes: Axes, shown: ShownBody) -> None:
 def _within(axes: Axes, place: FloatArray) -> bool:
     limits = (sorted(axes.get_xlim()), sorted(axes.get_ylim()))
     return all(low <= value <= high for value, (low, high) in zip(place, limits, strict=True))
-
-
-def error_ellipse_patch(center: FloatArray, covariance: FloatArray, sigmas: float, **style: Any) -> Ellipse:
-    """Return the ellipse of `sigmas` standard deviations about a center."""
-    variance, axes = np.linalg.eigh(covariance)
-    minor, major = 2.0 * sigmas * np.sqrt(np.maximum(variance, 0.0))
-    angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
-    return Ellipse((float(center[0]), float(center[1])), major, minor, angle=angle, fill=False, **style)
 
 
 def legend_below(figure: Figure, entries: Sequence[tuple[Artist, str]], *, dark: bool = True) -> None:

@@ -9,17 +9,16 @@ from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse
+from matplotlib.patches import Circle
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.estimation import BPlane, BPlaneSolution
 from opnav_workbench.geometry import radec_from_unit
+from opnav_workbench.report.drawing import SERIES_COLORS, error_ellipse_patch, new_figure
 
 __all__ = ["bplane_figure"]
 
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 MARKERS = ("o", "s", "^", "D", "v")
 SIGMAS = (1.0, 3.0)
 GREY = "0.55"
@@ -60,9 +59,7 @@ def bplane_figure(
         raise ValueError("no solution to draw; give at least one BPlaneSolution")
     reference = next(iter(solutions.values())).a_priori
     marks = {name: point.in_axes_of(reference) for name, point in (points or {}).items()}
-    figure = Figure(figsize=(13.0, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title or _heading(reference), fontsize=11)
+    figure = new_figure(13.0, 4.8, title or _heading(reference), fontsize=11)
     whole, close, times = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
     _draw_whole(whole, solutions, marks, reference, body_radius_km)
     _draw_close_up(close, solutions, marks)
@@ -161,24 +158,17 @@ def _draw_arrivals(
 def _styled(
     solutions: Mapping[str, BPlaneSolution],
 ) -> list[tuple[str, BPlaneSolution, str, str]]:
-    styles = zip(cycle(COLORS), cycle(MARKERS), strict=False)
+    styles = zip(cycle(SERIES_COLORS[: len(MARKERS)]), cycle(MARKERS), strict=False)
     return [
         (name, solution, *style) for (name, solution), style in zip(solutions.items(), styles, strict=False)
     ]
 
 
 def _ellipses(axes: Axes, solution: BPlaneSolution, color: str) -> None:
-    ellipse = solution.ellipse
-    for sigmas in SIGMAS:
+    for sigmas, width in zip(SIGMAS, (1.2, 0.7), strict=True):
         axes.add_patch(
-            Ellipse(
-                (float(solution.values_after[0]), float(solution.values_after[1])),
-                2.0 * sigmas * ellipse.semi_major_km,
-                2.0 * sigmas * ellipse.semi_minor_km,
-                angle=float(np.degrees(ellipse.angle_rad)),
-                fill=False,
-                edgecolor=color,
-                linewidth=1.2 if sigmas == SIGMAS[0] else 0.7,
+            error_ellipse_patch(
+                solution.values_after, solution.covariance, sigmas, edgecolor=color, linewidth=width
             )
         )
 

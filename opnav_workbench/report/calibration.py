@@ -5,17 +5,17 @@ Pixel components are blue, line components vermilion, as in the summary figure (
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.calibration import CameraCalibration, PsfCalibration, StarFrames
 from opnav_workbench.camera import Camera
 from opnav_workbench.psf import Psf
+from opnav_workbench.report.drawing import LINE_COLOR, PIXEL_COLOR, new_figure
 
 __all__ = ["camera_figure", "psf_figure"]
 
-PIXEL_COLOR, LINE_COLOR, GREY = "#0072B2", "#D55E00", "0.6"
+GREY = "0.6"
 VECTOR_SHARE = 0.08  # of the detector's smaller side, for an arrow as long as the larger of both rms
 PROFILE_PX = 5.0
 FLOOR = 1e-6  # of the logarithmic picture, relative to the peak
@@ -30,10 +30,7 @@ def camera_figure(stars: StarFrames, result: CameraCalibration, title: str = "")
     result : CameraCalibration
         Of these stars.
     """
-    figure = Figure(figsize=(13.0, 8.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title)
+    figure = new_figure(13.0, 8.2, title)
     axes = figure.subplots(2, 3)
     scale = max(result.rms_before_px, result.rms_after_px) or 1.0
     pairs = (
@@ -51,10 +48,7 @@ def camera_figure(stars: StarFrames, result: CameraCalibration, title: str = "")
 
 def psf_figure(result: PsfCalibration, gaussian: Psf, title: str = "") -> Figure:
     """Draw an empirical PSF, its profiles beside a Gaussian's, and how well either explains the stars."""
-    figure = Figure(figsize=(13.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title)
+    figure = new_figure(13.0, 4.2, title)
     picture, profile, misfit = figure.subplots(1, 3)
     samples, cells = result.psf.samples, result.psf.oversampling
     half = len(samples) / 2.0 / cells

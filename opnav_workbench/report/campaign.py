@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
@@ -19,14 +18,22 @@ from opnav_workbench.campaign import Completeness, Series, Trends
 from opnav_workbench.campaign.stacking import Growth, Stacked
 from opnav_workbench.campaign.stacking.grid import resample
 from opnav_workbench.constants import DAY_S, HOUR_S
+from opnav_workbench.report.drawing import (
+    GREEN,
+    LINE_COLOR,
+    PIXEL_COLOR,
+    PREDICTED_COLOR,
+    PURPLE,
+    VERMILION,
+    new_figure,
+)
 
 __all__ = ["stack_figure", "trends_figure"]
 
 
 # ---- Trends of a campaign in one figure: O-C of bodies, pointing error, star residuals, detections against ...
 
-PIXEL_COLOR, LINE_COLOR, TWIST_COLOR, GREY = "#0072B2", "#D55E00", "#009E73", "0.6"
-OUTLIER_COLOR = "#CC79A7"
+TWIST_COLOR, OUTLIER_COLOR, GREY = GREEN, PURPLE, "0.6"
 FEW_DAYS = 3.0  # below this the axis counts hours
 PANEL_HEIGHT, WIDTH = 2.7, 12.0
 
@@ -35,10 +42,7 @@ def trends_figure(trends: Trends, title: str = "") -> Figure:
     """Draw all trends: a panel for each body and method, one each for pointing, twist, residuals and detections."""
     panels = [*trends.bodies.values(), trends.pointing[:2], (trends.pointing[2],), (trends.residual,)]
     rows = len(panels) // 2 + 1
-    figure = Figure(figsize=(WIDTH, PANEL_HEIGHT * rows), layout="constrained")
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title)
+    figure = new_figure(WIDTH, PANEL_HEIGHT * rows, title)
     axes = figure.subplots(rows, 2, squeeze=False).ravel()
     start, scale, span, unit = _time_axis([series for panel in panels for series in panel])
     for axis, panel in zip(axes, panels, strict=False):
@@ -120,7 +124,7 @@ def _time_axis(series: Sequence[Series]) -> tuple[float, float, float, str]:
 
 # ---- A stack in one figure: one picture, the stack, its noise, and how the signal-to-noise ratio grows.
 
-MARK_COLOR, PREDICTED_COLOR, ROOT_COLOR = "#D55E00", "#56B4E9", "0.6"
+FOUND_COLOR, ROOT_COLOR = VERMILION, "0.6"
 LOW_SIGMAS, HIGH_SIGMAS = -2.0, 8.0  # of the shown picture: noise is seen, and a target of SNR 5
 MARK_PX = 3.0
 CUT_PX = 24.0  # half the side that is shown about a target: enough to see it
@@ -139,10 +143,7 @@ def stack_figure(
     growth : Growth, optional
         Without it, the third panel shows how many pictures each pixel has.
     """
-    figure = Figure(figsize=(13.0, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title)
+    figure = new_figure(13.0, 4.6, title)
     single, together, last = figure.subplots(1, 3)
     number = len(stacked.frames) // 2
     image, variance = resample(stacked.grid, stacked.frames[number], float(stacked.response[number]))
@@ -183,7 +184,9 @@ def _mark_target(axes: Axes, stacked: Stacked, center: BodyCenter | None) -> Non
         axes.plot(*expected, "+", color=PREDICTED_COLOR, markersize=9, label="predicted")
     if center is not None and center.pixel_line is not None:
         place = (float(center.pixel_line[0]), float(center.pixel_line[1]))
-        axes.add_patch(Circle(place, MARK_PX, fill=False, edgecolor=MARK_COLOR, linewidth=1.2, label="found"))
+        axes.add_patch(
+            Circle(place, MARK_PX, fill=False, edgecolor=FOUND_COLOR, linewidth=1.2, label="found")
+        )
     if center is not None and np.isfinite(expected).all():
         left, right, bottom, top = _extent(stacked)
         axes.set_xlim(max(left, expected[0] - CUT_PX), min(right, expected[0] + CUT_PX))
@@ -205,6 +208,6 @@ def _draw_growth(axes: Axes, growth: Growth) -> None:
     root = flux / growth.flux_sigma_dn[-1] * np.sqrt(count / most)
     axes.plot(count, root, "--", color=ROOT_COLOR, label="square root of the number")
     snr = flux / growth.flux_sigma_dn
-    axes.plot(growth.pictures, snr, "o", color=MARK_COLOR, label="flux of the stack over sigma")
+    axes.plot(growth.pictures, snr, "o", color=FOUND_COLOR, label="flux of the stack over sigma")
     axes.set(xlabel="pictures", ylabel="signal-to-noise ratio", title="growth", xlim=(0, None))
     axes.legend(fontsize="small", loc="lower right")

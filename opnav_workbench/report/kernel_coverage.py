@@ -4,19 +4,18 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.constants import DAY_S
 from opnav_workbench.kernels import CoverageRow, KernelCheck, utc_from_et
-from opnav_workbench.report.drawing import write_png
+from opnav_workbench.report.drawing import BLUE, GREEN, SKY_BLUE, VERMILION, new_figure, write_png
 
 __all__ = ["coverage_figure", "write_coverage"]
 
-COLORS = {"spacecraft SPK": "#0072B2", "target SPK": "#56B4E9", "CK": "#009E73"}  # Okabe & Ito
-ASKED_TIME_COLOR = "#D55E00"
+COLORS = {"spacecraft SPK": BLUE, "target SPK": SKY_BLUE, "CK": GREEN}
+ASKED_TIME_COLOR = VERMILION
 NARROWEST = 0.002  # of the axis: a shorter window would not be seen
 ROW_INCH, MARGIN_INCH, WIDTH_INCH = 0.28, 1.3, 10.0
 BAR_HEIGHT = 0.7
@@ -42,8 +41,7 @@ def coverage_figure(check: KernelCheck) -> Figure:
     """
     rows = [row for row in check.rows if row.needed]
     height = MARGIN_INCH + ROW_INCH * max(len(rows), 1)
-    figure = Figure(figsize=(WIDTH_INCH, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(WIDTH_INCH, height)
     axes = figure.add_subplot()
     start, stop = check.plot_span_et()
     for number, row in enumerate(rows):

@@ -28,17 +28,17 @@ from opnav_workbench.report.body_panels import (
     pictures_around,
     shown_body,
     title_remarks,
-    titled_figure,
 )
 from opnav_workbench.report.drawing import (
     LINE_COLOR,
     OBSERVED_COLOR,
     PIXEL_COLOR,
     PREDICTED_COLOR,
+    VERMILION,
     png_bytes,
+    titled_figure,
     write_png,
 )
-from opnav_workbench.report.drawing import REJECTED_COLOR as VERMILION
 from opnav_workbench.session import ImageSession
 
 __all__ = ["scan_figure", "scan_png", "write_scans"]

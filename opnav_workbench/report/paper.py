@@ -18,10 +18,8 @@ import numpy as np
 from astropy.stats import mad_std
 from astropy.table import Column, Table
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import MaxNLocator
@@ -29,7 +27,7 @@ from scipy import ndimage
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.files import atomic_path
-from opnav_workbench.report.drawing import png_bytes
+from opnav_workbench.report.drawing import new_figure, png_bytes
 from opnav_workbench.report.pages import png_url, render_template
 from opnav_workbench.stars.peaks import paraboloid_coefficients
 
@@ -257,6 +255,7 @@ def _draw_paper_marks(axes: Axes, marks: PaperMarks) -> None:
 
 PANEL_WIDTH_INCH, AROUND_INCH, BAR_INCH, AXIS_INCH = 4.3, 0.75, 0.85, 0.35
 TITLE_INCH, LEGEND_INCH = 0.3, 0.35
+PADS_INCH = (0.06, 0.08)
 LARGEST_WIDTH_INCH = 14.5
 PEAK_PX = 1.5  # the paraboloid is drawn this far to either side of its largest sample
 AROUND_PEAK = 4  # samples of the surface on either side, in the relief
@@ -287,7 +286,13 @@ def panels_figure(panels: Sequence[PaperPanel], *, columns: int = 3, title: str 
     side = width / across - BAR_INCH - AXIS_INCH
     height = down * (side * float(np.clip(n_line / n_pixel, 0.2, 2.0)) + AROUND_INCH)
     entries = _legend_entries(panels)
-    figure = _titled_figure(width, height + TITLE_INCH * bool(title) + LEGEND_INCH * bool(entries), title)
+    figure = new_figure(
+        width,
+        height + TITLE_INCH * bool(title) + LEGEND_INCH * bool(entries),
+        title,
+        pads_inch=PADS_INCH,
+        fontsize=11,
+    )
     axes = figure.subplots(down, across, squeeze=False)
     for number, panel in enumerate(panels):
         draw_paper_panel(axes.flat[number], panel)
@@ -313,20 +318,14 @@ def peak_figure(
     matplotlib.figure.Figure
         Left the surface with the top of the paraboloid marked, right samples near the peak and the paraboloid.
     """
-    figure = _titled_figure(2.0 * PANEL_WIDTH_INCH + BAR_INCH + 0.6, PANEL_WIDTH_INCH + AROUND_INCH, "")
+    figure = new_figure(
+        2.0 * PANEL_WIDTH_INCH + BAR_INCH + 0.6, PANEL_WIDTH_INCH + AROUND_INCH, pads_inch=PADS_INCH
+    )
     cells = figure.add_gridspec(1, 2, width_ratios=(1.12, 1.0))
     left = figure.add_subplot(cells[0, 0])
     draw_paper_panel(left, panel)
     _draw_relief(figure.add_subplot(cells[0, 1], projection="3d"), panel)
     figure.axes[-1].set_title(paraboloid_title, fontsize=10)
-    return figure
-
-
-def _titled_figure(width_inch: float, height_inch: float, title: str) -> Figure:
-    figure = Figure(figsize=(width_inch, height_inch), layout=ConstrainedLayoutEngine(h_pad=0.06, w_pad=0.08))
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title, fontsize=11)
     return figure
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from opnav_workbench.arrays import FloatArray
@@ -25,7 +24,17 @@ from opnav_workbench.planning import (
     TargetPlan,
     catalog_words,
 )
-from opnav_workbench.report.drawing import png_bytes
+from opnav_workbench.report.drawing import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SERIES_COLORS,
+    STRIP_ASPECT,
+    VERMILION,
+    new_figure,
+    png_bytes,
+)
 from opnav_workbench.report.pages import few_colors, png_url, render_template
 from opnav_workbench.simulation import stretched
 
@@ -34,12 +43,12 @@ __all__ = ["field_chart", "timeline_figure", "write_plan_page"]
 
 # ---- Figures of a picture plan: a chart of each field, and how sigmas, signal and size change over the ...
 
-STAR, UNUSABLE, BODY, OTHER = "#0072B2", "#999999", "#D55E00", "#009E73"  # Okabe & Ito
-GRADE_COLORS = {"good": "#009E73", "marginal": "#E69F00", "bad": "#D55E00"}
+STAR, UNUSABLE, BODY, OTHER = BLUE, "#999999", VERMILION, GREEN
+GRADE_COLORS = {"good": GREEN, "marginal": ORANGE, "bad": VERMILION}
 GRADE_SIGNS = {"good": "o", "marginal": "s", "bad": "X"}
-TARGET_COLORS = ("#D55E00", "#0072B2", "#CC79A7", "#E69F00")
+TARGET_COLORS = (VERMILION, BLUE, PURPLE, ORANGE)
 NAMED = 8  # the brightest stars get their magnitudes
-CHART_INCH, STRIP_ASPECT = 5.6, 4.0
+CHART_INCH = 5.6
 LEAST_RING_PX = 0.018  # of the detector: a ring that is seen
 
 
@@ -55,8 +64,7 @@ def field_chart(plan: PicturePlan) -> Figure:
     matplotlib.figure.Figure
         Pixel to the right, line down, as on the detector.
     """
-    figure = Figure(figsize=(CHART_INCH, CHART_INCH * 1.02), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(CHART_INCH, CHART_INCH * 1.02)
     axes = figure.add_subplot()
     axes.set_title(
         f"{plan.name}: {plan.verdict.grade}",
@@ -149,10 +157,7 @@ def timeline_figure(pictures: Sequence[PicturePlan], title: str = "") -> Figure:
         Those that cannot be predicted are marked by their time alone.
     title : str
     """
-    figure = Figure(figsize=(9.5, 8.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    if title:
-        figure.suptitle(title, fontsize=10)
+    figure = new_figure(9.5, 8.6, title, fontsize=10)
     axes = figure.subplots(4, 1, sharex=True)
     dated = sorted((p for p in pictures if p.prediction is not None), key=lambda p: p.utc)
     names = list(dict.fromkeys(t.name for p in dated for t in _predicted(p).targets))
@@ -214,15 +219,13 @@ def _days_since_first(pictures: Sequence[PicturePlan]) -> tuple[FloatArray, str]
 
 # ---- Figures of a plan's approach searches and of the best exposure.
 
-SINGLE, STACK, LIMIT, SUN = "#0072B2", "#009E73", "#D55E00", "#E69F00"  # Okabe & Ito
+SINGLE, STACK, LIMIT, SUN = BLUE, GREEN, VERMILION, ORANGE
 ROOM_BELOW = 0.25
-CURVE_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 
 def search_figure(approach: Approach) -> Figure:
     """Draw the signal-to-noise ratio over the search, with the threshold and the epochs of first detection."""
-    figure = Figure(figsize=(9.5, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.5, 3.6)
     axes = figure.add_subplot()
     search = approach.search
     head = f"{search.name}: {search.target} with {search.camera}, {search.exposure_s:g} s"
@@ -274,10 +277,9 @@ def _mark_detections(axes: Axes, approach: Approach) -> None:
 
 def exposure_figure(pictures: Sequence[PicturePlan]) -> Figure:
     """Draw the target's expected error against exposure for some pictures; dots mark the best."""
-    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.5, 3.8)
     axes = figure.add_subplot()
-    for plan, color in zip(pictures, CURVE_COLORS * len(pictures), strict=False):
+    for plan, color in zip(pictures, SERIES_COLORS * len(pictures), strict=False):
         best = None if plan.prediction is None else plan.prediction.best_exposure
         if best is not None and np.isfinite(best.sigma_px).any():
             _draw_exposure_curve(axes, plan, best, color)

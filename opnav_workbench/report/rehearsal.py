@@ -13,9 +13,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.constants import DAY_S
@@ -23,7 +21,16 @@ from opnav_workbench.estimation import error_ellipse
 from opnav_workbench.rehearsal.score import OrtScore
 from opnav_workbench.rehearsal.solution import OrtSolution
 from opnav_workbench.rehearsal.truth_checks import PictureScore
-from opnav_workbench.report.drawing import png_bytes
+from opnav_workbench.report.drawing import (
+    BLUE,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILION,
+    error_ellipse_patch,
+    new_figure,
+    png_bytes,
+)
 from opnav_workbench.report.pages import png_url, render_template
 
 __all__ = ["score_page", "solution_page"]
@@ -31,8 +38,8 @@ __all__ = ["score_page", "solution_page"]
 
 # ---- Figures of a rehearsal: the flyby in the B-plane, O-C over time, errors against the truth in their own ...
 
-LIGHT = {"pixel": "#0072B2", "line": "#D55E00", "before": "#7a8594", "solved": "#0072B2", "true": "#000000"}
-DARK = {"pixel": "#56B4E9", "line": "#E69F00", "before": "#9aa7b8", "solved": "#56B4E9", "true": "#ffffff"}
+LIGHT = {"pixel": BLUE, "line": VERMILION, "before": "#7a8594", "solved": BLUE, "true": "#000000"}
+DARK = {"pixel": SKY_BLUE, "line": ORANGE, "before": "#9aa7b8", "solved": SKY_BLUE, "true": "#ffffff"}
 DARK_INK, DARK_GROUND = "#e4e9f0", "#14181f"
 MARKERS = ("o", "s", "^", "D", "v", "P")
 SIGMAS = (1.0, 3.0)
@@ -46,12 +53,6 @@ def _ground(dark: bool) -> AbstractContextManager[None]:
     ground = ("figure.facecolor", "axes.facecolor", "legend.facecolor", "savefig.facecolor")
     values: Any = dict.fromkeys(ink, DARK_INK) | dict.fromkeys(ground, DARK_GROUND)
     return mpl.rc_context(values | {"font.size": 9.0, "legend.edgecolor": "#303947"})
-
-
-def _new_figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 # -- B-plane -------------------------------------------------------------------------------------------------------
@@ -74,7 +75,7 @@ def flyby_figure(solution: OrtSolution, true: FloatArray | None = None, *, dark:
     """
     colors = DARK if dark else LIGHT
     with _ground(dark):
-        figure = _new_figure(12.5, 4.3)
+        figure = new_figure(12.5, 4.3)
         whole, close, times = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.0))
         _draw_b_plane(whole, solution, true, colors)
         whole.set_title(f"B-plane of {solution.b_plane_body.title()}", fontsize=10)
@@ -105,20 +106,9 @@ def _draw_b_plane(
 
 
 def _ellipses(axes: Axes, center: FloatArray, covariance: FloatArray, color: str, line: str) -> None:
-    ellipse = error_ellipse(covariance[:2, :2])
-    for sigmas in SIGMAS:
-        axes.add_patch(
-            Ellipse(
-                (float(center[0]), float(center[1])),
-                2.0 * sigmas * ellipse.semi_major_km,
-                2.0 * sigmas * ellipse.semi_minor_km,
-                angle=float(np.degrees(ellipse.angle_rad)),
-                fill=False,
-                edgecolor=color,
-                linestyle=line,
-                linewidth=1.4 if sigmas == SIGMAS[0] else 0.8,
-            )
-        )
+    for sigmas, width in zip(SIGMAS, (1.4, 0.8), strict=True):
+        style: dict[str, Any] = {"edgecolor": color, "linestyle": line, "linewidth": width}
+        axes.add_patch(error_ellipse_patch(center, covariance, sigmas, **style))
 
 
 def _close_up(axes: Axes, solution: OrtSolution, true: FloatArray | None) -> None:
@@ -171,7 +161,7 @@ def residual_figure(solution: OrtSolution, *, dark: bool = False) -> Figure:
     colors = DARK if dark else LIGHT
     rows = [r for r in solution.residuals if r["kind"] == "center"]
     with _ground(dark):
-        figure = _new_figure(12.5, 3.6)
+        figure = new_figure(12.5, 3.6)
         before, after = figure.subplots(1, 2)
         for axes, which, title in (
             (before, "before", "predicted trajectory"),
@@ -207,7 +197,7 @@ def _draw_residuals(
                 elinewidth=0.9,
                 label=f"{body} {axis}",
             )
-            axes.plot(time[~used], value[~used], "o", mfc="none", mec="#CC79A7", markersize=11, mew=1.5)
+            axes.plot(time[~used], value[~used], "o", mfc="none", mec=PURPLE, markersize=11, mew=1.5)
 
 
 # -- errors --------------------------------------------------------------------------------------------------------
@@ -217,7 +207,7 @@ def center_error_figure(pictures: Sequence[PictureScore], *, dark: bool = False)
     """Draw the errors of pointing and of centers in their own sigmas, picture by picture."""
     colors = DARK if dark else LIGHT
     with _ground(dark):
-        figure = _new_figure(12.5, 3.8)
+        figure = new_figure(12.5, 3.8)
         axes = figure.subplots()
         for level, alpha in ((3.0, 0.08), (1.0, 0.12)):
             axes.axhspan(-level, level, color=colors["before"], alpha=alpha, linewidth=0)

@@ -4,20 +4,18 @@ import math
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.catalog.proper_motion import sky_offset_rad
 from opnav_workbench.geometry import unit_from_radec
-from opnav_workbench.report.drawing import write_png
+from opnav_workbench.report.drawing import BLUE, ORANGE, VERMILION, new_figure, write_png
 
 __all__ = ["write_star_chart"]
 
-STAR, NO_MOTION, FLAGGED = "#0072B2", "#E69F00", "#D55E00"
+STAR, NO_MOTION, FLAGGED = BLUE, ORANGE, VERMILION
 LARGEST_AREA, SMALLEST_AREA = 90.0, 2.0  # of the dots, pt^2
 MAG_STEP = 0.7  # the area of a dot falls by this factor per magnitude
 NAMED = 12  # the brightest stars get their names
@@ -54,8 +52,7 @@ def star_chart(
     places = unit_from_radec(stars.ra_rad, stars.dec_rad) if et_s is None else stars.directions(et_s)
     n = len(stars)
     offset = np.degrees(sky_offset_rad(np.full(n, ra_rad), np.full(n, dec_rad), places))
-    figure = Figure(figsize=(6.4, 6.6), layout=ConstrainedLayoutEngine())
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.4, 6.6)
     axes = figure.add_subplot(
         aspect="equal", xlim=(1.04 * half, -1.04 * half), ylim=(-1.04 * half, 1.04 * half)
     )

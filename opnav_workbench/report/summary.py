@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 from astropy.visualization import AsinhStretch
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.report.drawing import (
     BODY_COLOR,
     LINE_COLOR,
@@ -31,6 +29,7 @@ from opnav_workbench.report.drawing import (
     STRIP_ASPECT,
     png_bytes,
     round_scale,
+    titled_figure,
     write_png,
 )
 from opnav_workbench.session import MEASURED_STATUSES, ImageSession
@@ -113,9 +112,7 @@ def summary_figure(session: ImageSession) -> Figure:
         Not tied to any window.
     """
     panels = panels_of(session.context.frame.image_dn.shape)
-    figure = Figure(figsize=panels.size_inch, layout=ConstrainedLayoutEngine(h_pad=0.08, w_pad=0.06))
-    FigureCanvasAgg(figure)
-    figure.suptitle(_title(session), fontsize=11, x=0.01, ha="left")
+    figure = titled_figure(*panels.size_inch, _title(session))
     _draw_image(panels, figure, session)
     vectors, before, after = panels.plots(figure)
     _draw_vectors(vectors, session)
@@ -289,7 +286,7 @@ def _draw_residuals(before: Axes, after: Axes, session: ImageSession) -> None:
 
 
 def _plot_residuals(
-    axes: Axes, mag: FloatArray, residual: FloatArray, sigma: FloatArray, shown: FloatArray
+    axes: Axes, mag: FloatArray, residual: FloatArray, sigma: FloatArray, shown: BoolArray
 ) -> None:
     for column, (name, color, marker) in enumerate((("pixel", PIXEL_COLOR, "o"), ("line", LINE_COLOR, "s"))):
         axes.errorbar(
