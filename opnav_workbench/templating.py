@@ -4,13 +4,14 @@
 nobody gave is an error, no empty place on the page.
 """
 
+import base64
 from functools import cache
 from math import isfinite
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-__all__ = ["environment"]
+__all__ = ["environment", "png_url", "words"]
 
 
 @cache
@@ -32,13 +33,24 @@ def environment(folder: Path) -> Environment:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    made.filters |= {"words": _words, "number": _number}
+    made.filters |= {"words": words, "number": _number}
     return made
 
 
-def _words(name: str) -> str:
-    """A name of the program as a person reads it."""
+def words(name: str) -> str:
+    """Return a name of the program as a person reads it.
+
+    Examples
+    --------
+    >>> words("limb_scan")
+    'limb scan'
+    """
     return name.replace("_", " ")
+
+
+def png_url(png: bytes) -> str:
+    """Return a PNG as a URL that holds its data, for pages that open anywhere."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def _number(value: float | None, spec: str) -> str:

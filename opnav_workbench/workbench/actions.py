@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 
-# ---- One registry of actions: keys, buttons, tooltips and the list under ``?`` all come from it.
+# ---- Actions and their registry.
 
 EVERYWHERE = ""
 
@@ -257,7 +257,7 @@ def _tools() -> Iterator[Action]:
 WORKBENCH_ACTIONS = (*_everywhere(), *_stars(), *_pointing(), *_bodies(), *_tools())
 
 
-# ---- The picture's own actions, for the workbench's registry: each is carried out in the page ...
+# ---- The picture's own actions: each is carried out in the page.
 
 PICTURE = "view"
 

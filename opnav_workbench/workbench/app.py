@@ -24,7 +24,7 @@ from opnav_workbench.workbench.status_line import Status
 __all__ = ["queue_of", "workbench"]
 
 
-# ---- The workbench's regions in the notebook: each shows HTML from Python and reports what the person does.
+# ---- The regions in the notebook.
 
 
 class Region(anywidget.AnyWidget):
@@ -79,7 +79,7 @@ class WorkbenchBox(ipywidgets.Box):  # type: ignore[misc]  # ipywidgets has no t
         return with_still_picture(super()._repr_mimebundle_(**options), self._picture)
 
 
-# ---- The workbench: an analyst steps through images in JupyterLab, with a key for everything.
+# ---- The workbench: regions, picture and controller together.
 
 Images = ImageSession | Campaign | ImageQueue | Sequence[ImageSession]
 

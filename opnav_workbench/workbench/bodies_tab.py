@@ -13,8 +13,8 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.errors import SessionError
-from opnav_workbench.scene import predict_body
 from opnav_workbench.session import BODY_METHODS
+from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import BOX_SCANS, CIRCLE, ActionRegistry
 from opnav_workbench.workbench.circle_tool import CircleControl, DrawnCircle
 from opnav_workbench.workbench.limb_scan_choice import (
@@ -27,7 +27,8 @@ from opnav_workbench.workbench.limb_scan_choice import (
     scans_crossing,
     scans_of,
 )
-from opnav_workbench.workbench.markup import PagePicture, png_url, render
+from opnav_workbench.workbench.markup import PagePicture, render
+from opnav_workbench.workbench.overlays import predicted_body
 from opnav_workbench.workbench.plots import SvgPlot
 from opnav_workbench.workbench.stretch import gray_png, residual_png
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
@@ -133,7 +134,7 @@ class BodyPage:
 
 def body_chip(name: str, centers: Sequence[BodyCenter]) -> BodyChip:
     """Return a body of the list with what was found of it."""
-    how = ", ".join(f"{c.method}: {c.status}".replace("_", " ") for c in centers)
+    how = ", ".join(f"{words(c.method)}: {words(c.status)}" for c in centers)
     return BodyChip(name, how or "not sought yet", any(c.pixel_line is not None for c in centers))
 
 
@@ -276,8 +277,8 @@ class BodiesTab(Tab):
         if scans is None:
             viewer.layer(SCANS_LAYER, Layer())
         else:
-            frame_px = float(max(self.runner.session.context.signal_dn.shape))
-            layer = scan_layer(scans.places_px, scans.status, self.focus_scan, frame_px)
+            picture_px = float(max(self.runner.session.context.signal_dn.shape))
+            layer = scan_layer(scans.places_px, scans.status, self.focus_scan, picture_px)
             viewer.layer(SCANS_LAYER, layer)
         viewer.drag_mode(self.runner.tool in DRAG_SHAPES, DRAG_SHAPES.get(self.runner.tool, "box"))
 
@@ -312,9 +313,7 @@ class BodiesTab(Tab):
         target = session.inputs.targets.get(name)
         if target is None:
             return None
-        seen = predict_body(
-            target, session.inputs.observer, session.context.camera, session.camera_from_j2000
-        )
+        seen = predicted_body(session, target)
         return Prediction(float(seen.pixel_line[0]), float(seen.pixel_line[1]), float(seen.diameter_px))
 
     # -- actions -----------------------------------------------------------------------------------------------
@@ -362,10 +361,10 @@ class BodiesTab(Tab):
         center = found[-1]
         said = "; ".join(center.messages)
         if center.pixel_line is None:
-            return f"{name}, {center.method.replace('_', ' ')}: {center.status.replace('_', ' ')}. {said}"
+            return f"{name}, {words(center.method)}: {words(center.status)}. {said}"
         sigma = np.sqrt(np.diag(center.covariance_px2))
         return (
-            f"{name}, {center.method.replace('_', ' ')}: pixel {center.pixel_line[0]:.3f} ± {sigma[0]:.3f}, "
+            f"{name}, {words(center.method)}: pixel {center.pixel_line[0]:.3f} ± {sigma[0]:.3f}, "
             f"line {center.pixel_line[1]:.3f} ± {sigma[1]:.3f}, {center.status}. {said}"
         ).strip()
 

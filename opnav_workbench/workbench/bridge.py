@@ -39,7 +39,7 @@ from opnav_workbench.workbench.status_line import Status
 __all__ = ["Bridge"]
 
 
-# ---- Bokeh change events made ready for sending: the newest value of each property once, grouped by who made ...
+# ---- Bokeh change events made ready for sending: the newest value of each property once, grouped by who made it.
 
 MODEL_EVENTS = (ModelChangedEvent, ColumnDataChangedEvent, ColumnsPatchedEvent, ColumnsStreamedEvent)
 
@@ -91,7 +91,7 @@ def _joined(events: Iterable[tuple[DocumentPatchedEvent, str | None]]) -> list[P
     return runs
 
 
-# ---- The bridge: one bokeh document, shown in a notebook and kept in step with every page that shows it.
+# ---- The bridge itself.
 
 Message = Mapping[str, Any]
 TITLE = "opnav_workbench"

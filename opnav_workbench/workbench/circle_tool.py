@@ -15,7 +15,7 @@ from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, Step
 __all__ = ["CircleControl", "CircleTool", "DrawnCircle", "typed_circle"]
 
 
-# ---- Click-to-circle: center and radius of a target by two clicks or one drag, adjusted afterwards step by ...
+# ---- The circle, and the two clicks or the drag that make it.
 
 MIN_RADIUS_PX = 1.0  # a smaller circle is two clicks on one place
 
@@ -121,7 +121,7 @@ class CircleTool:
         return "now click a place on the limb."
 
 
-# ---- What an analyst's hand does with the circle of a body: two clicks or a drag, then arrow keys and fields.
+# ---- The circle of the body at hand: set, moved, typed, cleared.
 
 FINE_STEP_PX = 0.1  # px, of an arrow key with Shift
 

@@ -123,7 +123,7 @@ class WorkbenchController:
         with self.runner.handling():
             self.current_tab.dragged(pixel0, line0, pixel1, line1)
 
-    # -- actions of the frame around the tabs ---------------------------------------------------------------------
+    # -- actions around the tabs ---------------------------------------------------------------------------------
 
     def _own_handlers(self) -> dict[str, Handler]:
         tabs: dict[str, Handler] = {f"tab_{name}": self._tab_handler(name) for name, _ in TABS}

@@ -50,9 +50,9 @@ from opnav_workbench.workbench.viewer import Layer
 __all__ = ["ImageView", "difference_picture", "modeled_picture"]
 
 
-# ---- The pictures of a view: the frame itself, and others to blink it against; each one's pixels are sent ...
+# ---- The pictures of a view: the image itself, and others to blink it against; each one's pixels are sent once.
 
-DATA_KEY = "data"  # key of the frame itself
+DATA_KEY = "data"  # key of the image itself
 MAX_UINT16 = 65535
 
 
@@ -72,7 +72,7 @@ class PictureSet:
         self._makers: dict[str, tuple[Callable[[], FloatArray], bool]] = {}
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Limits of the frame by their name, DN."""
+        """Limits of the image by their name, DN."""
         low, high = self._entries[DATA_KEY]["limits"][name]
         return low, high
 
@@ -83,7 +83,7 @@ class PictureSet:
         image = np.asarray(image_dn)
         n_pixel, n_line = json.loads(self._state.setup)["size"]
         if image.shape != (n_line, n_pixel):
-            raise OpNavError(f"picture {key!r} has shape {image.shape}; the frame has {n_pixel} x {n_line}.")
+            raise OpNavError(f"picture {key!r} has shape {image.shape}; the image has {n_pixel} x {n_line}.")
         limits = self._entries[DATA_KEY]["limits"] if same_limits else limits_of(image, usable)
         with self._bridge.batch():
             column = {"dn": [_compact(image)]}
@@ -131,7 +131,7 @@ def _compact(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image.astype(np.uint16 if counts else np.float32))
 
 
-# ---- The whole frame as the session's solutions explain it: background, fitted stars, fitted bodies.
+# ---- The image as the session's solutions explain it: background, fitted stars, fitted bodies.
 
 
 def modeled_picture(session: ImageSession) -> FloatArray:
@@ -171,10 +171,8 @@ def _add_model(model: FloatArray, first_px: tuple[int, int], part: FloatArray) -
 
 SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies"]
 EMPTY_SIZE = 512  # a view without a session shows a blank square
-STRIP_SHAPE, STRIP_MARGIN = (
-    3.0,
-    1.15,
-)  # of a strip's frame: width over height, and what is shown over its lines
+# Of a strip as it is shown: width over height, and what is shown over its lines.
+STRIP_SHAPE, STRIP_MARGIN = 3.0, 1.15
 
 
 class ImageView:
@@ -277,7 +275,7 @@ class ImageView:
         self._look_at_all(n_pixel, n_line)
 
     def _look_at_all(self, n_pixel: int, n_line: int) -> None:
-        """Show the whole frame, of a strip all lines; a page whose frame has another shape adds or drops lines."""
+        """Show the whole image, of a strip all lines; a page of another shape adds or drops lines."""
         strip = n_pixel > STRIP_ASPECT * n_line
         width = STRIP_MARGIN * STRIP_SHAPE * n_line if strip else max(n_pixel, n_line)
         height = width / STRIP_SHAPE if strip else width
@@ -295,7 +293,7 @@ class ImageView:
             self.state.camera = json.dumps(sky_readout(camera, attitude).as_page_values())
             stars = star_marks(session)
             for kind in ("predicted", "missing", "used", "rejected"):
-                self.models.fill(kind, getattr(stars, kind))
+                self.models.fill(kind, {axis: getattr(stars, kind)[axis] for axis in ("pixel", "line")})
             places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
             size = session.context.frame.image_dn.shape[::-1]
             self.models.fill("star_labels", label_columns(places, stars.labels["text"], (9.0, -5.0), size))
@@ -339,7 +337,7 @@ class ImageView:
         usable: BoolArray | None = None,
         same_limits: bool = False,
     ) -> None:
-        """Add or replace a picture of the frame's size.
+        """Add or replace a picture of the image's size.
 
         Parameters
         ----------
@@ -350,7 +348,7 @@ class ImageView:
         usable : (n_line, n_pixel) array of bool, optional
             Pixels that choose the limits.
         same_limits : bool
-            Use the limits of the frame itself, so that blinking shows what differs.
+            Use the limits of the image itself, so that blinking shows what differs.
         """
         self.images.put(key, image_dn, label, usable, same_limits)
 

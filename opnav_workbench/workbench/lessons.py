@@ -24,12 +24,13 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.files import atomic_path, make_folder, write_json
 from opnav_workbench.report.drawing import png_bytes
-from opnav_workbench.workbench.markup import png_url, render
+from opnav_workbench.templating import png_url
+from opnav_workbench.workbench.markup import render
 
 __all__ = ["NOT_ANSWERED", "NOT_YET", "RIGHT", "Lesson", "check", "check_claim", "check_function"]
 
 
-# ---- Answers of students judged: right, not yet with a hint, or not answered; the expected value is never ...
+# ---- Answers of students judged: right, not yet with a hint, or not answered; the expected value is never told.
 
 RIGHT, NOT_YET, NOT_ANSWERED = "right", "not yet", "not answered"
 ROUNDING = 1e-9  # relative; a tolerance of 0 still means equal numbers
@@ -388,7 +389,7 @@ def _label(choice: Any) -> str:
     return f"{choice + 0:g}" if isinstance(choice, int | float | np.number) else str(choice)
 
 
-# ---- Lessons: notebooks with exercises, whose answers are judged without telling the right one.
+# ---- The lesson: its figures, its exercises and what was said of the answers.
 
 VERDICTS_FILE = "verdicts.json"
 

@@ -104,8 +104,8 @@ def chosen_scans(status: Iterable[str]) -> list[int]:
     return [number for number, word in enumerate(status) if word != NOT_CHOSEN]
 
 
-def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int, frame_px: float) -> Layer:
-    """Return the scans (n, m, 2) as lines with some of their numbers; `frame_px` is the picture's longer side."""
+def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int, picture_px: float) -> Layer:
+    """Return the scans (n, m, 2) as lines with some of their numbers; `picture_px` is the picture's longer side."""
     words = list(status)
     ends = np.concatenate([places_px[:, :1], places_px[:, -1:]], axis=1)
     names = {USED: "used", REJECTED: "rejected"}
@@ -113,7 +113,7 @@ def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int, frame_p
     inner = np.array([SHOWN_FROM[style] for style in styles])[:, None]
     begins = ends[:, 0] + inner * (ends[:, 1] - ends[:, 0])
     outward = ends[:, 1] + 0.06 * (ends[:, 1] - ends[:, 0])
-    step = max(1, round(len(ends) / _numbered(ends, frame_px)))
+    step = max(1, round(len(ends) / _numbered(ends, picture_px)))
     return Layer(
         [
             (float(a[0]), float(a[1]), float(b[0]), float(b[1]))
@@ -124,10 +124,10 @@ def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int, frame_p
     )
 
 
-def _numbered(ends: FloatArray, frame_px: float) -> int:
-    """How many scans have their number: no more than there is room for while the whole frame is shown."""
+def _numbered(ends: FloatArray, picture_px: float) -> int:
+    """How many scans have their number: no more than there is room for while the whole picture is shown."""
     around = 2.0 * np.pi * float(np.median(np.hypot(*(ends[:, 1] - ends[:, 0]).T)))
-    return int(np.clip(around / (NUMBER_SHARE * frame_px), FEWEST_NUMBERS, MOST_NUMBERS))
+    return int(np.clip(around / (NUMBER_SHARE * picture_px), FEWEST_NUMBERS, MOST_NUMBERS))
 
 
 def scan_at(places_px: FloatArray, pixel: float, line: float) -> int | None:

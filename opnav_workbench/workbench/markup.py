@@ -4,7 +4,6 @@ The templates (templates/*.html, jinja2) escape every value, so that no name and
 styles stand in static/.
 """
 
-import base64
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,9 +13,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from opnav_workbench.templating import environment
+from opnav_workbench.templating import environment, png_url
 
-__all__ = ["PagePicture", "page_files", "png_url", "render", "with_still_picture"]
+__all__ = ["PagePicture", "page_files", "render", "with_still_picture"]
 
 TEMPLATES, STATIC = Path(__file__).parent / "templates", Path(__file__).parent / "static"
 _LINE_BREAKS = re.compile(r">\s*\n\s*<")
@@ -51,11 +50,6 @@ class PagePicture:
     url: str
     width_px: int
     height_px: int
-
-
-def png_url(png: bytes) -> str:
-    """Return a PNG as a URL that holds its data."""
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def with_still_picture(bundle: Any, picture: Callable[[], bytes] | None) -> Any:

@@ -20,10 +20,10 @@ from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session import ImageSession
 from opnav_workbench.targets import TargetState
 
-__all__ = ["Columns", "body_marks", "mask_runs", "sky_grid", "star_marks", "vector_columns"]
+__all__ = ["Columns", "body_marks", "mask_runs", "predicted_body", "sky_grid", "star_marks", "vector_columns"]
 
 
-# ---- What is drawn over the picture, as plain tables from a session: nothing here knows of bokeh or a page.
+# ---- Stars over the picture: predicted, used, rejected, missing; and residual vectors.
 
 Columns: TypeAlias = dict[str, Any]
 LABELED_STARS = 40  # magnitudes of the brightest; with more of them nobody can read any
@@ -35,9 +35,9 @@ LONGEST_VECTOR = 0.06
 class StarMarks:
     """Marks of stars; each entry holds columns of equal length."""
 
-    predicted: Columns  # pixel, line, id, mag: all on the detector
+    predicted: Columns  # pixel, line: all on the detector
     labels: Columns  # pixel, line, text: the brightest
-    missing: Columns  # pixel, line, id
+    missing: Columns  # pixel, line
     used: Columns  # pixel, line, id: fitted and in use
     rejected: Columns  # pixel, line, id: fitted, not in use
     vectors: Columns  # pixel, line, d_pixel, d_line: observed minus predicted, of those in use
@@ -50,7 +50,7 @@ def star_marks(session: ImageSession) -> StarMarks:
         empty = _place_columns(np.empty((0, 2)))
         nothing = empty | {"id": []}
         none = empty | {"d_pixel": np.empty(0), "d_line": np.empty(0)}
-        return StarMarks(nothing | {"mag": []}, empty | {"text": []}, nothing, nothing, nothing, none)
+        return StarMarks(empty, empty | {"text": []}, empty, nothing, nothing, none)
     camera = session.context.camera
     places = stars.places(camera, session.camera_from_j2000)
     on = camera.on_detector(places)
@@ -62,9 +62,9 @@ def star_marks(session: ImageSession) -> StarMarks:
     missing = on & (status == "not_detected")
     residual = observed[used] - places[used]
     return StarMarks(
-        predicted=_place_columns(places[on]) | {"id": stars.id[on].tolist(), "mag": stars.mag[on].tolist()},
+        predicted=_place_columns(places[on]),
         labels=_magnitude_labels(places[on], stars.mag[on]),
-        missing=_place_columns(places[missing]) | {"id": stars.id[missing].tolist()},
+        missing=_place_columns(places[missing]),
         used=_place_columns(observed[used]) | {"id": stars.id[used].tolist()},
         rejected=_place_columns(observed[rejected]) | {"id": stars.id[rejected].tolist()},
         vectors=_place_columns(places[used]) | {"d_pixel": residual[:, 0], "d_line": residual[:, 1]},
@@ -184,14 +184,17 @@ class BodyMarks:
         }
 
 
+def predicted_body(session: ImageSession, target: TargetState) -> BodyPrediction:
+    """Return where a target is predicted with the best known pointing."""
+    return predict_body(target, session.inputs.observer, session.context.camera, session.camera_from_j2000)
+
+
 def body_marks(session: ImageSession) -> list[BodyMarks]:
     """Return the marks of every target in sight of the camera, the largest first."""
     measured = {b.name: b.pixel_line for b in session.state.bodies if b.pixel_line is not None}
     marks = []
     for name, target in session.inputs.targets.items():
-        seen = predict_body(
-            target, session.inputs.observer, session.context.camera, session.camera_from_j2000
-        )
+        seen = predicted_body(session, target)
         if np.isfinite(seen.pixel_line).all():
             marks.append(_marks_of_body(session, target, seen, measured.get(name)))
     return sorted(marks, key=lambda mark: -mark.radius_px)

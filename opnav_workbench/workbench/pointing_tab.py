@@ -21,7 +21,7 @@ from opnav_workbench.workbench.viewer import Layer
 __all__ = ["PointingTab", "TwoStarMarks"]
 
 
-# ---- Two stars marked by hand: the way back for a frame whose field nothing has identified.
+# ---- Two stars marked by hand: the way back for a picture whose field nothing has identified.
 
 CROSS_PX = 6.0
 
@@ -92,7 +92,7 @@ class TwoStarMarks:
         return Layer(segments, ["focus"] * len(segments), labels)
 
 
-# ---- The tab of the pointing: its solution, the residuals, two stars marked by hand, and the nudge of the ...
+# ---- The tab of the pointing.
 
 TURN_DEG = 0.05  # of one key press: a quarter of a wrong header twist
 FAR_STEP_PX = 10.0

@@ -12,8 +12,9 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession, JournalEntry
 from opnav_workbench.session.star_boxes import StarBox
+from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_REASONS, Action, ActionRegistry
-from opnav_workbench.workbench.markup import PagePicture, png_url, render
+from opnav_workbench.workbench.markup import PagePicture, render
 from opnav_workbench.workbench.plots import ResidualPlots, residual_plots, star_residuals
 from opnav_workbench.workbench.stretch import RESIDUAL_SIGMAS, gray_png, residual_png
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
@@ -189,7 +190,7 @@ class StarPage:
     residuals: ResidualPlots | None
 
 
-# ---- Star-box confirmation: one extracted box after the other is accepted or rejected, by one key each.
+# ---- The tab of the stars.
 
 CLICK_RADIUS_SHARE = 0.02  # of the picture's longer side: a click so near to a star means it
 MIN_CLICK_RADIUS_PX = 8.0
@@ -451,7 +452,7 @@ class StarsTab(Tab):
 
     def _status_of(self, star: str) -> str:
         box = next((b for b in self.boxes if b.id == star), None)
-        return "not shown" if box is None else f"{box.status.replace('_', ' ')}, SNR {box.snr:.0f}"
+        return "not shown" if box is None else f"{words(box.status)}, SNR {box.snr:.0f}"
 
     def _nearest(self, pixel: float, line: float) -> str | None:
         if not self.boxes:

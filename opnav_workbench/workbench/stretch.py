@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 
-# ---- How DN become shades: stretches, limits and colour maps, as the page applies them (static/stretch.js).
+# ---- Stretches, limits and colour maps.
 
 LOG_STEEPNESS = 1000.0
 ASINH_STEEPNESS = 10.0
@@ -171,14 +171,14 @@ def _quick_png(picture: Image.Image) -> bytes:
     return stream.getvalue()
 
 
-# ---- What a front end without a live kernel shows: a message, and the picture as it was.
+# ---- The whole picture, reduced, for front ends without a live kernel.
 
-STILL_LONGEST_PX = 360  # with 16 shades a noisy frame stays below 50 kB, half of what a notebook may weigh
+STILL_LONGEST_PX = 360  # with 16 shades a noisy picture stays below 50 kB, half of what a notebook may weigh
 STILL_SHADES = 16
 
 
 def picture_png(image_dn: FloatArray, low_dn: float, high_dn: float) -> bytes:
-    """Return a frame (n_line, n_pixel) as a small gray PNG, reduced and with few shades so that notebooks stay small."""
+    """Return a picture (n_line, n_pixel) as a small gray PNG, reduced and with few shades so that notebooks stay small."""
     n_line, n_pixel = image_dn.shape
     factor = max(1, -(-max(n_line, n_pixel) // STILL_LONGEST_PX))
     padded = np.pad(image_dn, [(0, -size % factor) for size in image_dn.shape], mode="edge")

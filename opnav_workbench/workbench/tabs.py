@@ -16,6 +16,7 @@ import numpy as np
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession, JournalEntry
+from opnav_workbench.templating import words
 from opnav_workbench.workbench.actions import ActionRegistry
 from opnav_workbench.workbench.image_queue import ImageQueue
 from opnav_workbench.workbench.status_line import Status
@@ -386,10 +387,10 @@ class StepRunner:
 
 def entry_words(entry: JournalEntry) -> str:
     """Return a step of the journal as a person reads it."""
-    return entry.step.replace("_", " ") + (f" ({entry.outcome})" if entry.outcome else "")
+    return words(entry.step) + (f" ({entry.outcome})" if entry.outcome else "")
 
 
-# ---- What every tab of the workbench offers: its page, its actions, and what it draws over the picture.
+# ---- What every tab offers: its page, its actions, and what it draws over the picture.
 
 PageEvent = Mapping[str, Any]  # what the page reports: act, arg, value, picks, shift
 Handler = Callable[[PageEvent], None]

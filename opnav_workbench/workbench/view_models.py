@@ -107,7 +107,7 @@ OVERLAY_GROUPS: dict[str, tuple[str, ...]] = {
 }
 
 
-# ---- What a view shows and how, in one bokeh model: both the page and Python may change it, and it survives ...
+# ---- What a view shows and how, in one bokeh model: both the page and Python may change it, and it survives a reload.
 
 
 class ViewState(DataModel):
@@ -138,8 +138,8 @@ class ViewState(DataModel):
 
 def page_setup() -> dict[str, Any]:
     """Return what the page must know of menus, colour maps, marks and actions; plain values."""
-    looks = {
-        theme: {kind: [look.color, look.shape, look.dash] for kind, look in marks.items()}
+    styles = {
+        theme: {kind: [style.color, style.shape, style.dash] for kind, style in marks.items()}
         for theme, marks in THEMES.items()
     }
     return {
@@ -148,7 +148,7 @@ def page_setup() -> dict[str, Any]:
         "themes": list(THEMES),
         "colormaps": {name: "".join(c.lstrip("#") for c in colors) for name, colors in COLORMAPS.items()},
         "groups": {name: list(kinds) for name, kinds in OVERLAY_GROUPS.items()},
-        "looks": looks,
+        "styles": styles,
         "actions": {action.name: [action.label, action.hint] for action in VIEW_ACTIONS},
     }
 
@@ -165,10 +165,10 @@ def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Colum
     shown = list(layers)
     ends = np.array([s for layer in shown for s in layer.segments], dtype=float).reshape(-1, 4)
     styles = [style for layer in shown for style in layer.styles]
-    looks = [theme[f"tool_{style}"] for style in styles]
+    marks = [theme[f"tool_{style}"] for style in styles]
     segments: Columns = {name: ends[:, i] for i, name in enumerate(("x0", "y0", "x1", "y1"))}
-    segments["color"] = [look.color for look in looks]
-    segments["dash"] = [look.dash for look in looks]
+    segments["color"] = [mark.color for mark in marks]
+    segments["dash"] = [mark.dash for mark in marks]
     segments["width"] = [FOCUS_WIDTH if style == "focus" else LINE_WIDTH for style in styles]
     labels = [label for layer in shown for label in layer.labels]
     return segments, label_columns(
@@ -285,17 +285,17 @@ class PictureModels:
             source.data = columns
 
     def use_theme(self, name: str) -> None:
-        """Give every mark the look that a theme has for it."""
+        """Give every mark the style that a theme has for it."""
         for kind, glyphs in self._glyphs.items():
-            look = THEMES[name][kind]
+            style = THEMES[name][kind]
             for glyph in glyphs:
-                glyph.line_color, glyph.line_dash = look.color, look.dash
+                glyph.line_color, glyph.line_dash = style.color, style.dash
                 if kind == "residual":
-                    glyph.end.fill_color = look.color
+                    glyph.end.fill_color = style.color
                 if hasattr(glyph, "marker"):
-                    glyph.marker = look.shape
+                    glyph.marker = style.shape
                 if hasattr(glyph, "hatch_color"):
-                    glyph.hatch_color = look.color
+                    glyph.hatch_color = style.color
 
     # -- overlays ----------------------------------------------------------------------------------------------
 

@@ -67,7 +67,7 @@ def test_counts_travel_as_uint16(view, values, dtype):
 
 
 def test_picture_of_another_size_is_refused(view):
-    with pytest.raises(OpNavError, match=r"shape \(3, 4\); the frame has 256 x 256"):
+    with pytest.raises(OpNavError, match=r"shape \(3, 4\); the image has 256 x 256"):
         view.set_image("other", np.zeros((3, 4)))
 
 

@@ -61,7 +61,7 @@ def test_box_takes_the_scans_that_cross_it():
 
 def test_layer_tells_used_rejected_and_focus_apart():
     status = ["used", "rejected", "not_chosen"] * 4
-    layer = scan_layer(PLACES, status, focus=2, frame_px=200.0)
+    layer = scan_layer(PLACES, status, focus=2, picture_px=200.0)
     assert layer.styles[:4] == ("used", "rejected", "focus", "used")
     assert layer.segments[0] == pytest.approx(
         (230.0, 100.0, 250.0, 100.0)
@@ -73,5 +73,5 @@ def test_layer_tells_used_rejected_and_focus_apart():
 
 def test_numbers_leave_room_for_each_other_on_a_small_body():
     """12 scans of 50 px: all numbers on a frame of 200 px, every third on one of 1024 px, and the one looked at."""
-    small = scan_layer(PLACES, ["used"] * 12, focus=4, frame_px=1024.0)
+    small = scan_layer(PLACES, ["used"] * 12, focus=4, picture_px=1024.0)
     assert [label[2] for label in small.labels] == ["0", "3", "4", "6", "9"]

@@ -152,7 +152,7 @@ class ImageLayout {
 
   updateSwitches() {
     const { state, setup } = this.view;
-    const looks = setup.looks[state.theme];
+    const styles = setup.styles[state.theme];
     const switches = Object.entries(GROUP_WORDS).map(([group, words]) => {
       const action = group in setup.actions ? ` ${setup.actions[group][1]}` : "";
       const node = button(null, "", GROUP_HINTS[group] + (action && ` Key: ${action.split("Key: ")[1]}`), () => this.view.toggle(group));
@@ -160,7 +160,7 @@ class ImageLayout {
       node.dataset.group = group;
       node.setAttribute("aria-pressed", String(state.groups.includes(group)));
       for (const [kind, word] of words) {
-        if (kind) node.append(symbol(looks[kind]));
+        if (kind) node.append(symbol(styles[kind]));
         node.append(make("span", "", null, group === "residuals" ? `${word} ×${compact(state.vector_scale)}` : word));
       }
       return node;
