@@ -40,6 +40,7 @@ __all__ = [
     "png_bytes",
     "round_scale",
     "titled_figure",
+    "vector_scale",
     "write_png",
 ]
 
@@ -130,6 +131,22 @@ def round_scale(scale: float) -> float:
     """
     power = 10.0 ** np.floor(np.log10(scale))
     return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= scale * (1.0 + 1e-9)))
+
+
+# Share of the picture's shorter side that the longest vector takes; of a strip, at least this share of its longer side.
+VECTOR_SHARE, LEAST_SIDE = 0.12, 0.05
+
+
+def vector_scale(longest_px: float, n_pixel: int, n_line: int) -> float:
+    """Return the round factor that residual vectors are enlarged by over a picture.
+
+    Examples
+    --------
+    >>> vector_scale(0.2, 1024, 1024)
+    500.0
+    """
+    side = max(min(n_pixel, n_line), LEAST_SIDE * n_pixel)
+    return round_scale(VECTOR_SHARE * side / max(longest_px, 1e-6))
 
 
 # A picture wider than this many times its height is shown as strips, one under the other.

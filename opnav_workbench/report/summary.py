@@ -28,8 +28,8 @@ from opnav_workbench.report.drawing import (
     REJECTED_COLOR,
     STRIP_ASPECT,
     png_bytes,
-    round_scale,
     titled_figure,
+    vector_scale,
     write_png,
 )
 from opnav_workbench.session import MEASURED_STATUSES, ImageSession
@@ -82,8 +82,6 @@ def panels_of(shape: tuple[int, ...]) -> Panels:
 
 
 # ---- One figure a picture: stretched frame with predicted and observed places, residual vectors, residual ...
-# Residual vectors are drawn so that the longest is this share of the picture's smaller side.
-VECTOR_SHARE = 0.12
 # The stretch begins below the background, so that its noise is seen as dark grain, and ends well inside the stars.
 LOW_SIGMAS, HIGH_SIGMAS = -1.5, 60.0
 ASINH_SOFTENING = 0.05
@@ -253,8 +251,7 @@ def _draw_vectors(axes: Axes, session: ImageSession) -> None:
         return
     used = pointing.used
     places, residual = _star_places(session)[used], pointing.residual_px[used]
-    longest = max(float(np.hypot(*residual.T).max()), 1e-6)
-    scale = round_scale(VECTOR_SHARE * max(min(n_line, n_pixel), 0.05 * n_pixel) / longest)
+    scale = vector_scale(float(np.hypot(*residual.T).max()), n_pixel, n_line)
     axes.quiver(
         *places.T,
         *(residual * scale).T,

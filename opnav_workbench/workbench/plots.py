@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.report.drawing import STRIP_ASPECT, round_scale
+from opnav_workbench.report.drawing import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import ImageSession
 
 __all__ = [
@@ -175,8 +175,6 @@ class SvgPlot:
 
 # ---- Residuals of the stars: against magnitude before and after repointing, and as vectors over the picture.
 
-VECTOR_SHARE = 0.12  # of the picture's shorter side, for the longest residual
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarResiduals:
@@ -296,7 +294,7 @@ def vector_plot(rows: StarResiduals, width_px: int) -> VectorPlot:
     n_pixel, n_line = rows.size_px
     height = 120 if n_pixel > STRIP_ASPECT * n_line else round((width_px - 66) * n_line / n_pixel) + 54
     longest = float(np.hypot(*rows.after_px.T).max()) if rows.ids else 0.0
-    scale = round_scale(VECTOR_SHARE * max(min(n_pixel, n_line), 0.05 * n_pixel) / max(longest, 1e-6))
+    scale = vector_scale(longest, n_pixel, n_line)
     title = f"residual vectors, × {scale:g}" if rows.ids else "residual vectors: no star in use"
     plot = SvgPlot(
         width_px, height, (-0.5, n_pixel - 0.5), (n_line - 0.5, -0.5), title, x_label="pixel", y_label="line"

@@ -91,6 +91,17 @@ def test_radius_and_template_fit_again_at_once(star_hands):
     assert len(star_hands.session.standing) == steps
 
 
+def test_both_tabs_find_stars_with_the_radius_and_template_chosen(star_hands):
+    star_hands.press("]", "t", "t")
+    for keys in ("1f", "2f"):
+        star_hands.press(*keys)
+        found = star_hands.session.standing[-1]
+        assert found.step == "find_stars"
+        assert found.parameters["initial"] == "cross_correlation"
+        assert found.parameters["search_radius_px"] == pytest.approx(6.0)
+        assert star_hands.said.startswith("15 of 15 stars found.")
+
+
 def test_click_goes_to_a_star_and_places_one(star_hands):
     box = star_hands.controller.stars.boxes[5]
     star_hands.tap(*(box.observed_px + np.array([1.0, -1.0])))
