@@ -114,11 +114,11 @@ class DetectedBody:
 
     Attributes
     ----------
-    expectation : Expectation
-    place : Place
+    expectation : ExpectedBody
+    place : CorrelationPeak
     size_ratio : float
         Size of its image over the expected one, as far as the search tells: 1 unless another fits much better.
-    sized_place : Place
+    sized_place : CorrelationPeak
         Its place with that size.
     """
 
@@ -238,7 +238,7 @@ def _saturated_share(picture: BodyPicture, expected: ExpectedBody, place: Correl
     return float(picture.saturated[part.slices][bright].mean()) if bright.any() else 0.0
 
 
-# ---- Several bodies in one picture: whom to search in which order, whom to fit together, whose pixels to ...
+# ---- Several bodies in one picture.
 
 NEIGHBOUR_ERROR_PX = 2.0  # of a neighbour's place, once the picture's common shift is known
 
@@ -259,7 +259,7 @@ class DetectedScene:
 
     Attributes
     ----------
-    found : mapping of str to Found
+    found : mapping of str to DetectedBody
     missed : mapping of str to BodyCenter
         Those without a center, and why.
     overlapping : mapping of str to (2,) array

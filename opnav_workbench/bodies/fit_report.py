@@ -57,7 +57,7 @@ class FitEvidence:
 
     Attributes
     ----------
-    found : Found
+    found : DetectedBody
     center_px : (2,) array
     covariance_px2 : (2, 2) array
     snr : float

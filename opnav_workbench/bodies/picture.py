@@ -81,7 +81,7 @@ class Circle:
         return 2.0 * self.radius_px
 
 
-# ---- Everything that finding a body in a picture needs: the picture, its noise, its camera, and the bodies ...
+# ---- Everything that finding a body in a picture needs.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -322,7 +322,7 @@ def model_picture(
     return np.asarray(rendering.electrons / picture.gain_e_per_dn)
 
 
-# ---- A body's picture without kernels: its place and size from an analyst's circle, its light and pole from ...
+# ---- A body's picture without kernels.
 
 LIMB_MARGIN = 1.3  # of the circle's radius: what is left out of the background
 CIRCLE_SIGMA = 0.1  # of the range that follows from a circle

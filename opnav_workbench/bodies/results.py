@@ -390,7 +390,7 @@ class LimbScans:
         return np.flatnonzero(self.status == USED)
 
 
-# ---- What the horizon fit hands over beside the center: limb points, the ellipse of the model, and a free ...
+# ---- What the horizon fit hands over beside the center.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -175,7 +175,7 @@ def _strange_shape(fit: StarCenters, prior: ShapePrior) -> bool:
     )
 
 
-# ---- Center of a body smaller than the PSF: modelled as a star, as in AAS 13-443, "Unresolved Object ...
+# ---- Center of a body smaller than the PSF.
 
 NEIGHBOUR_SIGMAS = 5.0  # a neighbour 1000 times brighter is still lost in the noise out there
 NEIGHBOUR_BOX_PX = 10.0  # the fit's box reaches this far from the body, at most
@@ -365,7 +365,7 @@ def _saturated_nearby(saturated: ArrayLike | None, predicted: FloatArray, radius
     return bool(np.any(np.hypot(pixel - predicted[0], line - predicted[1]) <= radius_px + 1.0))
 
 
-# ---- Center of figure of a small body at phase: measured as a star, corrected with the light of its own ...
+# ---- Center of figure of a small body at phase.
 
 MAX_ROUNDS = 5  # the correction depends on the place by less than half of itself
 STILL_PX = 5e-4

@@ -92,7 +92,7 @@ class StarFrames:
         return len(self.names)
 
 
-# ---- The calibration problem linearized: rows of stars and of a priori attitudes, columns of camera and of ...
+# ---- The calibration problem linearized.
 
 DIFFERENCE_STEP_PX = (
     1e-2  # of the difference quotients: far above rounding (1e-10 px), far below any curvature

@@ -56,7 +56,7 @@ def attention_reasons(
     return (*said, *doubtful) or (f"status {status}",)
 
 
-# ---- The analyst's queue: pictures that an automatic run is unsure of, as a file in the run's folder ...
+# ---- The analyst's queue.
 
 QUEUE_FILE = "queue.json"
 SCHEMA = 1

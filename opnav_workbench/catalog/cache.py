@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 
-# ---- Stars as records of fixed size, sorted by their place on the sky: what the cache files hold, ...
+# ---- Stars as records of fixed size, sorted by their place on the sky.
 
 STAR_RECORD = np.dtype(
     [
@@ -151,7 +151,7 @@ def _records(found: Candidates) -> Records:
     return found.records
 
 
-# ---- Converted catalogs in the user's cache folder: one file each, memory-mapped, built anew when its source ...
+# ---- Converted catalogs in the user's cache folder.
 
 Progress = Callable[[float], None]  # told the fraction done, 0 to 1
 

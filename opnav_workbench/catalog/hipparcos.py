@@ -54,7 +54,7 @@ from opnav_workbench.errors import CatalogError
 __all__ = ["HIPPARCOS_JYEAR", "HipparcosStars", "open_hip2", "read_hipparcos"]
 
 
-# ---- The Hipparcos catalog as van Leeuwen reduced it anew (CDS I/311 ``hip2.dat``), as text of 276 ...
+# ---- The Hipparcos catalog as van Leeuwen reduced it anew (CDS I/311 ``hip2.dat``).
 
 HIPPARCOS_JYEAR = 1991.25
 ROW_CHARACTERS = 276

@@ -34,7 +34,7 @@ from opnav_workbench.errors import CatalogError
 __all__ = ["UCAC_BAND", "ZoneLayout", "ZoneStore", "astrometry_columns", "open_zones"]
 
 
-# ---- Catalogs of binary zone files, as UCAC2 and UCAC4 are: read where they stand, nothing converted or held ...
+# ---- Catalogs of binary zone files, as UCAC2 and UCAC4 are.
 
 ROW_BITS = 24  # row number = zone * 2**24 + record; the largest zone has 0.3 million records
 THREE_DIGITS = np.array([f"{value:03d}" for value in range(1000)])
@@ -220,7 +220,7 @@ def _records(found: Candidates) -> NDArray[np.void]:
     return found.records
 
 
-# ---- What UCAC2 and UCAC4 rows have in common: positions carried to J2000 from their mean epochs, motions ...
+# ---- What UCAC2 and UCAC4 rows have in common.
 
 UCAC_BAND = "UCAC"  # 579-642 nm, between V and R
 

@@ -47,7 +47,7 @@ from opnav_workbench.kernels import KernelSet
 __all__ = ["campaign_app", "stack"]
 
 
-# ---- What ``opnav campaign`` prints and writes: progress of an ingest, answers as tables, CSV or JSON, ...
+# ---- What ``opnav campaign`` prints and writes.
 
 OUTPUT_FORMATS = ("table", "csv", "json")
 STATUS_STYLES = {
@@ -352,7 +352,7 @@ def _print_notes(console: Console, messages: Sequence[str]) -> None:
         console.print(f"[yellow]note[/] {escape(message)}", highlight=False)
 
 
-# ---- ``opnav campaign``: many runs in one archive, questions to it, its observables, its trends, and stacks ...
+# ---- ``opnav campaign``.
 
 EXIT_SOME_SKIPPED = 3
 

@@ -165,7 +165,7 @@ def _variable_table(told: KernelBrief) -> Table:
     return table
 
 
-# ---- ``opnav kernels check`` as a person reads it: the eight kinds, windows as bars, gaps and overlaps, what ...
+# ---- ``opnav kernels check`` as a person reads it.
 
 OTHER_COLUMNS = 78  # characters of the coverage table beside its bars
 SHORTEST_BAR, LONGEST_BAR = 6, 60  # at 80 columns a frame such as NH_SPACECRAFT still fits beside it

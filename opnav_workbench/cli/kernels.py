@@ -109,7 +109,7 @@ def make_from_shape(
     return path
 
 
-# ---- ``opnav kernels make-ck`` and ``opnav kernels geometry``: solved pointings as a CK, and the geometry of ...
+# ---- ``opnav kernels make-ck`` and ``opnav kernels geometry``.
 
 CK_FILE = "reconstructed.bc"
 YAML_SUFFIXES = (".yaml", ".yml")

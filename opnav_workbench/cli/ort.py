@@ -128,7 +128,7 @@ def _number(value: float) -> str:
     return f"{value:,.3f}" if abs(value) >= 0.1 else f"{value:.3g}"
 
 
-# ---- ``opnav ort score``: what was delivered is written down, the truth is opened, and the one is held ...
+# ---- ``opnav ort score``.
 
 EXIT_NOT_PASSED = 3
 SCORE_PAGE_FILE = "score.html"

@@ -157,7 +157,7 @@ def _print_reasons(console: Console, pictures: Sequence[PicturePlan]) -> None:
             console.print(f"[dim]also in the field[/] {escape(plan.name)}: {escape(names)}", highlight=False)
 
 
-# ---- ``opnav plan``: what the pictures of a sequence will show, how well they navigate, and which are worth ...
+# ---- ``opnav plan``.
 
 ProgressCall = Callable[[int, int, str], None]
 

@@ -144,7 +144,7 @@ class Estimate:
 
     Attributes
     ----------
-    groups : tuple of Group
+    groups : tuple of ParameterGroup
     epoch_et : float
         Time of the corrected states, TDB seconds past J2000.
     correction : (n,) array
@@ -163,7 +163,7 @@ class Estimate:
     iterations : tuple of (n,) arrays
         Corrections after each pass.
     converged : bool
-    directions : tuple of Direction
+    directions : tuple of ParameterDirection
         What the measurements alone determine, best first.
     messages : tuple of str
     """

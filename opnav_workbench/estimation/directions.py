@@ -76,7 +76,7 @@ def directions_of(
     ----------
     whitened : (k, n) array
         d(computed / sigma)/d(parameters).
-    groups : sequence of Group
+    groups : sequence of ParameterGroup
     scales : (n,) array
         As `scales_of`.
     line_of_sight : (3,) array

@@ -111,7 +111,7 @@ def prior_rows(groups: Sequence[ParameterGroup], a_priori: APriori | None) -> Fl
 
     Parameters
     ----------
-    groups : sequence of Group
+    groups : sequence of ParameterGroup
     a_priori : mapping or (n, n) array, optional
         By group a sigma, three sigmas or a (3, 3) covariance; or the covariance of all parameters. What is not given is
         not known at all.

@@ -187,7 +187,7 @@ def _finite_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -
     return array
 
 
-# ---- A position from directions in closed form: linear optimal sine triangulation (LOST), the start of the ...
+# ---- A position from directions in closed form.
 
 # Directions closer to parallel than this many of their sigmas do not cross anywhere in particular.
 PARALLEL_SIGMAS = 5.0

@@ -100,7 +100,7 @@ def move_into_place(work: Path, final: Path, record: NightRecord, attic: Path) -
     Parameters
     ----------
     work, final : path
-    record : Record
+    record : NightRecord
     attic : path
         Folder on the same file system for what is about to be deleted.
 
@@ -193,7 +193,7 @@ class Night:
     Attributes
     ----------
     plan : NightPlan
-    verdicts : list of Verdict
+    verdicts : list of NotebookOutcome
         Of the pictures processed now.
     unarchived : list of str
         Why a picture could not be taken into the archive.
@@ -254,7 +254,7 @@ def run_night(
     ----------
     night : Night
         Gains a verdict for every picture that is finished.
-    pool : Pool
+    pool : NightPool
     archive : path, optional
         Campaign archive; default ``OUT/campaign.sqlite``.
     say : callable

@@ -121,7 +121,7 @@ def process_picture(values: Mapping[str, Any], stop: threading.Event | None = No
     Parameters
     ----------
     values : mapping
-        A `Job` as plain values.
+        A `NotebookRequest` as plain values.
     stop : Event, optional
         Ends the work when set.
 

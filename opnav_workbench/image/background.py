@@ -194,7 +194,7 @@ def _running_sums(values: FloatArray) -> FloatArray:
     return sums
 
 
-# ---- A smooth surface through scattered values of which up to nearly half may be wrong: least trimmed ...
+# ---- A smooth surface through scattered values of which up to nearly half may be wrong.
 
 RANDOM_STARTS = 100  # with 40 % wrong values, 1 - (1 - 0.6^6)^100 = 0.99 that one start of six is clean
 CONCENTRATION_STEPS = 6  # the fit hardly moves after four
@@ -465,7 +465,7 @@ def _known_or(value: float | None, otherwise: float) -> float:
     return otherwise if value is None or np.isnan(value) else float(value)
 
 
-# ---- Light that a bright body leaves all along its columns while a frame-transfer CCD is read out without a ...
+# ---- Light that a bright body leaves along its columns while a frame-transfer CCD is read out.
 
 LEAST_COLUMN_LINES = 8  # of a column, to tell its level from
 

@@ -329,7 +329,7 @@ def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[Any]:
     return np.dtype(f"{PDS_BYTE_ORDERS.get(match['maker'], '>')}{letter}{bits // 8}")
 
 
-# ---- VICAR pictures through the `vicar` library; the length is checked first, so that a short file is named ...
+# ---- VICAR pictures through the `vicar` library.
 
 VICAR_LABEL_SIZE = re.compile(rb"LBLSIZE=\s*(\d+)")
 
@@ -385,7 +385,7 @@ def _vicar_header(label: Mapping[Any, Any]) -> dict[str, HeaderValue]:
     return values
 
 
-# ---- From a file to a `Picture`: which format, which planes, which time; every failure is one `ImageError` ...
+# ---- From a file to a `Picture`.
 
 GZIP_START = b"\x1f\x8b"
 SHOWN_BYTES = 24

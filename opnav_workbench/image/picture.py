@@ -237,7 +237,7 @@ def _without_time(name: str, header: Header, keywords: KeywordMap) -> str:
     return "no time in the header but the spacecraft clock" if looked_for else "no time keyword is known"
 
 
-# ---- From a file to a `Picture`: which format, which planes, which time; every failure is one `ImageError` ...
+# ---- From a file to a `Picture`.
 
 
 def read_image(

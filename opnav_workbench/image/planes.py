@@ -21,7 +21,7 @@ from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
 __all__ = ["expanded", "make_planes"]
 
 
-# ---- Values that a spacecraft squeezed into fewer bits before sending them, by a table, brought back to one ...
+# ---- Values that a spacecraft squeezed into fewer bits before sending them, by a table.
 
 
 def expanded(

@@ -138,7 +138,7 @@ def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
     return table_observables(table, str(path))
 
 
-# ---- Observables as CSV: a header of comments that says what each column is, then plain comma-separated ...
+# ---- Observables as CSV.
 
 CONVENTIONS = (
     "pixel is horizontal, line vertical; both 0-based, an integer is a pixel's center",
@@ -210,7 +210,7 @@ def read_csv(path: str | Path) -> tuple[Observable, ...]:
         raise SessionError(f"{path} is damaged ({error}); export the observables again.") from error
 
 
-# ---- Observables as JSON: one object each, arrays as lists, null for what is not known, and the fields ...
+# ---- Observables as JSON.
 
 JSON_FORMAT, JSON_SCHEMA = "opnav_workbench observables", 1
 FIELD_TYPES = get_type_hints(Observable)

@@ -31,7 +31,7 @@ from opnav_workbench.observables.observable import Observable
 __all__ = ["TdmOptions", "TrackingMessage", "parse_tdm", "read_tdm", "tdm_table", "tdm_text", "write_tdm"]
 
 
-# ---- Observables as a CCSDS Tracking Data Message: right ascension and declination of each body, and its ...
+# ---- Observables as a CCSDS Tracking Data Message.
 
 TDM_VERSION = "2.0"
 TIME_DECIMALS = 6  # of a second; a spacecraft moves centimeters in a microsecond

@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 
-# ---- Zero points: the magnitude that gives a camera one data number per second, with Vega as the standard ...
+# ---- Zero points: the magnitude that gives a camera one data number per second.
 
 SUN_V_MAG = -26.75  # at 1 au: Colina, Bohlin & Castelli (1996); +- 0.01
 SUN_B_V = 0.65  # +- 0.01: Ramirez et al. (2012), doi 10.1088/0004-637X/752/1/5

@@ -25,7 +25,7 @@ from opnav_workbench.psf.protocol import PsfGradient, cell_shift, checked_center
 __all__ = ["FieldPsf", "GaussianPsf", "GridShape", "PolynomialShape"]
 
 
-# ---- The elliptical Gaussian of the paper: two widths and an angle, normalised to one, integrated over ...
+# ---- The elliptical Gaussian of the paper.
 
 REACH_SIGMAS = 5.6  # less than 5e-8 of the flux lies outside a square of this half-side
 

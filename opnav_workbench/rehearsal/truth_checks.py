@@ -237,7 +237,7 @@ class CenterScore:
         As the team reports it; the last of several methods that is sure.
     visible : bool
         Whether it truly is on the detector, and not hidden.
-    check : Check or None
+    check : TruthCheck or None
         None: no center was claimed.
     verdict : {"good", "poor", "wrong", "unsure", "missed", "false", "absent"}
         unsure: reported as uncertain; false: claimed where there is none; absent: rightly not claimed.
@@ -264,7 +264,7 @@ class PictureScore:
     lost : str
         Why it holds nothing usable; empty where it does.
     verdict : {"good", "not solved", "lost, named", "claimed though lost", "not reported"}
-    pointing : Check or None
+    pointing : TruthCheck or None
     centers : tuple of CenterScore
     stars : StarScore
     messages : tuple of str
@@ -427,11 +427,11 @@ class SolutionScore:
     Attributes
     ----------
     solution : OrtSolution
-    flyby : Flyby
+    flyby : PredictedFlyby
         As predicted.
-    parameters : tuple of Check
+    parameters : tuple of TruthCheck
         One a group.
-    all_parameters, b_plane, arrival : Check
+    all_parameters, b_plane, arrival : TruthCheck
         All groups together; (B.T, B.R); linearised time of flight.
     b_plane_true : (3,) array
     sigma_ratio : (float, float)

@@ -140,7 +140,7 @@ def _summed_by_pixel(fine: FloatArray, cells: int) -> FloatArray:
     return out
 
 
-# ---- A resolved body in the picture: which pixels to look along, what they see, and that light through the ...
+# ---- A resolved body in the picture.
 
 LIMB_MARGIN_PX = (
     2  # around the outline that predict_body draws with 180 points: its chords miss 2e-4 of the radius

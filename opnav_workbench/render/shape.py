@@ -173,7 +173,7 @@ def _mesh(corner: FloatArray) -> tuple[FloatArray, float, tuple[int, int], IntAr
     return origin, side, cells, start.astype(np.int64), plate[order]
 
 
-# ---- A body made of triangular plates: its shape, and that shape as a surface to render, with the shadows it ...
+# ---- A body made of triangular plates.
 
 NODES = (
     384  # rays along a side of the square about the body: its light to 1e-3, that of a thin crescent to 1e-2

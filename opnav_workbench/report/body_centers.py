@@ -201,7 +201,7 @@ def _draw_ellipse(axes: Axes, center: BodyCenter, entries: dict[str, Artist]) ->
     )
 
 
-# ---- Figures that set methods side by side: their centers with error ellipses, and what each leaves over of ...
+# ---- Figures that set methods side by side.
 
 CentersByMethod = ImageSession | Mapping[str, BodyCenter]
 DASHES = ("solid", (0, (5, 2)), (0, (1, 1)), (0, (5, 2, 1, 2)), (0, (8, 2)), (0, (3, 1)))

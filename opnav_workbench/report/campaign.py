@@ -31,7 +31,7 @@ from opnav_workbench.report.drawing import (
 __all__ = ["stack_figure", "trends_figure"]
 
 
-# ---- Trends of a campaign in one figure: O-C of bodies, pointing error, star residuals, detections against ...
+# ---- Trends of a campaign in one figure.
 
 TWIST_COLOR, OUTLIER_COLOR, GREY = GREEN, PURPLE, "0.6"
 FEW_DAYS = 3.0  # below this the axis counts hours

@@ -251,7 +251,7 @@ def _draw_paper_marks(axes: Axes, marks: PaperMarks) -> None:
             axes.add_patch(Rectangle((pixel - size, line - size), 2.0 * size, 2.0 * size, **outline))
 
 
-# ---- Figures in the manner of the paper: panels with colour bars, a correlation peak with its paraboloid, ...
+# ---- Figures in the manner of the paper.
 
 PANEL_WIDTH_INCH, AROUND_INCH, BAR_INCH, AXIS_INCH = 4.3, 0.75, 0.85, 0.35
 TITLE_INCH, LEGEND_INCH = 0.3, 0.35

@@ -41,7 +41,7 @@ from opnav_workbench.simulation import stretched
 __all__ = ["field_chart", "timeline_figure", "write_plan_page"]
 
 
-# ---- Figures of a picture plan: a chart of each field, and how sigmas, signal and size change over the ...
+# ---- Figures of a picture plan.
 
 STAR, UNUSABLE, BODY, OTHER = BLUE, "#999999", VERMILION, GREEN
 GRADE_COLORS = {"good": GREEN, "marginal": ORANGE, "bad": VERMILION}

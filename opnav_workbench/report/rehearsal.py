@@ -36,7 +36,7 @@ from opnav_workbench.report.pages import png_url, render_template
 __all__ = ["score_page", "solution_page"]
 
 
-# ---- Figures of a rehearsal: the flyby in the B-plane, O-C over time, errors against the truth in their own ...
+# ---- Figures of a rehearsal.
 
 LIGHT = {"pixel": BLUE, "line": VERMILION, "before": "#7a8594", "solved": BLUE, "true": "#000000"}
 DARK = {"pixel": SKY_BLUE, "line": ORANGE, "before": "#9aa7b8", "solved": SKY_BLUE, "true": "#ffffff"}
@@ -256,7 +256,7 @@ def _checks_of(picture: PictureScore, name: str) -> list[Any]:
     return [c.check for c in picture.centers if c.body == name and c.check is not None]
 
 
-# ---- The pages of a rehearsal: what a team delivers, and how it was scored; one file each that opens ...
+# ---- The pages of a rehearsal.
 
 
 def score_page(score: OrtScore) -> str:

@@ -30,7 +30,7 @@ class Context:
 
     Attributes
     ----------
-    frame : Frame
+    frame : Picture
     camera : Camera
     mission : Mission
     background : Background

@@ -273,7 +273,7 @@ class FieldMatch:
         freeze_arrays(self)
 
 
-# ---- The analyst's decisions on stars, and what they make of the automatic statuses: a decision outranks ...
+# ---- The analyst's decisions on stars, and what they make of the automatic statuses.
 
 ACCEPTED, REJECTED = "accepted", "rejected"
 

@@ -165,7 +165,7 @@ def correlate(
         Pixels to leave out.
     start_pixel_line : (n, 2) array_like
         Predicted (pixel, line).
-    template : Template
+    template : StarTemplate
         From `extract_template` or `gaussian_template`.
     search_radius_px : float
         How far from its prediction a star may be. The cross-correlation sees no farther than its sub-image.

@@ -86,7 +86,7 @@ def replace_saturated(found: Detections, saturated: BoolArray, sigma_px: float) 
     )
 
 
-# ---- Blind detection of stars: matched filter over the whole image, local maxima of its signal-to-noise ...
+# ---- Blind detection of stars.
 
 DETECTION_SNR = 6.0  # in 10^6 pixels noise exceeds it in one frame of a thousand
 KERNEL_SIGMAS = 3.0

@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 
-# ---- How much more likely the detections are with a hypothesis than strewn at random: what makes an ...
+# ---- How much more likely the detections are with a hypothesis than strewn at random.
 
 POSITION_SIGMA_PX = 0.5  # an axis: coarse centers, unmodeled motion and distortion
 DETECTED_PART = 0.8  # of the stars that are bright enough: catalogs list doubles, variables and plate faults

@@ -130,7 +130,7 @@ def find_hits(
 
     Parameters
     ----------
-    final : Evaluation
+    final : ModelEvaluation
         The fit at its end, g boxes of m = size^2 pixels.
     covariance : (g, q, q) array
         Of the fitted parameters, from the noise alone.
@@ -173,7 +173,7 @@ def _tolerated_variance(
     return np.asarray(np.matmul(followed**2, variance[:, :, None])[:, :, 0] + (1.0 - 2.0 * own) * variance)
 
 
-# ---- One batch of equally large groups of stars fitted: boxes cut, started, solved, and taken apart star by ...
+# ---- One batch of equally large groups of stars fitted.
 
 MIN_FREEDOM = 1.0  # one pixel more than what is estimated from them
 REACH_PART = 0.5  # of the distance to its neighbor that a star of a group may move from where it is sought
@@ -243,7 +243,7 @@ def fit_groups(
 
     Returns
     -------
-    rows : StarRows
+    rows : FittedStars
         Of the g * k stars, group by group.
     hits : (h, 3) array of int
         Pixels that no star explains: group, line, pixel.

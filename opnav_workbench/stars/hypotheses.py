@@ -292,7 +292,7 @@ def _fit_rotation(
     return rotation
 
 
-# ---- One star alone: the brightest expected, as each of the detections within reach; nothing can be ...
+# ---- One star alone.
 
 SINGLE_STAR_CANDIDATES = 3  # brightest stars that may be the only one seen
 SINGLE_STAR_TWIST_RAD = 0.1  # with a twist less known than this one star says nothing

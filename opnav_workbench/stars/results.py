@@ -15,7 +15,7 @@ from opnav_workbench.stars.flags import StarFlag
 __all__ = ["NoiseModel", "PsfShape", "ShapePrior", "StarCenters", "StarImages"]
 
 
-# ---- What a person looks at to judge a center: the data, the model, their difference, the correlation ...
+# ---- What a person looks at to judge a center.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

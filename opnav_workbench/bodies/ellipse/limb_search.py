@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 
-# ---- Where the limb is, roughly: brightness along its normals compared with the rendered limb, and the ...
+# ---- Where the limb is, roughly.
 
 STEP_PX = 0.5
 MIN_RISE = 0.05  # of the model's highest rise: less is unlit limb
@@ -94,7 +94,7 @@ def limb_lags(picture: BodyPicture, pieces: LimbPieces, template: LimbTemplate, 
     ----------
     picture : BodyPicture
     pieces : LimbPieces
-    template : Template
+    template : LimbTemplate
         Of the same pieces; its lit ones are looked for.
     search_px : float
     """
@@ -206,7 +206,7 @@ def outline_motion(
     return motion, follow
 
 
-# ---- Where a limb fit starts: the body's place by correlation, its limb along normals, Christian and ...
+# ---- Where a limb fit starts.
 
 DETECTED_SNR = 5.0
 LEAST_FOUND = 0.3  # of the lit limb: with less of it in sight something else was found

@@ -99,7 +99,7 @@ def horizon_position(
     return np.asarray((turn * radii) @ axis / np.sqrt(excess))
 
 
-# ---- From shifts of limb pieces to the motion of the body: robust weighted least squares with an honest ...
+# ---- From shifts of limb pieces to the motion of the body.
 
 OUTLIER_SIGMAS = 4.0  # of noise and roughness together: 6e-5 of good points
 ROUNDS = 12  # of leaving out and taking back

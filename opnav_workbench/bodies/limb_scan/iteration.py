@@ -106,9 +106,9 @@ class ScanIteration:
     ----------
     evaluation : ScanEvaluation
     roughness : float
-    choice : Choice
+    choice : ScanSelection
     uneven : (n,) array
-    common : Common
+    common : CommonTerms
     system : ScanSystem
         With what is common taken out.
     match : ScanMatch
@@ -135,7 +135,7 @@ class ScanSolution:
     ----------
     last : ScanIteration or None
         None where fewer scans than `FEWEST` were left, or a step left the body.
-    choice : Choice
+    choice : ScanSelection
     steps : tuple of (float, float)
     converged : bool
     """
@@ -160,7 +160,7 @@ def iterate_center(
     ----------
     picture : BodyPicture
     name : str
-    captured : Capture
+    captured : Acquisition
     numbers : (k,) array of int or None
         Scans chosen by hand.
     solve_size : bool

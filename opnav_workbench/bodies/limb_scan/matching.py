@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 
-# ---- How far the data of a scan lie from the model along it, whatever the albedo: generalised least squares, ...
+# ---- How far the data of a scan lie from the model along it, whatever the albedo.
 
 BLOCKED = 1e12  # factor on the variance of samples that do not count
 TINY = 1e-30
@@ -258,7 +258,7 @@ def correlation_peaks(correlation: FloatArray, lag_px: FloatArray) -> tuple[Floa
     return np.where(found, place, np.nan), np.where(found, height, np.nan)
 
 
-# ---- What all scans share beside the center: how the surface darkens toward the limb, and how wide the PSF ...
+# ---- What all scans share beside the center.
 
 LAW, BLUR = 0, 1  # share of another law (`AdjustedLaw`); variance added to the PSF, px^2
 LAW_SIGMA = 0.5  # a priori: half the way from Lambert to Lommel-Seeliger

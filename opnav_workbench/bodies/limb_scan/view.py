@@ -106,7 +106,7 @@ def _with_share(model: BodyModel, share: float) -> BodyModel:
     return replace(model, law=AdjustedLaw(own, share))
 
 
-# ---- What a scan would show if the albedo differed from place to place: the body's light along the scan, ...
+# ---- What a scan would show if the albedo differed from place to place.
 
 CORRELATION_RAD = np.radians(8.0)
 NODES = 10  # hat functions; they stand less than 3 deg apart

@@ -310,7 +310,7 @@ def _usable_points(stacked: Stacked, place: FloatArray, half: int) -> tuple[Floa
     return points[known], index[known]
 
 
-# ---- How the signal-to-noise ratio grows with the pictures of a stack: as the root of their number, if all ...
+# ---- How the signal-to-noise ratio grows with the pictures of a stack.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

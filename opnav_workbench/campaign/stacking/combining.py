@@ -49,7 +49,7 @@ def mean_state(frames: Sequence[StackFrame], et: float) -> TargetState:
     return replace(nearest, position_km=position)
 
 
-# ---- Cosmic rays, and whatever else is in one picture only, found by comparing each picture with the median ...
+# ---- Cosmic rays, and whatever else is in one picture only.
 
 MIN_FRAMES = 3  # of two that differ nobody knows which one is right
 HIT_SIGMAS = 5.0  # one pixel in two million by noise alone

@@ -143,7 +143,7 @@ def _typical_noise(frame: StackFrame) -> float:
     return noise
 
 
-# ---- Pictures for a stack from their run folders: the sessions are taken up again, kernels give the target's ...
+# ---- Pictures for a stack from their run folders.
 
 
 @dataclass(frozen=True, slots=True)

@@ -124,7 +124,7 @@ def target_direction(frame: StackFrame) -> FloatArray:
     return apparent_direction(frame.target.direction, frame.observer_velocity_km_s)
 
 
-# ---- Pictures resampled by cubic convolution, as sparse matrices: their noise is known as well as their ...
+# ---- Pictures resampled by cubic convolution, as sparse matrices.
 
 TAPS = 4
 BLOCK_PIXELS = 65_536  # worked on at once: 25 MB of weights

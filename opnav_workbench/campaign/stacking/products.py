@@ -78,7 +78,7 @@ def stack_attitude_covariance(frames: Sequence[StackFrame], weights: FloatArray)
     return symmetric(averaged + np.einsum("n,nij->ij", weights, np.array(common)))
 
 
-# ---- A stack on disk: FITS, and ``result.json`` with ``observables.ecsv`` as of any picture, ready for ...
+# ---- A stack on disk.
 
 UTC_DECIMALS = 3
 

@@ -92,7 +92,7 @@ class PointingProblem:
     directions : (n, 3) array
         Apparent unit vectors, J2000.
     camera : Camera
-    prior : Prior
+    prior : AttitudePrior
         The a priori attitude.
     start : (3, 3) array
         camera_from_j2000 to start from.
@@ -167,7 +167,7 @@ class AttitudeFit:
         Of all stars, used or not.
     jacobian : (n, 2, 3) array
         d(pixel, line) / d(eps) of all stars.
-    linear : Linear
+    linear : LinearizedProblem
         The used stars at `attitude`.
     twist_solved : bool
         The stars alone determine the twist better than it was known beforehand.

@@ -152,7 +152,7 @@ class StarSelection:
     ----------
     used : (n,) array of bool
     excess_sigma_px : float
-    fit : Fit
+    fit : AttitudeFit
         To the used stars.
     distance : (n,) array
         Residuals in units of their sigmas, both coordinates together.

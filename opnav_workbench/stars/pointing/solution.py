@@ -58,7 +58,7 @@ class PointingSolution:
         Boresight and position angle of increasing line, J2000, no aberration removed or added.
     delta_pixel, delta_line, delta_twist_rad : float
         Solved against a priori (see `PictureShift`): the sum of `iterations`.
-    iterations : tuple of Iteration
+    iterations : tuple of PictureShift
         The steps from the a priori attitude to the solved one.
     rms_px : float
         Root mean square of the residuals of the used stars, per coordinate.

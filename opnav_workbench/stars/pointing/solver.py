@@ -50,7 +50,7 @@ class PointingInput:
 
     Attributes
     ----------
-    sightings : Sightings
+    sightings : PointingProblem
         The usable ones.
     index : (m,) array of int
         Their rows.
