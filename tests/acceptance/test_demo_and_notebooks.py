@@ -119,6 +119,7 @@ def check_table_3(path: Path) -> None:
     assert math.hypot(*off["full-disk cross-correlation"]) > 4.0 * math.hypot(*scan)
 
 
+@pytest.mark.slow
 def test_program_runs_as_a_process(tmp_path):
     """`python -m opnav_workbench` is the same program, started from any folder."""
     environment = {**os.environ, "COLUMNS": "120"}

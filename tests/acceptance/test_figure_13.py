@@ -87,6 +87,7 @@ def difference_dn(session, center, place, range_scale: float) -> tuple[np.ndarra
 # -- difference picture --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_difference_picture_shows_it(process):
     """At its place the model of the believed distance is too small: light is left over in a ring along the lit limb."""
     session, _ = process("uniform")
@@ -135,6 +136,7 @@ def test_center_carries_the_part_across(process, surface):
 # -- size ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=["least_squares"])
 @pytest.mark.parametrize("method", ["ellipse", "least_squares"])
 def test_apparent_size_carries_the_rest(process, method):
     """The distance from the size alone: 4347 km nearer, within its sigma of dozens of kilometers."""
@@ -147,6 +149,7 @@ def test_apparent_size_carries_the_rest(process, method):
     assert o.measured_diameter_px - o.diameter_px == pytest.approx(0.33, abs=0.03)
 
 
+@pytest.mark.slow
 def test_unknown_surface_makes_the_size_uncertain_but_not_wrong(process):
     """A mottled limb: the size still says that Pluto is nearer, and its sigma grows by more than ten."""
     sigmas = {}
@@ -161,6 +164,7 @@ def test_unknown_surface_makes_the_size_uncertain_but_not_wrong(process):
 # -- what orbit determination makes of it ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_one_picture_gives_the_offset_and_the_flyby(process):
     """Estimation with the center and the size of one picture: 4500 km sunward, 1165 km in the B-plane, 315 s earlier."""
     session, _ = process("uniform")

@@ -124,6 +124,7 @@ def test_report_stands_alone(team):
     assert "Grade A" in answer.output
 
 
+@pytest.mark.slow
 def test_wrong_solution_gets_a_bad_grade(team):
     package, folder = team
     spoil(folder, correction=lambda c: -c, b_plane_after=lambda b: b + np.array([1500.0, -800.0, 60.0]))
@@ -133,6 +134,7 @@ def test_wrong_solution_gets_a_bad_grade(team):
     assert any("B-plane is" in fault["words"] for fault in score["grade"]["faults"])
 
 
+@pytest.mark.slow
 def test_overconfident_solution_gets_a_bad_grade(team):
     package, folder = team
     spoil(folder, covariance=lambda c: 1e-4 * c, b_plane_covariance=lambda c: 1e-4 * c)
@@ -153,6 +155,7 @@ def test_no_solution_and_unreported_pictures(team):
     assert [fault.words for fault in score.grade.faults] == ["no solution delivered"]
 
 
+@pytest.mark.slow
 def test_edit_after_the_reveal_shows(team):
     package, folder = team
     assert graded(package, folder).grade.letter == "A"
@@ -184,6 +187,7 @@ def test_truth_needs_the_key(team, tmp_path):
         assert not any(value in text for value in values), path
 
 
+@pytest.mark.slow
 def test_analyst_replaces_a_picture_and_estimates_again(team):
     """A picture done over counts with its last sure center; one thrown away is left out by name."""
     package, folder = team

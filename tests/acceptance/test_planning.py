@@ -270,6 +270,7 @@ def test_lorri_resolved_is_as_predicted():
     check(plan, realised(plan, light, "PLUTO", centers, target.prediction.pixel_line, count), ["PLUTO"])
 
 
+@pytest.mark.slow
 def test_polycam_is_as_predicted():
     """PolyCam on the paper's day: 150 noise realisations of stars and asteroid in one mosaic, fitted at once."""
     with open_sequence(load_sequence("osiris_rex/bennu_approach")) as opened:

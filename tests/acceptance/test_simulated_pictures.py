@@ -75,6 +75,7 @@ def body(truth: Truth, name: str, column: str) -> float:
 # -- the paper's figures -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_figure_1_shows_the_cluster(truths):
     """M7 has dozens of stars brighter than magnitude 10 in LORRI's field."""
     truth = truths["m7"]
@@ -127,6 +128,7 @@ def test_figure_14_has_pluto_190_px_wide(truths):
 # -- processed blind -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=["m7"])
 @pytest.mark.parametrize("name", READY)
 def test_processing_gives_back_the_truth(pictures, truths, tmp_path, name):
     """The pointing error that only the truth knows is found, within its own sigmas, and so are the bodies."""
@@ -164,6 +166,7 @@ def test_bodies_of_every_size_are_found_with_the_method_that_suits_them(pictures
             )
 
 
+@pytest.mark.slow
 def test_methods_are_chosen_on_the_command_line(pictures, truths, tmp_path):
     options = ("--mission", "new_horizons", "--kernels", "new_horizons/pluto_approach", "--out", tmp_path)
     opnav(
@@ -323,6 +326,7 @@ def flux_dn(session: ImageSession, place: np.ndarray) -> float:
     return float(box.sum())
 
 
+@pytest.mark.slow(keep=["0449855932"])
 @pytest.mark.realdata
 @pytest.mark.parametrize("met", PROXIMA)
 def test_a_real_frame_made_again_is_like_the_real_one(data_dir, tmp_path, met):

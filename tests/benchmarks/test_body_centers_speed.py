@@ -89,6 +89,7 @@ def test_center_against_one_rendering(benchmark, fastest, resolved, method):
     assert taken_s < MAX_RENDERINGS * one_s
 
 
+@pytest.mark.slow
 def test_least_squares_against_a_general_solver(benchmark, fastest):
     """scipy's solver with numeric derivatives, on the same pixels, from the same start, after the same search."""
     picture = picture_of(80.0)

@@ -67,6 +67,7 @@ def test_ellipsoid_of_500_px(benchmark, fastest, camera):
     assert rendering.electrons.sum() == pytest.approx(light, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_pluto_with_a_map_and_charon_in_a_lorri_frame(benchmark, fastest, camera):
     albedo = AlbedoMap(np.random.default_rng(3).uniform(0.2, 0.9, (512, 1024)))
     pluto = BodyModel(body(camera, 190.0), LunarLambert(0.5), albedo)

@@ -116,6 +116,7 @@ def whole_s(stars_s: float, disk_s: float) -> float:
     return stars_s * STARS / PEER_STARS + disk_s * PLUTO_PX / PEER_ROWS
 
 
+@pytest.mark.slow
 def test_frame_with_pluto_charon_and_2000_stars(benchmark, fastest, inputs):
     """Against adding one star at a time and tracing 32 x 32 rays a pixel: at least five times as fast."""
     picture = benchmark.pedantic(expose_picture, args=(inputs,), rounds=3, iterations=1, warmup_rounds=1)

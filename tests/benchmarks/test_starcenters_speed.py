@@ -72,6 +72,7 @@ def photutils_fits(image, starts):
     return np.column_stack([found["x_fit"], found["y_fit"]])
 
 
+@pytest.mark.slow(keep=["level"])
 @pytest.mark.parametrize("background", ["level", "plane"])
 def test_batched_fit_against_a_loop_of_scipy_fits(benchmark, fastest, field, background):
     image, centers = field
@@ -91,6 +92,7 @@ def test_batched_fit_against_a_loop_of_scipy_fits(benchmark, fastest, field, bac
     assert fit.usable.mean() > 0.99
 
 
+@pytest.mark.slow(keep=["empirical"])
 @pytest.mark.parametrize("kind", ["gaussian", "empirical"])
 def test_fit_of_a_given_psf_against_photutils(benchmark, fastest, field, kind):
     image, centers = field

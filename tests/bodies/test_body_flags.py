@@ -48,6 +48,7 @@ def test_bright_star_in_the_circle_is_no_body(body_stage, finder):
     assert "not like it" in found.messages[0]
 
 
+@pytest.mark.slow(keep=["0.7-find_least_squares"])
 @pytest.mark.parametrize("finder", FINDERS)
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_wrong_radius(body_stage, finder, factor):
@@ -72,6 +73,7 @@ def test_wrong_circle(body_stage):
     assert right.status == "ok", right.messages
 
 
+@pytest.mark.slow(keep=["true1-find_least_squares", "true2-find_cross_correlation"])
 @pytest.mark.parametrize("finder", FINDERS)
 @pytest.mark.parametrize("true", [(12.4, 500.2), (1015.7, 1010.1), (-9.6, 300.0)])
 def test_cut_by_the_edge(body_stage, finder, true):
@@ -165,6 +167,7 @@ def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     assert np.abs(joint.correlation[:2, 2:]).max() > 0.03
 
 
+@pytest.mark.slow
 def test_joint_centers_of_bodies_apart(body_stage):
     models = [
         body_stage.body(60.0, 30.0, TRUE, name="PLUTO"),
@@ -184,6 +187,7 @@ def test_joint_centers_of_bodies_apart(body_stage):
     assert np.abs(joint.correlation[:2, 4:]).max() < 0.05
 
 
+@pytest.mark.slow(keep=["find_cross_correlation"])
 @pytest.mark.parametrize("finder", FINDERS)
 def test_one_body_before_another(body_stage, pair, finder):
     picture = body_stage.picture(

@@ -16,6 +16,7 @@ BIAS_PX = 0.005
 EMPTY = np.zeros((1024, 1024))
 
 
+@pytest.mark.slow(keep=["5.0-0.0-axes0-32-True"])
 @pytest.mark.parametrize(
     ("diameter", "phase", "axes", "rays", "solve_range"),
     [
@@ -46,6 +47,7 @@ def test_no_bias_against_brute_force(body_stage, diameter, phase, axes, rays, so
     assert np.isfinite(found.range_km) == (solve_range and not found.flags & BodyFlag.SIZE_UNSOLVED)
 
 
+@pytest.mark.slow(keep=["0.3"])
 @pytest.mark.parametrize("sigma_px", [0.3, 1.5])
 def test_no_bias_with_a_sharp_or_wide_psf(body_stage, sigma_px):
     stage, true = body_stage.with_psf(sigma_px), np.array([300.81, 640.33])
@@ -111,6 +113,7 @@ def test_range_from_the_apparent_size(body_stage):
     assert np.sqrt(fixed.covariance_px2[0, 0]) > 20.0 * np.sqrt(found.noise_covariance_px2[0, 0])
 
 
+@pytest.mark.slow(keep=["assumed0"])
 @pytest.mark.parametrize("assumed", [(1.0, 0.86, 0.8), (0.94, 0.8, 0.8)])
 def test_wrong_radii_are_told_from_the_free_ellipse(body_stage, assumed):
     true = np.array([500.0, 520.0])
@@ -134,6 +137,7 @@ def test_local_albedo_does_not_move_the_limb(body_stage):
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
 
 
+@pytest.mark.slow
 def test_hits_and_neighbours_are_rejected_with_reasons(body_stage, add_noise):
     true, rng = np.array([511.3, 511.8]), np.random.default_rng(2)
     model = body_stage.body(100.0, 40.0, true)
@@ -164,6 +168,7 @@ def test_limb_behind_another_body(body_stage):
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_covariance_holds_the_excess_of_the_stars(body_stage):
     model = body_stage.body(60.0, 40.0, (511.3, 511.8))
     picture = body_stage.picture(body_stage.light(model), [model])
@@ -194,6 +199,7 @@ def cube_of_craters():
     return ShapeModel(vertices * (1.0 + height)[:, None] * [1000.0, 900.0, 700.0], plates)
 
 
+@pytest.mark.slow
 def test_silhouette_of_a_shape_model(body_stage, add_noise):
     true, rng = np.array([511.3, 511.8]), np.random.default_rng(2)
     model = body_stage.body(100.0, 60.0, true)
@@ -258,6 +264,7 @@ def test_all_saturated_and_core_saturated(stood):
     np.testing.assert_allclose(core.pixel_line, true, rtol=0, atol=0.05)
 
 
+@pytest.mark.slow(keep=["place0"])
 @pytest.mark.parametrize("place", [(10.0, 500.0), (-15.0, 500.0), (500.0, 2.0)])
 def test_cut_by_the_edge(body_stage, place):
     model = body_stage.body(120.0, 50.0, place)

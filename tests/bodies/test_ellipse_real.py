@@ -91,6 +91,7 @@ def test_earth_from_hayabusa2(data_dir):
     assert found.detail.rough_px * found.detail.km_per_px > 20.0
 
 
+@pytest.mark.slow
 def test_eros_is_no_ellipsoid(data_dir):
     """A nose of Eros, cut by two edges; place, attitude and range from the header, its pole and radii from a PCK."""
     frame, camera = opened(data_dir, "near", "m0126865998f4_2p_iof.lbl")

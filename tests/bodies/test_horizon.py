@@ -152,6 +152,7 @@ def test_free_ellipse_finds_the_radii_of_another_body():
     assert compare_ellipses(points, np.full(150, 0.05), ellipse(100.0, 80.0, around), 1.0) is None
 
 
+@pytest.mark.slow
 def test_rough_limbs_have_an_honest_covariance():
     """Limbs with noise and correlated relief: error over sigma; sigma from noise alone would be five times too small."""
     rng, n = np.random.default_rng(8), 180

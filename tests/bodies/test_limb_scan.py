@@ -36,6 +36,7 @@ def test_a_noiseless_sphere_is_found_to_a_thousandth(body_stage, sphere):
     assert np.hypot(*center.detail.iterations[-1]) < 0.01
 
 
+@pytest.mark.slow(keep=["axes1-8.0-90.0"])
 @pytest.mark.parametrize(("diameter", "phase"), [(5.0, 30.0), (8.0, 90.0), (20.0, 0.0), (40.0, 120.0)])
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), TRIAXIAL])
 def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
@@ -56,6 +57,7 @@ def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
     assert np.sum(pulls) < 22.5  # chi-squared of six numbers: one in a thousand exceeds it
 
 
+@pytest.mark.slow
 def test_a_mottled_surface_does_not_move_the_center(body_stage):
     errors = []
     for seed in (1, 2):
@@ -70,6 +72,7 @@ def test_a_mottled_surface_does_not_move_the_center(body_stage):
     assert np.abs(errors).max() < 0.05
 
 
+@pytest.mark.slow(keep=["70.0-60.0-law3-taken3"])
 @pytest.mark.parametrize(
     ("law", "taken"),
     [
@@ -91,6 +94,7 @@ def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, 
     assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
 
 
+@pytest.mark.slow(keep=["0.99"])
 @pytest.mark.parametrize("ratio", [0.99, 1.02, 1.3])
 def test_another_size_is_measured_and_does_not_move_the_center(body_stage, sphere, ratio):
     model, light = sphere
@@ -103,6 +107,7 @@ def test_another_size_is_measured_and_does_not_move_the_center(body_stage, spher
     assert (center.status == "uncertain") == (ratio == 1.3)
 
 
+@pytest.mark.slow
 def test_scans_by_hand(body_stage, sphere):
     model, light = sphere
     picture = body_stage.picture(light, [model], np.random.default_rng(3))
@@ -134,6 +139,7 @@ def test_every_scan_has_a_reason(body_stage, sphere):
     assert np.abs(best).max() <= 0.5
 
 
+@pytest.mark.slow
 def test_a_scan_that_is_off_is_rejected_with_its_reason(body_stage, sphere):
     model, light = sphere
     clean = find_limb_scan(body_stage.picture(light, [model], np.random.default_rng(3)), "BODY").detail
@@ -161,6 +167,7 @@ def test_a_body_cut_by_the_edge(body_stage):
     assert "off the detector" in " ".join(center.detail.reason)
 
 
+@pytest.mark.slow
 def test_nothing_there_saturated_or_not_a_body(body_stage, sphere):
     model, light = sphere
     rng = np.random.default_rng(1)
@@ -191,6 +198,7 @@ def test_an_occulted_limb_is_left_out(body_stage):
     assert "another body hides or shades it here" in center.detail.reason
 
 
+@pytest.mark.slow
 def test_solving_for_the_size_widens_the_covariance(body_stage, sphere):
     model, light = sphere
     picture = body_stage.picture(light, [model], np.random.default_rng(3))
@@ -239,6 +247,7 @@ def test_the_fitted_law_goes_from_one_law_to_the_other():
     np.testing.assert_allclose(to_lambert, Lambert().reflectance(mu0, mu, 0.3), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_displaced_start_ends_in_the_same_place(body_stage, sphere):
     model, light = sphere
     picture = body_stage.picture(light, [model], np.random.default_rng(3))

@@ -12,6 +12,7 @@ SPHERE, TRIAXIAL = (1.0, 1.0, 1.0), (1.0, 0.8, 0.65)
 BIAS_PX = 0.003
 
 
+@pytest.mark.slow(keep=["5.0-0.0-axes0-32-find_least_squares"])
 @pytest.mark.parametrize("finder", FINDERS)
 @pytest.mark.parametrize(
     ("diameter", "phase", "axes", "rays"),
@@ -33,6 +34,7 @@ def test_no_bias_against_brute_force(body_stage, finder, diameter, phase, axes, 
     np.testing.assert_allclose(found.pixel_line, true, atol=BIAS_PX)
 
 
+@pytest.mark.slow(keep=["find_cross_correlation-0.3"])
 @pytest.mark.parametrize("sigma_px", [0.3, 1.5])
 @pytest.mark.parametrize("finder", FINDERS)
 def test_no_bias_with_a_sharp_or_wide_psf(body_stage, finder, sigma_px):
@@ -86,6 +88,7 @@ def test_errors_over_sigma_of_many_trials(binned_stage, add_noise, diameter, pha
     check_trials(trials(binned_stage, model, true, light, 120, 2, add_noise), 0.81, 1.19)
 
 
+@pytest.mark.slow(keep=["find_least_squares"])
 @pytest.mark.parametrize("finder", FINDERS)
 def test_body_far_from_its_prediction_is_found(body_stage, finder):
     """A 4500 km error of the barycenter at 2.5 million km: 0.98 radii away."""
@@ -133,6 +136,7 @@ def test_range_from_a_wrong_start(body_stage):
     np.testing.assert_allclose(found.pixel_line, (480.3, 530.7), atol=0.02)
 
 
+@pytest.mark.slow
 def test_cosmic_rays_and_bad_pixels_do_not_move_it(body_stage):
     rng, true = np.random.default_rng(6), np.array([480.3, 530.7])
     model = body_stage.body(60.0, 40.0, true)

@@ -24,6 +24,7 @@ def find(picture, diameter, phase_deg):
     return finder(picture, "BODY", search_radius_px=5.0)
 
 
+@pytest.mark.slow(keep=["0.0-0.65"])
 @pytest.mark.parametrize("sigma_px", PSFS)
 @pytest.mark.parametrize("phase", [0.0, 60.0, 120.0])
 def test_no_bias_from_half_a_pixel_to_twelve(binned_stage, sigma_px, phase):
@@ -61,6 +62,7 @@ def test_both_methods_agree_at_the_limit(binned_stage, sigma_px, phase, add_nois
     )
 
 
+@pytest.mark.slow(keep=["3.5-120.0"])
 @pytest.mark.parametrize(("diameter", "phase"), [(0.7, 90.0), (1.6, 60.0), (3.5, 120.0)])
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise, diameter, phase):
     rng, ratios = np.random.default_rng(7), []

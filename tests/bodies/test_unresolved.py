@@ -123,6 +123,7 @@ def test_faint_body_is_uncertain():
     assert seen.count("uncertain") > 20
 
 
+@pytest.mark.slow(keep=["25.0"])
 @pytest.mark.parametrize("radius", [3.0, 12.0, 25.0])
 def test_noise_is_rarely_taken_for_a_body(radius):
     rng = np.random.default_rng(6)
@@ -222,6 +223,7 @@ def test_smeared_image_is_not_certified():
     assert body.status == "uncertain"
 
 
+@pytest.mark.slow
 def test_few_good_bodies_are_doubted():
     rng = np.random.default_rng(19)
     fluxes = np.geomspace(700.0, 30000.0, 100)

@@ -98,6 +98,7 @@ def test_blends_and_hits_do_not_count():
     assert np.abs(hit.psf.box(center, first, 9) - clean.psf.box(center, first, 9)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_few_stars_give_fewer_cells_and_say_so():
     made, _ = frame(np.random.default_rng(7), TRUE, n=30)
     result = stack_psf([made], PRIOR, oversampling=4)
@@ -107,6 +108,7 @@ def test_few_stars_give_fewer_cells_and_say_so():
         stack_psf([frame(np.random.default_rng(8), TRUE, n=9)[0]], PRIOR)
 
 
+@pytest.mark.slow
 def test_same_frames_same_psf():
     frames = [frame(np.random.default_rng(9), TRUE, n=20, size=128)[0]]
     first, second = (stack_psf(frames, PRIOR) for _ in range(2))

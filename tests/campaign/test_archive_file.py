@@ -65,6 +65,7 @@ def test_a_new_archive_says_whose_and_which_it_is(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == [ARCHIVE_FILE]  # the log is folded in
 
 
+@pytest.mark.slow
 def test_an_archive_of_version_1_is_brought_up(make_run, tmp_path):
     def unsure(result, session):
         result["status"], result["messages"] = "partial", ["CHARON: SNR 3.7 is below 5"]

@@ -120,6 +120,7 @@ def test_fields_that_no_column_knows_are_kept(make_run, tmp_path):
     assert decisions[0]["extra"] == {"who": "AB"}
 
 
+@pytest.mark.slow
 def test_the_content_does_not_depend_on_the_order(make_run, make_failure, tmp_path):
     """Five pictures, two of them processed three times, one that failed before it was read: any order, one archive."""
 

@@ -158,6 +158,7 @@ def test_ingest_tells_what_became_of_the_runs(make_run, tmp_path):
     assert "1 run: 1 unchanged" in again.output
 
 
+@pytest.mark.slow
 def test_plot_and_export_commands(archive, tmp_path):
     shown = invoke("plot", "-a", archive, "--body", "PLUTO", "-o", tmp_path / "trends.png")
     assert shown.exit_code == 0, shown.output

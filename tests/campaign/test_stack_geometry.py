@@ -112,6 +112,7 @@ def test_bad_pixels_spoil_no_neighbour(make_sky):
     assert rows.matrix[1].toarray().sum() == 1.0
 
 
+@pytest.mark.slow(keep=["False"])
 @pytest.mark.parametrize("subtract", [False, True])
 def test_the_stack_is_the_linear_map_that_it_says(make_sky, exposed, subtract):
     """The operators make the same stack, and the covariance is that of many noisy stacks."""

@@ -95,6 +95,7 @@ def test_a_faint_moon_in_simulated_pictures(faint_charon, tmp_path):
         assert len(campaign.pointings()) == COUNT
 
 
+@pytest.mark.slow
 def test_a_stack_on_the_stars(faint_charon, tmp_path):
     answer = invoke("stack", *(faint_charon / "run" / f"c{i}" for i in (0, 2, 4)), "-o", tmp_path)
     assert answer.exit_code == 0, answer.output

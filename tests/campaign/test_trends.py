@@ -7,6 +7,7 @@ from opnav_workbench.campaign import Campaign, completeness, screen, trends
 from opnav_workbench.errors import SessionError
 
 
+@pytest.mark.slow(keep=["False-8-0.0"])
 @pytest.mark.parametrize(("count", "slope"), [(8, 0.0), (15, 0.3), (60, 0.3)])
 @pytest.mark.parametrize("with_sigmas", [False, True])
 def test_false_alarms_are_as_stated(count, slope, with_sigmas):

@@ -31,6 +31,7 @@ def pairs():
     return stars.johnson.take(mine[good]), gaia.johnson.take(theirs[good])
 
 
+@pytest.mark.slow(keep=["0.2-0.5-0.02-0.02", "0.5-1.0-0.02-0.01", "1.5-1.8-0.04-0.06"])
 @pytest.mark.parametrize(
     ("low", "high", "v_bias", "bv_bias"),
     [

@@ -64,6 +64,7 @@ def names(catalog) -> list[str]:
 # ---------- known stars
 
 
+@pytest.mark.slow
 def test_the_catalog_has_every_hipparcos_star_once_and_all_of_gaia(catalog) -> None:
     facts = catalog.describe()
     assert facts["n_with_motion"] == 117_955

@@ -216,6 +216,7 @@ def test_wrong_parts_say_so(catalogs):
         open_catalog("+".join(catalogs)).cone(0.0, 0.0, -1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_gaia_with_tycho_gives_motions_of_1_mas_a_year(data_dir, tmp_path):
     """Positions only, J2016 and J2000; truth is Gaia's own motion, which neither list holds."""

@@ -91,6 +91,7 @@ coordinate = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(
     stars=st.lists(coordinate, min_size=1, max_size=40),

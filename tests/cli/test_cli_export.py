@@ -79,6 +79,7 @@ READERS = {
 }
 
 
+@pytest.mark.slow(keep=["json"])
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_holds_all_pictures_in_time_order(run, tmp_path, name):
     out = tmp_path / f"approach.{name}"
@@ -117,6 +118,13 @@ def test_result_without_its_table(run, tmp_path):
     assert "no observable to export; there are: none" in str(answer.exception)
 
 
+@pytest.mark.slow(
+    keep=[
+        "arguments0-nowhere is no folder",
+        "arguments1-holds no observables.ecsv",
+        "arguments2-unknown format 'xml'; choose --format tdm | csv | json | ecsv",
+    ]
+)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -65,6 +65,7 @@ def test_list_names_sets_spans_and_manifests(monkeypatch, tmp_path):
 # -- check ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_check_of_a_time_that_is_served(made):
     answer = _run("check", made / "pluto_opnav.tm", "--time", "2015-04-09T12:00:00", *SEES)
     assert answer.exit_code == 0, answer.output
@@ -103,6 +104,7 @@ def test_check_names_overlaps_and_the_winner(made):
     assert re.search(r"overlap CK of NH_SPACECRAFT: 2015-04-09 .* pluto_opnav_actual\.bc wins", answer.output)
 
 
+@pytest.mark.slow
 def test_check_draws(made, tmp_path):
     png = tmp_path / "coverage.png"
     arguments = ("check", made / "pluto_opnav.tm", "--time", "2015-04-09T12:00:00", "--picture", png)

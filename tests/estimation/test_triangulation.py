@@ -316,6 +316,7 @@ def near_stars(flight_stars) -> StarTable:
     return nearest_stars(flight_stars)
 
 
+@pytest.mark.slow
 def test_nearest_stars_have_each_star_once(near_stars):
     assert len(near_stars) == 60
     names = near_stars.id.tolist()

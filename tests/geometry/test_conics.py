@@ -166,6 +166,7 @@ def _conic_of(center, semi_axes, angle):
     return to_unit_circle.T @ np.diag([1.0, 1.0, -1.0]) @ to_unit_circle
 
 
+@pytest.mark.slow
 @given(
     st.tuples(st.floats(-3, 3), st.floats(-3, 3)),
     st.floats(0.1, 5),

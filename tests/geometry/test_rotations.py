@@ -82,6 +82,7 @@ def test_angle_between_broadcasts():
     assert geo.angle_between(np.ones((4, 1, 3)), np.ones((5, 3))).shape == (4, 5)
 
 
+@pytest.mark.slow(keep=["focal0", "focal2"])
 @FOCAL_AXES
 @given(ra=right_ascensions, dec=st.floats(-1.5, 1.5), twist=right_ascensions)
 def test_pointing_round_trip(focal, ra, dec, twist):
@@ -95,6 +96,7 @@ def test_pointing_round_trip(focal, ra, dec, twist):
     assert _angle_difference(back[2], twist) < ROUNDING_RAD / np.cos(dec)
 
 
+@pytest.mark.slow(keep=["focal0", "focal3"])
 @FOCAL_AXES
 @given(
     ra=right_ascensions,

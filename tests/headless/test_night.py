@@ -73,6 +73,7 @@ def test_every_fault_is_named_and_costs_its_picture_only(tmp_path, stand_in):
     assert states == {name: "new" if name == "c" else "done" for name in "abcef"}
 
 
+@pytest.mark.slow
 def test_time_limit_is_named(tmp_path, stand_in):
     night = night_of(pictures(tmp_path / "in", d="sleep"), stand_in, tmp_path / "out", time_limit_s=4.0)
     (verdict,) = night.verdicts

@@ -43,6 +43,7 @@ def test_a_picture_gets_its_folder_with_all_files(demo_truths, tmp_path):
     assert words == ["reading", *steps, "writing"] * 2
 
 
+@pytest.mark.slow
 def test_targets_of_the_mission_are_taken_with_kernels(picture, tmp_path):
     words = []
     with KernelSet(DEMO_KERNELS):
@@ -53,6 +54,7 @@ def test_targets_of_the_mission_are_taken_with_kernels(picture, tmp_path):
     assert without.result["bodies"] == []
 
 
+@pytest.mark.slow
 def test_an_unknown_target_costs_no_pointing(picture, tmp_path):
     with KernelSet(DEMO_KERNELS):
         outcome = process_image(picture, replace(POLICY, targets=("PLUTO", "VULCAN")), tmp_path)
@@ -156,6 +158,7 @@ def test_replaying_decisions_is_bit_identical(picture, tmp_path):
     ).read_bytes()
 
 
+@pytest.mark.slow
 def test_rejecting_every_star_fails_with_the_reason(picture, tmp_path):
     stars = [s["id"] for s in process_image(picture, POLICY, tmp_path).result["stars"]]
     verdicts = {"reject": [{"star": star, "reason": "clouds"} for star in stars]}

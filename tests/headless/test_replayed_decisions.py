@@ -174,6 +174,7 @@ images:
     assert result["pointing"]["n_stars"] == 15
 
 
+@pytest.mark.slow
 def test_a_session_opened_otherwise_is_told_in_one_line(analysed, picture, tmp_path):
     decisions = Decisions.from_session(analysed)
     outcome = process_image(picture, replace(POLICY, decisions=decisions), tmp_path)  # without the kernels
@@ -236,6 +237,7 @@ def test_a_star_that_is_not_there_is_told_with_its_line(picture, tmp_path):
 # -- the policy on an open session ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_policy_keeps_what_was_decided_in_an_open_session(picture):
     with KernelSet(DEMO_KERNELS):
         session = ImageSession.open(picture, "new_horizons")
@@ -249,6 +251,7 @@ def test_the_policy_keeps_what_was_decided_in_an_open_session(picture):
     assert {body.name for body in session.state.bodies} == {"PLUTO", "CHARON"}
 
 
+@pytest.mark.slow
 def test_the_policy_can_be_cancelled_between_steps(picture):
     words = []
     with KernelSet(DEMO_KERNELS):
@@ -259,6 +262,7 @@ def test_the_policy_can_be_cancelled_between_steps(picture):
     assert [entry.step for entry in session.standing] == ["predict", "find_stars"]
 
 
+@pytest.mark.slow
 def test_methods_for_all_bodies_and_for_one(picture):
     policy = replace(
         POLICY, targets=("PLUTO", "CHARON"), method="unresolved", methods={"CHARON": "least_squares"}

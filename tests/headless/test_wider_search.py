@@ -28,6 +28,7 @@ def bennu(tmp_path):
     return seen
 
 
+@pytest.mark.slow
 def test_a_point_ten_pixels_off_is_found(bennu):
     (body,), true_px = bennu((0.0, 0.0, 80.0))
     assert np.hypot(*np.subtract(true_px, body["predicted"])) > 9.0
@@ -35,6 +36,7 @@ def test_a_point_ten_pixels_off_is_found(bennu):
     assert np.hypot(*np.subtract(true_px, body["observed"])) < 0.05
 
 
+@pytest.mark.slow
 def test_nothing_else_is_taken_for_it(bennu):
     (body,), _ = bennu((0.0, 0.0, 2e4))
     assert body["status"] == "not_detected"

@@ -66,6 +66,7 @@ def test_drift_grows_from_the_start_of_the_span(both):
         assert moved(predicted, flown) == pytest.approx(expected, abs=1.1e-5)
 
 
+@pytest.mark.slow
 def test_flown_rates_are_the_flown_motion(both):
     jitter = [{"axis": "line", "frequency_hz": 4.0, "amplitude_px": 0.5, "phase_deg": 20.0}]
     scan = {**WINDOW, "scan": {"rate_deg_s": 0.01, "direction": [1.0, 0.0]}}
@@ -105,6 +106,7 @@ def test_a_sine_shakes_one_axis(both, axis):
         assert np.abs(found[:, 2]).max() < np.degrees(0.5 * PIXEL_RAD * np.tan(np.radians(40.1)))
 
 
+@pytest.mark.slow
 def test_no_jitter_and_few_attitudes_away_from_its_windows(both):
     lines = [{"axis": "pixel", "frequency_hz": 50.0, "amplitude_px": 1.0}]
     at = both({"jitter": lines, "jitter_windows": [SHAKEN]})

@@ -47,6 +47,7 @@ def pixel_line(body, et):
     return np.array([x, y]) / -z / LORRI_PIXEL_RAD
 
 
+@pytest.mark.slow
 def test_small_and_quick(tmp_path):
     assert SCENARIO.stat().st_size < YAML_LIMIT_BYTES
     start = time.process_time()
@@ -55,6 +56,7 @@ def test_small_and_quick(tmp_path):
     assert sum(p.stat().st_size for p in tmp_path.iterdir()) < KERNELS_LIMIT_BYTES
 
 
+@pytest.mark.slow(keep=["2015-07-12T08:46:57-2533000.0-189.1-96.4"])
 @pytest.mark.parametrize(
     ("utc", "range_km", "pluto_px", "charon_px"),
     # Ranges and diameters of a straight line through the published closest approach, 13 695 km from Pluto

@@ -58,6 +58,7 @@ def test_relativity_is_what_keeps_mercury():
     assert errors_m(1, 0, forces, 30.0).max() > 1000.0
 
 
+@pytest.mark.slow
 def test_moon_about_the_earth_or_the_barycenter():
     """Point masses leave the Moon 1.3 km off in a month (figure of the Earth, tides), about whatever it is counted."""
     errors = [errors_m(301, center, ForceModel(center, without(301)), 30.0) for center in (399, 3, 0)]
@@ -69,6 +70,7 @@ def circle(radius_km: float, gm: float) -> np.ndarray:
     return np.array([radius_km, 0.0, 0.0, 0.0, np.sqrt(gm / radius_km), 0.0])
 
 
+@pytest.mark.slow
 def test_two_bodies_alone_follow_the_conic():
     forces = ForceModel(ROCK, (PointMass(ROCK, ROCK_GM, 1.0),), relativity=False)
     start = circle(50.0, ROCK_GM) * [1.0, 1.0, 1.0, 1.0, 1.2, 1.0]  # eccentricity 0.44

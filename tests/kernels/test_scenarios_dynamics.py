@@ -180,6 +180,7 @@ def test_bennu_turns_and_its_clock_reads_as_in_flight(bennu):
     assert np.degrees(np.arccos((np.trace(turn) - 1.0) / 2.0)) < 0.1
 
 
+@pytest.mark.slow
 def test_bennu_reaches_the_elements_that_jpl_printed_later():
     """JPL elements of 2019-04-27, 8.3 years after those the scenario starts from, rounded to 5e-6 deg (13 km)."""
     scenario = load_scenario(SCENARIOS["osiris_rex/bennu_approach"])
@@ -195,6 +196,7 @@ def test_bennu_reaches_the_elements_that_jpl_printed_later():
     assert np.degrees(sum(angles[1:])) == pytest.approx(2.01687 + 66.30371 + 87.64100, abs=1.5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_bennu_against_the_projects_kernel(data_dir):
     """Eight years after the elements: the 16 asteroids of JPL's model are missing."""

@@ -109,6 +109,7 @@ def test_covers_attitude_needs_clock_and_frames(toy, missing):
         kernels.covers_attitude("TOY_CAMERA", 10.0)
 
 
+@pytest.mark.slow
 @given(et=st.floats(-500.0, 500.0), frame=st.sampled_from(["TOY_CAMERA", "TOY_PLATFORM", "TOYBODY_FIXED"]))
 @SHARED
 def test_covers_attitude_agrees_with_spice(toy, et, frame):
@@ -131,6 +132,7 @@ def test_covers_attitude_agrees_with_spice(toy, et, frame):
     assert not (outside and answer)
 
 
+@pytest.mark.slow
 @given(et=st.floats(-6000.0, 6000.0))
 @SHARED
 def test_covers_state_agrees_with_what_was_written(toy, et):

@@ -176,6 +176,7 @@ def test_all_ways_to_write_a_utc_mean_the_same(toy):
     assert len(times) == 1
 
 
+@pytest.mark.slow
 @given(et=st.floats(-3e8, 1.5e9))
 @SHARED
 def test_utc_returns_to_et(toy, et):

@@ -62,6 +62,7 @@ def built(tmp_path, probe):
 # -- aims ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=["offset1"])
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (120.0, -300.0)])
 def test_tracked_target_stays_where_it_should(built, offset):
     built(window("11:20:00", 3600.0, offset_px=offset, **ROCK))
@@ -104,6 +105,7 @@ def test_near_target_does_not_ask_for_more_than_rounding_allows(tmp_path, probe)
 # -- rates ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=["track", "scan"])
 @pytest.mark.parametrize(
     "plan",
     [
@@ -224,6 +226,7 @@ def test_scan_on_the_detector(built, direction):
         assert np.linalg.norm(ck_rate(et)) == pytest.approx(np.radians(0.05), rel=1e-9)
 
 
+@pytest.mark.slow(keep=["False-0.0", "False-222.0"])
 @pytest.mark.parametrize("angle", [0.0, 90.0, 222.0])
 @pytest.mark.parametrize("mirrored", [True, False])
 def test_scan_on_the_sky_moves_the_boresight_toward_its_position_angle(tmp_path, probe, angle, mirrored):

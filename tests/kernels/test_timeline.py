@@ -26,6 +26,7 @@ def _inside(spans, instants):
 HALVES = np.arange(END) + 0.5  # never an end
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(windows(), max_size=4))
 def test_overlaps_are_where_two_files_are_valid(sets):
@@ -44,6 +45,7 @@ def test_gaps_and_windows_share_the_whole_stretch(spans):
     assert (_inside(gaps, HALVES) == (within & ~_inside(spans, HALVES))).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(windows())
 def test_share_of_each_cell(spans):

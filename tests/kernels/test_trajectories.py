@@ -103,6 +103,12 @@ def csv_text(header: str, first: list[str], factor: tuple[float, float] = (1.0, 
     return "\n".join(["# made up", header, "", *rows]) + "\n"
 
 
+@pytest.mark.slow(
+    keep=[
+        "JD_TDB, x_au, y_au, z_au, vx_au_d, vy_au_d, vz_au_d-first2-factor2-0.0",
+        "jd_tdb,x_au,y_au,z_au,vx_km_s,vy_km_s,vz_km_s-first3-factor3-0.0",
+    ]
+)
 @pytest.mark.parametrize(
     ("header", "first", "factor", "offset_s"),
     [
@@ -398,6 +404,7 @@ def test_two_arcs_of_one_body(tmp_path):
         assert (after - before)[0] == pytest.approx(1e7, abs=1e4)
 
 
+@pytest.mark.slow
 def test_orbit_about_a_body_of_the_scenario(tmp_path):
     """An orbit of 60 km about a rock that is itself propagated: two bodies, but for a tide of the Sun."""
     rock = {k: v for k, v in ELEMENTS.items() if k != "propagation"}

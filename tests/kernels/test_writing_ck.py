@@ -103,6 +103,7 @@ def test_given_rates_are_kept(tmp_path, clock):
     assert rate == pytest.approx(rates[2], abs=RATE_TOLERANCE_RAD_S)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(quaternions=arrays(float, (7, 4), elements=st.floats(-1.0, 1.0, width=32)))
 def test_any_attitudes_as_quaternions(tmp_path, clock, quaternions):

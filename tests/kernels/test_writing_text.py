@@ -44,6 +44,7 @@ def load(path: Path, *args, **kwargs) -> None:
     spiceypy.furnsh(str(path))
 
 
+@pytest.mark.slow
 @MANY_FILES
 @given(name=names, values=st.lists(numbers, min_size=1, max_size=9))
 def test_numbers_come_back(tmp_path, name, values):

@@ -29,6 +29,7 @@ def attitude_of(camera, ra=4.7, dec=-0.25, twist=2.0):
     return camera_from_j2000(ra, dec, twist, camera.focal_from_camera)
 
 
+@pytest.mark.slow
 @given(
     name=st.sampled_from(CAMERAS),
     place=st.tuples(st.floats(-0.1, 1.1), st.floats(-0.1, 1.1)),

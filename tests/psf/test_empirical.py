@@ -49,6 +49,7 @@ def test_is_exact_where_pixels_fall_on_cells():
     np.testing.assert_allclose(psf.box(centers, first, size), TRUE.box(centers, first, size), atol=1e-7)
 
 
+@pytest.mark.slow(keep=["gaussian"])
 @pytest.mark.parametrize("true", [TRUE, MoffatPsf(1.9, 4.0)], ids=["gaussian", "moffat"])
 def test_extracted_from_noiseless_stars(true):
     image, centers, fluxes = field_of_stars(true, 144, np.random.default_rng(1))
@@ -56,6 +57,7 @@ def test_extracted_from_noiseless_stars(true):
     assert worst_share(psf, true) < 1e-4
 
 
+@pytest.mark.slow
 def test_extracted_from_noisy_stars_with_bad_pixels_and_a_cosmic_ray():
     rng = np.random.default_rng(7)
     image, centers, fluxes = field_of_stars(TRUE, 225, rng, read_noise=10.0)

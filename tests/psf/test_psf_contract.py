@@ -133,6 +133,7 @@ def test_light_has_the_center_and_the_second_moments_of_the_psf_and_a_pixel(psf)
         assert sigma == pytest.approx(local.sigma_px[axis], abs=SIGMA_TOLERANCE_PX)
 
 
+@pytest.mark.slow(keep=["narrow", "along line", "polynomial"])
 @every_psf
 @settings(max_examples=15, deadline=None)
 @given(x=st.floats(-0.5, 0.5), y=st.floats(-0.5, 0.5))

@@ -86,6 +86,7 @@ def _files(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.slow
 def test_the_folder_holds_what_a_team_gets(made):
     names = {path.relative_to(made.folder).as_posix() for path in _files(made.folder)}
     lost = next(p for p in made.pictures if not p.received)
@@ -149,6 +150,7 @@ def test_other_seed_other_case(made, tmp_path):
     assert np.linalg.norm(moved) > 1.0
 
 
+@pytest.mark.slow
 def test_no_seed_is_a_secret_one(tmp_path):
     seeds = {reveal(new_rehearsal(ONE, tmp_path / name)).seed for name in "ab"}
     assert len(seeds) == 2
@@ -226,6 +228,7 @@ def test_times_of_files_tell_nothing(made):
     assert len({path.stat().st_mtime_ns for path in _files(made.folder)}) == 1
 
 
+@pytest.mark.slow
 def test_length_of_the_sealed_truth_tells_nothing(made, tmp_path):
     scenario = SMALL | {"perturbations": {}}
     calm = new_rehearsal(scenario, tmp_path / "calm", seed=SEED)
@@ -318,6 +321,7 @@ def test_nothing_is_overwritten(tmp_path, name):
     assert _names(tmp_path) == [name]
 
 
+@pytest.mark.slow(keep=["KeyboardInterrupt-make_pictures", "error1-make_pictures", "error1-write_briefing"])
 @pytest.mark.parametrize("step", ["make_pictures", "write_briefing", "write_key", "write_content"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_a_failure_leaves_nothing(tmp_path, monkeypatch, step, error):

@@ -278,6 +278,7 @@ def test_ready_scenarios_hide_their_case(name):
     } <= set(ort_scenario_names())
 
 
+@pytest.mark.slow(keep=["osiris_rex/bennu_rendezvous"])
 @pytest.mark.parametrize("name", ort_scenario_names())
 def test_ready_scenarios_make_packages(name, tmp_path):
     package = new_rehearsal(name, tmp_path / "case", seed=11, pictures=2)

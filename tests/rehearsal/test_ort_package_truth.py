@@ -163,6 +163,7 @@ def test_one_attitude_error_for_all(rehearse):
     np.testing.assert_allclose(first, last, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_focal_length_scales_the_true_places(rehearse):
     straight = {"shift_px": 0.0}
     _, calm = rehearse(name="calm", attitude=straight)
@@ -175,6 +176,7 @@ def test_focal_length_scales_the_true_places(rehearse):
         np.testing.assert_allclose(after[name], expected, rtol=0, atol=0.01)  # px
 
 
+@pytest.mark.slow
 def test_distortion_moves_the_corners(rehearse):
     _, calm = rehearse(name="calm", attitude={"shift_px": 0.0})
     _, bent = rehearse(attitude={"shift_px": 0.0}, camera={"corner_px": 0.8})

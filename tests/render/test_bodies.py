@@ -159,6 +159,7 @@ def test_light_off_the_detector_is_lost_but_known(stage):
     assert gone.bodies[0].flux_e > 0.0
 
 
+@pytest.mark.slow
 def test_a_body_larger_than_the_detector_fills_it(stage):
     rendering = stage.render(stage.model(4000.0, 10.0, FULL, place_px=(511.0, 511.0)), sunlight_e=1e12)
     inner = rendering.electrons[20:-20, 20:-20]

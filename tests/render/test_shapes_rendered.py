@@ -94,6 +94,7 @@ def test_rays_along_edges_do_not_slip_through():
     assert height[0] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow(keep=["70.0"])
 @pytest.mark.parametrize("phase_deg", [0.0, 70.0])
 def test_spheres_of_plates_approach_the_sphere(stage, phase_deg):
     target = stage.target(60.0, phase_deg)
@@ -135,6 +136,7 @@ def test_a_hill_throws_its_shadow(stage):
     np.testing.assert_array_equal(dark[outside], ((x > -25.0) & (x < -5.0))[outside])
 
 
+@pytest.mark.slow
 def test_a_moon_of_plates_hides_and_shades_like_a_round_one(stage):
     planet = stage.model(60.0, 40.0, LommelSeeliger())
     sunward, toward = unit(planet.target.sun_position_km), unit(planet.target.position_km)

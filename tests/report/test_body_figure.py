@@ -113,6 +113,7 @@ def test_three_panels_hold_data_model_and_difference():
     assert low == -high < 0.0
 
 
+@pytest.mark.slow
 def test_ellipse_is_enlarged_by_what_the_legend_says(words):
     figure = body_figure(CENTERS["full disk"])
     (ellipse,) = [p for p in figure.axes[0].patches if isinstance(p, Ellipse)]
@@ -183,6 +184,7 @@ def test_scans_differ_by_colour_and_dashes():
     np.testing.assert_allclose(used.get_segments()[0][1], end, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_plotted_scans_are_those_asked_for_and_bold(words):
     figure = scan_figure(CENTERS["limb scan"], numbers=[25, 3])
     labels = [axes.get_ylabel() for axes in figure.axes]
@@ -235,6 +237,7 @@ def test_differences_share_one_stretch():
     assert panels[0].get_title() == "full disk: off by +0.900, -0.400 px"
 
 
+@pytest.mark.slow
 def test_nothing_leaves_the_page():
     for figure in (
         body_figure(CENTERS["full disk"], truth_px=CENTER),
@@ -262,6 +265,7 @@ def session(tmp_path_factory) -> Iterator[ImageSession]:
         yield made
 
 
+@pytest.mark.slow
 def test_session_gives_prediction_limb_and_circle(session, words, tmp_path):
     figure = body_figure(session, "PLUTO", "least_squares")
     text = words(figure)

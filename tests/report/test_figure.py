@@ -122,6 +122,7 @@ def test_strip_is_cut_into_four_rows_without_a_gap(processed):
     assert [left for left, _ in edges[1:]] == [right for _, right in edges[:3]]
 
 
+@pytest.mark.slow
 def test_each_stage_of_a_session_can_be_drawn(opened, tmp_path):
     stages = {
         "opened": lambda: None,

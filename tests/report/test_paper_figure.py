@@ -24,6 +24,7 @@ def bump(size=16, center=(8.4, 10.6), width=1.5):
     return 100.0 * np.exp(-((pixel - center[0]) ** 2 + (line - center[1]) ** 2) / (2.0 * width**2))
 
 
+@pytest.mark.slow
 def test_panel_shows_pixels_where_they_are():
     figure = panels_figure([PaperPanel(bump(), "star", first=(100.0, 200.0))])
     (picture,) = figure.axes[0].images

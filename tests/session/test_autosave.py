@@ -87,6 +87,7 @@ def test_every_step_can_be_resumed_as_soon_as_it_returns(opened, tmp_path):
         assert resumed.id == opened.id
 
 
+@pytest.mark.slow
 def test_stars_of_a_wide_search_are_kept_with_their_step(opened, tmp_path):
     opened.autosave(tmp_path)
     opened.predict()
@@ -189,6 +190,7 @@ def test_lines_of_another_session_are_left_out_with_a_note(saved, tmp_path):
     assert "belongs to another session" in resumed.resume_note
 
 
+@pytest.mark.slow
 def test_a_kept_state_saves_the_work_but_decides_nothing(near, tmp_path, monkeypatch):
     """Resuming takes the kept state; without it, or with one that does not fit, the steps give the same."""
     monkeypatch.setattr("opnav_workbench.session.autosave.KEEP_AFTER_S", 0.0)
@@ -231,6 +233,7 @@ def _steps(session: ImageSession) -> list[str]:
 # -- one writer ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_second_process_is_refused_in_one_line_that_names_the_first(demo_truths, tmp_path):
     picture, folder = demo_truths[0].picture, tmp_path / "run"
     worker = _worker(picture, folder)

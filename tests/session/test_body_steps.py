@@ -36,6 +36,7 @@ def test_a_large_disk_of_unknown_albedo_is_found_by_its_limb(near, resolved_trut
     assert _error(near, resolved_truths[0], "PLUTO") < RIGHT_PX
 
 
+@pytest.mark.slow
 def test_a_body_whose_surface_is_known_is_found_by_its_whole_disk(near, resolved_truths, tmp_path):
     mission = _with_map(tmp_path)
     session = ImageSession.open(resolved_truths[0].picture, mission)
@@ -86,6 +87,7 @@ def test_a_solved_range_and_its_diameter_stand_in_result_and_table(near):
     assert table["measured_diameter"][0].value == body["measured_diameter_px"]
 
 
+@pytest.mark.slow
 def test_the_same_request_replaces_its_older_answer(near):
     near.find_body("PLUTO", "ellipse")
     near.find_body("PLUTO")
@@ -159,6 +161,7 @@ def test_a_shape_among_the_kernels_is_drawn(near, resolved_truths, tmp_path):
 # -- circles and scans ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_analysts_circle_is_where_every_method_starts(near, resolved_truths):
     truth = resolved_truths[0].bodies["PLUTO"]
     near.set_circle("PLUTO", truth + np.array([3.0, -2.0]), 24.0)
@@ -181,6 +184,7 @@ def test_a_circle_for_one_search_decides_nothing(near, resolved_truths):
     assert _center(near, "PLUTO").status == "ok"
 
 
+@pytest.mark.slow
 def test_chosen_scans_make_the_standing_center_anew(near, resolved_truths):
     near.find_body("PLUTO")
     near.observables()
@@ -240,6 +244,7 @@ def test_bodies_found_together_carry_their_correlation(pair, resolved_truths):
     assert pair.result()["bodies"][0]["joint_covariance_px2"] is None
 
 
+@pytest.mark.slow(keep=["order0"])
 @pytest.mark.parametrize("order", [("PLUTO", "CHARON"), ("CHARON", "PLUTO")])
 def test_the_order_in_which_bodies_are_found_does_not_matter(pair, order):
     for name in order:
@@ -256,6 +261,7 @@ def test_the_order_in_which_bodies_are_found_does_not_matter(pair, order):
         np.testing.assert_allclose(body.pixel_line, found[body.name].pixel_line, atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_neighbour_that_is_added_later_has_the_others_found_again(opened, demo_truths):
     """Without Charon, nine pixels off, the light beside Pluto is a riddle; with it, it is not."""
     opened.predict()
@@ -353,6 +359,7 @@ def test_a_star_behind_a_body_is_said_to_be_there(near):
 # -- replay --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_everything_with_bodies_resumes_to_the_same_bits(near, tmp_path):
     near.set_circle("PLUTO", (121.0, 134.0), 23.0)
     near.find_body("PLUTO")

@@ -41,6 +41,7 @@ def _pointed_off(
     return path
 
 
+@pytest.mark.slow(keep=["shift_px1-lorri", "shift_px2-lorri", "shift_px3-lorri"])
 @pytest.mark.parametrize("number", [0, 1], ids=["lorri", "mvic"])
 @pytest.mark.parametrize("shift_px", [(55.0, 0.0), (-55.0, 0.0), (0.0, 55.0), (0.0, -55.0), (-39.0, 39.0)])
 def test_field_far_off_its_prediction(demo_truths, tmp_path, number, shift_px):

@@ -1,10 +1,12 @@
 """The a priori attitude as a measurement in a session, and in its replay."""
 
 import numpy as np
+import pytest
 
 from opnav_workbench.session import ImageSession
 
 
+@pytest.mark.slow
 def test_a_priori_attitude_steadies_a_frame_of_one_star(opened, tmp_path):
     opened.predict()
     opened.find_stars()

@@ -166,6 +166,9 @@ def test_residual_arcsec_is_the_pixel_residual_on_the_sky(finished, result):
         assert on_sky == pytest.approx(on_detector, rel=0.02)
 
 
+@pytest.mark.slow(
+    keep=["cross_correlation-matched_filter-euler", "cross_correlation-cross_correlation-euler"]
+)
 @pytest.mark.parametrize(
     ("initial", "final", "model"),
     list(
@@ -227,6 +230,7 @@ def test_unknown_methods_are_answered_with_the_known(opened, step, named):
     assert [entry.step for entry in opened.journal] == ["predict"]
 
 
+@pytest.mark.slow
 def test_predict_drops_what_was_found_but_keeps_decisions_and_targets(opened, go):
     go(opened)
     star = _used(opened)[0]
@@ -349,6 +353,7 @@ def misplaced(opened) -> tuple[ImageSession, str]:
     return session, star
 
 
+@pytest.mark.slow
 def test_an_acceptance_outranks_an_automatic_rejection(misplaced):
     session, star = misplaced
     session.repoint()
@@ -364,6 +369,7 @@ def test_an_acceptance_outranks_an_automatic_rejection(misplaced):
     assert session.state.pointing.rms_px > 2.0 * without
 
 
+@pytest.mark.slow
 def test_repointing_judges_all_stars_anew(misplaced):
     """A star that one solution put out is a candidate of the next: repeating changes nothing."""
     session, star = misplaced

@@ -26,6 +26,7 @@ def _used(session):
 # -- nudge ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=["shift1-0.0", "shift2-0.5"])
 @pytest.mark.parametrize(("shift", "twist_deg"), [((10.0, 0.0), 0.0), ((0.0, -7.5), 0.0), ((3.0, 4.0), 0.5)])
 def test_a_nudge_moves_the_predicted_field_by_so_many_pixels(opened, shift, twist_deg):
     camera = opened.context.camera

@@ -120,6 +120,7 @@ def test_session_file_is_json_of_plain_values(folder):
 # -- what cannot be resumed ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_another_picture_is_refused(folder, demo_truths):
     with pytest.raises(SessionError, match="SHA-256 differs") as caught:
         ImageSession.resume(folder, image=_same_camera_other_noise(folder, demo_truths))
@@ -217,6 +218,7 @@ def _contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.slow(keep=["os-fsync"])
 @pytest.mark.parametrize(("where", "what"), [(os, "fsync"), (Path, "replace")])
 def test_full_disk_leaves_older_files_unchanged(opened, go, tmp_path, monkeypatch, where, what):
     opened.predict()
@@ -234,6 +236,7 @@ def test_full_disk_leaves_older_files_unchanged(opened, go, tmp_path, monkeypatc
     assert sorted(_contents(tmp_path)) == list(FILES)
 
 
+@pytest.mark.slow
 def test_disk_full_at_the_last_file_keeps_the_first_ones_too(opened, go, tmp_path, monkeypatch):
     """result.json is written before session.json, but must not be newer than it."""
     opened.predict()

@@ -67,6 +67,7 @@ def processed(path, **options):
     return session
 
 
+@pytest.mark.slow(keep=["shift_px1--75.0"])
 @pytest.mark.parametrize(
     ("shift_px", "twist_deg"), [((150.0, -90.0), 1.5), ((-700.0, 600.0), -75.0), ((30.0, 20.0), 180.0)]
 )
@@ -123,6 +124,7 @@ def marks(truth, session, count=2):
     return places[chosen] + [[1.5, -1.0], [-2.0, 1.0]], catalog.id[chosen].tolist()
 
 
+@pytest.mark.slow(keep=["True"])
 @pytest.mark.parametrize("named", [True, False])
 def test_two_marked_stars_give_the_field(truth, tmp_path, named):
     path = pointed_off(truth, (80.0, 40.0), 20.0, tmp_path)
@@ -193,6 +195,7 @@ def test_a_picture_without_a_usable_pixel_is_refused(truth, tmp_path, value):
         processed(path)
 
 
+@pytest.mark.slow
 def test_a_field_of_saturated_stars_is_identified_and_its_stars_say_why_they_are_not_used(truth, tmp_path):
     def overexposed(data):
         return np.where(data > 15.0, 1e6, data)
@@ -209,6 +212,7 @@ def test_a_field_of_saturated_stars_is_identified_and_its_stars_say_why_they_are
     assert result["status"] != "ok" or attitude_error(session.camera_from_j2000, truth)[0] < RIGHT_PX
 
 
+@pytest.mark.slow(keep=["1-1"])
 @pytest.mark.parametrize(("count", "seed"), [(1, 0), (1, 1), (2, 0), (2, 1)])
 def test_pictures_of_one_or_two_stars_are_right_or_not_ok(truth, tmp_path, count, seed):
     """One star never is more than a proposal; two are as good as their place and brightness say."""

@@ -37,6 +37,7 @@ def test_the_seed_decides_everything():
     assert np.abs(first - other).max() > 0.1
 
 
+@pytest.mark.slow
 def test_patches_are_as_large_as_asked():
     """Half-way decorrelation along the equator, against the Gaussian patches' own."""
 

@@ -272,6 +272,7 @@ def test_an_albedo_map_in_a_file_is_drawn(made, tmp_path):
 # -- motion --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_trails_are_those_of_the_attitude_as_flown(tmp_path):
     """The header's kernels hold still; those as flown shake by 3 px along the line axis."""
     content = yaml.safe_load((kernels_meta_dir() / f"{KERNELS}.yaml").read_text())

@@ -38,6 +38,7 @@ def test_consensus_finds_the_psf_that_no_star_tells_alone(render_stars, star_gri
     assert abs(BROAD.log_scale - truth[0]) > 0.25
 
 
+@pytest.mark.slow
 def test_second_fit_is_better_for_faint_stars(render_stars, star_grid):
     fluxes = np.where(np.arange(400) < 40, 1500.0, 60.0)
     image, centers = frame(render_stars, star_grid, 400, fluxes, 2)

@@ -22,6 +22,7 @@ def field(render_stars, star_grid, sigma, snr, seed, n=400):
     return image, centers, flux, centers + rng.uniform(-4.0, 4.0, centers.shape)
 
 
+@pytest.mark.slow(keep=["0.35-30.0-matched_filter", "0.7-15.0-cross_correlation"])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("sigma", "snr"), [(0.35, 30.0), (0.7, 15.0), (1.0, 40.0), (2.0, 40.0)])
 def test_centers_agree_with_truth_within_their_sigmas(render_stars, star_grid, method, sigma, snr):

@@ -57,6 +57,7 @@ def test_agrees_with_the_closed_form_for_a_gaussian(sigma, electrons):
     np.testing.assert_allclose(np.sqrt(np.mean(bound.sigma_px**2)), expected, rtol=0.02)
 
 
+@pytest.mark.slow(keep=["0.5-3.0", "0.5-10.0", "20.0-10.0"])
 @pytest.mark.parametrize("read_e", [3.0, 10.0])
 @pytest.mark.parametrize("light_e", [0.5, 20.0, 300.0])
 def test_information_of_a_pixel_is_that_of_its_exact_distribution(read_e, light_e):

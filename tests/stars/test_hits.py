@@ -29,6 +29,7 @@ def with_hits(image, truth, rng, reach_px):
     return hit
 
 
+@pytest.mark.slow(keep=["1.2-40"])
 @pytest.mark.parametrize(("sigma", "snr"), [(1.2, 15), (1.2, 40), (0.8, 30)])
 def test_hits_within_the_box_are_masked(star_mosaic, unit_gaussian, sigma, snr):
     prior = ShapePrior.round_psf(sigma, 0.03, 0.03)
@@ -97,6 +98,7 @@ def test_a_listed_star_is_nobodys_hit(star_mosaic, unit_gaussian):
     np.testing.assert_allclose(fit.pixel_line, start, atol=0.05)
 
 
+@pytest.mark.slow(keep=["1.0-3.0", "1.0-30.0"])
 @pytest.mark.parametrize(("sigma", "times_full"), [(1.0, 3.0), (1.0, 30.0), (1.5, 100.0)])
 def test_saturated_cores_are_masked_and_the_wings_tell_the_center(
     star_mosaic, unit_gaussian, sigma, times_full

@@ -68,6 +68,7 @@ def make_detections(xy, mag):
     )
 
 
+@pytest.mark.slow(keep=["1024-None"])
 @pytest.mark.parametrize(
     ("size", "zero_point"), [(1024, None), (1024, ZERO_POINT), (256, None), (256, ZERO_POINT)]
 )
@@ -105,6 +106,7 @@ def test_pairs_are_one_to_one_and_twist_is_measured():
     assert found.confidence > 0.999
 
 
+@pytest.mark.slow
 def test_few_stars_never_give_a_confident_wrong_answer():
     rng = np.random.default_rng(4)
     sure, sure_wrong, wrong = 0, 0, 0

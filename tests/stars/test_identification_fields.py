@@ -121,6 +121,7 @@ def rates(camera, limits, fields, seed):
     return right / fields, wrong
 
 
+@pytest.mark.slow(keep=["200px-polycam"])
 @pytest.mark.parametrize("name", CAMERAS)
 @pytest.mark.parametrize("limits", [WIDE, LOST], ids=["200px", "1000px"])
 def test_fields_far_off_are_identified(name, limits):

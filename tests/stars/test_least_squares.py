@@ -82,6 +82,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow(keep=["0.35-100.0-level-0.05-0.05"])
 @pytest.mark.parametrize(("sigma", "snr", "background", "sigma_scale", "sigma_e"), CASES)
 def test_centers_are_unbiased_efficient_and_know_their_errors(
     render_stars, star_grid, pixel_flux, sigma, snr, background, sigma_scale, sigma_e
@@ -228,6 +229,7 @@ def test_a_star_at_the_edge_is_fitted_with_what_there_is(render_stars):
     assert np.all(np.abs(fit.pixel_line[0] - [0.4, 18.8]) < 4.0 * fit.sigma_px[0])
 
 
+@pytest.mark.slow
 def test_empty_sky_has_low_snr(render_stars):
     image = np.random.default_rng(5).normal(0.0, 1.0, (200, 200))
     start = np.random.default_rng(6).uniform(20, 180, (100, 2))

@@ -39,6 +39,7 @@ def field(psf, flux, spacing, seed, n=STARS):
     return image, truth, truth + rng.uniform(-0.8, 0.8, truth.shape)
 
 
+@pytest.mark.slow(keep=["100-empirical"])
 @pytest.mark.parametrize(
     "psf",
     [MoffatPsf(2.0, 3.0), EmpiricalPsf(GaussianPsf(1.1, 0.7, 0.5).kernel(8), 8)],
@@ -73,6 +74,7 @@ def test_a_psf_extracted_from_stars_fits_other_stars_to_the_noise():
     assert 0.9 < np.sqrt(np.mean(((empirical.pixel_line - others) / empirical.sigma_px) ** 2)) < 1.15
 
 
+@pytest.mark.slow(keep=["4.0-0.3"])
 @pytest.mark.parametrize(("length", "angle"), [(4.0, 0.3), (12.0, 1.2)])
 def test_smeared_stars_are_fitted_with_their_trail(length, angle):
     psf = TrailedPsf.straight(GaussianPsf(0.9, 0.9), length, angle)

@@ -64,11 +64,13 @@ def judge(star_mosaic, unit_gaussian, sigma, snr, stars, background="level"):
     assert np.all(np.abs(pull) < MAX_BIAS_PX + 2.0 * noise), pull
 
 
+@pytest.mark.slow(keep=["0.7-15"])
 @pytest.mark.parametrize(("sigma", "snr"), [(0.7, 15), (1.0, 30), (1.4, 15)])
 def test_isolated_stars_reach_the_bound(star_mosaic, unit_gaussian, sigma, snr):
     judge(star_mosaic, unit_gaussian, sigma, snr, STARS)
 
 
+@pytest.mark.slow
 def test_with_a_plane_the_bound_is_reached_too(star_mosaic, unit_gaussian):
     judge(star_mosaic, unit_gaussian, 1.0, 15, STARS, "plane")
 

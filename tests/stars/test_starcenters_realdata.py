@@ -113,6 +113,7 @@ def after_shift_and_rotation(observed, predicted):
     return (residual - design.reshape(-1, 3) @ solution).reshape(-1, 2)
 
 
+@pytest.mark.slow(keep=["0449855931", "0449855932"])
 @pytest.mark.parametrize("met", PROXIMA)
 def test_nine_stars_agree_with_the_wcs(frames, met):
     frame = frames[met]

@@ -33,6 +33,7 @@ def body_hands(star_hands):
     return star_hands
 
 
+@pytest.mark.slow
 def test_circle_by_two_clicks_is_a_step_and_arrows_move_it(body_hands):
     body_hands.press("k")
     assert body_hands.viewer.dragging
@@ -74,6 +75,7 @@ def test_circle_needs_a_body(hands_on, demo_truths):
     assert hands.said == "no body is expected in this picture; add one by its name."
 
 
+@pytest.mark.slow
 def test_center_is_found_and_shown(body_hands):
     body_hands.press("2", "p", "3", "f")
     assert body_hands.session.state.bodies[-1].status == "ok"
@@ -122,6 +124,7 @@ def test_undo_takes_back_a_mark_before_any_step(star_hands):
     assert star_hands.steps == steps
 
 
+@pytest.mark.slow
 def test_arrow_keys_nudge_the_field_only_with_the_tool(star_hands):
     star_hands.press("2", "ArrowLeft")
     assert star_hands.steps[-1] == "find_stars"

@@ -38,6 +38,7 @@ def pixels(view, key="data"):
     return view.bridge.document.get_model_by_name(f"opnav-pixels:{key}").data["dn"][0]
 
 
+@pytest.mark.slow
 def test_view_serves_the_workbench(view):
     asked: Viewer = view
     assert asked.actions is VIEW_ACTIONS
@@ -48,6 +49,7 @@ def test_pixels_are_exact(view, sessions):
     np.testing.assert_allclose(pixels(view), sessions[0].context.frame.image_dn, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow(keep=["values0-uint16", "values1-float32"])
 @pytest.mark.parametrize(
     ("values", "dtype"),
     [

@@ -49,6 +49,7 @@ def test_pointing_follows_the_stars_and_undo_takes_both_back(star_hands):
     assert star_hands.session.state.pointing is None
 
 
+@pytest.mark.slow
 def test_residual_plots_follow_the_stars(star_hands):
     before = star_hands.panel
     assert "not repointed yet" in before
@@ -61,6 +62,7 @@ def test_residual_plots_follow_the_stars(star_hands):
     )  # one in each plot
 
 
+@pytest.mark.slow
 def test_each_must_be_examined_where_asked(star_hands):
     star_hands.send("examine")
     star_hands.press("p")
@@ -73,6 +75,7 @@ def test_each_must_be_examined_where_asked(star_hands):
     assert star_hands.session.state.pointing.n_stars == 15
 
 
+@pytest.mark.slow
 def test_radius_and_template_fit_again_at_once(star_hands):
     centers = star_hands.session.state.centers
     star_hands.press("]")

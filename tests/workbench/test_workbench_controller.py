@@ -40,6 +40,7 @@ def balanced(html):
     return parser.open == []
 
 
+@pytest.mark.slow
 def test_every_page_is_well_formed_at_every_stage(star_hands):
     for stage in ((), ("p",), ("r",), ("1",)):
         star_hands.press(*stage)
@@ -54,6 +55,7 @@ def test_every_page_is_well_formed_at_every_stage(star_hands):
     assert "Take back the last step" in star_hands.panel
 
 
+@pytest.mark.slow
 def test_images_keep_their_own_state(hands_on, demo_truths, tmp_path):
     hands = hands_on(*(truth.picture for truth in demo_truths), out=tmp_path)
     hands.press("f", "a")
@@ -83,6 +85,7 @@ def test_an_image_that_cannot_be_opened_says_why(hands_on, demo_truths, tmp_path
     assert controller.queue.session.context.frame.path == demo_truths[0].picture
 
 
+@pytest.mark.slow
 def test_list_is_resumed_where_it_was_left(hands_on, demo_truths, tmp_path):
     def opened():
         queue = ImageQueue.of_images([demo_truths[1].picture], "new_horizons", tmp_path)
@@ -109,6 +112,7 @@ def test_list_of_nothing(tmp_path):
         ImageQueue.of_images([tmp_path / "x.fit"], "new_horizons", tmp_path)
 
 
+@pytest.mark.slow
 def test_pictures_of_one_name_keep_their_decisions_apart(kernels, demo_truths, tmp_path):
     pictures = [tmp_path / place / "a.fit" for place in ("x", "y")]
     for path, truth in zip(pictures, demo_truths[:2], strict=True):
@@ -181,6 +185,7 @@ def test_long_work_shows_progress_and_can_be_cancelled(star_hands, monkeypatch):
     assert star_hands.session.state.pointing is not None
 
 
+@pytest.mark.slow
 def test_page_stays_alive_during_a_long_step_of_the_session_itself(star_hands):
     """A step holds the session's lock through its numerics; the page must be rendered meanwhile."""
     entered, go_on = threading.Event(), threading.Event()

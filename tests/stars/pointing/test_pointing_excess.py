@@ -36,6 +36,7 @@ def ratio(rng, n, extra_px, trials=200):
     return np.sqrt(np.mean(np.square(errors)))  # of 3 axes: 600 numbers, 3 % by chance
 
 
+@pytest.mark.slow(keep=["0.0-4", "0.0-5", "0.0-12"])
 @pytest.mark.parametrize("n", [4, 5, 6, 8, 12, 20, 50])
 @pytest.mark.parametrize("excess", [0.0, 0.5, 2.0, 5.0])
 def test_error_over_sigma_for_every_number_of_stars(n, excess):

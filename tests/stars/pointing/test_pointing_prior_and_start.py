@@ -24,6 +24,7 @@ def field_with_prior(camera, star_field, rng, covariance, **options):
     return star_field(camera, rng, error_rotvec=error, **options)
 
 
+@pytest.mark.slow(keep=["2"])
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_few_stars_and_an_a_priori_attitude(cameras, star_field, n):
     camera, rng = cameras["lorri"], np.random.default_rng([71, n])

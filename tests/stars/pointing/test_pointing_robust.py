@@ -17,6 +17,7 @@ def displaced(field, rng, count, least_px=4.0, most_px=60.0):
     return observed
 
 
+@pytest.mark.slow(keep=["10-3"])
 @pytest.mark.parametrize(("n", "outliers"), [(6, 1), (6, 2), (10, 3), (20, 6), (60, 18)])
 def test_thirty_percent_of_gross_outliers_do_no_harm(cameras, star_field, n, outliers):
     rng = np.random.default_rng(41)
@@ -74,6 +75,7 @@ def test_errors_keep_their_covariance_with_outliers(cameras, star_field):
     assert 0.9 < ratio < 1.1
 
 
+@pytest.mark.slow
 def test_one_wrong_star_of_three_is_found_or_confessed(cameras, star_field):
     rng = np.random.default_rng(45)
     found = 0
@@ -99,6 +101,7 @@ def test_two_stars_that_disagree_are_both_kept_and_told(cameras, star_field):
     assert any("excess centering error" in message for message in solution.messages)
 
 
+@pytest.mark.slow
 def test_little_excess_where_the_covariances_suffice(cameras, star_field):
     """What the scatter of 8 stars cannot exclude costs a few percent of sigma, and nobody is bothered with it."""
     rng = np.random.default_rng(47)
@@ -130,6 +133,7 @@ def test_excess_is_the_missing_error(cameras, star_field):
     assert 0.9 < np.sqrt(np.mean(np.square(errors))) < 1.1  # 510 numbers
 
 
+@pytest.mark.slow
 def test_bright_stars_are_not_rejected_for_an_error_that_all_share(cameras, star_field):
     """Formal sigmas from 0.02 to 0.3 px, all with 0.25 px more: in formal sigmas the bright ones look wrong."""
     rng = np.random.default_rng(49)
@@ -156,6 +160,7 @@ def test_outliers_and_excess_together(cameras, star_field):
     assert np.mean(excess) == pytest.approx(0.25, rel=0.1)
 
 
+@pytest.mark.slow
 @given(st.permutations(range(9)), st.integers(0, 1000))
 @settings(max_examples=15, deadline=None)
 def test_order_of_the_stars_does_not_matter(cameras, star_field, order, seed):
