@@ -50,18 +50,23 @@ def is_whole(config: pytest.Config) -> bool:
     return bool(config.getoption("--all") or config.getoption("markexpr") or named)
 
 
-def is_long(item: pytest.Item) -> bool:
+def takes_long(item: pytest.Item) -> bool:
     """Whether a test is marked slow, or is a case of a test so marked that its `keep` does not name."""
     case = item.callspec.id if hasattr(item, "callspec") else None
     return any(case is None or case not in mark.kwargs.get("keep", ()) for mark in item.iter_markers("slow"))
+
+
+@pytest.fixture(scope="session")
+def is_long() -> Callable[[pytest.Item], bool]:
+    return takes_long
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     config.stash[LEFT_OUT] = 0
     if is_whole(config):
         return
-    left_out = [item for item in items if is_long(item)]
-    items[:] = [item for item in items if not is_long(item)]
+    left_out = [item for item in items if takes_long(item)]
+    items[:] = [item for item in items if not takes_long(item)]
     config.hook.pytest_deselected(items=left_out)
     config.stash[LEFT_OUT] = len(left_out)
 
