@@ -8,23 +8,15 @@ from dataclasses import dataclass
 from hashlib import blake2b
 from math import sqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from filelock import FileLock
 
-from opnav_workbench.catalog.ucac4 import UCAC4_RECORD
-from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import (
-    DEMO_CATALOG,
-    DEMO_KERNELS,
-    DEMO_MISSION,
-    DEMO_PICTURES,
-    simulate_picture,
-)
-from opnav_workbench.simulation.truth import Truth
+# The package is imported where it is used: xdist's first process, which runs no tests, reads this file too.
+if TYPE_CHECKING:
+    from opnav_workbench.simulation.truth import Truth
 
 DATA_VARIABLE = "OPNAV_DATA"
 SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run
@@ -147,10 +139,19 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="session")
-def demo_truths(made_once: Callable[..., Any]) -> tuple[Truth, Truth]:
+def demo_truths(made_once: Callable[..., Any]) -> "tuple[Truth, Truth]":
     """The two demo pictures (LORRI 4x4 with 4 stars, MVIC with 15), simulated once, and what they really show."""
+    from opnav_workbench.kernels import KernelSet
+    from opnav_workbench.mission import load_mission
+    from opnav_workbench.rehearsal import (
+        DEMO_CATALOG,
+        DEMO_KERNELS,
+        DEMO_MISSION,
+        DEMO_PICTURES,
+        simulate_picture,
+    )
 
-    def make(folder: Path) -> tuple[Truth, Truth]:
+    def make(folder: Path) -> "tuple[Truth, Truth]":
         mission = load_mission(DEMO_MISSION)
         with KernelSet(DEMO_KERNELS):
             lorri, mvic = (simulate_picture(r, mission, DEMO_CATALOG, folder) for r in DEMO_PICTURES)
@@ -180,6 +181,8 @@ def backgrounds_once() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def ucac4_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """UCAC4 zones 449 to 453 (dec -0.4 to +0.6 deg), written by the documented layout, as dense as the real zone 451."""
+    from opnav_workbench.catalog.ucac4 import UCAC4_RECORD
+
     folder = tmp_path_factory.mktemp("ucac4")
     (folder / "u4b").mkdir()
     rng = np.random.default_rng(451)
