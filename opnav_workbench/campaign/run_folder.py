@@ -235,21 +235,21 @@ def _part_rows(
         "bodies": [row_of(body, BODIES) for body in result.get("bodies") or ()],
         "observables": [{"body": c["body"], "method": c["method"], "cells": c} for c in cells],
         "decisions": [
-            _decision(item, said) for kind, said in DECISIONS.items() for item in origin.get(kind) or ()
+            _decision(item, verdict) for kind, verdict in DECISIONS.items() for item in origin.get(kind) or ()
         ],
         "journal": [_entry(item) for item in (session or {}).get("journal") or ()],
     }
 
 
-def _decision(item: Any, said: str | None) -> dict[str, Any]:
+def _decision(item: Any, verdict: str | None) -> dict[str, Any]:
     """A verdict on a star, or another decision: its subject, what was decided, why, and the rest as it stands."""
     if not isinstance(item, Mapping):
-        return {"subject": None, "verdict": said, "reason": str(item), "extra": {}}
+        return {"subject": None, "verdict": verdict, "reason": str(item), "extra": {}}
     named = next((key for key in ("star", "body", "name") if key in item), None)
     known = {named, "verdict", "reason"}
     return {
         "subject": None if named is None else str(item[named]),
-        "verdict": item.get("verdict", said),
+        "verdict": item.get("verdict", verdict),
         "reason": item.get("reason"),
         "extra": {key: value for key, value in item.items() if key not in known},
     }
@@ -264,8 +264,8 @@ def _entry(item: Mapping[str, Any]) -> dict[str, Any]:
 def _attention(result: Mapping[str, Any]) -> tuple[str, ...]:
     """What the run itself says an analyst should look at, else what its statuses say."""
     if "attention" in result:
-        said = result["attention"] or ()
-        return (said,) if isinstance(said, str) else tuple(str(reason) for reason in said)
+        reasons = result["attention"] or ()
+        return (reasons,) if isinstance(reasons, str) else tuple(str(reason) for reason in reasons)
     bodies = [(body.get("name"), body.get("status")) for body in result.get("bodies") or ()]
     return attention_reasons(result["status"], result.get("messages") or (), bodies)
 

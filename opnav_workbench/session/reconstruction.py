@@ -156,8 +156,8 @@ def _reason(result: Mapping[str, Any], without_twist: bool) -> str:
     """Return why a picture is left out; empty if it is not."""
     pointing = result.get("pointing")
     if pointing is None:
-        said = [str(m) for m in result.get("messages") or ()]
-        return f"no pointing solved ({said[0]})" if said else "no pointing solved"
+        messages = [str(m) for m in result.get("messages") or ()]
+        return f"no pointing solved ({messages[0]})" if messages else "no pointing solved"
     if not pointing.get("twist_solved", True) and not without_twist:
         return "its stars do not determine the twist (--without-twist takes it with the a priori twist)"
     return ""

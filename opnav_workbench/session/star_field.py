@@ -305,7 +305,7 @@ def two_star_pointing(
 
 
 def _with_new_field(context: Context, inputs: Inputs, state: SessionState, found: FieldFound) -> SessionState:
-    """Predict the stars anew around a field that the analyst found; what was measured before, and said of it, is dropped."""
+    """Predict the stars anew around a field that the analyst found; centers and pointing found before are dropped."""
     stars = stars_around(context, inputs, catalog_stars(inputs), found.camera_from_j2000)
     on_detector = context.camera.on_detector(stars.places(context.camera, found.camera_from_j2000))
     fresh = state.replace(

@@ -133,7 +133,7 @@ def test_the_stack_is_the_linear_map_that_it_says(make_sky, exposed, subtract):
     assert np.ptp(level) < (0.2 if subtract else 1e-9)  # the levels that were matched are not part of the map
     covariance = stacked.covariance_dn2(points)
     draws = np.zeros((1500, len(points)))
-    for operator, frame in zip(operators, stacked.raw, strict=True):
+    for operator, frame in zip(operators, stacked.before_subtraction, strict=True):
         draws += rng.normal(size=(1500, frame.bad.size)) * frame.noise_dn.ravel() @ operator.T
     assert np.std(draws, axis=0) == pytest.approx(
         np.sqrt(np.diag(covariance)), rel=0.1
@@ -144,7 +144,7 @@ def test_the_stack_is_the_linear_map_that_it_says(make_sky, exposed, subtract):
 
 def exposed_frames(stacked, subtract):
     """The pictures that the operators act on: those before subtraction."""
-    return stacked.raw if subtract else stacked.frames
+    return stacked.before_subtraction if subtract else stacked.frames
 
 
 def test_what_cannot_be_stacked_is_one_line(make_sky):

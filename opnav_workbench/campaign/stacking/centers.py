@@ -200,7 +200,7 @@ class _FitBox:
         self.operators = stacked.operators(self.points)
         self._near = [self._windowed(i, place) for i in range(len(self.operators))]
         noise = np.zeros((len(self.points),) * 2)
-        for operator, frame in zip(self.operators, stacked.raw, strict=True):
+        for operator, frame in zip(self.operators, stacked.before_subtraction, strict=True):
             noise += ((operator @ sparse.diags_array(frame.variance_dn2.ravel())) @ operator.T).toarray()
         self._noise = noise
 
@@ -217,7 +217,7 @@ class _FitBox:
         """Covariance (m, m) of the pixels, with the shot noise of a point of that flux."""
         total = np.array(self._noise)
         for i, near in enumerate(self._near):
-            gain = self._stacked.raw[i].gain_e_per_dn
+            gain = self._stacked.before_subtraction[i].gain_e_per_dn
             if np.isfinite(gain) and flux > 0.0:
                 share, _ = self._shares(i, place)
                 total += near.operator @ (flux * np.maximum(share, 0.0) / gain * near.operator).T
@@ -225,7 +225,7 @@ class _FitBox:
 
     def _windowed(self, i: int, place: FloatArray) -> "_PictureWindow":
         """The operator of a picture on the pixels that the point's light reaches, wherever the fit may move it."""
-        frame = self._stacked.raw[i]
+        frame = self._stacked.before_subtraction[i]
         there = self._stacked.grid.to_frame(place[None], frame)
         psf = frame.psf.at(there[0])
         first, size = covering_boxes(psf, there)
@@ -242,10 +242,9 @@ class _FitBox:
     def _shares(self, i: int, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Light of the point in the pixels near it in a picture (k,), and its slopes with the place (k, 2)."""
         near, response = self._near[i], float(self._stacked.response[i])
-        there = near.there + near.slope @ (
-            place - self._start
-        )  # over some pixels the map is straight to 1e-5 px
-        boxes = near.psf.gradient(there[None], near.first[None], near.size)
+        # Over some pixels the map is straight to 1e-5 px.
+        center_px = near.center_px + near.slope @ (place - self._start)
+        boxes = near.psf.gradient(center_px[None], near.first[None], near.size)
         slopes = np.stack([boxes.d_pixel[0].ravel(), boxes.d_line[0].ravel()], axis=1)
         return response * boxes.value[0].ravel(), response * slopes @ near.slope
 
@@ -272,7 +271,7 @@ class _PictureWindow:
     """A picture about the target: where the start of the fit lies in it, a square box, and the operator (m, size^2)."""
 
     psf: Psf
-    there: FloatArray
+    center_px: FloatArray
     slope: FloatArray
     first: IntArray
     size: int
@@ -358,6 +357,6 @@ def _stack_of_first(stacked: Stacked, count: int) -> Stacked:
     frames, response = stacked.frames[:count], stacked.response[:count]
     image, noise, pictures = average(frames, stacked.grid, weights, response)
     return replace(
-        stacked, frames=frames, raw=stacked.raw[:count], weights=weights, response=response,
+        stacked, frames=frames, before_subtraction=stacked.before_subtraction[:count], weights=weights, response=response,
         image_dn=image, noise_dn=noise, count=pictures,
     )  # fmt: skip

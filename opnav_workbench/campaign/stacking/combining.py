@@ -158,7 +158,7 @@ class Stacked:
     grid : Grid
     frames : tuple of StackFrame
         With hits masked and, in a subtracted stack, the star field taken away.
-    raw : tuple of StackFrame
+    before_subtraction : tuple of StackFrame
         The same before subtraction.
     weights, response : (n,) array
         Of the pictures: weights sum to 1; light against the longest exposure's.
@@ -177,7 +177,7 @@ class Stacked:
     count: IntArray
     grid: Grid
     frames: tuple[StackFrame, ...]
-    raw: tuple[StackFrame, ...]
+    before_subtraction: tuple[StackFrame, ...]
     weights: FloatArray
     response: FloatArray
     et: float
@@ -227,14 +227,14 @@ class Stacked:
         assert self.subtractions is not None
         total = list(direct)
         for rows, subtraction in zip(direct, self.subtractions, strict=True):
-            for j, part in subtraction.parts(rows, self.raw):
+            for j, part in subtraction.parts(rows, self.before_subtraction):
                 total[j] = sparse.csr_array(total[j] - part)
         return total
 
     def covariance_dn2(self, pixel_line: FloatArray) -> FloatArray:
         """Return the covariance (m, m) of grid pixels (m, 2): exact, for pictures whose own pixels are independent."""
         covariance = np.zeros((len(pixel_line),) * 2)
-        for operator, frame in zip(self.operators(pixel_line), self.raw, strict=True):
+        for operator, frame in zip(self.operators(pixel_line), self.before_subtraction, strict=True):
             weighted = operator @ sparse.diags_array(frame.variance_dn2.ravel())
             covariance += (weighted @ operator.T).toarray()
         return covariance
@@ -283,9 +283,9 @@ def stack_frames(
     et = float(weights @ [frame.et for frame in frames])
     state = mean_state(frames, et) if all(frame.target is not None for frame in frames) else None
     grid = _grid(frames, follow, state, et, window_px)
-    raw, chosen, subtractions, messages = list(frames), list(frames), None, []
+    before, chosen, subtractions, messages = list(frames), list(frames), None, []
     if subtract:
-        raw, chosen, subtractions = subtract_stars(frames, grid, weights, response)
+        before, chosen, subtractions = subtract_stars(frames, grid, weights, response)
     hits = [int((a.bad & ~b.bad).sum()) for a, b in zip(chosen, frames, strict=True)]
     if reject_hits and len(frames) >= MIN_FRAMES:
         cube = np.stack([resample(grid, f, float(g))[0] for f, g in zip(chosen, response, strict=True)])
@@ -300,7 +300,7 @@ def stack_frames(
         count=count,
         grid=grid,
         frames=tuple(chosen),
-        raw=tuple(raw),
+        before_subtraction=tuple(before),
         weights=weights,
         response=response,
         et=et,
