@@ -71,8 +71,8 @@ class ImageSession:
     Raises
     ------
     SessionError
-        By any step: what it needs is not there yet (stars predicted, centers found), or a star, body, method or place is
-        none; the message says what to do.
+        By any step: what it needs is not there yet (stars predicted, centers found), a star or method is unknown, a place
+        is off the detector; the message says what to do.
     KernelError
         By steps that name a body: neither kernels nor the star list know it.
 
