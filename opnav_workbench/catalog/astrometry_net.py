@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_bands, johnson_from_gaia, johnson_from_tycho
-from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.proper_motion import astrometry_columns
 from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
@@ -293,28 +293,23 @@ def _motion_known(stars: _IndexStars) -> NDArray[np.bool_]:
 def _table_of_rows(stars: _IndexStars, ra: FloatArray, dec: FloatArray, rows: IntArray) -> StarTable:
     part = _IndexStars(*(getattr(stars, f)[rows] for f in _IndexStars.__slots__))
     pmra, pmra_sigma, pmdec, pmdec_sigma, parallax, parallax_sigma = part.astrometry.T
-    moving = _motion_known(part)
-    near = np.isfinite(parallax) & (parallax_sigma > 0.0)
-    sigma_mas = [
-        part.sigma_mas,
-        part.sigma_mas,
-        np.where(near, parallax_sigma, unknown_parallax_sigma_mas(part.mag)),
-        np.where(moving, pmra_sigma, UNKNOWN_MOTION_MAS_YR),
-        np.where(moving, pmdec_sigma, UNKNOWN_MOTION_MAS_YR),
-    ]
     return StarTable(
         id=np.array(_names(part, rows), dtype=np.str_),
         ra_rad=ra[rows],
         dec_rad=dec[rows],
-        pmra_rad_yr=np.where(moving, pmra, 0.0) * RAD_PER_MAS,
-        pmdec_rad_yr=np.where(moving, pmdec, 0.0) * RAD_PER_MAS,
-        parallax_rad=np.where(near, parallax, 0.0) * RAD_PER_MAS,
         rv_km_s=np.full(len(rows), np.nan),
         mag=part.mag,
         band=part.band,
         epoch_jyear=part.epoch_jyear,
-        sigma=np.stack(sigma_mas, axis=-1) * RAD_PER_MAS,
-        motion_known=moving,
+        **astrometry_columns(
+            part.mag,
+            np.stack([part.sigma_mas, part.sigma_mas], axis=-1),
+            np.stack([pmra, pmdec], axis=-1),
+            np.stack([pmra_sigma, pmdec_sigma], axis=-1),
+            _motion_known(part),
+            parallax,
+            np.where(parallax_sigma > 0.0, parallax_sigma, np.nan),
+        ),
         **_johnson(part).columns(),
     )
 

@@ -65,10 +65,9 @@ from opnav_workbench.catalog.cache import (
 from opnav_workbench.catalog.hipparcos import HIPPARCOS_JYEAR, HipparcosStars, read_hipparcos
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_gaia
 from opnav_workbench.catalog.proper_motion import (
-    UNKNOWN_MOTION_MAS_YR,
+    astrometry_columns,
     sky_offset_rad,
     two_epoch_motion_rad_yr,
-    unknown_parallax_sigma_mas,
 )
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog, sort_keys
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
@@ -299,17 +298,15 @@ def _hipparcos_alone(hipparcos: HipparcosStars, rows: IntArray) -> MergedStars:
 
 def _gaia_alone(gaia: GaiaStars, rows: IntArray) -> MergedStars:
     mag = gaia.g_mag[rows]
-    sigma_mas = np.empty((len(rows), 5))
-    sigma_mas[:, :2] = GAIA_SIGMA_MAS
-    sigma_mas[:, 2] = unknown_parallax_sigma_mas(mag)
-    sigma_mas[:, 3:] = UNKNOWN_MOTION_MAS_YR
+    nothing, place_sigma = np.zeros((len(rows), 2)), np.full((len(rows), 2), GAIA_SIGMA_MAS)
+    columns = astrometry_columns(mag, place_sigma, nothing, nothing, np.zeros(len(rows), dtype=bool))
     return _in_float32(
         number=gaia.source[rows],
         ra_rad=gaia.ra_rad[rows],
         dec_rad=gaia.dec_rad[rows],
-        motion_rad_yr=np.zeros((len(rows), 2)),
-        parallax_rad=np.zeros(len(rows)),
-        sigma=sigma_mas * RAD_PER_MAS,
+        motion_rad_yr=nothing,
+        parallax_rad=columns["parallax_rad"],
+        sigma=columns["sigma"],
         mag=mag,
         from_gaia=True,
         johnson=gaia.johnson.take(rows),

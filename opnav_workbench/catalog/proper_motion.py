@@ -17,19 +17,21 @@ Mean motion of stars whose own is unknown
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from astropy import units as u
 from astropy.coordinates import SkyCoord
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.geometry import tangent_basis, unit_from_radec
 
 __all__ = [
     "UNKNOWN_MOTION_MAS_YR",
+    "astrometry_columns",
     "mean_motion_rad_yr",
     "sky_offset_rad",
     "two_epoch_motion_rad_yr",
@@ -83,6 +85,43 @@ def unstated_motion_sigma_mas_yr(position_sigma_mas: ArrayLike) -> FloatArray:
 def unstated_parallax_sigma_mas(position_sigma_mas: ArrayLike) -> FloatArray:
     """Return the sigma taken for parallaxes of which only the sigma of the position is stated, mas."""
     return np.minimum(np.asarray(position_sigma_mas, dtype=np.float64), UNSTATED_PARALLAX_SIGMA_MAS)
+
+
+def astrometry_columns(
+    mag: FloatArray,
+    place_sigma_mas: FloatArray,
+    motion_mas_yr: FloatArray,
+    motion_sigma_mas_yr: FloatArray,
+    motion_known: BoolArray,
+    parallax_mas: FloatArray | None = None,
+    parallax_sigma_mas: FloatArray | float = np.nan,
+) -> dict[str, Any]:
+    """Return the columns of a `StarTable` that tell motion, parallax and sigmas: the unknown as 0 with its prior.
+
+    Parameters
+    ----------
+    mag : (n,) array
+    place_sigma_mas : (n, 2) array
+    motion_mas_yr, motion_sigma_mas_yr : (n, 2) array
+        RA cos(dec) and dec.
+    motion_known : (n,) array of bool
+    parallax_mas, parallax_sigma_mas : (n,) array, optional
+        Unknown where one of them is not finite.
+    """
+    parallax = np.full(mag.shape, np.nan) if parallax_mas is None else parallax_mas
+    near = np.isfinite(parallax) & np.isfinite(parallax_sigma_mas)
+    parallax_sigma = np.where(near, parallax_sigma_mas, unknown_parallax_sigma_mas(mag))
+    moving = motion_known[:, None]
+    motion_rad_yr = np.where(moving, motion_mas_yr, 0.0) * RAD_PER_MAS
+    motion_sigma = np.where(moving, motion_sigma_mas_yr, UNKNOWN_MOTION_MAS_YR)
+    return {
+        "pmra_rad_yr": motion_rad_yr[:, 0],
+        "pmdec_rad_yr": motion_rad_yr[:, 1],
+        "parallax_rad": np.where(near, parallax, 0.0) * RAD_PER_MAS,
+        "sigma": np.concatenate([place_sigma_mas, parallax_sigma[:, None], motion_sigma], axis=1)
+        * RAD_PER_MAS,
+        "motion_known": motion_known,
+    }
 
 
 # ---- Mean motion of stars whose own motion is unknown: the Sun's reflex and the rotation of the Galaxy.

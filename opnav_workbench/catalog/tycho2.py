@@ -35,7 +35,7 @@ from opnav_workbench.catalog.cache import (
 )
 from opnav_workbench.catalog.cds_text import TextRows, read_rows, source_files
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_hipparcos, johnson_from_tycho
-from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, astrometry_columns
 from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
@@ -145,7 +145,9 @@ def _main_rows(rows: TextRows) -> Records:
         dec_rad=position[1] * RAD_PER_DEG,
         epoch_jyear=np.where(observed, observed_epochs.mean(axis=1), 2000.0),
         mag=mag,
-        **_motion_columns(known, motion, np.where(observed[:, None], own, sigma[:, :2]), sigma[:, 2:], mag),
+        **astrometry_columns(
+            mag, np.where(observed[:, None], own, sigma[:, :2]), motion, sigma[:, 2:], known
+        ),
         position_motion=np.where(known[:, None], covariance, 0.0),
         **johnson.columns(),
         hip=rows.integers(142, 148),
@@ -192,7 +194,7 @@ def _supplement_rows(rows: TextRows) -> Records:
         dec_rad=rows.numbers(28, 40) * RAD_PER_DEG,
         epoch_jyear=SUPPLEMENT_JYEAR,
         mag=mag,
-        **_motion_columns(known, motion, place, motion_sigma, mag),
+        **astrometry_columns(mag, place, motion, motion_sigma, known),
         **johnson.columns(),
         hip=rows.integers(115, 121),
         flags=quality_flags({StarQuality.DOUBLE: double, StarQuality.BAD_PHOTOMETRY: magless})
@@ -219,21 +221,6 @@ def _magnitudes(
     band = np.where(np.isfinite(hp), 2, np.where(np.isfinite(vt), 0, 1))
     mag = np.where(np.isfinite(hp), hp, np.where(np.isfinite(vt), vt, bt))
     return np.nan_to_num(mag, nan=20.0), johnson, band, np.isnan(mag)
-
-
-def _motion_columns(
-    known: BoolArray, motion: FloatArray, place_sigma: FloatArray, motion_sigma: FloatArray, mag: FloatArray
-) -> dict[str, FloatArray | BoolArray]:
-    """Return motion and sigma columns; arguments (n, 2) in mas and mas/yr, an unknown motion is 0 with its prior."""
-    spread = np.where(known[:, None], motion_sigma, UNKNOWN_MOTION_MAS_YR)
-    parallax = unknown_parallax_sigma_mas(mag)[:, None]
-    moving = np.where(known[:, None], motion, 0.0) * RAD_PER_MAS
-    return {
-        "pmra_rad_yr": moving[:, 0],
-        "pmdec_rad_yr": moving[:, 1],
-        "sigma": np.concatenate([place_sigma, parallax, spread], axis=1) * RAD_PER_MAS,
-        "motion_known": known,
-    }
 
 
 def _near_another(rows: TextRows, first: int, last: int) -> BoolArray:

@@ -19,7 +19,7 @@ from opnav_workbench.catalog.zones import (
     UCAC_BAND,
     ZoneLayout,
     ZoneStore,
-    astrometry_columns,
+    columns_at_j2000,
     open_zones,
 )
 from opnav_workbench.constants import FASTEST_STAR_RAD_YR, RAD_PER_MAS
@@ -113,7 +113,7 @@ def _table(records: NDArray[np.void], names: NDArray[np.str_]) -> StarTable:
         mag=mag,
         band=np.full(len(records), UCAC_BAND),
         flags=_flags(records),
-        **astrometry_columns(motion, *sigmas, central, np.ones(len(records), dtype=bool), mag),
+        **columns_at_j2000(motion, *sigmas, central, np.ones(len(records), dtype=bool), mag),
         **johnson_from_ucac(mag, MAG_SIGMA, j, k).columns(),
     )
 

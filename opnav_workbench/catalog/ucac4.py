@@ -28,7 +28,7 @@ from opnav_workbench.catalog.zones import (
     UCAC_BAND,
     ZoneLayout,
     ZoneStore,
-    astrometry_columns,
+    columns_at_j2000,
     open_zones,
 )
 from opnav_workbench.constants import FASTEST_STAR_RAD_YR, RAD_PER_MAS
@@ -179,7 +179,7 @@ def _table(
         mag=mag,
         band=MAG_BANDS[which],
         flags=_flags(records),
-        **astrometry_columns(motion, motion_sigma, place + 128.0, 1900.0 + 0.01 * records["cep"], known, mag),
+        **columns_at_j2000(motion, motion_sigma, place + 128.0, 1900.0 + 0.01 * records["cep"], known, mag),
         **_johnson(records, mag, which).columns(),
     )
 

@@ -35,8 +35,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import johnson_from_bands
 from opnav_workbench.catalog.proper_motion import (
-    UNKNOWN_MOTION_MAS_YR,
-    unknown_parallax_sigma_mas,
+    astrometry_columns,
     unstated_motion_sigma_mas_yr,
     unstated_parallax_sigma_mas,
 )
@@ -190,29 +189,26 @@ def _one_each(values: NDArray[Any], key: str, n: int, name: str) -> NDArray[Any]
 def _table_of_rows(columns: NpzColumns, rows: IntArray) -> StarTable:
     """Build the table of some rows: unknown motion and parallax become 0 with the sigma of such stars."""
     column = {key: _float_rows(values, rows) for key, values in columns.items() if key not in ("id", "band")}
-    position = column["sigma_mas"]
-    known = np.isfinite(column["pmra_mas_yr"]) & np.isfinite(column["pmdec_mas_yr"])
-    motion_sigma = np.where(known, unstated_motion_sigma_mas_yr(position), UNKNOWN_MOTION_MAS_YR)
-    parallax_sigma = np.where(
-        np.isfinite(column["parallax_mas"]),
-        unstated_parallax_sigma_mas(position),
-        unknown_parallax_sigma_mas(column["mag"]),
-    )
-    band = _texts(columns["band"][rows])
+    position, band = column["sigma_mas"], _texts(columns["band"][rows])
+    motion = np.stack([column["pmra_mas_yr"], column["pmdec_mas_yr"]], axis=-1)
+    both = np.stack([position, position], axis=-1)
     return StarTable(
         id=_names(columns, rows),
         ra_rad=column["ra_deg"] * RAD_PER_DEG,
         dec_rad=column["dec_deg"] * RAD_PER_DEG,
-        pmra_rad_yr=np.where(known, column["pmra_mas_yr"], 0.0) * RAD_PER_MAS,
-        pmdec_rad_yr=np.where(known, column["pmdec_mas_yr"], 0.0) * RAD_PER_MAS,
-        parallax_rad=np.nan_to_num(column["parallax_mas"]) * RAD_PER_MAS,
         rv_km_s=column["rv_km_s"],
         mag=column["mag"],
         band=band,
         epoch_jyear=column["epoch_jyear"],
-        sigma=np.stack([position, position, parallax_sigma, motion_sigma, motion_sigma], axis=-1)
-        * RAD_PER_MAS,
-        motion_known=known,
+        **astrometry_columns(
+            column["mag"],
+            both,
+            motion,
+            unstated_motion_sigma_mas_yr(both),
+            np.isfinite(motion).all(axis=1),
+            column["parallax_mas"],
+            unstated_parallax_sigma_mas(position),
+        ),
         **johnson_from_bands(column["mag"], band).columns(),
     )
 

@@ -30,10 +30,9 @@ from opnav_workbench.catalog.johnson import (
     johnson_from_tycho,
     johnson_from_ucac,
 )
-from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, astrometry_columns
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.star_table import StarTable
-from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
 __all__ = ["TABLES", "VizierTable", "stars_from_rows"]
@@ -219,41 +218,32 @@ def stars_from_rows(rows: Columns, layout: VizierTable) -> StarTable:
     whole = np.all([np.isfinite(rows[c]) for c in (*layout.position, layout.mag)], axis=0)
     kept = {name: column[whole] for name, column in rows.items()}
     mag = kept[layout.mag]
-    motion, motion_sigma = (
-        _pair(kept, names) * RAD_PER_MAS for names in (layout.motion, layout.motion_sigma)
+    motion, motion_sigma = _pair(kept, layout.motion), _pair(kept, layout.motion_sigma)
+    parallax, parallax_sigma = (
+        kept[name] if name else _unknown(mag) for name in (layout.parallax, layout.parallax_sigma)
     )
-    known = np.asarray(np.isfinite(motion).all(axis=1))
-    motion_sigma = np.where(np.isfinite(motion_sigma), motion_sigma, UNKNOWN_MOTION_MAS_YR * RAD_PER_MAS)
-    motion_sigma = np.where(known[:, None], motion_sigma, UNKNOWN_MOTION_MAS_YR * RAD_PER_MAS)
-    parallax, parallax_sigma = _parallax(kept, layout)
-    position_sigma = np.nan_to_num(_pair(kept, layout.position_sigma), nan=100.0) * RAD_PER_MAS
     return StarTable(
         id=layout.name(kept),
         ra_rad=kept[layout.position[0]],
         dec_rad=kept[layout.position[1]],
-        pmra_rad_yr=np.where(known, motion[:, 0], 0.0),
-        pmdec_rad_yr=np.where(known, motion[:, 1], 0.0),
-        parallax_rad=parallax,
         rv_km_s=kept[layout.rv] if layout.rv else _unknown(mag),
         mag=mag,
         band=np.full(mag.shape, layout.band),
         epoch_jyear=np.full(mag.shape, layout.epoch_jyear),
-        sigma=np.concatenate([position_sigma, parallax_sigma[:, None], motion_sigma], axis=1),
-        motion_known=known,
         hip=np.nan_to_num(kept[layout.hip]).astype(np.int64) if layout.hip else np.zeros(mag.shape, np.int64),
         flags=layout.flags(kept) if layout.flags else np.zeros(mag.shape, np.int64),
+        **astrometry_columns(
+            mag,
+            np.nan_to_num(_pair(kept, layout.position_sigma), nan=100.0),
+            motion,
+            np.where(np.isfinite(motion_sigma), motion_sigma, UNKNOWN_MOTION_MAS_YR),
+            np.isfinite(motion).all(axis=1),
+            parallax,
+            parallax_sigma,
+        ),
         **layout.johnson(kept).columns(),
     )
 
 
 def _pair(rows: Columns, names: tuple[str, str]) -> FloatArray:
     return np.stack([rows[name] for name in names], axis=-1)
-
-
-def _parallax(rows: Columns, layout: VizierTable) -> tuple[FloatArray, FloatArray]:
-    prior = unknown_parallax_sigma_mas(rows[layout.mag]) * RAD_PER_MAS
-    if layout.parallax is None or layout.parallax_sigma is None:
-        return np.zeros(prior.shape), prior
-    value, sigma = (rows[name] * RAD_PER_MAS for name in (layout.parallax, layout.parallax_sigma))
-    known = np.isfinite(value) & np.isfinite(sigma)
-    return np.where(known, value, 0.0), np.where(known, sigma, prior)

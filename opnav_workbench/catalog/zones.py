@@ -25,13 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
-from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_parallax_sigma_mas
+from opnav_workbench.catalog.proper_motion import astrometry_columns
 from opnav_workbench.catalog.star_store import GUARD_RAD, Candidates, ra_spans
 from opnav_workbench.catalog.star_table import StarTable
-from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
+from opnav_workbench.constants import J2000_JYEAR, RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
-__all__ = ["UCAC_BAND", "ZoneLayout", "ZoneStore", "astrometry_columns", "open_zones"]
+__all__ = ["UCAC_BAND", "ZoneLayout", "ZoneStore", "columns_at_j2000", "open_zones"]
 
 
 # ---- Catalogs of binary zone files, as UCAC2 and UCAC4 are.
@@ -225,7 +225,7 @@ def _records(found: Candidates) -> NDArray[np.void]:
 UCAC_BAND = "UCAC"  # 579-642 nm, between V and R
 
 
-def astrometry_columns(
+def columns_at_j2000(
     motion: FloatArray,
     motion_sigma: FloatArray,
     place_sigma: FloatArray,
@@ -233,7 +233,7 @@ def astrometry_columns(
     known: BoolArray,
     mag: FloatArray,
 ) -> dict[str, Any]:
-    """Return the columns of motion, sigma and epoch of a `StarTable`.
+    """Return the columns of motion, sigma and epoch of a `StarTable`: J2000, or the central epoch without a motion.
 
     Parameters
     ----------
@@ -246,23 +246,12 @@ def astrometry_columns(
     mag : (n,) array
         For the parallax, which neither catalog gives.
     """
-    moving, spread, years = motion * RAD_PER_MAS, motion_sigma, 2000.0 - central_jyear
-    epoch = np.full(len(mag), 2000.0)
-    if not known.all():
-        still = ~known
-        moving, spread = moving.copy(), spread.copy()
-        moving[still], spread[still], years[still] = 0.0, UNKNOWN_MOTION_MAS_YR, 0.0
-        epoch[still] = central_jyear[still].mean(axis=1)
-    sigma = np.empty((len(mag), 5))
-    sigma[:, :2] = np.sqrt(place_sigma**2 + (years * spread) ** 2)
-    sigma[:, 2], sigma[:, 3:] = unknown_parallax_sigma_mas(mag), spread
+    years = np.where(known[:, None], J2000_JYEAR - central_jyear, 0.0)
+    aged = np.where(known[:, None], years * motion_sigma, 0.0)
+    spread = np.where(known[:, None], motion_sigma, 0.0)
     return {
-        "pmra_rad_yr": moving[:, 0],
-        "pmdec_rad_yr": moving[:, 1],
-        "parallax_rad": np.zeros(len(mag)),
+        **astrometry_columns(mag, np.sqrt(place_sigma**2 + aged**2), motion, motion_sigma, known),
         "rv_km_s": np.full(len(mag), np.nan),
-        "epoch_jyear": epoch,
-        "sigma": sigma * RAD_PER_MAS,
+        "epoch_jyear": np.where(known, J2000_JYEAR, central_jyear.mean(axis=1)),
         "position_motion": years * spread**2 * RAD_PER_MAS**2,
-        "motion_known": known,
     }
