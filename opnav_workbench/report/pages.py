@@ -4,7 +4,6 @@ Templates are jinja2's, in ``templates/``. Figures are quantised to few colours 
 Every status of the night's page has a sign and a word beside its colour.
 """
 
-import base64
 import io
 import math
 from collections.abc import Mapping
@@ -14,9 +13,9 @@ from urllib.parse import quote
 
 from PIL import Image
 
-from opnav_workbench.templating import environment
+from opnav_workbench.templating import environment, png_url
 
-__all__ = ["few_colors", "night_page", "png_url", "render_template"]
+__all__ = ["few_colors", "night_page", "render_template"]
 
 
 # ---- HTML pages that open anywhere, offline: one style for all, small figures inside.
@@ -28,11 +27,6 @@ N_COLORS = 48  # enough for charts; a page of hundreds of them stays light
 def render_template(name: str, **content: Any) -> str:
     """Return what a template of ``templates/`` makes of the content; pages extend ``page.html``."""
     return environment(TEMPLATES).get_template(name).render(**content)
-
-
-def png_url(png: bytes) -> str:
-    """Return a PNG as a data URL."""
-    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def few_colors(png: bytes, most_px: int | None = None) -> bytes:

@@ -28,8 +28,9 @@ from scipy import ndimage
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.files import atomic_path
 from opnav_workbench.report.drawing import new_figure, png_bytes
-from opnav_workbench.report.pages import png_url, render_template
+from opnav_workbench.report.pages import render_template
 from opnav_workbench.stars.peaks import paraboloid_coefficients
+from opnav_workbench.templating import png_url
 
 __all__ = [
     "PaperMarks",

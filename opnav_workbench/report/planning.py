@@ -35,8 +35,9 @@ from opnav_workbench.report.drawing import (
     new_figure,
     png_bytes,
 )
-from opnav_workbench.report.pages import few_colors, png_url, render_template
+from opnav_workbench.report.pages import few_colors, render_template
 from opnav_workbench.simulation import stretched
+from opnav_workbench.templating import png_url
 
 __all__ = ["field_chart", "timeline_figure", "write_plan_page"]
 

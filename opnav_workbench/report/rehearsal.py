@@ -31,7 +31,8 @@ from opnav_workbench.report.drawing import (
     new_figure,
     png_bytes,
 )
-from opnav_workbench.report.pages import png_url, render_template
+from opnav_workbench.report.pages import render_template
+from opnav_workbench.templating import png_url
 
 __all__ = ["score_page", "solution_page"]
 

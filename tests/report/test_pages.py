@@ -8,8 +8,9 @@ import pytest
 from astropy.table import Table
 from jinja2 import UndefinedError
 
-from opnav_workbench.report.pages import few_colors, night_page, png_url, render_template
+from opnav_workbench.report.pages import few_colors, night_page, render_template
 from opnav_workbench.report.paper import PaperRow, captioned, paper_comparison, shown_table
+from opnav_workbench.templating import png_url
 
 AWKWARD = "<b>Pluto</b> & Charon"
 ESCAPED = "&lt;b&gt;Pluto&lt;/b&gt; &amp; Charon"
