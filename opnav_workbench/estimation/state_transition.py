@@ -1,10 +1,7 @@
 """How a correction of a state at one epoch becomes a correction at another: state transition matrices.
 
 A transition is any callable ``(epoch_et, et) -> (6, 6)``, so that an orbit determination program's own can be used;
-`straight_line` and `kepler` are at hand. `propagate_two_body` is unperturbed motion by universal variables: ellipse,
-parabola and hyperbola alike.
-
-Reference: Bate, Mueller & White (1971), Fundamentals of Astrodynamics, chapter 4; Stumpff functions c2 and c3.
+`straight_line` and `kepler` are at hand. `propagate_two_body` is unperturbed motion, by SPICE's universal variables.
 """
 
 from collections.abc import Callable
@@ -14,19 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.errors import EstimationError
+from opnav_workbench.errors import EstimationError, KernelError
 from opnav_workbench.geometry.differences import jacobian_by_differences
+from opnav_workbench.kernels.states import two_body_state
 
 __all__ = ["Transition", "kepler", "propagate_two_body", "straight_line"]
 
 
-# ---- Unperturbed two-body motion by universal variables: ellipse, parabola and hyperbola alike.
-
-SERIES_BELOW = (
-    1e-3  # |z| for which the closed forms of c2 and c3 lose digits, and four terms of the series are exact
-)
-MAX_KEPLER_PASSES = 200
-KEPLER_TOLERANCE = 1e-15
+# ---- Unperturbed two-body motion: ellipse, parabola and hyperbola alike.
 
 
 def propagate_two_body(state: ArrayLike, gm_km3_s2: float, time_s: float) -> FloatArray:
@@ -44,7 +36,7 @@ def propagate_two_body(state: ArrayLike, gm_km3_s2: float, time_s: float) -> Flo
     Raises
     ------
     EstimationError
-        The state is not finite or at the center, or the iteration does not end.
+        The state is not finite, at the center, or moves straight toward it.
 
     Examples
     --------
@@ -64,53 +56,10 @@ def propagate_two_body(state: ArrayLike, gm_km3_s2: float, time_s: float) -> Flo
         )
     if gm_km3_s2 == 0.0:
         return np.concatenate([position + time_s * velocity, velocity])
-    root, radial = np.sqrt(gm_km3_s2), float(position @ velocity)
-    alpha = 2.0 / distance - float(velocity @ velocity) / gm_km3_s2
-    x = _universal_anomaly(distance, radial / root, alpha, root * time_s)
-    z = alpha * x * x
-    c2, c3 = _stumpff(z)
-    f = 1.0 - x * x * c2 / distance
-    g = time_s - x**3 * c3 / root
-    later = f * position + g * velocity
-    after = float(np.linalg.norm(later))
-    f_rate = root / (distance * after) * x * (z * c3 - 1.0)
-    g_rate = 1.0 - x * x * c2 / after
-    return np.concatenate([later, f_rate * position + g_rate * velocity])
-
-
-def _universal_anomaly(distance: float, sigma: float, alpha: float, target: float) -> float:
-    """Solve Kepler's equation t(x) = target (both times sqrt(GM)); t grows with x, so bisection guards Newton."""
-    x = target / distance
-    low, high = -np.inf, np.inf
-    for _ in range(MAX_KEPLER_PASSES):
-        z = alpha * x * x
-        c2, c3 = _stumpff(z)
-        error = x**3 * c3 + sigma * x * x * c2 + distance * x * (1.0 - z * c3) - target
-        slope = x * x * c2 + sigma * x * (1.0 - z * c3) + distance * (1.0 - z * c2)
-        low, high = (x, high) if error < 0.0 else (low, x)
-        following = x - error / slope
-        if abs(error / slope) <= KEPLER_TOLERANCE * abs(x):
-            return float(following)
-        x = following if low < following < high else _bisected(low, high, x)
-    return float(x)
-
-
-def _bisected(low: float, high: float, x: float) -> float:
-    if np.isfinite(low) and np.isfinite(high):
-        return 0.5 * (low + high)
-    return 0.5 * x if x != 0.0 else 1.0
-
-
-def _stumpff(z: float) -> tuple[float, float]:
-    if abs(z) < SERIES_BELOW:
-        c2 = (1.0 - z / 12.0 * (1.0 - z / 30.0 * (1.0 - z / 56.0))) / 2.0
-        c3 = (1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0))) / 6.0
-        return c2, c3
-    root = np.sqrt(abs(z))
-    if z > 0.0:
-        return float((1.0 - np.cos(root)) / z), float((root - np.sin(root)) / root**3)
-    # A hyperbola far out: cosh overflows only beyond any time that a picture has.
-    return float((1.0 - np.cosh(root)) / z), float((np.sinh(root) - root) / root**3)
+    try:
+        return two_body_state(values, gm_km3_s2, time_s)
+    except KernelError as error:
+        raise EstimationError(f"no two-body orbit through state {values.tolist()}: {error}") from error
 
 
 # ---- How a correction of a state at one epoch becomes a correction at another: state transition matrices.

@@ -17,7 +17,7 @@ functions below only, one thread at a time, and every failure is one `KernelErro
 ``time``
     UTC, spacecraft clock, calendar and Julian dates, et; the packaged leap seconds.
 ``states``
-    States, sizes, names, orientation of bodies; points below observer and Sun.
+    States, sizes, names, orientation of bodies; points below observer and Sun; two-body motion.
 ``cameras``
     Attitudes, rates, frames and instrument values of cameras.
 ``loading``

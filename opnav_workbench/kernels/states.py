@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
@@ -27,6 +28,7 @@ __all__ = [
     "state",
     "sub_observer_point",
     "sub_solar_point",
+    "two_body_state",
 ]
 
 
@@ -271,3 +273,27 @@ def sub_solar_point(
 def _surface_point(point_km: FloatArray) -> SurfacePoint:
     _, lon, lat = spiceypy.reclat(point_km)
     return SurfacePoint(math.degrees(lon) % 360.0, math.degrees(lat), point_km)
+
+
+# ---- Unperturbed motion about one mass; no kernel is needed.
+
+
+def two_body_state(values: FloatArray, gm_km3_s2: float, time_s: float) -> FloatArray:
+    """Return the state (6,), km and km/s, relative to the center, a time later (CSPICE ``prop2b``).
+
+    Raises
+    ------
+    KernelError
+        SPICE knows no conic through the state: no mass, no velocity, or motion straight toward the center.
+
+    Examples
+    --------
+    A quarter of a circle.
+
+    >>> quarter = 0.5 * math.pi * math.sqrt(7000.0**3 / 398600.0)
+    >>> later = two_body_state([7000.0, 0, 0, 0, math.sqrt(398600.0 / 7000.0), 0], 398600.0, quarter)
+    >>> later[:3].round(6).tolist()
+    [0.0, 7000.0, 0.0]
+    """
+    with spice_call("two-body motion"):
+        return np.asarray(spiceypy.prop2b(gm_km3_s2, values, time_s), np.float64)

@@ -9,6 +9,9 @@ and degraded data belong in segments of their own (3.4.11, table 3-3).
 
 `parse_tdm` and `read_tdm` read any of the standard's messages (sections 3 and 4); `tdm_table` takes the angles out, and the
 covariances from the comments of our own.
+
+The reader is our own and not ccsds-ndm's, which is in a 0.0 version, gives no place for keywords of other issues of the
+standard, and is what the tests hold the writer against: one library on both sides would prove nothing.
 """
 
 import re
