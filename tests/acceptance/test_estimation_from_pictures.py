@@ -14,6 +14,8 @@ from opnav_workbench.observables import joint_covariance_px2, read_ecsv, read_td
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.simulation import load_picture_scenario, simulate
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = kernels_meta_dir() / "new_horizons/pictures/pluto_barycenter.yaml"
 TIMES = ("2015-07-02T12:00:00", "2015-07-07T04:00:00", "2015-07-12T08:46:57")
 OFFSET_KM, GM = 4500.0, 975.5
@@ -56,7 +58,6 @@ def observables(folders):
     return [o for table in sorted(folders.glob("*/observables.ecsv")) for o in read_ecsv(table)]
 
 
-@pytest.mark.slow
 def test_observables_are_those_of_the_pictures(observables):
     assert [(o.name, o.status) for o in observables] == [
         ("PLUTO", "ok"),

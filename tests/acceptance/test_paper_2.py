@@ -10,6 +10,8 @@ from astropy.table import QTable, Table
 
 from opnav_workbench.rehearsal.comparison import center_errors, sky_per_pixel
 
+pytestmark = pytest.mark.slow
+
 PAPER = Path(__file__).parents[2] / "notebooks" / "paper"
 NOTEBOOKS = ("04_repointing", "05_target_centers", "06_observables")
 
@@ -49,7 +51,6 @@ def repointing(tmp_path_factory):
     return executed("04_repointing", tmp_path_factory.mktemp("paper_4"))
 
 
-@pytest.mark.slow
 def test_table_2_and_figure_10(repointing):
     """The paper's totals come out within 0.05 px and their sigmas; what is left scatters by less than half a pixel."""
     table = compared(repointing, "table2")
@@ -108,7 +109,6 @@ def centers(tmp_path_factory):
     return executed("05_target_centers", tmp_path_factory.mktemp("paper_5"))
 
 
-@pytest.mark.slow
 def test_figure_13(centers):
     """One picture gives the 4500 km: 1165 km across, 4347 km along, 315 s; Pluto is a third of a pixel larger."""
     table = compared(centers, "figure13")
@@ -179,7 +179,6 @@ def observables(tmp_path_factory):
     return executed("06_observables", tmp_path_factory.mktemp("paper_6"))
 
 
-@pytest.mark.slow
 def test_partials_equal_the_analytic_ones(observables):
     table = QTable.read(observables / "partials.ecsv", format="ascii.ecsv")
     columns = [name for name in table.colnames if name.startswith("d")]

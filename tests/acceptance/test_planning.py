@@ -76,6 +76,7 @@ def test_figure_3_has_enough_bright_stars_and_a_sub_pixel_asteroid(pictures):
     assert max(figure["attitude"]["sigma_px"]) < 0.01
 
 
+@pytest.mark.slow
 def test_pictures_around_that_day_have_stars_too(pictures):
     """Within a week of it each picture has three stars and more; those that have not say so."""
     near = [p for p in pictures.values() if "2018-09-17" <= p["utc"] <= "2018-10-01"]
@@ -99,6 +100,7 @@ def test_with_tycho2_every_picture_of_the_approach_has_enough_stars(data_dir, tm
     assert min(usable.values()) >= 8, usable
 
 
+@pytest.mark.slow
 def test_bennu_grows_brighter_and_better_known(pictures):
     approach = [p for name, p in sorted(pictures.items()) if name.startswith("approach")]
     for key in ("snr", "diameter_px"):
@@ -106,6 +108,7 @@ def test_bennu_grows_brighter_and_better_known(pictures):
     assert all(p["targets"][0]["diameter_px"] < 1.0 for p in approach)
 
 
+@pytest.mark.slow
 def test_first_detection(bennu):
     """PolyCam sees it from the first day on, as in flight; the wide-field MapCam weeks later, a stack of five before it."""
     searches = {s["name"]: s for s in json.loads((bennu[1] / "plan.json").read_text())["searches"]}
@@ -119,12 +122,14 @@ def test_first_detection(bennu):
     assert single["mag"] == pytest.approx(single["limiting_mag"], abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_picture_without_kernels_is_bad_with_its_reason(bennu, pictures):
     assert pictures["too_late"]["verdict"] == "bad"
     assert "2018-10-23" in pictures["too_late"]["reasons"][0]
     assert "bad too_late" in bennu[0]
 
 
+@pytest.mark.slow
 def test_files_and_catalog_depth(bennu):
     words, out = bennu
     assert "Catalog: bundled, to about magnitude" in words
