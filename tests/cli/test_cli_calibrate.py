@@ -78,7 +78,7 @@ def test_psf_needs_stars(demo_truths, tmp_path, capsys, monkeypatch):
     assert not list((tmp_path / "out").glob("*")) if (tmp_path / "out").exists() else True
 
 
-@pytest.mark.slow(keep=["options0-cannot solve for focal_lenght_mm"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -226,6 +226,7 @@ def test_a_mistake_is_told_with_line_and_field(tmp_path, lines, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_star_that_is_not_there_is_told_with_its_line(picture, tmp_path):
     path = tmp_path / "d.yaml"
     path.write_text("images:\n  mvic_framing.fit:\n    reject:\n    - {star: HIP 0, reason: typo}\n")

@@ -61,6 +61,7 @@ def test_field_far_off_its_prediction(demo_truths, tmp_path, number, shift_px):
     assert all(abs(row.sigmas) < GATE_SIGMAS for row in rows), rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twist_deg", [-0.3, 0.3])
 def test_field_shifted_and_twisted(demo_truths, tmp_path, twist_deg):
     """0.3 deg is 13 px at the ends of the strip; LORRI frames have shown 0.2 deg."""
