@@ -59,7 +59,7 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     spec : str
         ``bundled`` (490,000 stars to magnitude 10, comes with pip); the original distributions of Tycho-2, UCAC2,
         UCAC4 and Hipparcos-2 in a folder: ``tycho2:DIR``, ``ucac2:DIR``, ``ucac4:DIR``, ``hip2:DIR`` (or the file);
-        ``npz:FILE`` (see `catalog.npz` for its arrays); ``astrometry-net:GLOB`` (index files, optionally with
+        ``npz:FILE`` (see `catalog.user_files` for its arrays); ``astrometry-net:GLOB`` (index files, optionally with
         ``?epoch=JYEAR``); ``vizier:NAME`` (asked over the network, kept on disk). Specs joined by ``+`` are one
         catalog, see `catalog.combined`.
     progress : callable, optional

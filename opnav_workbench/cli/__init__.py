@@ -5,7 +5,7 @@ One module a command or group of commands; nothing else in the package imports t
 ``program``
     The table of commands, loaded when they are called, and how errors end the program.
 ``terminal``
-    Consoles, progress, tables and exit statuses that several commands share.
+    Consoles, progress, tables and exit statuses that commands share.
 ``process``
     Pictures to pointing and observables; also runs pictures for demo and ort.
 ``demo``

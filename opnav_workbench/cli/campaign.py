@@ -39,7 +39,7 @@ from opnav_workbench.campaign.stacking import (
     stack_frames,
     write_stack,
 )
-from opnav_workbench.cli.terminal import named_progress
+from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text, write_text
 from opnav_workbench.kernels import KernelSet
@@ -354,7 +354,6 @@ def _print_notes(console: Console, messages: Sequence[str]) -> None:
 
 # ---- ``opnav campaign``.
 
-EXIT_SOME_SKIPPED = 3
 
 campaign_app = typer.Typer(
     name="campaign",
@@ -394,15 +393,11 @@ def ingest(
     Damaged runs are named and skipped. Exit status: 0 all taken in, 2 bad input, 3 some skipped.
     """
     with Campaign(archive) as campaign, ingest_progress(runs) as advance:
-
-        def say(item: Ingested) -> None:
-            advance(item)
-
-        ingested = campaign.ingest(runs, say)
+        ingested = campaign.ingest(runs, advance)
         where = campaign.path
     print_ingested(Console(soft_wrap=True), ingested, where)
     if ingested.skipped:
-        raise typer.Exit(EXIT_SOME_SKIPPED)
+        raise typer.Exit(EXIT_PARTLY)
 
 
 @campaign_app.command()

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from opnav_workbench.cli.process import run_images
-from opnav_workbench.cli.terminal import EXIT_SOME_FAILED
+from opnav_workbench.cli.terminal import EXIT_PARTLY
 from opnav_workbench.headless import Policy
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
@@ -68,7 +68,7 @@ def demo(
     )
     console.print(f"Look at {outcomes[0].folder / 'summary.png'}", highlight=False, soft_wrap=True)
     if not ok:
-        raise typer.Exit(EXIT_SOME_FAILED)
+        raise typer.Exit(EXIT_PARTLY)
 
 
 def _comparison_table(truth: Truth, rows: Sequence[Comparison]) -> Table:

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from opnav_workbench.catalog import catalog_status
+from opnav_workbench.cli.terminal import EXIT_BAD_INPUT
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.kernels import known_names, toolkit_version
 from opnav_workbench.mission import load_mission, mission_names
@@ -21,7 +22,6 @@ from opnav_workbench.version import __version__
 
 __all__ = ["doctor"]
 
-EXIT_PROBLEM = 2
 LIBRARIES = ("numpy", "scipy", "astropy", "spiceypy", "scikit-image", "matplotlib")
 NOTEBOOK = ("jupyterlab", "ipywidgets", "bokeh", "papermill", "ipykernel")
 MIN_FREE_MB = 200  # the bundled catalog's cache takes 30 MB, a picture's results a few
@@ -124,5 +124,5 @@ def doctor() -> None:
     missing = [row for row in rows if row.state == "missing"]
     if missing:
         console.print(f"[bold red]{len(missing)} missing:[/] {', '.join(escape(r.what) for r in missing)}")
-        raise typer.Exit(EXIT_PROBLEM)
+        raise typer.Exit(EXIT_BAD_INPUT)
     console.print("[green]Everything needed is here.[/] Try: opnav demo", highlight=False)

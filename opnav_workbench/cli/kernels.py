@@ -32,6 +32,7 @@ from opnav_workbench.cli.kernel_tables import (
     print_kernel_sets,
     print_made,
 )
+from opnav_workbench.cli.terminal import EXIT_PARTLY
 from opnav_workbench.downloads import Progress as DownloadProgress
 from opnav_workbench.errors import KernelError, SessionError, counted
 from opnav_workbench.files import json_text
@@ -59,7 +60,7 @@ from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import GeometryReport, geometry_report
 from opnav_workbench.session import RESULT_FILE, Reconstruction, write_reconstructed_ck
 
-__all__ = ["EXIT_GAP", "geometry", "kernels_app", "make_ck"]
+__all__ = ["geometry", "kernels_app", "make_ck"]
 
 
 # ---- What ``opnav kernels make`` does: kernels of a scenario, or the DSK of a shape model.
@@ -282,7 +283,6 @@ def _print_geometry(found: GeometryReport, as_json: bool) -> None:
 
 # ---- ``opnav kernels``: what there is, what it covers, and kernels fetched, made and told about.
 
-EXIT_GAP = 3
 SHAPE_SUFFIXES = (".obj", ".cmod")
 
 kernels_app = typer.Typer(
@@ -356,7 +356,7 @@ def check(
             report.write_coverage(found, picture)
             Console().print(f"Written: {escape(str(picture))}", highlight=False, soft_wrap=True)
     if not found.ok:
-        raise typer.Exit(EXIT_GAP)
+        raise typer.Exit(EXIT_PARTLY)
 
 
 @kernels_app.command()

@@ -17,7 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from opnav_workbench.cli.terminal import EXIT_SOME_FAILED
+from opnav_workbench.cli.terminal import EXIT_PARTLY
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night
@@ -101,7 +101,7 @@ def nightly(
     summary = _run_plan(console, plan, pool, archive)
     _print_summary(Console(soft_wrap=True), summary, out)
     if summary["counts"].get("failed"):
-        raise typer.Exit(EXIT_SOME_FAILED)
+        raise typer.Exit(EXIT_PARTLY)
 
 
 def _night_spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from opnav_workbench import report
 from opnav_workbench.cli.process import Reporter
-from opnav_workbench.cli.terminal import picture_progress, plain_table
+from opnav_workbench.cli.terminal import EXIT_PARTLY, picture_progress, plain_table
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import write_json, write_text
 from opnav_workbench.headless.rehearsal_run import process_package
@@ -130,7 +130,6 @@ def _number(value: float) -> str:
 
 # ---- ``opnav ort score``.
 
-EXIT_NOT_PASSED = 3
 SCORE_PAGE_FILE = "score.html"
 
 
@@ -177,7 +176,7 @@ def score(
         soft_wrap=True,
     )
     if not result.grade.passed:
-        raise typer.Exit(EXIT_NOT_PASSED)
+        raise typer.Exit(EXIT_PARTLY)
 
 
 # ---- ``opnav ort solve``: the automatic blind run of a rehearsal.

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from opnav_workbench.cli.terminal import EXIT_SOME_FAILED, error_console, picture_progress, plain_table
+from opnav_workbench.cli.terminal import EXIT_PARTLY, error_console, picture_progress, plain_table
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder
 from opnav_workbench.headless import Outcome, Policy, process_image
@@ -203,7 +203,7 @@ def process(
             stack.enter_context(KernelSet(kernels))
         outcomes = run_images(images, policy, out)
     if any(outcome.failed for outcome in outcomes):
-        raise typer.Exit(EXIT_SOME_FAILED)
+        raise typer.Exit(EXIT_PARTLY)
 
 
 def named_targets(text: str) -> dict[str, str]:

@@ -14,13 +14,11 @@ from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
-from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, error_console
+from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_STOPPED, error_console
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.version import __version__
 
 __all__ = ["COMMANDS", "CommandEntry", "app", "main"]
-
-STOPPED_BY_KEYBOARD = 130  # as shells say it: 128 and the number of SIGINT
 
 
 class CommandEntry(NamedTuple):
@@ -148,4 +146,4 @@ def main() -> None:
         sys.exit(EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         Console(stderr=True).print("stopped; finished images are kept.")
-        sys.exit(STOPPED_BY_KEYBOARD)
+        sys.exit(EXIT_STOPPED)

@@ -1,7 +1,6 @@
 """What several commands show on a terminal: consoles, progress bars, plain tables, exit statuses.
 
-Results go to standard output, progress and complaints to standard error; a bar is shown on terminals only. Exit
-status: 0 all well, 2 bad input, 3 some pictures failed (the others are kept).
+Results go to standard output, progress and complaints to standard error; a bar is shown on terminals only.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +20,8 @@ from rich.table import Table
 
 __all__ = [
     "EXIT_BAD_INPUT",
-    "EXIT_SOME_FAILED",
+    "EXIT_PARTLY",
+    "EXIT_STOPPED",
     "error_console",
     "folding_table",
     "named_progress",
@@ -30,7 +30,16 @@ __all__ = [
 ]
 
 
-# ---- What several commands show on a terminal: progress over pictures, and plain tables.
+# ---- Exit statuses of all commands; 0 is all well.
+
+EXIT_BAD_INPUT = 2  # bad input or usage, or something needed is missing
+EXIT_PARTLY = (
+    3  # done, but not all of it: pictures failed, runs skipped, kernels with a gap, a rehearsal not passed
+)
+EXIT_STOPPED = 130  # by the keyboard; as shells say it: 128 and the number of SIGINT
+
+
+# ---- Consoles, progress and tables.
 
 
 def error_console() -> Console:
@@ -65,18 +74,12 @@ def plain_table(
     return table
 
 
-# ---- Tables of the ``opnav kernels`` commands.
-
-
 def folding_table(columns: Sequence[str], title: str | None = None) -> Table:
     """Return an empty table in the house style: no lines; words fold, times and numbers do not."""
     table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for name in columns:
         table.add_column(name, overflow="fold", no_wrap=name.endswith("(UTC)") or name == "cover")
     return table
-
-
-# ---- What ``opnav calibrate`` prints and writes: progress, a table of parameters, reports as plain values.
 
 
 @contextmanager
@@ -92,13 +95,3 @@ def named_progress(console: Console, total: int) -> Iterator[Callable[[str, str]
             begun[0] += 1
 
         yield say
-
-
-# ---- ``opnav process``: pictures in, pointing and observables out.
-
-EXIT_SOME_FAILED = 3
-
-
-# ---- The ``opnav`` program: its commands, and how errors reach a person (one line, no traceback).
-
-EXIT_BAD_INPUT = 2

@@ -22,8 +22,8 @@ WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 SINGLE = ("demo", "process", "lab", "nightly", "export", "simulate", "plan", "doctor")
 GROUPS = ("ort", "campaign", "kernels", "catalog", "calibrate")
 # What no help over all commands needs, and what a command must not load before it draws or shows.
-NAVIGATION = ("numpy", "scipy", "astropy", "spiceypy", "pydantic", "yaml")
-DRAWING = ("matplotlib.figure", "bokeh", "ipywidgets", "skimage", "papermill", "jinja2")
+NAVIGATION = ("numpy", "scipy", "skimage", "astropy", "spiceypy", "pydantic", "yaml")
+DRAWING = ("matplotlib.figure", "bokeh", "ipywidgets", "papermill", "jinja2")
 
 
 def _invoke(*arguments: object):

@@ -13,7 +13,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from opnav_workbench.cli.kernels import EXIT_GAP, kernels_app
+from opnav_workbench.cli.kernels import kernels_app
+from opnav_workbench.cli.terminal import EXIT_PARTLY
 from opnav_workbench.errors import KernelError, MissionError
 from opnav_workbench.kernels import KernelSet, check_kernels, known_names, packaged_leap_seconds
 from opnav_workbench.report.kernel_coverage import coverage_figure
@@ -77,7 +78,7 @@ def test_check_of_a_time_that_is_served(made):
 
 def test_check_of_a_gap_names_it_and_exits_3(made):
     answer = _run("check", made / "pluto_opnav.tm", "--time", "2015-04-12T00:00:00", *SEES)
-    assert answer.exit_code == EXIT_GAP
+    assert answer.exit_code == EXIT_PARTLY
     assert re.search(r"CK\s+NH_SPACECRAFT.*no\b", answer.output)
     assert re.search(r"missing CK of NH_SPACECRAFT: ends at 2015-04-\S+ UTC; load a CK", answer.output)
     assert "All eight kinds" not in answer.output
@@ -86,7 +87,7 @@ def test_check_of_a_gap_names_it_and_exits_3(made):
 def test_check_of_a_missing_kind_exits_3(made):
     files = [p for p in sorted(made.glob("*")) if p.suffix not in (".tm", ".ti") and "actual" not in p.stem]
     answer = _run("check", *files)
-    assert answer.exit_code == EXIT_GAP
+    assert answer.exit_code == EXIT_PARTLY
     assert re.search(r"^IK\s+missing", answer.output, re.MULTILINE)
     assert "missing IK: none; add the instrument kernel" in answer.output
 
@@ -157,7 +158,7 @@ def test_check_of_flight_kernels_with_a_gap(data_dir):
     )
     assert _run("check", *files, "--time", "3/0295610463:00000", *asked).exit_code == 0
     gap = _run("check", *files, "--time", "2015-06-03T02:00:00", *asked)
-    assert gap.exit_code == EXIT_GAP
+    assert gap.exit_code == EXIT_PARTLY
     assert re.search(r"missing CK of NH_SPACECRAFT: gap from 2015-06-02T23:40:36\.546 UTC", gap.output)
 
 
