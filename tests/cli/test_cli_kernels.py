@@ -131,7 +131,7 @@ def test_a_gap_too_short_for_the_picture_is_drawn_all_the_same(made):
         c for c in axes.collections if len(c.get_facecolor()) and c.get_facecolor()[0].tolist() == [1.0] * 4
     ]
     drawn = [path.get_extents() for collection in white for path in collection.get_paths()]
-    start, stop = found.axis_et()
+    start, stop = found.plot_span_et()
     assert [box.x0 for box in drawn] == pytest.approx([begin + 3600.0])
     assert drawn[0].width >= 0.001 * (stop - start)
 
