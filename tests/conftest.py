@@ -160,16 +160,23 @@ def demo_truths(made_once: Callable[..., Any]) -> "tuple[Truth, Truth]":
     return made_once("demo", make)
 
 
+@pytest.fixture(scope="session")
+def known_backgrounds() -> dict[Any, Any]:
+    return {}
+
+
 @pytest.fixture(scope="module")
-def backgrounds_once() -> Iterator[None]:
-    """The background of a picture that many tests of a file open is estimated once: that is most of opening it."""
+def backgrounds_once(known_backgrounds: dict[Any, Any]) -> Iterator[None]:
+    """The background of a picture that many tests open is estimated once: that is most of the work of opening it."""
     from opnav_workbench.session import context
 
-    estimate, known = context.sky_and_bodies, {}
+    estimate, known = context.sky_and_bodies, known_backgrounds
 
     def once(*pixels: np.ndarray, **sizes: float) -> Any:
         key = (*(blake2b(np.ascontiguousarray(p)).digest() for p in pixels), pixels[0].shape, *sizes.items())
         if key not in known:
+            if len(known) == 8:  # some 20 MB each
+                del known[next(iter(known))]
             known[key] = estimate(*pixels, **sizes)
         return known[key]
 
