@@ -205,7 +205,7 @@ def _table_of_rows(columns: NpzColumns, rows: IntArray) -> StarTable:
             both,
             motion,
             unstated_motion_sigma_mas_yr(both),
-            np.isfinite(motion).all(axis=1),
+            np.asarray(np.isfinite(motion).all(axis=1)),
             column["parallax_mas"],
             unstated_parallax_sigma_mas(position),
         ),

@@ -237,7 +237,7 @@ def stars_from_rows(rows: Columns, layout: VizierTable) -> StarTable:
             np.nan_to_num(_pair(kept, layout.position_sigma), nan=100.0),
             motion,
             np.where(np.isfinite(motion_sigma), motion_sigma, UNKNOWN_MOTION_MAS_YR),
-            np.isfinite(motion).all(axis=1),
+            np.asarray(np.isfinite(motion).all(axis=1)),
             parallax,
             parallax_sigma,
         ),
