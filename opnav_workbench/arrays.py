@@ -22,9 +22,9 @@ def readonly(
     ----------
     values : array_like
         Anything numpy turns into float64.
-    shape : tuple of int or None, optional
+    shape
         Required shape; None stands for any length along that axis.
-    name : str
+    name
         Used in the error message.
 
     Raises

@@ -337,22 +337,22 @@ def download(
 
     Parameters
     ----------
-    url : str
+    url
         http or https.
-    path : Path
+    path
         The file; its folder is made if it is not there. An older file of that name is replaced only once the
         new one is whole and right. For names that come from outside use `opnav_workbench.files.inside`.
-    size, sha256 : optional
+    size, sha256
         What the file must have; checked as far as given.
     progress : callable, optional
         Called with the bytes that are there and those in all (None: the server does not say).
-    timeout_s : float
+    timeout_s
         Longest wait for an answer or for the next bytes, s.
-    retries : int
+    retries
         Further attempts after a cut, a silence or a passing failure of the server.
-    opener : Opener, optional
+    opener
         Another way to open requests.
-    check : callable, optional
+    check
         Looks at the whole file before it gets its name, and raises if it is not right.
 
     Raises

@@ -13,9 +13,9 @@ def names_on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], A
 
     Parameters
     ----------
-    package : str
+    package
         Its ``__name__``.
-    homes : mapping of str to str
+    homes
         Module of each name, relative to the package.
 
     Examples

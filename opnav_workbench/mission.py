@@ -57,12 +57,10 @@ class TargetSurface(StrictModel):
 
     Attributes
     ----------
-    law : mapping or None
+    law
         Scattering law by name, with its parameters: ``{law: lunar_lambert, lunar_weight: 0.5}``.
-    albedo_map : AlbedoMapFile or None
-    shape : Path or None
+    shape
         Shape model (OBJ, cmod or DSK); one of the loaded kernels comes first.
-    shape_unit : {"km", "m"}
     """
 
     law: dict[str, Any] | None = None
@@ -103,7 +101,6 @@ class CameraChoice:
 
     Attributes
     ----------
-    file : Path
     match : mapping of str to value or tuple of values
         Every keyword must have the value, or one of the values.
     """
@@ -118,26 +115,23 @@ class Mission:
 
     Attributes
     ----------
-    name : str
-    path : Path
+    path
         The file it was read from.
     spacecraft_name, spacecraft_id
         As SPICE knows them.
-    clock_id : int
+    clock_id
         Spacecraft clock, SPICE.
-    bus_frame : str
+    bus_frame
         SPICE frame of the spacecraft bus, the one that its CKs orient.
-    reference_body : str
+    reference_body
         Body to which the spacecraft position of the observables' partials refers.
-    default_targets : tuple of str
-    target_photometry : mapping of str to Photometry
+    target_photometry
         Brightness of targets by name.
-    target_surfaces : mapping of str to Surface
+    target_surfaces
         How they scatter light, by name, and their albedo map and shape.
-    target_stars : Path or None
+    target_stars
         List of stars that can be targets.
-    cameras : tuple of CameraChoice
-    keywords : mapping
+    keywords
         Which header keywords hold what: the arguments of `opnav_workbench.image.KeywordMap`.
     """
 
@@ -200,7 +194,7 @@ class Mission:
 
         Parameters
         ----------
-        header : mapping
+        header
             Keywords of the picture's header.
 
         Raises

@@ -31,17 +31,16 @@ def in_processes(
 
     Parameters
     ----------
-    items : sequence
-    processes : int
+    processes
         At most so many.
-    opening : callable
+    opening
         Gives the context manager that every process enters once, for all its items. As `work`, it must be a function
         of a module, or a `functools.partial` of one, for the other processes to know it.
-    work : callable
+    work
         From what the process has opened and an item to the item's result.
-    done : callable
+    done
         Called in this process with each result as soon as it stands, in any order.
-    here : optional
+    here
         What this process has opened already, in place of `opening` where it does the work itself.
 
     Returns

@@ -60,11 +60,11 @@ def ready_file(source: str | PathLike[str], folder: str, what: str, failure: typ
     Parameters
     ----------
     source : str or path
-    folder : str
+    folder
         Where the ready files of this kind stand (`ready_names`).
-    what : str
+    what
         Their kind, for the message.
-    failure : type
+    failure
         The error to raise.
 
     Raises

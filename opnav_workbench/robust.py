@@ -17,11 +17,11 @@ def moment_excess(surplus: Callable[[float], float], tolerance: float, upper: fl
 
     Parameters
     ----------
-    surplus : callable
+    surplus
         Chi-squared minus its expectation as a function of the sigma added; falls, finally below zero.
-    tolerance : float
+    tolerance
         Of the result, in its unit.
-    upper : float
+    upper
         Where to look for the end of the search; doubled until the surplus is gone.
 
     Returns

@@ -75,11 +75,11 @@ def read_model(path: str | PathLike[str], model: type[Model], what: str, failure
     Parameters
     ----------
     path : path-like
-    model : type
+    model
         The schema.
-    what : str
+    what
         What kind of file this is, for the message, such as "camera file".
-    failure : type
+    failure
         The error to raise.
 
     Raises

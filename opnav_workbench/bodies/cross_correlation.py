@@ -49,11 +49,9 @@ def find_cross_correlation(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
-    circle : Circle, optional
+    circle
         Where an analyst sees the body.
-    search_radius_px : float, optional
+    search_radius_px
         How far from its prediction (or circle) the body may be; see `find_jointly`.
 
     Returns

@@ -86,14 +86,12 @@ class ExpectedBody:
 
     Attributes
     ----------
-    name : str
     center_px : (2,) array
-    radius_px : float
+    radius_px
         Of the circle that holds its predicted outline.
-    search_px : float
-    range_scale : float
+    range_scale
         Range over the a priori one that gives it the size of an analyst's circle; 1 without circle.
-    circle_ratio : float
+    circle_ratio
         An analyst's radius over the predicted one; nan without.
     """
 
@@ -114,11 +112,9 @@ class DetectedBody:
 
     Attributes
     ----------
-    expectation : ExpectedBody
-    place : CorrelationPeak
-    size_ratio : float
+    size_ratio
         Size of its image over the expected one, as far as the search tells: 1 unless another fits much better.
-    sized_place : CorrelationPeak
+    sized_place
         Its place with that size.
     """
 
@@ -259,8 +255,7 @@ class DetectedScene:
 
     Attributes
     ----------
-    found : mapping of str to DetectedBody
-    missed : mapping of str to BodyCenter
+    missed
         Those without a center, and why.
     overlapping : mapping of str to (2,) array
         Bodies that were not asked for and touch one that was found, at their likely places.

@@ -57,22 +57,19 @@ class FitEvidence:
 
     Attributes
     ----------
-    found : DetectedBody
     center_px : (2,) array
     covariance_px2 : (2, 2) array
-    snr : float
-    occulted : float
+    occulted
         Share of its light that others hide.
     light_dn : (n_line, n_pixel) array
         Its light in the window, at the solution.
-    flux_dn : float
+    flux_dn
         All of its light, on and off the window.
     use, saturated, hits : (n_line, n_pixel) arrays of bool
-    explained : float
+    explained
         Share, 0..1, of the data's variation under the body.
-    size_ratio : float
+    size_ratio
         Size of its image over the model's, where that was checked; nan where not.
-    converged : bool
     """
 
     found: DetectedBody

@@ -42,13 +42,11 @@ def find_jointly(
 
     Parameters
     ----------
-    picture : BodyPicture
-    names : sequence of str
-    circles : mapping of str to Circle, optional
+    circles
         Where an analyst sees the bodies.
-    solve_range : bool
+    solve_range
         Solve for the range of each from the size of its image.
-    search_radius_px : float, optional
+    search_radius_px
         How far from their predictions (or circles) the bodies may be; by default 1.2 radii, at least 12 px, of an
         analyst's circle half its radius.
 
@@ -135,13 +133,11 @@ def find_least_squares(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
-    circle : Circle, optional
+    circle
         Where an analyst sees the body.
-    solve_range : bool
+    solve_range
         Solve for its range from the size of its image.
-    search_radius_px : float, optional
+    search_radius_px
         How far from its prediction (or circle) the body may be; see `find_jointly`.
 
     Returns

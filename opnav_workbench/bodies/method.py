@@ -16,11 +16,11 @@ def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surfac
 
     Parameters
     ----------
-    diameter_px : float
+    diameter_px
         0 or nan for a point.
-    phase_rad : float
+    phase_rad
         Sun - body - spacecraft; nan where unknown.
-    known_surface : bool
+    known_surface
         Whether the model has the body's albedo map: its whole disk then counts, not its limb alone.
 
     Returns

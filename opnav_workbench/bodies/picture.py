@@ -49,7 +49,6 @@ class Circle:
     ----------
     center_px : (2,) array
         (pixel, line); it may lie off the detector.
-    radius_px : float
 
     Raises
     ------
@@ -96,20 +95,18 @@ class BodyPicture:
         Noise of each pixel without the bodies' own shot noise, which `noise_model` adds.
     bad, saturated : (n_line, n_pixel) arrays of bool
         Pixels to leave out.
-    camera : Camera
     camera_from_j2000 : (3, 3) array
         The attitude, solved or a priori.
     observer_velocity_km_s : (3,) array
         With respect to the solar-system barycenter, J2000.
-    models : tuple of BodyModel
+    models
         Every body of the scene at its a priori state; they hide and shade each other.
-    psf : Psf
-    sunlight_e : float or None
+    sunlight_e
         Electrons of the Sun at 1 au as a point, see `opnav_workbench.render.render_bodies`; None where the camera's
         response is not known, and brightnesses are then relative.
-    noise_model : NoiseModel or None
+    noise_model
         Its gain turns light into shot noise.
-    excess_sigma_px : float
+    excess_sigma_px
         Centering error of the frame's stars beyond their covariances; a body suffers it too.
 
     Raises
@@ -224,11 +221,9 @@ def displaced_model(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
     center_px : (2,) array_like
         (pixel, line).
-    range_scale : float
+    range_scale
         Range over that of the a priori model.
 
     Raises
@@ -289,12 +284,11 @@ def model_picture(
 
     Parameters
     ----------
-    picture : BodyPicture
     window : (int, int, int, int)
         First pixel, first line, pixels, lines.
     places_px : mapping of str to (2,) array_like
         Centers of figure (pixel, line) of bodies; the others stand where they are predicted.
-    range_scale : float or mapping of str to float
+    range_scale
         Range over the a priori one, of the bodies in `places_px`.
     only : collection of str, optional
         Leave out all other bodies.
@@ -353,29 +347,26 @@ def picture_from_circle(
     Parameters
     ----------
     image_dn : (n_line, n_pixel) array_like
-    camera : Camera
-    circle : Circle
+    circle
         Around the body: where its center is, and how large it looks.
     radii_km : (3,) array_like
         Semi-axes along body x, y, z; not needed with `shape`.
-    shape : ShapeModel, optional
-    phase_rad : float
+    phase_rad
         Angle Sun - body - camera.
-    sun_angle_rad : float
+    sun_angle_rad
         Direction toward the Sun in the picture, from +pixel toward +line.
-    range_km : float, optional
+    range_km
         Camera to body center; None: from the circle's radius and the mean radius.
-    north_angle_rad : float
+    north_angle_rad
         Direction of the body's north pole in the picture, from +pixel toward +line (-pi/2: up).
     sub_observer_rad : (float, float)
         Longitude (east) and latitude of the camera as seen from the body.
-    law : ScatteringLaw, optional
+    law
         Half Lambert, half Lommel-Seeliger unless given.
-    name : str
     bad, saturated : (n_line, n_pixel) array_like of bool
     background_dn : (n_line, n_pixel) array_like, optional
         None: estimated beside the body.
-    psf : Psf, optional
+    psf
         None: the camera's.
 
     Returns

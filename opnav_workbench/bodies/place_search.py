@@ -36,13 +36,13 @@ class CorrelationPeak:
     ----------
     center_px : (2,) array
         nan where there are no usable pixels.
-    snr : float
+    snr
         Of its brightness.
-    scale : float
+    scale
         Its brightness, data over model.
-    explained : float
+    explained
         Share, 0..1, of what is under the body that the model explains, noise taken out.
-    usable : float
+    usable
         Share of the body's light (squared) on usable pixels, at the best place.
     """
 
@@ -76,14 +76,11 @@ def search_place(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
     center_px : (2,) array
         Expected center of figure.
-    radius_px : float
+    radius_px
         Of the circle that holds its outline.
-    search_px : float
-    range_scale : float
+    range_scale
         Range over the a priori one.
     subtract_dn : (n_line, n_pixel) array, optional
         Light of other bodies, of the size of the detector.

@@ -49,13 +49,13 @@ class ResidualPattern:
 
     Attributes
     ----------
-    relative_sigma : float
+    relative_sigma
         Contrast over the model's light; 0 where the residuals are those of the noise.
-    length_px : float
+    length_px
         Length of its exponential correlation.
     covariance : (q, q) array
         Of the q quantities that the gain is of.
-    chi2_reduced : float
+    chi2_reduced
         Over the pixels that show the body's surface.
     """
 

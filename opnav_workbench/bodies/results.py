@@ -77,35 +77,32 @@ class BodyCenter:
 
     Attributes
     ----------
-    name, method : str
-    status : str
+    status
         One of `BODY_STATUSES`.
     pixel_line : (2,) array or None
         Center of figure (pixel, line); None where nothing was measured.
     covariance_px2 : (2, 2) array
         Of the center alone, pointing not included: noise, and what the residuals say beyond it; nan without a
         center.
-    flux_dn, snr : float
+    flux_dn, snr
         Total flux and its signal-to-noise ratio; nan without a center.
-    diameter_px : float
+    diameter_px
         Measured diameter; nan where the method gives none.
-    messages : tuple of str
+    messages
         What the analyst must know, and why a status is not ``ok``.
-    flags : int
+    flags
         Sum of `BodyFlag`.
     noise_covariance_px2 : (2, 2) array or None
         From the noise of the pixels alone.
-    chi2_reduced : float
+    chi2_reduced
         Weighted square of the residuals per degree of freedom.
-    diameter_sigma_px : float
-    brightness_scale, brightness_scale_sigma : float
+    brightness_scale, brightness_scale_sigma
         Data over model.
-    background_dn, background_sigma_dn : float
+    background_dn, background_sigma_dn
         What was left under the body.
-    range_km, range_sigma_km : float
+    range_km, range_sigma_km
         Where the size was solved for.
-    pictures : BodyResiduals or None
-    detail : object or None
+    detail
         The method's own arrays.
     """
 
@@ -152,7 +149,6 @@ class JointCenters:
 
     Attributes
     ----------
-    centers : tuple of BodyCenter
     covariance_px2 : (2 n, 2 n) array
         In the order of the centers: pixel 0, line 0, pixel 1, ...; nan for a body without a center.
     """
@@ -348,11 +344,11 @@ class LimbScans:
         ``used``, ``not_chosen`` or ``rejected``.
     reason : (n,) array of str
         Why.
-    roughness : float
+    roughness
         Relative scatter of the albedo across the limb that the data speak for.
     iterations : tuple of (float, float)
         Steps of the center (pixel, line).
-    summary : tuple of str
+    summary
         How the set of scans was chosen.
     """
 
@@ -399,13 +395,13 @@ class FreeEllipse:
 
     Attributes
     ----------
-    ellipse, model : Ellipse
+    ellipse, model
         Through the points, and the model's limb; px, distortion removed (pinhole camera of the same focal length).
     axes : (2, 2) array
         Rows: unit vectors (pixel, line) along the model's major and minor axis.
     ratio, ratio_sigma : (2,) arrays
         Radius of the free ellipse over the model's along these axes.
-    residual_rms_px : float
+    residual_rms_px
         Of the points used.
     """
 
@@ -444,19 +440,19 @@ class LimbEllipse:
         Why not used, in plain words; empty for used ones.
     outline_px : (m, 2) array
         The model's limb at the solution, all around.
-    rms_px : float
+    rms_px
         Of the residuals used.
-    rough_px : float
+    rough_px
         Standard deviation of the limb about its model beyond the noise.
-    rough_arc_px : float
+    rough_arc_px
         Length along the limb over which it is correlated.
-    lit_arc_rad : float
+    lit_arc_rad
         Angle about the center that the points used cover.
     covariance : (3, 3) array
         Of center pixel, line (px) and logarithm of the range; zeros where the range was not solved for.
-    km_per_px : float
+    km_per_px
         At the body's center.
-    free : FreeEllipse or None
+    free
         None where the points do not determine one, and for shape models.
     iterations : tuple of (float, float)
         Steps of the center, px.
@@ -512,7 +508,6 @@ class ModelFit:
 
     Attributes
     ----------
-    parameters : tuple of str
     values : (p,) array
     covariance : (p, p) array
         From the noise of the pixels.
@@ -522,7 +517,7 @@ class ModelFit:
         Data minus model in units of the noise; 0 where a pixel was not used.
     hits : (n_line, n_pixel) array of bool
         Left out as cosmic rays or stars.
-    pattern_sigma, pattern_length_px : float
+    pattern_sigma, pattern_length_px
         Contrast and correlation length of what the model lacks on the body; 0 where nothing.
     """
 

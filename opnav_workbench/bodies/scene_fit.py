@@ -44,13 +44,11 @@ class SceneState:
 
     Attributes
     ----------
-    names : tuple of str
     centers_px : (n, 2) array
     log_range : (n,) array
         Logarithm of range over the a priori one.
     scales : (n,) array
         Brightness, data over model.
-    level_dn : float
     """
 
     names: tuple[str, ...]
@@ -246,9 +244,9 @@ class SceneFit:
 
     Attributes
     ----------
-    state : SceneState
+    state
         The solution.
-    light : SceneLight
+    light
         Rendered at the last step but one; the last step is below `CONVERGED_PX`.
     model_dn : (n_line, n_pixel) array
         All bodies at the solution, without the level.
@@ -261,8 +259,7 @@ class SceneFit:
     hits : (n_line, n_pixel) array of bool
         Pixels left out because their light is not that of a body.
     steps_px : tuple of (n, 2) arrays
-    converged : bool
-    chi2 : float
+    chi2
         Weighted square of the residuals.
     own_gain : (2 n, n_line, n_pixel) array or None
         Change of the centers per DN in each pixel, of another estimator than least squares.
@@ -324,13 +321,11 @@ def fit_scene(
 
     Parameters
     ----------
-    picture : BodyPicture
-    cutout : Cutout
-    start : SceneState
+    start
         Centers good to about the width of the PSF; its scales and level do not matter.
     solve_range : (n,) array of bool, optional
         Bodies whose range is solved for from their size.
-    reject_hits : bool
+    reject_hits
         Leave out pixels whose light is not that of the bodies (see `find_hit_pixels`), and fit again.
     """
     wanted = np.zeros(len(start.names), dtype=bool) if solve_range is None else np.asarray(solve_range, bool)

@@ -80,11 +80,6 @@ class Outline:
 class Silhouette:
     """The outlines of one body of a picture, wherever it is placed.
 
-    Parameters
-    ----------
-    picture : BodyPicture
-    name : str
-
     Raises
     ------
     CenterfindingError

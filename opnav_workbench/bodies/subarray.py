@@ -36,9 +36,9 @@ class SubArray:
         First pixel, first line, pixels, lines; it lies on the detector, and has no pixels where the body does not.
     center_px : (2,) array
         Expected center.
-    radius_px : float
+    radius_px
         Expected radius: of an analyst's circle, else of the circle that holds the predicted outline.
-    clipped : bool
+    clipped
         Whether the detector's edge cuts the expected body.
     """
 
@@ -78,11 +78,9 @@ def choose_subarray(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
-    circle : Circle, optional
+    circle
         An analyst's; None: predicted center and size.
-    margin : float, optional
+    margin
         Pixels around the expected outline; None: the PSF's reach and a rim of background.
     """
     prediction = picture.prediction(name)
@@ -118,7 +116,7 @@ class Cutout:
     noise_dn : (n_line, n_pixel) array
         Without the bodies' own shot noise.
     use, saturated : (n_line, n_pixel) arrays of bool
-    gain_e_per_dn : float
+    gain_e_per_dn
         Infinite where the shot noise is not known.
     """
 

@@ -214,28 +214,27 @@ def find_unresolved(
         Picture, its expected noise without the body's own shot noise, and the pixels to leave out.
     prediction_px : (2,) array_like
         Predicted center of figure (pixel, line); nan for a body behind the camera.
-    prior : ShapePrior
+    prior
         The frame's PSF.
-    name : str
-    search_radius_px : float
+    search_radius_px
         How far the body may be from its prediction.
     saturated : (n_line, n_pixel) array_like of bool, optional
-    noise_model : NoiseModel, optional
+    noise_model
         Adds the body's own shot noise to the weights.
-    psf_error : float
+    psf_error
         Relative error of the PSF model as the frame's stars tell it (`StarCenters.psf_error`).
-    excess_sigma_px : float
+    excess_sigma_px
         Centering error of the frame's stars beyond their covariances (`PointingSolution.excess_sigma_px`);
         the body suffers it too.
-    diameter_px : float
+    diameter_px
         Predicted diameter, which widens the PSF.
     light_offset_px, light_offset_covariance_px2 : (2,), (2, 2) array_like
         Center of light minus center of figure.
     neighbours_px : (k, 2) array_like
         Places of other stars and bodies.
-    final : {"least_squares", "matched_filter", "cross_correlation"}
+    final
         What gives the center, once the matched filter has found the body.
-    predicted_flux_dn : float, optional
+    predicted_flux_dn
         A body that is much brighter or fainter than this is doubted: it may be a star.
 
     Returns
@@ -391,17 +390,15 @@ def find_unresolved_body(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
-    circle : Circle, optional
+    circle
         Where an analyst sees it.
-    search_radius_px : float, optional
+    search_radius_px
         How far from there it may be; by default that of the full-disk methods.
-    prior : ShapePrior, optional
+    prior
         The frame's PSF; by default that of the picture.
     psf_error, neighbours_px, final
         As in `find_unresolved`; other bodies of the scene are neighbours anyway.
-    law_sigma : float
+    law_sigma
         How well the surface's scattering law is known: 0, as the model has it; 1, no better than that it lies between
         Lambert's and Lommel and Seeliger's. Its effect on the light's place enters the covariance.
 

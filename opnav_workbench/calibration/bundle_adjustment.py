@@ -35,7 +35,7 @@ class StarFrames:
 
     Attributes
     ----------
-    names : tuple of str
+    names
         The frames, m.
     frame : (n,) array of int
         Which frame a star is on.

@@ -32,10 +32,10 @@ def write_camera_file(source: Path, target: Path, edits: Mapping[FieldPath, Edit
 
     Parameters
     ----------
-    source, target : Path
+    source, target
         They may be the same file.
     edits : mapping of field (names from the outside in) to Edit
-    heading : str
+    heading
         A comment that goes to the top.
 
     Raises
@@ -59,7 +59,6 @@ def camera_edits(result: CameraCalibration, distortion: str = "keep") -> dict[Fi
 
     Parameters
     ----------
-    result : CameraCalibration
     distortion : {"keep", "none", "owen", "brown"}
         Another model replaces the one of the file with all its terms.
     """

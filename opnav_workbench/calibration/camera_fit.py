@@ -51,9 +51,9 @@ class CameraCalibration:
 
     Attributes
     ----------
-    camera : Camera
+    camera
         With the solved values; mounting angles turn its ``focal_from_camera``.
-    names : tuple of str
+    names
         The q parameters; values in the unit of their name.
     initial, values : (q,) arrays
         Before and after; mounting angles start from 0.
@@ -69,12 +69,11 @@ class CameraCalibration:
         Stars that were not rejected as outliers.
     residual_before_px, residual_after_px : (n, 2) arrays
         Observed minus computed, every frame's attitude fitted, with the old and with the new camera.
-    excess_sigma_px : float
+    excess_sigma_px
         Centering error beyond the given covariances that the remaining scatter asks for.
-    chi2_reduced : float
+    chi2_reduced
         Per degree of freedom, with the given covariances.
-    iterations : int
-    messages : tuple of str
+    messages
         What is not determined, and what else the analyst should know.
     """
 
@@ -171,18 +170,13 @@ def calibrate_camera(
 
     Parameters
     ----------
-    stars : StarFrames
-    camera : Camera
+    camera
         The starting values, and everything that is not solved.
-    names : sequence of str
+    names
         Parameters to solve for (see `opnav_workbench.calibration.parameters`); none fits the attitudes only.
     a_priori_covariance_rad2 : (3, 3) array_like, optional
         Covariance of each frame's a priori attitude, without what all have in common (rotation vector about the camera
         frame's axes); by default the camera's ``attitude_sigma``. It counts only with mounting angles.
-
-    Returns
-    -------
-    CameraCalibration
 
     Raises
     ------

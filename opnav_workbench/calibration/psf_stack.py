@@ -40,14 +40,13 @@ class PsfFrame:
 
     Attributes
     ----------
-    name : str
     signal_dn, noise_dn : (n_line, n_pixel) arrays
         Picture without background, and its 1-sigma noise without the stars' own.
     bad : (n_line, n_pixel) array of bool
         Pixels to leave out, also saturated ones.
     pixel_line : (n, 2) array
         First centers, good to a pixel.
-    noise_model : NoiseModel or None
+    noise_model
         For the stars' shot noise.
     """
 
@@ -110,19 +109,16 @@ class PsfCalibration:
 
     Attributes
     ----------
-    psf : EmpiricalPsf
-    n_stars : int
-    smoothness : float
+    smoothness
         Weight of the cells' second differences that explained other stars best.
     gaussian_chi2, empirical_chi2 : (n_stars,) arrays
         Reduced chi-squared of the stars' images, fitted with their mean Gaussian and with the new PSF.
-    held_out_chi2 : float
+    held_out_chi2
         Median of the latter for stars that were left out of the stack.
-    moved_px : float
+    moved_px
         Root mean square shift between Gaussian and empirical centers, per coordinate.
     used_frames : (m,) array of bool
         False for frames whose stars have another shape.
-    messages : tuple of str
     """
 
     psf: EmpiricalPsf
@@ -164,12 +160,11 @@ def stack_psf(
 
     Parameters
     ----------
-    frames : sequence of PsfFrame
-    prior : ShapePrior
+    prior
         The PSF as it is known, for the first centers.
-    oversampling : int, optional
+    oversampling
         Cells a pixel; by default four to the width at half maximum, or as many as the stars can fill.
-    half_size_px : float, optional
+    half_size_px
         Half the side of the template.
 
     Raises

@@ -120,11 +120,11 @@ class OwenDistortion(DirectDistortion):
 
     Parameters
     ----------
-    e1_per_mm, e3_per_mm3 : float
+    e1_per_mm, e3_per_mm3
         Pinwheel terms.
-    e2_per_mm2, e4_per_mm4 : float
+    e2_per_mm2, e4_per_mm4
         Radial terms.
-    e5_per_mm, e6_per_mm : float
+    e5_per_mm, e6_per_mm
         Detector tilt about the x and the y axis. LORRI is calibrated with e2, e5 and e6 alone.
 
     References
@@ -180,13 +180,13 @@ class BrownDistortion(DirectDistortion):
 
     Parameters
     ----------
-    focal_mm : float
+    focal_mm
         Focal length, mm.
-    k1, k2, k3, k4, k5, k6 : float
+    k1, k2, k3, k4, k5, k6
         Radial: (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
-    p1, p2 : float
+    p1, p2
         Tangential.
-    s1, s2, s3, s4 : float
+    s1, s2, s3, s4
         Thin prism: s1 r^2 + s2 r^4 along pixel, s3 r^2 + s4 r^4 along line.
 
     References

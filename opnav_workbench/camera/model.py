@@ -43,24 +43,23 @@ class Camera(CameraResponse):
     ----------
     name, psf, gain_e_per_dn, zero_point_mag ...
         What it makes of light: see `opnav_workbench.camera.response.CameraResponse`.
-    frame : str
+    frame
         The instrument's SPICE frame, in which directions are given.
-    instrument_id : int
+    instrument_id
         NAIF id of the instrument.
-    n_pixel, n_line : int
+    n_pixel, n_line
         Detector size, horizontal and vertical.
-    focal_length_mm : float
     center_pixel_line : (2,) array
         Where the boresight falls, px (0-based, integer = pixel center).
     pixel_from_mm : (2, 2) array
         [[Kx, Kxy], [Kyx, Ky]], px/mm.
     focal_from_camera : (3, 3) array
         Rows: increasing pixel, increasing line, boresight; unit vectors in the camera's SPICE frame.
-    distortion : Distortion
+    distortion
         Acts on mm, between gnomonic projection and `pixel_from_mm`.
-    attitude_sigma : AttitudeSigma
+    attitude_sigma
         One-sigma errors of the a priori attitude.
-    source : str
+    source
         Where the values come from.
 
     Raises
@@ -149,9 +148,9 @@ class Camera(CameraResponse):
 
         Parameters
         ----------
-        values : mapping of str to sequence
+        values
             Pool variables, with or without the ``INS<id>_`` prefix.
-        instrument_id : int
+        instrument_id
             NAIF id, such as -98301.
         **overrides
             Fields of `Camera` that replace, or add to, what the kernel gives; `pixel_direction` and

@@ -21,9 +21,9 @@ class PsfPrior:
 
     Attributes
     ----------
-    sigma_px : float
+    sigma_px
         Gaussian sigma, px.
-    sigma_sigma_px : float
+    sigma_sigma_px
         One-sigma uncertainty of `sigma_px`, px.
     """
 
@@ -40,9 +40,9 @@ class AttitudeSigma:
 
     Attributes
     ----------
-    cross_px : float
+    cross_px
         Across the boresight, per axis, px.
-    twist_deg : float
+    twist_deg
         About the boresight, deg.
     """
 

@@ -45,43 +45,42 @@ class CameraResponse:
 
     Attributes
     ----------
-    name : str
+    name
         Camera and mode, such as ``LORRI 4x4``.
-    psf : PsfPrior
+    psf
         Width of the point spread function before pixel integration, as it is known beforehand.
-    psf_shape : Psf or None
+    psf_shape
         The point spread function of simulated pictures, where more than its width is known.
-    bits : int or None
+    bits
         Bits of the analog-digital converter.
-    gain_e_per_dn, read_noise_dn : float or None
+    gain_e_per_dn, read_noise_dn
         Electrons per data number, and read noise in data numbers.
-    saturation_dn : float or None
+    saturation_dn
         Level (after bias subtraction) from which a pixel counts as saturated.
-    bias_dn : float or None
+    bias_dn
         Level of a raw picture without light.
-    full_well_e : float or None
+    full_well_e
         Electrons that a pixel holds.
-    dark_current_e_s : float or None
+    dark_current_e_s
         Mean dark current of a pixel, e/s.
-    frame_transfer_s : float or None
+    frame_transfer_s
         Time in which the picture is shifted under the mask, lit all the while; None for a camera with a shutter.
-    prnu : float or None
+    prnu
         Pixel-to-pixel scatter of the sensitivity (what a flat field corrects), 1 sigma.
-    hot_pixel_fraction, dead_pixel_fraction : float or None
-    exposure_limits : ExposureLimits or None
+    exposure_limits
         Shortest and longest exposure, s.
-    aperture_m : float or None
+    aperture_m
         Diameter of the entrance pupil.
-    obscuration : float
+    obscuration
         Share of the pupil's area that is obscured, where the response does not count it already.
-    bandpass : Bandpass or None
+    bandpass
         Electrons per photon that enters the aperture.
-    color_response : ColorResponse or None
+    color_response
         Measured; None: that of the band pass.
-    zero_point_mag : float or None
+    zero_point_mag
         V magnitude of a star that gives 1 DN/s; computed from `bandpass`, `aperture_m` and `gain_e_per_dn` where
         these are known and it is not given.
-    zero_point_b_v : float
+    zero_point_b_v
         B - V of the stars for which that holds; a computed zero point holds for Vega's, 0.
     """
 
@@ -169,7 +168,6 @@ class CameraResponse:
         mag : (...) array_like
             Magnitudes in the camera's band (`opnav_workbench.photometry.instrument_magnitude` with `color`), or V
             for sources of the color `zero_point_b_v`. An unknown one (nan) gives nan.
-        exposure_s : float
 
         Raises
         ------

@@ -32,9 +32,9 @@ def attention_reasons(
 
     Parameters
     ----------
-    status : str
+    status
         Of the picture: ok, partial or failed.
-    messages : iterable of str
+    messages
         Of the picture.
     bodies : iterable of (name, status)
 
@@ -68,12 +68,11 @@ class QueuedImage:
 
     Attributes
     ----------
-    image : str
+    image
         The picture file.
-    folder : str
+    folder
         Folder of its run, relative to the queue's.
     status : {"partial", "failed"}
-    reasons : tuple of str
     """
 
     image: str
@@ -88,10 +87,9 @@ class AnalystQueue:
 
     Attributes
     ----------
-    images : tuple of QueuedImage
-    mission, kernels, catalog : str
+    mission, kernels, catalog
         As the run had them; empty where unknown.
-    targets : tuple of str
+    targets
         Bodies that the run looked for; empty: the mission's own.
     """
 

@@ -78,16 +78,14 @@ class ImageEntry:
 
     Attributes
     ----------
-    image, utc : str
-    et : float or None
+    et
         TDB seconds past J2000; None for a picture that could not be read.
     status : {"ok", "partial", "failed"}
-    folder : Path
+    folder
         Its run; `ImageSession.resume` opens it where `resumable`.
-    path : Path or None
+    path
         The picture file, as the run knew it.
-    mission : str
-    attention : tuple of str
+    attention
         Why an analyst should look; empty: need not.
     """
 
@@ -116,9 +114,9 @@ class Campaign:
 
     Parameters
     ----------
-    path : path
+    path
         The file; a folder means ``campaign.sqlite`` in it.
-    create : bool
+    create
         Make a new archive where there is none.
 
     Raises
@@ -170,7 +168,7 @@ class Campaign:
         Parameters
         ----------
         runs : path, or many
-        say : callable
+        say
             Called with what became of each folder.
 
         Raises
@@ -300,8 +298,6 @@ def export_observables(
 
     Parameters
     ----------
-    campaign : Campaign
-    path : path
     format_name : {"ecsv", "csv", "json", "tdm"}, optional
         By default the ending of `path`. ECSV holds every column that the runs' own files have.
     filters

@@ -24,15 +24,15 @@ class Completeness:
 
     Attributes
     ----------
-    mag : array
+    mag
         Middle of the bin.
     stars, detected : array of int
-    share, low, high : array
+    share, low, high
         Detected share and its one-sigma interval (Jeffreys); nan in an empty bin.
-    half_mag, half_mag_sigma : float
+    half_mag, half_mag_sigma
         Magnitude at which half of the stars are found, from a logistic curve through all stars; nan where the stars
         do not tell (all found, or none).
-    width_mag : float
+    width_mag
         Scale of that curve: 73 % are found one width brighter, 27 % one width fainter.
     """
 
@@ -62,7 +62,6 @@ def completeness(mag: ArrayLike, detected: ArrayLike, bin_mag: float = BIN_MAG) 
     mag : (n,) array_like
         Stars without a magnitude (nan) are left out.
     detected : (n,) array_like of bool
-    bin_mag : float
 
     Raises
     ------

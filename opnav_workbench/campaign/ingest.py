@@ -28,12 +28,11 @@ class Ingested:
 
     Attributes
     ----------
-    folder : Path
-    image : str
+    image
         Empty where the folder could not be read.
     result : {"new", "unchanged", "replaced", "older", "skipped"}
         "older": a later run of the same picture stands already; this one is kept as history.
-    reason : str
+    reason
         Why it was skipped.
     """
 

@@ -34,14 +34,14 @@ class Screened:
 
     Attributes
     ----------
-    level : array
+    level
         The robust line, or level of a short series.
-    deviation : array
+    deviation
         Distance of each point from what the others predict for it, over the error of that difference; nan for a point that
         is not known.
-    scatter : float
+    scatter
         Robust standard deviation about `level`, in the unit of the values or, with sigmas, in sigmas; at least 1 there.
-    threshold : float
+    threshold
         Of `deviation`.
     outlier : array of bool
     """
@@ -91,7 +91,7 @@ def screen(
         In any order and unit; nan values are no outliers.
     sigmas : (n,) array_like, optional
         Of the values. Then a deviation counts in these, and a scatter below them is not believed.
-    false_alarm : float
+    false_alarm
         Probability that a series of nothing but noise shows an outlier.
 
     Examples

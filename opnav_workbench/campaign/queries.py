@@ -32,9 +32,8 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
 
     Parameters
     ----------
-    connection : Connection
     what : {"images", "pointings", "stars", "bodies"}
-    filters : mapping
+    filters
         ``status, body, method, image, star, mission, camera``: equal to that, in any case; several with commas.
         ``since, until``: UTC, ISO, as exact as need be.
 

@@ -40,12 +40,10 @@ class Column:
 
     Attributes
     ----------
-    name : str
     kind : {"text", "number", "whole", "flag", "json"}
-    unit : str
+    unit
         As astropy reads it; empty for none.
-    description : str
-    source : tuple
+    source
         Keys and indices that lead to the value in ``result.json``; empty: the column's own name.
     """
 

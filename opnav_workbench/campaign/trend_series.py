@@ -24,13 +24,11 @@ class Series:
 
     Attributes
     ----------
-    name, unit : str
-    image : tuple of str
-    et : array
+    et
         TDB seconds past J2000.
-    value, sigma : array
+    value, sigma
         `sigma` is nan where it is not known.
-    screened : Screened
+    screened
         Level and outliers.
     """
 
@@ -61,11 +59,10 @@ class Trends:
     Attributes
     ----------
     bodies : mapping of "BODY, method" to (pixel, line) Series
-    pointing : tuple of Series
+    pointing
         Pixel, line, twist.
-    residual : Series
+    residual
         Root mean square star residual of each picture.
-    detections : Completeness
     """
 
     bodies: dict[str, tuple[Series, Series]]
@@ -88,7 +85,6 @@ def trends(campaign: Campaign, **filters: str | None) -> Trends:
 
     Parameters
     ----------
-    campaign : Campaign
     filters
         As of `Campaign.bodies`; those that tell bodies apart do not choose among pictures.
     """

@@ -161,7 +161,7 @@ def open_astrometry_net(argument: str) -> IndexedCatalog:
 
     Parameters
     ----------
-    argument : str
+    argument
         A glob pattern of index files, then optionally ``?epoch=JYEAR`` for positions of another epoch
         than the files say: ``/usr/share/astrometry/index-tycho2-07.*.fits?epoch=2000``.
 

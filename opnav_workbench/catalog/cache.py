@@ -95,11 +95,11 @@ class RecordStore:
         Sorted by `keys`.
     keys : (n,) ndarray
         Their `sort_keys`.
-    bands : sequence of str
+    bands
         What the column ``band`` counts in.
-    names : callable
+    names
         Turns records (k,) into their names (k,).
-    limits : mapping
+    limits
         ``brightest_mag`` and ``faintest_mag``.
     """
 
@@ -196,11 +196,11 @@ def cached_stars(path: Path, identity: Mapping[str, Any], build: Callable[[], Re
 
     Parameters
     ----------
-    path : Path
+    path
         The file; see `cache_path`.
-    identity : mapping
+    identity
         JSON values that change when the content would.
-    build : callable
+    build
         Returns the records in any order.
     """
     wanted = {"layout": LAYOUT, **identity}

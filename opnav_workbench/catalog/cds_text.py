@@ -61,11 +61,11 @@ def read_rows(path: Path, characters: int, remedy: str) -> Iterator[tuple[TextRo
 
     Parameters
     ----------
-    path : Path
+    path
         The file.
-    characters : int
+    characters
         Length of a row without its line end, which is LF or CRLF (told from the first row).
-    remedy : str
+    remedy
         What to do about a bad file, for the error message.
 
     Raises

@@ -248,7 +248,7 @@ class CombinedCatalog(Catalog):
 
     Parameters
     ----------
-    parts : sequence of Catalog
+    parts
         The first gives names, magnitudes and bands.
     """
 

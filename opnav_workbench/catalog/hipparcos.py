@@ -156,7 +156,7 @@ def open_hip2(argument: str, progress: Progress | None = None) -> StoredCatalog:
 
     Parameters
     ----------
-    argument : str
+    argument
         The file, or the folder that holds it; ``~`` stands for the home folder.
     progress : callable, optional
         Told the fraction done while the cache file is built.

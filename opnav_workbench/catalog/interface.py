@@ -66,7 +66,7 @@ class Catalog(ABC):
 
     Attributes
     ----------
-    name : str
+    name
         The spec that opens this catalog.
     """
 
@@ -97,18 +97,18 @@ class Catalog(ABC):
 
         Parameters
         ----------
-        ra_rad, dec_rad : float
+        ra_rad, dec_rad
             Center of the cone, J2000; any right ascension, declination within +-pi/2.
-        radius_rad : float
+        radius_rad
             0 to pi; a star at exactly this great-circle distance belongs to the cone.
-        mag_limit : float
+        mag_limit
             Faintest magnitude, itself included, in the catalog's own band.
-        et_s : float, optional
+        et_s
             Epoch, TDB seconds past J2000, at which the stars' places, moved to it as seen from the solar
             system's barycenter, are compared with the cone. None: the catalog positions are. The returned
             columns are the catalog's at its own epoch in either case. A star's parallax at the observer is
             not part of this test: leave a margin for it.
-        exclude_flags : StarQuality
+        exclude_flags
             Leave out stars with any of these flags.
 
         Returns

@@ -56,7 +56,7 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
 
     Parameters
     ----------
-    spec : str
+    spec
         ``bundled`` (490,000 stars to magnitude 10, comes with pip); the original distributions of Tycho-2, UCAC2,
         UCAC4 and Hipparcos-2 in a folder: ``tycho2:DIR``, ``ucac2:DIR``, ``ucac4:DIR``, ``hip2:DIR`` (or the file);
         ``npz:FILE`` (see `catalog.user_files` for its arrays); ``astrometry-net:GLOB`` (index files, optionally with

@@ -173,7 +173,7 @@ class ArrayStore:
     ----------
     ra_rad, dec_rad, mag : (n,) ndarray
         Position (rad, J2000, at each star's epoch) and magnitude of every star.
-    build : callable
+    build
         Turns row numbers (k,) into the StarTable of these rows, in their order.
     flags : (n,) ndarray of int, optional
         `StarQuality` flags; none: nothing is known against any star.
@@ -248,13 +248,13 @@ class StoredCatalog(Catalog):
 
     Parameters
     ----------
-    name : str
+    name
         The spec that opens this catalog.
-    facts : mapping
+    facts
         What `describe` reports beside the number of stars and the magnitude limits.
-    store : StarStore
+    store
         Where the stars are.
-    motion : MotionBound
+    motion
         Bounds the motion of every star, so that a search at another epoch misses none.
     """
 

@@ -68,7 +68,7 @@ def open_tycho2(argument: str, progress: Progress | None = None) -> StoredCatalo
 
     Parameters
     ----------
-    argument : str
+    argument
         The folder; ``~`` stands for the home folder.
     progress : callable, optional
         Told the fraction done while the cache file is built, which takes about 20 s for the whole catalog.

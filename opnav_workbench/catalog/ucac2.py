@@ -49,7 +49,7 @@ def open_ucac2(argument: str) -> StoredCatalog:
 
     Parameters
     ----------
-    argument : str
+    argument
         The folder of the files z001 to z288, or the one that holds ``u2``; ``~`` stands for the home folder. Zones may
         be missing as long as none of them is asked for. North of the last zone (dec +54) there are no stars.
 

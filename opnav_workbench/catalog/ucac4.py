@@ -66,7 +66,7 @@ def open_ucac4(argument: str) -> StoredCatalog:
 
     Parameters
     ----------
-    argument : str
+    argument
         The folder that holds ``u4b`` (and ``u4i``), or ``u4b`` itself; ``~`` stands for the home folder. Zones may be
         missing as long as none of them is asked for.
 

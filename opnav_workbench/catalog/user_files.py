@@ -74,7 +74,7 @@ def open_npz(path: str | Path) -> IndexedCatalog:
 
     Parameters
     ----------
-    path : path
+    path
         The file; ``~`` stands for the home folder.
 
     Raises

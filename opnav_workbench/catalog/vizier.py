@@ -114,7 +114,7 @@ class VizierCatalog(Catalog):
 
     Parameters
     ----------
-    kind : str
+    kind
         A name of `vizier_tables.TABLES`.
     ask : callable
         Asks the service.

@@ -48,17 +48,15 @@ class VizierTable:
 
     Attributes
     ----------
-    table : str
+    table
         VizieR's name.
     position, position_sigma, motion, motion_sigma : (str, str)
         RA and Dec.
-    parallax, parallax_sigma, rv, hip : str or None
-    mag, band : str
+    mag, band
         Column of the magnitude, and what band it is.
-    epoch_jyear : float
-    extra : tuple of str
+    extra
         Further columns, for the functions below.
-    name, johnson, flags : callable
+    name, johnson, flags
         From the columns to names, V and B-V, `StarQuality`.
     """
 

@@ -84,11 +84,11 @@ class ZoneStore:
 
     Parameters
     ----------
-    folder : Path
+    folder
         Where the files stand, for messages.
-    files : mapping
+    files
         Zone number to file.
-    layout : ZoneLayout
+    layout
         The catalog's own.
     expected : (n_zones,) ndarray of int, optional
         How many records each zone has by the catalog's index file.

@@ -44,13 +44,13 @@ class LabServer:
 
     Parameters
     ----------
-    notebook : Path
+    notebook
         What it opens; its folder is all that the server shows.
-    port : int
+    port
         0 takes a free one.
-    options : sequence of str
+    options
         More options of JupyterLab.
-    environment : mapping of str to str
+    environment
         More environment variables.
 
     Raises

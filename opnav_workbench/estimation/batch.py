@@ -109,17 +109,15 @@ class Residual:
 
     Attributes
     ----------
-    image, body, kind : str
+    image, body, kind
         `kind` is "center" or "range".
-    et : float
     before, after : (2,) or (1,) array
         Observed minus computed, px or km.
     covariance : (2, 2) or (1, 1) array
         Of the measurement, pointing included, px^2 or km^2.
-    sigmas : float
+    sigmas
         Size of what remains over its predicted scatter: of a center the sigma of equal probability.
-    used : bool
-    reason : str
+    reason
         Why it was not used.
     """
 
@@ -144,8 +142,7 @@ class Estimate:
 
     Attributes
     ----------
-    groups : tuple of ParameterGroup
-    epoch_et : float
+    epoch_et
         Time of the corrected states, TDB seconds past J2000.
     correction : (n,) array
         True minus ephemeris, km, km/s or dimensionless; J2000. A range scale is measured over true range, minus one.
@@ -153,19 +150,16 @@ class Estimate:
         Its covariance, by the measurements' own (a priori included).
     a_priori_rows : (k, n) array
         A priori knowledge, whitened.
-    residuals : tuple of Residual
+    residuals
         Of every observable with a center, in their order; ranges last.
-    left_out : tuple of str
+    left_out
         Observables without a usable center, with their status.
-    chi2_before, chi2_after : float
+    chi2_before, chi2_after
         Of the used measurements; after with the a priori's share.
-    degrees_of_freedom : int
     iterations : tuple of (n,) arrays
         Corrections after each pass.
-    converged : bool
-    directions : tuple of ParameterDirection
+    directions
         What the measurements alone determine, best first.
-    messages : tuple of str
     """
 
     groups: tuple[ParameterGroup, ...]
@@ -228,7 +222,7 @@ class Estimate:
 
         Parameters
         ----------
-        body : str
+        body
             An observed body; empty for the system as a whole.
         """
         matrix = np.zeros((6, len(self.correction)))
@@ -287,22 +281,22 @@ def estimate(
 
     Parameters
     ----------
-    observables : sequence of Observable
+    observables
         Of any bodies and pictures; one method a body and picture.
-    parameters : sequence of str
+    parameters
         Of ``target_position, target_velocity, spacecraft_position, spacecraft_velocity, range_scale``; with
         ``:BODY`` (``target_position:CHARON``) of one body only, else of all observed bodies together, as a barycenter
         moves them. Pictures see the spacecraft relative to the target: positions of both need a priori sigmas.
-    epoch_et : float, optional
+    epoch_et
         Of the corrected states; default the last observable.
     a_priori : mapping or (n, n) array, optional
         By parameter name a sigma (km, km/s, share), three sigmas, or a (3, 3) covariance; or the covariance of all. The a
         priori correction is zero.
     target_transition, spacecraft_transition : callable
         ``(epoch_et, et) -> (6, 6)``: `straight_line`, `kepler`, or your own program's.
-    statuses : sequence of str
+    statuses
         Observables of other statuses are left out.
-    reject_sigmas : float
+    reject_sigmas
         A center or range that remains farther off than this is an outlier; inf for none.
 
     Raises

@@ -59,12 +59,11 @@ class BPlane:
         Axes, J2000.
     b_km : (3,) array
         Body to asymptote, J2000.
-    v_infinity_km_s : float
-    closest_km : float
+    closest_km
         Distance of closest approach (periapsis).
-    closest_s, linearized_s : float
+    closest_s, linearized_s
         Times of closest approach and of crossing the B-plane along the asymptote, after the state's epoch.
-    eccentricity : float
+    eccentricity
         inf for a straight line.
     """
 
@@ -108,7 +107,7 @@ def b_plane(
     ----------
     position_km, velocity_km_s : (3,) array_like
         Spacecraft relative to the body, J2000, geometric, at one epoch.
-    gm_km3_s2 : float
+    gm_km3_s2
         Of the body; zero for a straight line.
     pole : {"ecliptic", "j2000"} or (3,) array_like
         Reference pole, J2000.
@@ -235,8 +234,7 @@ class ErrorEllipse:
 
     Attributes
     ----------
-    semi_major_km, semi_minor_km : float
-    angle_rad : float
+    angle_rad
         Of the major axis, from T toward R, 0 to pi.
     """
 
@@ -251,7 +249,7 @@ class BPlaneSolution:
 
     Attributes
     ----------
-    a_priori, corrected : BPlane
+    a_priori, corrected
         Of the trajectory before and after the correction.
     values_before, values_after : (3,) arrays
         B.T, B.R (km) and linearised time of flight (s after the epoch), both with the axes of `a_priori`.
@@ -311,12 +309,11 @@ def map_to_b_plane(
 
     Parameters
     ----------
-    estimate : Estimate
     position_km, velocity_km_s : (3,) array_like
         A priori spacecraft relative to the body at the estimate's epoch, J2000, geometric.
     gm_km3_s2, pole
         As in `b_plane`.
-    body : str
+    body
         The body that the state is relative to, where the estimate corrects bodies one by one; empty for the system.
 
     Raises

@@ -32,10 +32,8 @@ class ParameterDirection:
     ----------
     vector : (n,) array
         Physical units; one sigma of the direction is `sigma` times this.
-    sigma : float
+    sigma
         By the measurements alone; inf where they do not determine it.
-    determined : bool
-    words : str
     """
 
     vector: FloatArray
@@ -76,7 +74,6 @@ def directions_of(
     ----------
     whitened : (k, n) array
         d(computed / sigma)/d(parameters).
-    groups : sequence of ParameterGroup
     scales : (n,) array
         As `scales_of`.
     line_of_sight : (3,) array

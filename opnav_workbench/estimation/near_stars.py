@@ -70,7 +70,7 @@ def star_positions(
 
     Parameters
     ----------
-    stars : StarTable
+    stars
         m stars with parallaxes.
     et : float or (m,) array_like
         When they are seen, TDB seconds past J2000.
@@ -183,11 +183,10 @@ def nearest_stars(
 
     Parameters
     ----------
-    extra : StarTable, optional
+    extra
         Stars to add, such as those of a mission's star list; they take the place of the catalog's where it has them too.
         The bundled catalog has its parallaxes from Hipparcos, which lacks stars fainter than magnitude 12.
-    count : int
-    catalog : str
+    catalog
         Catalog spec.
 
     Raises
@@ -240,21 +239,21 @@ def best_pairs(
 
     Parameters
     ----------
-    stars : StarTable
+    stars
         Stars with parallaxes: see `nearest_stars`.
-    et : float
+    et
         TDB seconds past J2000.
     position_km : (3,) array_like
         Spacecraft from the solar-system barycenter, J2000, roughly.
-    error_arcsec : float
+    error_arcsec
         Error of one measured direction, 1 sigma an axis.
-    mag_limit : float
+    mag_limit
         Faintest magnitude, in the stars' own band, that the camera sees.
-    min_elongation_deg : float
+    min_elongation_deg
         Least angle from the Sun that the camera bears.
-    landmarks_only : bool
+    landmarks_only
         Leave out stars with a companion or poor astrometry by the catalog's flags.
-    count : int
+    count
         Rows, best first.
 
     Returns

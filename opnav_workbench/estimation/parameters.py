@@ -31,11 +31,11 @@ class ParameterGroup:
 
     Attributes
     ----------
-    kind : str
+    kind
         One of `KINDS`.
-    body : str
+    body
         The one body that it moves; empty for all (a barycenter with everything about it).
-    start, size : int
+    start, size
         Its place among the parameters.
     """
 
@@ -111,7 +111,6 @@ def prior_rows(groups: Sequence[ParameterGroup], a_priori: APriori | None) -> Fl
 
     Parameters
     ----------
-    groups : sequence of ParameterGroup
     a_priori : mapping or (n, n) array, optional
         By group a sigma, three sigmas or a (3, 3) covariance; or the covariance of all parameters. What is not given is
         not known at all.

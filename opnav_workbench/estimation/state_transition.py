@@ -28,9 +28,9 @@ def propagate_two_body(state: ArrayLike, gm_km3_s2: float, time_s: float) -> Flo
     ----------
     state : (6,) array_like
         Position and velocity relative to the center.
-    gm_km3_s2 : float
+    gm_km3_s2
         Of the center; zero for a straight line.
-    time_s : float
+    time_s
         Negative for earlier.
 
     Raises
@@ -76,7 +76,7 @@ def straight_line(epoch_et: float, et: float) -> FloatArray:
 
     Parameters
     ----------
-    epoch_et, et : float
+    epoch_et, et
         TDB seconds past J2000.
 
     Examples
@@ -96,7 +96,7 @@ def kepler(state: ArrayLike, gm_km3_s2: float) -> Transition:
     ----------
     state : (6,) array_like
         Reference position (km) and velocity (km/s) at the epoch, relative to the central body, J2000.
-    gm_km3_s2 : float
+    gm_km3_s2
         Of the central body.
 
     Examples

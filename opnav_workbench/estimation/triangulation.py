@@ -261,9 +261,9 @@ class Triangulation:
         Measured minus computed direction toward east and north.
     residual_covariance_rad2 : (2 n, 2 n) array
         Of the errors that the fix was weighted with: directions, and places of the stars.
-    chi2 : float
+    chi2
         Residuals squared, weighted with that covariance.
-    degrees_of_freedom : int
+    degrees_of_freedom
         2 n - 3.
     distance_km : (n,) array
         To the stars.
@@ -272,7 +272,6 @@ class Triangulation:
         geometry alone does to an error.
     start_km : (3,) array
         Closed-form position that the iteration started from.
-    iterations : int
     """
 
     position_km: FloatArray
@@ -335,10 +334,6 @@ def triangulate(
         Left out: m = n, each direction its own star.
     displacement_km : (n, 3) array_like, optional
         Where the spacecraft was at each measurement, minus where it was at the epoch of the fix.
-
-    Returns
-    -------
-    Triangulation
 
     Raises
     ------

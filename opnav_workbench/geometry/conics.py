@@ -119,7 +119,7 @@ def terminator_points(
         As in `limb_cone`.
     sun_position_km : (3,) array_like
         Body center to Sun (a point), camera frame.
-    n : int
+    n
         Number of points; they run along the arc from limb to limb, both ends included.
 
     Returns
@@ -208,9 +208,9 @@ def sphere_center_offset(off_axis_rad: float, angular_radius_rad: float) -> floa
 
     Parameters
     ----------
-    off_axis_rad : float
+    off_axis_rad
         Angle from the boresight to the sphere's center.
-    angular_radius_rad : float
+    angular_radius_rad
         Angular radius, arcsin(radius / distance).
 
     Raises

@@ -49,7 +49,7 @@ def jacobian_by_differences(
 
     Parameters
     ----------
-    function : callable
+    function
         Takes (n,), returns (m,).
     point, steps : (n,) array_like
         Where, and the longest step of each component, in its unit.

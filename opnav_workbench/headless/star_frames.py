@@ -28,7 +28,6 @@ class SolvedFrames:
 
     Attributes
     ----------
-    sessions : tuple of ImageSession
     failed : tuple of (str, str)
         File name and reason.
     """
@@ -47,12 +46,11 @@ def solve_frames(
 
     Parameters
     ----------
-    images : sequence of Path
-    policy : Policy
+    policy
         Targets are not searched.
     say : callable
         Called with a picture's name and a few words.
-    least_stars : int
+    least_stars
         A picture with fewer identified stars counts as failed.
 
     Raises

@@ -54,7 +54,7 @@ class Mesh:
     ----------
     line_start, pixel_start : (k,) int arrays
         First line and pixel of each row and column of tiles.
-    tile_line, tile_pixel : int
+    tile_line, tile_pixel
         Height and width of every tile; neighbours may overlap by a pixel so that all are equal.
     shape : (n_line, n_pixel)
     """
@@ -316,12 +316,8 @@ def estimate_background(
         Picture; non-finite pixels are masked by themselves.
     bad : (n_line, n_pixel) array_like of bool, optional
         Pixels to leave out.
-    box_px : int
+    box_px
         Side of a tile; smaller pictures get smaller tiles, so that about eight fit across.
-
-    Returns
-    -------
-    Background
 
     Raises
     ------
@@ -427,10 +423,9 @@ def pixel_noise(
 
     Parameters
     ----------
-    background : Background
-    read_noise_dn, gain_e_per_dn : float or None
+    read_noise_dn, gain_e_per_dn
         Of the camera; None or nan where they are unknown, and that part of the model is left out.
-    bias_dn : float
+    bias_dn
         Electronic offset still contained in the level, which has no shot noise.
     signal_dn : (n_line, n_pixel) array_like, optional
         Model of stars and bodies above the level. Not the picture itself: its noise would steer the weights.

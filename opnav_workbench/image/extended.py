@@ -42,7 +42,7 @@ def sky_and_bodies(
     ----------
     image_dn : (n_line, n_pixel) array
     bad, saturated : (n_line, n_pixel) arrays of bool
-    radius_px, psf_sigma_px : float
+    radius_px, psf_sigma_px
         As in `extended_light`.
 
     Raises
@@ -114,9 +114,8 @@ def extended_light(
         Picture less its background, and the background's noise.
     bad, saturated : (n_line, n_pixel) array_like of bool
         A bad pixel within a body counts to it; a saturated one is light.
-    radius_px : float
+    radius_px
         Radius of the smallest circle, all light, that is no star.
-    psf_sigma_px : float
 
     Examples
     --------

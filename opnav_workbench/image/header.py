@@ -104,7 +104,7 @@ class HeaderGeometry:
         Attitude, so that ``v_camera = camera_from_j2000 @ v_j2000``.
     spacecraft_from_sun_km, spacecraft_velocity_km_s : (3,) array or None
         Spacecraft with respect to the Sun, J2000.
-    quality : str
+    quality
         What the header says of its own geometry ("PREDICT", "RECONSTRUCTED"), or "".
     """
 
@@ -136,35 +136,35 @@ class KeywordMap:
 
     Attributes
     ----------
-    exposure_s : str
+    exposure_s
         Exposure time; times `exposure_scale` it is in seconds.
-    et, utc, sclk : str
+    et, utc, sclk
         Time of the picture: TDB seconds past J2000, UTC text, spacecraft clock.
-    time_reference : {"middle", "start"}
+    time_reference
         What `et` and `utc` refer to; a start time is shifted by half the exposure.
     quaternion : sequence of 4 str
         SPICE order, scalar first; its sense is `quaternion_sense`.
     sun_position, sun_velocity : sequence of 3 str
         Sun with respect to the spacecraft, km and km/s, J2000.
-    target, instrument, geometry_quality : str
+    target, instrument, geometry_quality
         Text about the picture.
-    bits : str
+    bits
         Bits of the digitizer: the highest value that they can hold is saturated.
-    image_extension, error_extension, quality_extension : str or int
+    image_extension, error_extension, quality_extension
         FITS extensions by name or index; the image is the first two-dimensional one unless named.
-    quality_table : str
+    quality_table
         Name of a table in `opnav_workbench.image.masks.QUALITY_TABLES`.
-    expansion_keyword : str
+    expansion_keyword
         Says how values were squeezed on board; `expansion` has the table of what it may say.
-    expansion : mapping of str to sequence of float
+    expansion
         DN by stored value.
-    dark_columns : mapping of int to int
+    dark_columns
         Width of a raw frame to the number of dark columns at its right end, which are cut off.
-    housekeeping_pixels : int
+    housekeeping_pixels
         Pixels at the start of line 0 that carry telemetry instead of sky.
     required : mapping of str to value or values
         Keywords that tell this mission's frames from others.
-    missing_values : sequence of float
+    missing_values
         Numbers that mean "no value".
 
     Raises

@@ -78,7 +78,6 @@ def read_quality(quality: ArrayLike, table: QualityTable) -> tuple[BoolArray, Bo
     Parameters
     ----------
     quality : (n_line, n_pixel) array_like of whole numbers
-    table : QualityTable
 
     Returns
     -------

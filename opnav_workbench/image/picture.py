@@ -45,8 +45,7 @@ class Picture:
 
     Attributes
     ----------
-    path : Path
-    sha256 : str
+    sha256
         Of the file that holds the pixels.
     image_dn : (n_line, n_pixel) array
         Native float64; 0 in pixels without a value, which are `bad` too.
@@ -55,17 +54,15 @@ class Picture:
         which knows what this picture's sky really scatters by.
     bad, saturated : (n_line, n_pixel) bool arrays
         Pixels not to use, and pixels whose value is only a lower bound. A saturated pixel need not be bad.
-    header : Header
-    exposure_s : float
+    exposure_s
         nan where no keyword for it is known.
-    et : float or None
+    et
         Mid-exposure, TDB seconds past J2000.
-    utc : str or None
+    utc
         Mid-exposure, ISO calendar.
-    sclk : str or None
+    sclk
         Spacecraft clock as the header has it, never shifted to mid-exposure.
-    header_geometry : HeaderGeometry or None
-    messages : tuple of str
+    messages
         What a navigator should know about the file: masked pixels, departures from the standard, doubts.
     """
 
@@ -249,14 +246,10 @@ def read_image(
     ----------
     path : path-like
         Image file, or its detached PDS3 label.
-    keywords : KeywordMap
+    keywords
         Which header keywords hold time, exposure and pointing.
-    saturation_dn : float, optional
+    saturation_dn
         Pixels at or above this value count as saturated.
-
-    Returns
-    -------
-    Picture
 
     Raises
     ------

@@ -18,7 +18,7 @@ def picture_files(images: Iterable[str | Path]) -> tuple[Path, ...]:
 
     Parameters
     ----------
-    images : iterable of str or path
+    images
         Files; folders (the pictures in them, sorted); patterns with ``* ? [`` (``**`` goes through folders).
 
     Raises

@@ -413,9 +413,9 @@ def spice_call(request: SpiceRequest | str, *, needs_kernels: bool = False) -> I
 
     Parameters
     ----------
-    request : SpiceRequest or str
+    request
         What is asked; it begins the message. With time, bodies and frame the message says what covers them.
-    needs_kernels : bool
+    needs_kernels
         Refuse while no `KernelSet` is open.
 
     Raises

@@ -26,9 +26,9 @@ def camera_attitude(frame: str, et: float) -> FloatArray:
 
     Parameters
     ----------
-    frame : str
+    frame
         The camera's own SPICE frame, or any other.
-    et : float
+    et
         TDB s past J2000.
 
     Raises
@@ -103,7 +103,7 @@ def instrument_values(instrument_id: int) -> Mapping[str, tuple[float, ...] | tu
 
     Parameters
     ----------
-    instrument_id : int
+    instrument_id
         NAIF number, such as -98301.
 
     Raises

@@ -57,11 +57,10 @@ class CoverageRow:
 
     Attributes
     ----------
-    kind : str
+    kind
         "target SPK", "spacecraft SPK" or "CK".
-    body : int
+    body
         NAIF number of the body or structure.
-    name : str
     windows_et : (k, 2) array
         Of all files together, TDB s past J2000.
     gaps_et : (m, 2) array
@@ -70,7 +69,7 @@ class CoverageRow:
         Where two or more files know it: the one loaded last wins.
     files : tuple of (Path, (k, 2) array)
         In loading order, each with its own windows.
-    needed : bool
+    needed
         Whether the question was about it.
     """
 
@@ -341,15 +340,15 @@ class KernelCheck:
 
     Attributes
     ----------
-    kernels : tuple of KernelFile
+    kernels
         In loading order.
-    kinds : tuple of KindCheck
+    kinds
         The eight kinds.
-    rows : tuple of CoverageRow
+    rows
         Trajectories, then attitudes.
-    et : float or None
+    et
         The time asked for.
-    problems : tuple of str
+    problems
         What is missing, each with its remedy; empty if nothing is.
     """
 
@@ -390,13 +389,13 @@ def check_kernels(
     ----------
     source : str, path or sequence of them
         As for `KernelSet`.
-    time : str or float, optional
+    time
         UTC, a reading of the spacecraft clock (``3/0299171897:33600``), or TDB s past J2000.
-    spacecraft : int, optional
+    spacecraft
         Its NAIF number; by default every spacecraft of the SPKs.
-    targets : sequence of str or int
+    targets
         Bodies that must be seen from the spacecraft; by default all bodies of the SPKs must have a position.
-    frame : str, optional
+    frame
         The camera's frame: only the attitudes that orient it must be there; by default those of all CKs.
 
     Raises

@@ -70,16 +70,15 @@ class BriefRow:
     ----------
     number, name
         Of body (SPK, DSK), structure (CK) or frame class (PCK).
-    relative_to : str
+    relative_to
         Center (SPK), reference frame (CK, PCK) or body-fixed frame (DSK).
-    frame : str
+    frame
         Of an SPK's states; empty elsewhere.
-    data_type : int
+    data_type
         Of the segments, such as 13.
-    n_segments : int
     spans : tuple of (str, str)
         Disjoint stretches, UTC; a CK's in clock ticks while its clock is not at hand. A DSK has none.
-    note : str
+    note
         Angular rates of a CK; size and surface of a DSK.
     """
 
@@ -108,16 +107,15 @@ class KernelBrief:
 
     Attributes
     ----------
-    file : KernelFile
-    size : int
+    size
         Bytes.
-    comments : tuple of str
+    comments
         First lines of its comment area, or of the text above the data; blank ones left out.
-    rows : tuple of BriefRow
+    rows
         Of a binary kernel.
-    variables : tuple of BriefVariable
+    variables
         Of a text kernel.
-    listed : tuple of Path
+    listed
         Files that a metakernel lists.
     """
 
@@ -135,7 +133,7 @@ def brief(path: str | PathLike[str], extra: Sequence[str | PathLike[str]] = ()) 
     Parameters
     ----------
     path : path-like
-    extra : sequence
+    extra
         Kernels that help to read it: the SCLK of a CK, the FK that names its frames. Leap seconds are at hand.
 
     Raises

@@ -51,12 +51,11 @@ def write_dsk(
         In `frame`, from the body's center.
     plates : (m, 3) array_like of int
         Rows of `vertices_km`, 0-based, counterclockwise from outside.
-    body_id : int
+    body_id
         NAIF id of the body, such as 2101955.
-    frame : str
+    frame
         Body-fixed frame centered on the body, such as IAU_BENNU.
-    surface_id : int
-    comment : str
+    comment
         Goes into the file's comment area: where the numbers come from.
 
     Raises

@@ -66,11 +66,11 @@ def fetch_kernels(
     ----------
     name_or_path : str or path
         A mission of `manifest_missions`, or a manifest file.
-    folder : Path, optional
+    folder
         Where they go; by default the user's cache, where "mission/flight" names them.
     kinds : tuple of str
         Only these of `KERNEL_KINDS`.
-    progress : callable, optional
+    progress
         Called with a kernel when its download begins; what it returns is told the bytes.
     **settings
         For `opnav_workbench.downloads.download`, such as ``timeout_s`` and ``retries``.

@@ -78,9 +78,9 @@ def read_segments(path: Path, kind: str) -> tuple[DafSegment, ...]:
 
     Parameters
     ----------
-    path : Path
+    path
         A file whose first word says DAF.
-    kind : str
+    kind
         "SPK", "CK" or "PCK".
 
     Raises

@@ -56,9 +56,9 @@ def scenario_metakernel(name: str, scenario: Path) -> Path:
 
     Parameters
     ----------
-    name : str
+    name
         "mission/name"; begins the folder's name.
-    scenario : Path
+    scenario
         YAML file that `make_kernels` understands.
 
     Raises
@@ -216,7 +216,7 @@ class KernelSet(LoadedKernels):
         and kept in the cache folder), a metakernel, kernel files, or a folder: all its kernels in the order
         LSK, SCLK, PCK, FK, IK, SPK, CK, by name within a kind. Relative paths inside a metakernel count
         from the working folder, or else from the metakernel's own.
-    extra : sequence
+    extra
         More of the same, loaded after `source`, so that they take precedence.
 
     Raises

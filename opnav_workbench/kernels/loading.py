@@ -210,7 +210,7 @@ class LoadedKernels:
 
     Parameters
     ----------
-    files : sequence of KernelFile
+    files
         In loading order, as `kernel_files` returns them.
     """
 
@@ -350,11 +350,11 @@ class LoadedKernels:
 
         Parameters
         ----------
-        target, observer : str or int
+        target, observer
             Names or NAIF numbers.
-        et : float
+        et
             TDB s past J2000.
-        correction : str
+        correction
             With light time ("LT", "CN", "CN+S") the target must be known one light time earlier, too, and
             both relative to the solar system barycenter.
 

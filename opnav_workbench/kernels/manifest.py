@@ -66,15 +66,14 @@ class ManifestKernel(StrictModel):
     ----------
     kind : str
         One of `KERNEL_KINDS`.
-    file : str
+    file
         Its name within the folder of fetched kernels, with ``/``.
-    url : str
+    url
         Where the archive keeps it.
-    size : int or None
+    size
         Bytes; None: not known.
-    sha256 : str or None
+    sha256
         Hexadecimal; None: not known, and the first download is trusted.
-    purpose : str
     """
 
     kind: KernelKind

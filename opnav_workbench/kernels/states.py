@@ -57,11 +57,11 @@ def state(
 
     Parameters
     ----------
-    target, observer : str or int
+    target, observer
         Names or NAIF numbers.
-    et : float
+    et
         Time at the observer, TDB s past J2000.
-    frame : str
+    frame
         Frame of the result.
     correction : {"NONE", "LT", "CN", "LT+S", "CN+S"}
         Light time (LT one iteration, CN converged) and stellar aberration (S), for light received at `et`.
@@ -211,9 +211,9 @@ class SurfacePoint:
 
     Attributes
     ----------
-    lon_deg : float
+    lon_deg
         Planetocentric, toward east, 0 to 360.
-    lat_deg : float
+    lat_deg
         Planetocentric.
     position_km : (3,) array
         From the body's center, in its own frame.
@@ -234,9 +234,9 @@ def sub_observer_point(
 
     Parameters
     ----------
-    body, observer : str or int
+    body, observer
         Names or NAIF numbers.
-    et : float
+    et
         Time at the observer, TDB s past J2000.
     correction : {"NONE", "LT", "CN", "LT+S", "CN+S"}
 

@@ -42,10 +42,10 @@ def write_text_kernel(
         An older file of that name is replaced once the new one is whole.
     kind : {"FK", "IK", "SCLK", "PCK", "MK"}
         Goes into the ``KPL/`` line, by which SPICE and people know the file.
-    assignments : mapping
+    assignments
         Pool variables: a number, a string, or a sequence of either alone. Numbers are written with 17 digits
         (SPICE's reader gives them back to 1e-15 relative).
-    comment : str
+    comment
         Text for people, above the data; it is wrapped, and characters that are not ASCII become ``?``.
 
     Raises

@@ -43,7 +43,7 @@ def et_from_utc(utc: str) -> float:
 
     Parameters
     ----------
-    utc : str
+    utc
         ISO calendar or day of year, with or without a final Z, or a written date: ``2007-02-28T13:14:22.4Z``,
         ``2007-059T13:14:22``, ``2007 FEB 28 13:14:22``. Leap seconds (``23:59:60``) count.
 
@@ -61,9 +61,9 @@ def utc_from_et(et: float, precision: int = 3) -> str:
 
     Parameters
     ----------
-    et : float
+    et
         TDB s past J2000.
-    precision : int
+    precision
         Decimals of the second, 0 to 9.
 
     Raises
@@ -82,9 +82,9 @@ def et_from_sclk(spacecraft_id: int, sclk: str) -> float:
 
     Parameters
     ----------
-    spacecraft_id : int
+    spacecraft_id
         NAIF number, such as -98; its clock.
-    sclk : str
+    sclk
         Reading, with or without partition: ``1/0034974380:00579``.
 
     Raises

@@ -291,9 +291,9 @@ def write_spk(
     ----------
     path : path
         An older file of that name is replaced once the new one is whole.
-    segments : sequence of SpkSegment or SpkExcerpt
+    segments
         Where two segments of one target overlap in time, SPICE uses the later one.
-    comment : str
+    comment
         Goes into the file's comment area: where the numbers come from.
 
     Raises
@@ -357,9 +357,9 @@ def write_ck(
     ----------
     path : path
         An older file of that name is replaced once the new one is whole.
-    structure_id : int
+    structure_id
         NAIF id of what is oriented, in a CK the id of its frame's class: -98000, the bus of New Horizons.
-    spacecraft_id : int
+    spacecraft_id
         Whose clock the attitudes are tagged with.
     et : (n,) array_like
         Epochs, s past J2000 TDB, increasing.
@@ -368,11 +368,11 @@ def write_ck(
         Neighbours in one interval must be less than half a turn apart.
     angular_rates : (n, 3) array_like, optional
         Angular velocity of the frame, rad/s, components in `reference`; from the attitudes if not given.
-    reference : str
+    reference
         SPICE frame that the attitudes refer to.
-    max_gap_s : float, optional
+    max_gap_s
         Neighbours further apart than this are not interpolated between.
-    interval_starts : sequence of int
+    interval_starts
         More places where an interpolation interval starts, as indices into `et`.
 
     Raises

@@ -30,13 +30,11 @@ class ExportColumn:
 
     Attributes
     ----------
-    name : str
     unit : astropy unit or None
         None for text.
-    description : str
-    index : tuple of int
+    index
         Element of the field's array; empty for a number.
-    sigma : bool
+    sigma
         The square root of the element is written.
     """
 
@@ -291,8 +289,7 @@ def rows_to_observables(rows: Iterable[Mapping[str, Any]], source: str) -> tuple
 
     Parameters
     ----------
-    rows : iterable of mapping
-    source : str
+    source
         The file, for messages.
 
     Raises

@@ -83,8 +83,7 @@ def table_observables(table: QTable, source: str = "table") -> tuple[Observable,
 
     Parameters
     ----------
-    table : QTable
-    source : str
+    source
         Its file, for messages.
 
     Raises
@@ -335,9 +334,9 @@ def observables_of_result(result: Mapping[str, Any], source: str = "result.json"
 
     Parameters
     ----------
-    result : mapping
+    result
         The content of ``result.json``.
-    source : str
+    source
         For messages.
 
     Raises

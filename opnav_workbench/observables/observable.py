@@ -30,12 +30,11 @@ class Observable:
 
     Attributes
     ----------
-    image, utc : str
-    et : float
+    et
         Mid-exposure, TDB seconds past J2000.
-    name, method, status : str
+    name, method, status
         Body, centerfinder and its verdict.
-    reference_body : str
+    reference_body
         Body that the spacecraft's position in the partials refers to.
     a_priori_px, predicted_px : (2,) array
         Computed places with the a priori and with the solved pointing, center of figure.
@@ -46,9 +45,9 @@ class Observable:
         Of the observed center alone; nan without one.
     total_covariance_px2 : (2, 2) array
         The same with the pointing's share, that is of O-C.
-    diameter_px : float
+    diameter_px
         Predicted.
-    measured_diameter_px : float
+    measured_diameter_px
         As the centerfinder measured it; nan where it does not.
     partials_px_per_km : (2, 3) array or None
         d(pixel, line) / d(spacecraft position relative to the reference body, J2000). The bodies are held fixed among
@@ -56,15 +55,13 @@ class Observable:
         own place.
     partials_px_per_rad : (2, 3) array or None
         d(pixel, line) / d(rotation of the attitude about the camera frame's axes).
-    apparent_ra_deg, apparent_dec_deg : float
+    apparent_ra_deg, apparent_dec_deg
         Observed direction, J2000, through the solved attitude.
-    ra_deg, dec_deg : float
+    ra_deg, dec_deg
         The same with stellar aberration removed.
     residual_arcsec : (2,) array or None
         Observed minus predicted direction: (RA cos dec, Dec), aberration removed from both.
-    snr : float
-    messages : tuple of str
-    observer : str
+    observer
         Spacecraft.
     light_time : {"fixed", "solved"}
         Whether the partials hold the light time fixed (as the paper) or solve it anew, see `partials`.
@@ -80,11 +77,11 @@ class Observable:
         d(pixel, line) / d(RA cos dec, Dec) at the observed place (predicted where none), aberration removed.
     residual_covariance_arcsec2 : (2, 2) array or None
         Of `residual_arcsec`, pointing included.
-    diameter_sigma_px : float
+    diameter_sigma_px
         Of the measured diameter.
     diameter_partials_px_per_km : (3,) array or None
         d(diameter) / d(spacecraft position), for a sphere.
-    range_km, measured_range_km, range_sigma_km : float
+    range_km, measured_range_km, range_sigma_km
         Predicted; and from the body's size, where the method solved it (the body's radius taken as known); else nan.
     range_partials : (3,) array or None
         d(range) / d(spacecraft position), km/km.

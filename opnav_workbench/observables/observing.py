@@ -84,11 +84,10 @@ def observe(
 
     Parameters
     ----------
-    target : TargetState
+    target
         The body as the spacecraft sees it, from ephemeris.
-    center : BodyCenter
+    center
         Where it was measured.
-    camera : Camera
     camera_from_j2000 : (3, 3) array
         Solved attitude.
     attitude_covariance_rad2 : (3, 3) array
@@ -237,11 +236,6 @@ def _directions(view: _SeenBody, center: BodyCenter) -> dict[str, Any]:
 
 def center_cross(joint: JointCenters, name: str) -> Mapping[str, FloatArray]:
     """Return the covariances (2, 2) px^2 of one body's center (rows) with the others found jointly (columns).
-
-    Parameters
-    ----------
-    joint : JointCenters
-    name : str
 
     Raises
     ------

@@ -66,7 +66,6 @@ def numerical_position_partials(
         Spacecraft to body, J2000, light time removed, no stellar aberration.
     velocity_km_s : (3,) array_like
         Spacecraft with respect to the solar-system barycenter.
-    camera : Camera
     camera_from_j2000 : (3, 3) array_like
     target_velocity_km_s : (3,) array_like, optional
         Of the body with respect to the solar-system barycenter; with it the light time is solved anew, else held fixed.

@@ -51,19 +51,19 @@ class TdmOptions:
 
     Attributes
     ----------
-    observer : str
+    observer
         Spacecraft, for observables that do not name theirs.
-    originator : str
+    originator
         Agency, as registered with SANA.
     aberration : {"removed", "kept"}
         Angles with stellar aberration removed (comparable with star catalogs) or as seen.
     frame : {"ICRF", "EME2000"}
         Name of the reference frame. SPICE's J2000 has the axes of the ICRF; 23 mas from EME2000 taken by the letter.
-    creation_date : str
+    creation_date
         UTC; empty for now.
-    message_id : str
+    message_id
         Left out when empty.
-    comments : tuple of str
+    comments
         For the header.
     """
 
@@ -358,7 +358,7 @@ def tdm_table(message: TrackingMessage) -> QTable:
 
     Parameters
     ----------
-    message : TrackingMessage
+    message
         From this package or any other.
 
     Returns

@@ -48,12 +48,11 @@ def electron_rate(
 
     Parameters
     ----------
-    bandpass : Bandpass
-    aperture_m : float
+    aperture_m
         Diameter of the entrance pupil.
-    obscuration : float
+    obscuration
         Share of its area that is obscured.
-    spectrum : Spectrum
+    spectrum
         Vega by default.
 
     Raises
@@ -77,11 +76,9 @@ def zero_point_mag(
 
     Parameters
     ----------
-    bandpass : Bandpass
-    aperture_m : float
+    aperture_m
         Diameter of the entrance pupil.
-    gain_e_per_dn : float
-    obscuration : float
+    obscuration
         Share of the pupil's area that is obscured.
 
     Raises
@@ -122,13 +119,13 @@ class ColorResponse:
 
     Attributes
     ----------
-    slope_mag_per_bv : float
+    slope_mag_per_bv
         At B - V = 0; negative for a camera that is redder than V.
-    sigma_mag : float
+    sigma_mag
         One-sigma scatter of single stars about it.
-    reference_b_v : float
+    reference_b_v
         Color for which the instrument magnitude is V.
-    curvature_mag_per_bv2 : float
+    curvature_mag_per_bv2
         0: a straight line.
     """
 
@@ -155,8 +152,7 @@ def color_response(bandpass: Bandpass, reference_b_v: float = 0.0) -> ColorRespo
 
     Parameters
     ----------
-    bandpass : Bandpass
-    reference_b_v : float
+    reference_b_v
         Color of the stars for which the camera's zero point holds; 0 for a computed one.
 
     Examples
@@ -187,7 +183,6 @@ def instrument_magnitude(
         Johnson V; an unknown error (nan) counts as 0.1 mag.
     b_v, b_v_sigma : (n,) array_like
         Johnson B - V; an unknown color (nan) counts as 0.75 +- 0.45, that of the stars of all-sky catalogs.
-    response : ColorResponse
 
     Returns
     -------

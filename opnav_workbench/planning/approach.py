@@ -40,14 +40,13 @@ class Detection:
 
     Attributes
     ----------
-    stack : int
-    utc : str
+    utc
         Empty where it is not within the search.
-    mag, range_km, phase_deg, elongation_deg : float
+    mag, range_km, phase_deg, elongation_deg
         Of the target then; nan where it is not within the search.
-    limiting_mag : float
+    limiting_mag
         V of a body of the target's color that has the threshold's SNR (at the search's end where light is scattered).
-    words : str
+    words
         The same for people.
     """
 
@@ -67,15 +66,14 @@ class Approach:
 
     Attributes
     ----------
-    search : ApproachSearch
     et : (n,) array
     mag, snr, diameter_px, range_km, phase_deg, elongation_deg : (n,) arrays
         V; SNR of a single picture; of the target as the spacecraft sees it.
     keep_out : (n,) array of bool
         The Sun forbids it.
-    detections : tuple of Detection
+    detections
         Of the single picture and of the stack.
-    problem : str
+    problem
         Why there is no answer; empty otherwise.
     """
 

@@ -36,10 +36,8 @@ class PointingPlan:
         Of the boresight's place on the detector along pixel and line.
     sigma_arcsec : (2,) array
         Of its RA (times cos Dec) and Dec.
-    twist_sigma_deg : float
-    twist_solved : bool
+    twist_solved
         The stars alone determine the twist better than it is known beforehand.
-    n_stars : int
     """
 
     covariance_rad2: FloatArray
@@ -65,13 +63,11 @@ def plan_pointing(
 
     Parameters
     ----------
-    stars : StarPlan
-    camera : Camera
     attitude : (3, 3) array
         camera_from_j2000.
     use : (n,) array of bool, optional
         Stars that count; by default the usable ones.
-    guarded : bool
+    guarded
         Add what guarding against wrong covariances costs; False: the bound alone, many times faster.
     """
     rows = stars.usable if use is None else use

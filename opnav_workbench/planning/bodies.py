@@ -60,7 +60,6 @@ class BodyLight:
     ----------
     window : (int, int, int, int)
         First pixel, first line, pixels, lines; all on the detector.
-    electrons : array
     slopes : (2, n_line, n_pixel) array
         Electrons per px of motion along pixel and line.
     """
@@ -84,18 +83,17 @@ class TargetPlan:
 
     Attributes
     ----------
-    name : str
-    prediction : BodyPrediction
+    prediction
         Place, diameter, phase, range, limb.
-    mag : float
+    mag
         V; where the light comes from albedo, that of a body of the Sun's color with this flux.
-    flux_dn, peak_dn : float
+    flux_dn, peak_dn
         Of the body, and in its brightest pixel with all that lies below it.
-    snr : float
+    snr
         Brightness over its sigma; 0 without light on the detector.
-    saturated : float
+    saturated
         Share of its pixels that are saturated (the brightest pixel's for a point).
-    occulted : float
+    occulted
         Share of its disk behind other bodies.
     center_covariance_px2 : (2, 2) array or None
         From the noise of its own pixels: the scatter of measured centers.
@@ -103,9 +101,8 @@ class TargetPlan:
         With the attitude's: the scatter of observed minus predicted.
     sigma_arcsec : (2,) array
         Of its direction in RA (times cos Dec) and Dec; nan without pointing.
-    sigma_km : float
+    sigma_km
         The larger axis of that error at the target's distance.
-    km_per_px : float
     """
 
     name: str
@@ -231,11 +228,9 @@ def center_bound(
 
     Parameters
     ----------
-    light : ExpectedLight
-    seen : BodyLight
-    scale : float
+    scale
         Light of the body over that of `seen`.
-    expected_e : array, optional
+    expected_e
         Mean electrons in the window, all light, in place of those of `light`.
     """
     gain = light.values.gain_e_per_dn
@@ -276,14 +271,13 @@ class OtherBody:
 
     Attributes
     ----------
-    name : str
-    pixel, line : float
+    pixel, line
         Its center, perhaps just off the detector.
-    diameter_px : float
+    diameter_px
         0 where its size is not known.
-    mag : float
+    mag
         V where the mission file knows it, else nan.
-    drawn : bool
+    drawn
         Its light is part of the prediction.
     """
 

@@ -36,9 +36,9 @@ class BestExposure:
         without a target); nan where saturated or nothing is determined.
     stars : (n,) array of int
         Usable stars.
-    best_s : float
+    best_s
         Of the smallest error; nan where no exposure gives one.
-    limited_by : str
+    limited_by
         What ends it: "saturation of NAME" or "saturation", "longest exposure allowed", "motion, background and bright
         stars", or "no exposure determines it".
     """
@@ -77,14 +77,13 @@ def best_exposure(
 
     Parameters
     ----------
-    light : ExpectedLight
+    light
         Of the picture as planned.
-    stars : StarPlan
-    index : int or None
+    index
         Of the target among the picture's models; None: the pointing alone counts.
-    target : TargetPlan or None
+    target
         The same target.
-    min_snr : float
+    min_snr
         Below this a star is not used.
     """
     search = _exposure_search(light, stars, index, min_snr)

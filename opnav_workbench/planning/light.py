@@ -27,11 +27,11 @@ class ExpectedLight:
 
     Attributes
     ----------
-    picture : SimulatedPicture
+    picture
         Exposed without noise.
-    without_stars_e : array
+    without_stars_e
         Mean electrons of bodies, sky, stray light and frame transfer.
-    values : DetectorValues
+    values
         Numbers of the detector.
     """
 

@@ -143,8 +143,7 @@ class OpenedSequence:
 
         Parameters
         ----------
-        picture : PlannedPicture
-        seed_name : str
+        seed_name
             Another name for other noise, of pictures that confirm the plan.
 
         Raises
@@ -225,13 +224,11 @@ def confirming_inputs(
 
     Parameters
     ----------
-    opened : OpenedSequence
-    picture : PlannedPicture
-    number : int
+    number
         Of the trial: noise and catalog errors are drawn anew for each; the same number gives the same picture.
     shift_px : (float, float)
         How the true attitude differs from the planned one: where the boresight's sky moves on the detector.
-    twist_deg : float
+    twist_deg
         The same about the boresight.
 
     Raises

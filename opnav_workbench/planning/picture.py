@@ -44,7 +44,6 @@ class PlanVerdict:
     Attributes
     ----------
     grade : "good", "marginal" or "bad"
-    reasons : tuple of str
     """
 
     grade: PlanGrade
@@ -186,28 +185,24 @@ class PicturePrediction:
 
     Attributes
     ----------
-    camera : Camera
-    et : float
     camera_from_j2000 : (3, 3) array
-    ra_deg, dec_deg, twist_deg : float
+    ra_deg, dec_deg, twist_deg
         Of the boresight.
-    elongation_deg : float
+    elongation_deg
         Angle between boresight and Sun.
-    stray_light_dn : float
+    stray_light_dn
         Scattered sunlight in this exposure as the sequence states it.
-    stars : StarPlan
-    limit_mag : float
+    limit_mag
         Of a star at the limiting SNR, in the camera's band.
-    catalog_mag : float
+    catalog_mag
         How deep the catalog goes around the field, in its own band; nan where it has no stars.
-    pointing : PointingPlan or None
+    pointing
         None where no star determines it.
-    targets : tuple of TargetPlan
-    other_bodies : tuple of OtherBody
+    other_bodies
         Other bodies in the field.
     image_dn : (n_line, n_pixel) array
         The expected picture, without noise.
-    best_exposure : BestExposure or None
+    best_exposure
         None where it was not asked for.
     """
 
@@ -242,11 +237,9 @@ class PicturePlan:
 
     Attributes
     ----------
-    picture : PlannedPicture
-    pointing_words : str
+    pointing_words
         How the pointing is planned.
-    verdict : PlanVerdict
-    prediction : PicturePrediction or None
+    prediction
         None where nothing can be told; the verdict says why.
     """
 
@@ -275,11 +268,9 @@ def plan_picture(
 
     Parameters
     ----------
-    opened : OpenedSequence
-    picture : PlannedPicture
-    others : sequence of str
+    others
         Bodies that may enter the field.
-    exposures : bool
+    exposures
         Search the best exposure too.
     """
     words = opened.pointing(picture).words

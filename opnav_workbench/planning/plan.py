@@ -23,12 +23,9 @@ class Plan:
 
     Attributes
     ----------
-    sequence : PictureSequence
-    pictures : tuple of PicturePlan
-    searches : tuple of Approach
-    catalog : mapping
+    catalog
         What the catalog says of itself.
-    version : str
+    version
         Of opnav_workbench.
     """
 
@@ -74,10 +71,9 @@ def plan_sequence(
 
     Parameters
     ----------
-    sequence : PictureSequence
-    only : sequence of str
+    only
         Names of pictures (of a cadence: its name, or that of one of its pictures) or searches; none: all.
-    exposures : bool
+    exposures
         Search the best exposure of every picture, which takes about half of the time.
     done : callable
         Called with the number done, the number in all and the name of what comes next.

@@ -91,8 +91,7 @@ def plan_stars(light: ExpectedLight, min_snr: float) -> StarPlan:
 
     Parameters
     ----------
-    light : ExpectedLight
-    min_snr : float
+    min_snr
         Below this a star is too faint to be used.
     """
     rows, stars = _on_detector(light)
@@ -133,8 +132,6 @@ def star_bounds(
     places_px : (n, 2) array
     flux_dn, noise_dn : (n,) arrays
         Flux of each star, and noise of a pixel there without it.
-    psf : Psf
-    model : NoiseModel
     """
     covariance, snr = np.zeros((len(places_px), 2, 2)), np.zeros(len(places_px))
     box = default_box_px(float(psf.sigma_px.max()))

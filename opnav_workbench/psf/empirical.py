@@ -61,14 +61,14 @@ def cells_from_stars(
         Stars, (pixel, line).
     fluxes : (n,) array_like
         Their fluxes.
-    oversampling : int
+    oversampling
         Cells a pixel.
-    half_size_px : float
+    half_size_px
         Half the side of the square of cells.
-    base : Psf, optional
+    base
         What the PSF nearly is. Smoothness is then demanded of the difference from it, and cells that no pixel tells
         of take its light.
-    smoothness : float
+    smoothness
         Weight of the cells' second differences against that of the pixels; the default decides ties only, noisy or few
         stars ask for more.
     weights : (n,) array_like, optional
@@ -205,7 +205,7 @@ class EmpiricalPsf(TablePsf):
     samples : (k, k) array
         Light in square cells of 1/oversampling px, [line, pixel], k odd, the point at the middle of the middle
         cell. Their sum is normalised to 1.
-    oversampling : int
+    oversampling
         Cells a pixel. Four cells to the full width at half maximum keep shares good to 4e-4, nine to 2e-5.
 
     Raises

@@ -36,9 +36,9 @@ class GaussianPsf:
 
     Attributes
     ----------
-    sigma_major_px, sigma_minor_px : float
+    sigma_major_px, sigma_minor_px
         Standard deviations along both axes, before integration over pixels.
-    angle_rad : float
+    angle_rad
         Of the major axis, from +pixel toward +line.
 
     Raises
@@ -237,7 +237,7 @@ class FieldPsf:
 
     Attributes
     ----------
-    field : ShapeField
+    field
         A `PolynomialShape` or a `GridShape`.
 
     Raises

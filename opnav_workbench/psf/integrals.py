@@ -133,7 +133,7 @@ def box_integrals(center: FloatArray, shape: FloatArray, first: FloatArray, size
         Log scale, e1, e2 (see `covariance_from_shape`).
     first : (n, 2) array
         Center (pixel, line) of the first pixel of each box.
-    size : int
+    size
         Pixels along each side of the box.
 
     Returns

@@ -66,7 +66,7 @@ class Psf(Protocol):
             Where the points fall, (pixel, line).
         first : (n, 2) array_like of int
             (pixel, line) of the first pixel of each box.
-        size : int
+        size
             Pixels along a side.
 
         Returns
@@ -165,7 +165,6 @@ def add_sources(picture: FloatArray, psf: Psf, center_px: ArrayLike, flux: Array
     Parameters
     ----------
     picture : (n_line, n_pixel) array
-    psf : Psf
     center_px : (n, 2) array_like
         (pixel, line); points that are not finite (behind the camera) are left out.
     flux : (n,) array_like

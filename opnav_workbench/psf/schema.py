@@ -139,7 +139,7 @@ def psf_from_mapping(mapping: Mapping[str, Any], folder: str | PathLike[str] = "
 
     Parameters
     ----------
-    mapping : mapping
+    mapping
         ``model`` is gaussian, moffat, empirical, field or trailed; the rest are the model's parameters.
     folder : path-like
         What the file name of a template is relative to.

@@ -243,11 +243,11 @@ class MoffatPsf(TablePsf):
 
     Attributes
     ----------
-    fwhm_px : float
+    fwhm_px
         Full width at half maximum, before integration over pixels.
-    beta : float
+    beta
         Above 1; 2.5 to 5 for telescopes, a Gaussian as it grows.
-    cut_share : float
+    cut_share
         Share of the light beyond the cut.
 
     References

@@ -24,7 +24,7 @@ class TrailedPsf:
 
     Attributes
     ----------
-    psf : Psf
+    psf
         Without motion.
     offsets_px : (k, 2) array
         Displacements (pixel, line). Half a sigma of the PSF apart, copies make a trail that is smooth to 1e-8.
@@ -71,11 +71,11 @@ class TrailedPsf:
 
         Parameters
         ----------
-        psf : Psf
+        psf
             Without motion.
-        length_px : float
+        length_px
             Way of the point during the exposure.
-        angle_rad : float
+        angle_rad
             Direction of the motion, from +pixel toward +line.
 
         Raises

@@ -48,12 +48,9 @@ class BriefingSection:
 
     Attributes
     ----------
-    heading : str
-    paragraphs, items : tuple of str
-    head : tuple of str
+    head
         Of the table's columns.
     rows : tuple of tuples of str
-    commands : tuple of str
     """
 
     heading: str

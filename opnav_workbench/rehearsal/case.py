@@ -33,10 +33,9 @@ class OrtGeometry:
 
     Attributes
     ----------
-    epoch_et : float
     relative_state : (6,) array
         Spacecraft relative to the body of the B-plane, km and km/s, J2000, geometric.
-    gm_km3_s2 : float
+    gm_km3_s2
         Of that body; 0 where the kernels do not say.
     sunward : (3,) array
         From the perturbed barycenter (else the body of the B-plane) to the Sun, unit vector.
@@ -62,20 +61,18 @@ class OrtCase:
 
     Attributes
     ----------
-    seed : int
     offsets : mapping of str to (3,) array
         By the estimator's parameters, true minus predicted at the epoch: km, km/s, J2000.
-    target : str
+    target
         Body or barycenter that the target's offsets move.
     shifts_px : mapping of str to (pixel, line, twist_deg)
         Attitude errors by picture; empty: each has a random one of the camera's a priori size.
-    albedo_seeds : mapping of str to int
+    albedo_seeds
         Bodies with a mottled surface.
-    focal_length, corner_px : float
+    focal_length, corner_px
         Camera faults: relative, px.
-    missing, truncated, gaps, storm : tuple of str
+    missing, truncated, gaps, storm
         Pictures that do not arrive, arrive in part, have data gaps, have a storm.
-    storm_rate_per_cm2_s : float
     """
 
     seed: int
@@ -144,9 +141,7 @@ def draw_case(scenario: OrtScenario, geometry: OrtGeometry, seed: int) -> OrtCas
 
     Parameters
     ----------
-    scenario : OrtScenario
-    geometry : OrtGeometry
-    seed : int
+    seed
         Not negative; the same one gives the same case.
 
     Raises

@@ -35,10 +35,9 @@ class Comparison:
 
     Attributes
     ----------
-    name, unit : str
-    solved, truth, sigma : float
+    solved, truth, sigma
         nan where nothing was solved.
-    error : float
+    error
         Solved minus true, in `unit`.
     """
 
@@ -131,11 +130,10 @@ def center_errors(
 
     Parameters
     ----------
-    centers : mapping of str to BodyCenter
+    centers
         By the name of the row.
     true_px : (2,) array_like
         True (pixel, line), or another reference.
-    camera : Camera
     camera_from_j2000 : (3, 3) array_like
         Its error is left out: it is the same for all centers of a picture.
 

@@ -41,18 +41,14 @@ class PictureRequest:
 
     Attributes
     ----------
-    name : str
+    name
         File name stem.
-    utc : str
+    utc
         Mid-exposure.
-    header : mapping
+    header
         Header values that identify mission and camera (such as ``SFORMAT``).
-    exposure_s : float
-    targets : tuple of str
-    sigma_px : float
+    sigma_px
         Width of the true PSF.
-    sky_dn : float
-    seed : int
     """
 
     name: str
@@ -97,11 +93,9 @@ def simulate_picture(request: PictureRequest, mission: Mission, catalog: str, ou
 
     Parameters
     ----------
-    request : PictureRequest
-    mission : Mission
-    catalog : str
+    catalog
         Catalog spec of the true stars.
-    out : Path
+    out
         Folder; gets ``NAME.fit`` and its truth.
 
     Raises

@@ -234,12 +234,12 @@ def new_rehearsal(
         See `load_ort_scenario`.
     out : path
         Folder of the package, not there yet. Beside it, ``OUT.key`` opens the truth.
-    seed : int, optional
+    seed
         Draws the case; the same seed gives the same pictures, bit for bit. None: one that nobody knows, as a blind
         rehearsal needs: whoever has scenario and seed can make the package again.
-    jobs : int
+    jobs
         Processes. A script that asks for more than one must guard its main part (``if __name__ == "__main__"``).
-    pictures : int, optional
+    pictures
         At most so many of the sequence's pictures, for a quick run.
     progress : callable, optional
         Called with pictures done, pictures in all, and a few words.

@@ -163,17 +163,15 @@ class OrtPicture:
 
     Attributes
     ----------
-    name : str
+    name
         File name stem.
-    path : Path
+    path
         Where it is, or would be had it arrived.
-    utc : str
+    utc
         Mid-exposure.
-    camera : str
+    camera
         Name of the mission's camera file.
-    exposure_s : float
-    targets : tuple of str
-    received : bool
+    received
         Whether it arrived; not all of it need be there.
     """
 
@@ -192,31 +190,25 @@ class OrtPackage:
 
     Attributes
     ----------
-    folder : Path
-    name, title, description : str
-    mission : str
+    mission
         Name, or path of the mission file in the package.
-    catalog : str
+    catalog
         Catalog spec.
-    targets : tuple of str
-    reference_body : str
-    metakernel : Path
+    metakernel
         Of the predicted kernels.
-    pictures : tuple of OrtPicture
+    pictures
         The whole sequence in the order of time, with those that did not arrive.
     parameters : mapping of str to float or three floats
         What to estimate, as `opnav_workbench.estimation.estimate` names it, and the a priori sigmas, km and km/s.
-    epoch_utc : str
+    epoch_utc
         Of the corrected states.
-    b_plane : BPlaneContent
+    b_plane
         Body, its GM, the pole, and the flyby as predicted.
-    due_utc : str
-    sha256 : mapping of str to str
+    sha256
         Of every file, by its path in the folder.
-    sealed : Path
-    commitment : str
+    commitment
         SHA-256 of the truth's plain text.
-    public_sha256 : str
+    public_sha256
         Of all that ``ort.yaml`` tells.
     """
 

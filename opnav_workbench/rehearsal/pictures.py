@@ -55,13 +55,7 @@ __all__ = ["AddedRadial", "camera_with_faults", "make_pictures"]
 
 @dataclass(frozen=True, slots=True)
 class AddedRadial(DirectDistortion):
-    """A distortion with a further cubic radial term: the distorted point moves on by ``k r^2 (x, y)`` of the ideal one.
-
-    Attributes
-    ----------
-    base : Distortion
-    k_per_mm2 : float
-    """
+    """A distortion with a further cubic radial term: the distorted point moves on by ``k r^2 (x, y)`` of the ideal one."""
 
     base: Distortion
     k_per_mm2: float
@@ -85,11 +79,11 @@ def camera_with_faults(camera: Camera, focal_length: float, corner_px: float) ->
 
     Parameters
     ----------
-    camera : Camera
+    camera
         As calibrated.
-    focal_length : float
+    focal_length
         True focal length over the calibrated one, minus 1.
-    corner_px : float
+    corner_px
         How far the further distortion moves a point at the detector's corner outward.
     """
     if focal_length == 0.0 and corner_px == 0.0:
@@ -114,12 +108,9 @@ class PictureBatch:
 
     Attributes
     ----------
-    scenario : OrtScenario
-    case : OrtCase
-    epoch_et : float
-    metakernel : Path
+    metakernel
         Of the package.
-    out : Path
+    out
         Folder of the pictures.
     """
 

@@ -26,16 +26,15 @@ class PictureResult:
 
     Attributes
     ----------
-    name : str
+    name
         Of the picture and of its folder.
     status : {"ok", "partial", "failed", "missing"}
         That of ``result.json``; "missing": there is none.
-    messages : tuple of str
-    result : mapping
+    result
         The content of ``result.json``; empty where there is none.
-    observables : tuple of Observable
+    observables
         Of every body and method.
-    sha256 : mapping of str to str
+    sha256
         Of the files that count, by name.
     """
 
@@ -63,9 +62,9 @@ def picture_results(names: Iterable[str], results: str | Path) -> tuple[PictureR
 
     Parameters
     ----------
-    names : iterable of str
+    names
         Of the pictures.
-    results : path
+    results
         The folder that ``opnav ort solve`` (or ``opnav process``, or an analyst) wrote.
 
     Raises
@@ -115,8 +114,7 @@ def chosen_observables(
 
     Parameters
     ----------
-    pictures : sequence of PictureResult
-    disk_sigma_px : float
+    disk_sigma_px
         Added (in squares) to the sigmas of disks.
     """
     chosen: list[Observable] = []

@@ -113,10 +113,9 @@ def grade_rehearsal(
 
     Parameters
     ----------
-    pictures : sequence of PictureScore
-    solution : SolutionScore or None
+    solution
         None: none was delivered.
-    altered : sequence of str
+    altered
         Files that were changed after the truth was opened.
     """
     sections = (
@@ -272,19 +271,15 @@ class OrtScore:
 
     Attributes
     ----------
-    package, title : str
-    perturbed : tuple of str
+    perturbed
         What was wrong on purpose, in words.
-    pictures : tuple of PictureScore
+    pictures
         In the order in which they were taken.
-    solution : SolutionScore or None
-    grade : Grade
-    rule : str
-    delivery : Delivery or None
+    delivery
         What had been delivered when the truth was opened.
     center_scatter : (float, float)
         Rms of the center errors in their own sigmas, and the probability of so much.
-    altered_package : tuple of str
+    altered_package
         Empty: `open_rehearsal` refuses a package that is not as it was made. The score's file has the field.
     """
 
@@ -317,13 +312,11 @@ def score_rehearsal(
 
     Parameters
     ----------
-    package : OrtPackage
-    truth : OrtTruth
+    truth
         From `reveal`.
-    results : path
+    results
         Folder of the pictures' folders.
-    solution : OrtSolution or None
-    delivery : Delivery, optional
+    delivery
         What was written down before the truth was opened (`logged_delivery`).
 
     Raises

@@ -95,22 +95,20 @@ class OrtTruth:
     predicted_state_km, relative_state_km : (6,) arrays
         Spacecraft relative to the body of the B-plane at the epoch, km and km/s, J2000, geometric: as predicted, and
         truly.
-    b_plane : mapping of str to mapping
+    b_plane
         ``b_dot_t_km``, ``b_dot_r_km``, ``time_of_flight_s``: each ``predicted``, ``true`` and ``shift``, in the axes of the
         predicted B-plane; the time counts from the epoch and is linearised.
     states_km : mapping of str to (6,) array
         By picture: spacecraft truly relative to that body at mid-exposure, geometric.
-    pictures : mapping of str to Truth
+    pictures
         By picture, the lost ones too: attitudes, stars and bodies; without the noiseless picture.
-    lost : mapping of str to str
+    lost
         Why a picture holds nothing usable.
     attitude_errors : mapping of str to (3,) array
         By picture: true minus predicted, px, px, deg, as the pointing solution states it.
-    camera_errors : mapping of str to float
-    words : tuple of str
+    words
         What was perturbed, for people.
-    seed : int
-    scenario : mapping
+    scenario
         As it was read.
     """
 
@@ -145,9 +143,9 @@ def seal(truth: Mapping[str, Any], public_sha256: str) -> SealedTruth:
 
     Parameters
     ----------
-    truth : mapping
+    truth
         Fields of `OrtTruth`; pictures as `picture_truth_values` gives them.
-    public_sha256 : str
+    public_sha256
         Of what the package tells the team.
     """
     salt = secrets.token_hex(SALT_BYTES)
@@ -182,7 +180,6 @@ def reveal(package: "OrtPackage", key: str | os.PathLike[str] | None = None) -> 
 
     Parameters
     ----------
-    package : OrtPackage
     key : path, optional
         The director's key file; default ``DIR.key`` beside the package's folder.
 
@@ -272,13 +269,13 @@ class Delivery:
 
     Attributes
     ----------
-    utc : str
+    utc
         Of this reveal.
-    files : mapping of str to str
+    files
         SHA-256 by path in the team's folder.
-    altered : tuple of str
+    altered
         Files that differ from those at the first reveal for this folder.
-    opened_before : tuple of str
+    opened_before
         UTC of earlier reveals, for any folder.
     """
 
@@ -301,14 +298,13 @@ def logged_delivery(
 
     Parameters
     ----------
-    key : path
+    key
         Key file of the package; the log stands beside it.
-    package : str
-    run : path
+    run
         The team's folder.
-    names : sequence of str
+    names
         Of the pictures.
-    solution : Path
+    solution
         The team's solution file.
 
     Raises

@@ -156,16 +156,13 @@ class PredictedFlyby:
 
     Attributes
     ----------
-    body : str
+    body
         Of the B-plane.
-    epoch_et : float
+    epoch_et
         Of the state and of the estimated corrections, TDB seconds past J2000.
-    epoch_utc : str
     state : (6,) array
         Spacecraft relative to the body, J2000, geometric, km and km/s.
-    gm_km3_s2 : float
-    pole : str
-    plane : BPlane
+    plane
         Of that state.
     """
 
@@ -240,31 +237,27 @@ class OrtSolution:
 
     Attributes
     ----------
-    package : str
+    package
         Name of the rehearsal.
-    epoch_utc : str
+    epoch_utc
         Of the corrected states.
-    parameters : tuple of str
+    parameters
         Groups, as `estimation.estimate` names them.
     correction, sigma_before : (n,) arrays
         True minus predicted as estimated, and its a priori sigma; km, km/s, J2000.
     covariance : (n, n) array
-    b_plane_body : str
     b_plane_before, b_plane_after : (3,) arrays
         B.T, B.R (km) and linearised time of flight (s after the epoch), in the axes of the predicted flyby.
     b_plane_covariance_before, b_plane_covariance : (3, 3) arrays
-    chi2_before, chi2_after, probability : float
+    chi2_before, chi2_after, probability
         Of the measurements' fit.
-    degrees_of_freedom : int
-    residuals : tuple of mapping
+    residuals
         ``image, body, kind, et, before, after, covariance, sigmas, used, reason`` of every measurement.
-    words : tuple of str
+    words
         What the pictures determine, best first.
-    left_out, messages : tuple of str
-    pictures : mapping of str to mapping of str to str
+    pictures
         SHA-256 of the files that it rests on, by picture and file.
-    made_by : str
-    disk_sigma_px : float
+    disk_sigma_px
         Added (in squares) to the sigmas of the centers of disks.
     """
 
@@ -355,10 +348,9 @@ def solve_rehearsal(
 
     Parameters
     ----------
-    package : OrtPackage
-    results : path
+    results
         Folder of the pictures' folders, each with ``result.json`` and ``observables.ecsv``.
-    disk_sigma_px : float
+    disk_sigma_px
         Added (in squares) to the sigmas of the centers of disks, for surfaces that nobody knows.
 
     Raises

@@ -60,12 +60,11 @@ class TruthCheck:
 
     Attributes
     ----------
-    name : str
-    labels, units : tuple of str
+    labels, units
         Of the components.
     solved, truth, error, sigma : arrays
         Error: solved minus true.
-    sigmas : float
+    sigmas
         Of the normal error that is as improbable as all components together.
     """
 
@@ -106,8 +105,6 @@ def check_against_truth(
 
     Parameters
     ----------
-    name : str
-    labels, units : tuple of str
     solved, truth : (k,) array_like
     covariance : (k, k) array_like
         Of the solved values.
@@ -159,15 +156,15 @@ class StarScore:
 
     Attributes
     ----------
-    found : int
+    found
         Used for the pointing, at their true place.
-    missed : tuple of str
+    missed
         Reported as not detected, though bright, on the detector and not hidden.
-    false : tuple of str
+    false
         Used, though there is no such star there.
-    set_aside : int
+    set_aside
         Measured but not used: rejected, blended, saturated.
-    rms_sigmas : float
+    rms_sigmas
         Of the found stars' errors in their own sigmas; nan without.
     """
 
@@ -233,11 +230,11 @@ class CenterScore:
 
     Attributes
     ----------
-    body, method, status : str
+    body, method, status
         As the team reports it; the last of several methods that is sure.
-    visible : bool
+    visible
         Whether it truly is on the detector, and not hidden.
-    check : TruthCheck or None
+    check
         None: no center was claimed.
     verdict : {"good", "poor", "wrong", "unsure", "missed", "false", "absent"}
         unsure: reported as uncertain; false: claimed where there is none; absent: rightly not claimed.
@@ -257,17 +254,12 @@ class PictureScore:
 
     Attributes
     ----------
-    name, utc : str
-    et : float
-    status : str
+    status
         As the team reports it.
-    lost : str
+    lost
         Why it holds nothing usable; empty where it does.
     verdict : {"good", "not solved", "lost, named", "claimed though lost", "not reported"}
-    pointing : TruthCheck or None
-    centers : tuple of CenterScore
-    stars : StarScore
-    messages : tuple of str
+    messages
         Of the team.
     """
 
@@ -297,17 +289,15 @@ def score_picture(
 
     Parameters
     ----------
-    reported : PictureResult
-    truth : Truth or None
+    truth
         None: the picture was never taken.
-    camera : Camera or None
+    camera
         None where there is no truth.
-    targets : sequence of str
+    targets
         Bodies that the team is to find.
-    lost : str
+    lost
         Why the picture holds nothing usable; empty where it does.
-    utc : str
-    disk_sigma_px : float
+    disk_sigma_px
         What the team adds (in squares) to the sigmas of disks.
     """
     pointing: TruthCheck | None = None
@@ -426,18 +416,17 @@ class SolutionScore:
 
     Attributes
     ----------
-    solution : OrtSolution
-    flyby : PredictedFlyby
+    flyby
         As predicted.
-    parameters : tuple of TruthCheck
+    parameters
         One a group.
-    all_parameters, b_plane, arrival : TruthCheck
+    all_parameters, b_plane, arrival
         All groups together; (B.T, B.R); linearised time of flight.
     b_plane_true : (3,) array
     sigma_ratio : (float, float)
         Least and largest ratio of the claimed sigma of a direction to the one that the delivered pictures support; nan where
         they support none.
-    remark : str
+    remark
         Why the ratio is not known.
     """
 

@@ -108,11 +108,10 @@ def sealed_values(
     Parameters
     ----------
     scenario, case, geometry
-    truths : mapping of str to Truth
+    truths
         By picture.
-    cameras : mapping of str to Camera
+    cameras
         By picture, as calibrated.
-    spacecraft : int
     """
     errors = {
         name: boresight_shift(truth.predicted_camera_from_j2000, truth.camera_from_j2000, cameras[name])

@@ -32,14 +32,13 @@ class BodyModel:
 
     Attributes
     ----------
-    target : TargetState
+    target
         Where it is, how it is turned and where its Sun is. A target without radii (and without `shape`) is a point.
-    law : ScatteringLaw
-    albedo : float or AlbedoMap
+    albedo
         Normal albedo, see `opnav_workbench.render.scattering`.
-    shape : ShapeModel, optional
+    shape
         Replaces the ellipsoid of ``target.radii_km``.
-    flux_e : float, optional
+    flux_e
         Electrons of the whole body, unocculted and uneclipsed; `albedo` then sets the pattern only. None: from albedo
         and sunlight.
 
@@ -238,9 +237,9 @@ class IntegratedLight:
 
     Attributes
     ----------
-    total : float
+    total
         Light of the body alone.
-    seen : float
+    seen
         The part of it that no other body hides.
     center_px : (2,) array
         Its center; nan where none is seen, or where it falls behind the camera.

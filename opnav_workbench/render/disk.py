@@ -63,7 +63,6 @@ def add_spread_light(
         Flat indices into `whole` of the divided pixels.
     cells : (n, s, s) array
         Their light, [line, pixel].
-    psf : Psf
     shift_px : (2,) array
         By which all of it is moved, (pixel, line).
     """

@@ -50,16 +50,15 @@ class RenderedBody:
 
     Attributes
     ----------
-    name : str
     center_px : (2,) array
         Projected center of figure, (pixel, line); nan behind the camera.
     light_px : (2,) array
         Center of the light that reaches the focal plane, before the PSF; nan where none does.
-    flux_e : float
+    flux_e
         Electrons of that light, on and off the detector.
-    diameter_px : float
+    diameter_px
         Of the circle with the area of the projected limb.
-    occulted_fraction : float
+    occulted_fraction
         Share of the body's light that other bodies hide.
     regime : {"point", "small", "disk"}
     """
@@ -200,7 +199,7 @@ class Rendering:
         Over the window.
     window : (int, int, int, int)
         First pixel, first line, pixels, lines.
-    bodies : tuple of RenderedBody
+    bodies
         In the order of the models.
     """
 
@@ -239,7 +238,6 @@ class MovingBody:
     electrons : (n_line, n_pixel) array
     slopes : (2, n_line, n_pixel) array
         Electrons per px of motion along pixel and along line; (0, ...) where none were asked for.
-    body : RenderedBody
     """
 
     electrons: FloatArray
@@ -264,14 +262,12 @@ def render_bodies(
 
     Parameters
     ----------
-    models : sequence of BodyModel
-    camera : Camera
     camera_from_j2000 : (3, 3) array_like
     observer_velocity_km_s : (3,) array_like
         With respect to the solar-system barycenter, J2000; zero switches stellar aberration off.
     psf : Psf, or one for each model
         Taken at each body's center (`Psf.at`).
-    sunlight_e : float
+    sunlight_e
         Electrons that the Sun at 1 au would give as a point (``camera.sunlight_e(exposure_s)``). A pixel of solid angle
         w that sees a reflectance I/F at r au collects ``sunlight_e / r^2 * I/F * w / pi``.
     window : (int, int, int, int), optional

@@ -37,11 +37,11 @@ class AlbedoMap:
     ----------
     values : (n, 2 n) array
         Normal albedo, 0 or more.
-    first_longitude_deg : float
+    first_longitude_deg
         Longitude of the left edge of the map.
-    east_positive : bool
+    east_positive
         Longitude grows to the east and columns run east; else columns run west.
-    north_first : bool
+    north_first
         The first row is at the north pole.
 
     Raises
@@ -92,7 +92,7 @@ class AlbedoMap:
         Parameters
         ----------
         path : path-like
-        darkest, brightest : float
+        darkest, brightest
             Albedos of gray level 0 and of the highest level (255 or 65535) of a picture. Arrays and FITS images of
             floating point hold albedos already and are taken as they are.
         first_longitude_deg, east_positive, north_first

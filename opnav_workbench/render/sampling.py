@@ -64,11 +64,9 @@ def sample_pixels(
 
     Parameters
     ----------
-    grid : PixelGrid
     radiance, near_edge : callable
         What rays show, and whether an edge may pass within an angle of them.
-    fineness : Fineness
-    everywhere : bool
+    everywhere
         Divide every pixel near the body.
     """
     rays = grid.directions()

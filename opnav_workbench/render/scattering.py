@@ -188,7 +188,7 @@ class LunarLambert(ScatteringLaw):
 
     Attributes
     ----------
-    lunar_weight : float or tuple of float
+    lunar_weight
         L: a constant, or a polynomial of the phase angle in degrees, lowest power first, kept within 0..1 (a cubic
         fit runs out of it beyond the data it was made from). Default McEwen's for the Moon.
 
@@ -248,16 +248,16 @@ class Hapke(ScatteringLaw):
 
     Attributes
     ----------
-    w : float
+    w
         Single-scattering albedo.
-    b0, h : float
+    b0, h
         Height and angular width of the opposition surge, ``B = b0 / (1 + tan(g/2) / h)``.
-    asymmetry : float
+    asymmetry
         b of the lobes: p = (1-c) (1-b^2) / (1 + 2 b cos g + b^2)^1.5 + c (1-b^2) / (1 - 2 b cos g + b^2)^1.5, so that
         with c = 0 a negative b scatters back.
-    second_share : float
+    second_share
         c, the second lobe's share.
-    roughness_deg : float
+    roughness_deg
         Mean slope; 0 for a smooth surface.
 
     Raises
@@ -331,7 +331,7 @@ def law_from_mapping(values: Mapping[str, Any] | str) -> ScatteringLaw:
 
     Parameters
     ----------
-    values : mapping or str
+    values
         Such as ``{"law": "minnaert", "k": 0.8}``; a bare name stands for a law with its defaults. A parameter that is
         None keeps its default.
 

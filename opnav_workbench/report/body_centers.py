@@ -80,8 +80,7 @@ def body_figure(
 
     Parameters
     ----------
-    source : BodyCenter or ImageSession
-    name, method : str
+    name, method
         Which center of a session; default its last one.
     truth_px : (2,) array_like, optional
         True center (pixel, line), where it is known.
@@ -219,7 +218,7 @@ def methods_figure(source: CentersByMethod, name: str = "", *, truth_px: ArrayLi
     ----------
     source : ImageSession or mapping of str to BodyCenter
         A mapping's keys are the names in the figure, such as ``"limb scan, by hand"``.
-    name : str
+    name
         Which body of a session; default the last one found.
     truth_px : (2,) array_like, optional
         True center (pixel, line); it is then the origin, else the center with the smallest sigmas is.
@@ -273,7 +272,7 @@ def difference_figure(
     Parameters
     ----------
     source : ImageSession or mapping of str to BodyCenter
-    name : str
+    name
         Which body of a session; default the last one found.
     truth_px : (2,) array_like, optional
         True center (pixel, line); titles then tell how far off every center is.

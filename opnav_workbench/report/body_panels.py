@@ -61,16 +61,15 @@ class ShownBody:
 
     Attributes
     ----------
-    center : BodyCenter
     predicted_px : (2,) array or None
         Expected center (pixel, line); None where no session tells.
     outline_px : (k, 2) array
         The model's limb at the solution; k = 0 where it is not known.
-    circle : Circle or None
+    circle
         Where the analyst saw the body.
     east_north : (2, 2) array or None
         Rows: how (pixel, line) change with RA cos Dec and with Dec, as unit vectors.
-    where : str
+    where
         Picture and time; empty without a session.
     """
 

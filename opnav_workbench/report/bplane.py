@@ -37,13 +37,12 @@ def bplane_figure(
 
     Parameters
     ----------
-    solutions : mapping of str to BPlaneSolution
+    solutions
         By name, at least one; all mapped from the same a priori trajectory and epoch.
-    points : mapping of str to BPlane, optional
+    points
         Further flybys, such as the truth or the aim point.
-    body_radius_km : float, optional
+    body_radius_km
         Draws the body.
-    title : str
 
     Returns
     -------

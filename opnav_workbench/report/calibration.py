@@ -26,8 +26,7 @@ def camera_figure(stars: StarFrames, result: CameraCalibration, title: str = "")
 
     Parameters
     ----------
-    stars : StarFrames
-    result : CameraCalibration
+    result
         Of these stars.
     """
     figure = new_figure(13.0, 8.2, title)

@@ -137,10 +137,9 @@ def stack_figure(
 
     Parameters
     ----------
-    stacked : Stacked
-    center : BodyCenter, optional
+    center
         The target; it is marked, and the panels show its surroundings.
-    growth : Growth, optional
+    growth
         Without it, the third panel shows how many pictures each pixel has.
     """
     figure = new_figure(13.0, 4.6, title)

@@ -69,8 +69,7 @@ def new_figure(
 
     Parameters
     ----------
-    width_inch, height_inch : float
-    title : str
+    title
         Above all panels; empty: none.
     pads_inch : (2,) tuple of float
         Above and below, left and right of each panel; default matplotlib's.

@@ -30,10 +30,6 @@ def write_coverage(check: KernelCheck, path: str | Path) -> None:
 def coverage_figure(check: KernelCheck) -> Figure:
     """Draw what kernels cover.
 
-    Parameters
-    ----------
-    check : KernelCheck
-
     Returns
     -------
     matplotlib.figure.Figure

@@ -65,11 +65,11 @@ def scan_figure(
 
     Parameters
     ----------
-    source : BodyCenter or ImageSession
+    source
         Found with method ``limb_scan``.
-    name : str
+    name
         Which body of a session; default the last one scanned.
-    numbers : sequence of int, optional
+    numbers
         Scans whose brightness and correlation are plotted; default some of those used, all around the limb.
 
     Returns

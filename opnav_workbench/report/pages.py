@@ -82,9 +82,9 @@ def night_page(summary: Mapping[str, Any], out: Path) -> str:
 
     Parameters
     ----------
-    summary : mapping
+    summary
         See `opnav_workbench.headless.night_summary.night_summary_dict`.
-    out : path
+    out
         Folder of the pictures' folders; links are relative to it.
 
     Returns

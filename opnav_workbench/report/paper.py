@@ -54,10 +54,9 @@ class CaptionedFigure:
 
     Attributes
     ----------
-    png : bytes
-    number : str
+    number
         "Figure 4".
-    caption : str
+    caption
         Plain text.
     """
 
@@ -105,12 +104,10 @@ class PaperMarks:
     Attributes
     ----------
     pixel_line : (n, 2) array
-    label : str
+    label
         For the legend; empty: none.
-    shape : {"circle", "box", "cross"}
-    size_px : float
+    size_px
         Radius of the circles, half width of the boxes, half length of a cross.
-    color : str
     """
 
     pixel_line: FloatArray
@@ -131,18 +128,16 @@ class PaperPanel:
     ----------
     values : (n_line, n_pixel) array
         May hold nan, which is left blank.
-    title : str
-    bar : str
+    bar
         What the colour bar counts; empty: no bar.
     first : (2,) sequence of float
         Pixel and line of the array's first element.
-    stretch : {"linear", "log", "signed"}
+    stretch
         Signed: even about zero, red for more and blue for less.
     limits : (2,) sequence of float, optional
         Values at the ends of the colours; default from the values.
-    color_map : str, optional
+    color_map
         Matplotlib's name.
-    marks : sequence of PaperMarks
     """
 
     values: FloatArray
@@ -269,10 +264,9 @@ def panels_figure(panels: Sequence[PaperPanel], *, columns: int = 3, title: str 
 
     Parameters
     ----------
-    panels : sequence of PaperPanel
-    columns : int
+    columns
         Most panels in a row.
-    title : str
+    title
         Above all of them.
 
     Returns
@@ -311,7 +305,7 @@ def peak_figure(
 
     Parameters
     ----------
-    panel : PaperPanel
+    panel
         The surface; its largest value must not lie on the rim.
 
     Returns
@@ -382,16 +376,13 @@ class PaperRow:
 
     Attributes
     ----------
-    quantity : str
-    paper : float or None
+    paper
         None: the paper gives no number.
-    here : float or None
-    unit : str
-    digits : int
+    digits
         After the point.
-    remark : str
+    remark
         Why they differ, or where a number comes from.
-    difference : bool
+    difference
         Whether the difference means something.
     """
 

@@ -56,10 +56,6 @@ LEAST_RING_PX = 0.018  # of the detector: a ring that is seen
 def field_chart(plan: PicturePlan) -> Figure:
     """Draw the expected picture with its stars and bodies; a picture that cannot be predicted says why.
 
-    Parameters
-    ----------
-    plan : PicturePlan
-
     Returns
     -------
     matplotlib.figure.Figure
@@ -154,9 +150,8 @@ def timeline_figure(pictures: Sequence[PicturePlan], title: str = "") -> Figure:
 
     Parameters
     ----------
-    pictures : sequence of PicturePlan
+    pictures
         Those that cannot be predicted are marked by their time alone.
-    title : str
     """
     figure = new_figure(9.5, 8.6, title, fontsize=10)
     axes = figure.subplots(4, 1, sharex=True)
@@ -318,8 +313,7 @@ def plan_page(plan: Plan, charts: Mapping[str, bytes] | None = None) -> str:
 
     Parameters
     ----------
-    plan : Plan
-    charts : mapping of str to bytes, optional
+    charts
         Charts of the fields as PNG, by picture, where they are drawn already.
     """
     drawn = {p.name: png_bytes(field_chart(p)) for p in plan.pictures} if charts is None else charts

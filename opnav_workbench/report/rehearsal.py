@@ -64,10 +64,8 @@ def flyby_figure(solution: OrtSolution, true: FloatArray | None = None, *, dark:
 
     Parameters
     ----------
-    solution : OrtSolution
     true : (3,) array, optional
         B.T, B.R, time; None before the truth is opened.
-    dark : bool
 
     Returns
     -------

@@ -36,11 +36,11 @@ def star_chart(
 
     Parameters
     ----------
-    stars : StarTable
+    stars
         Brightest first.
-    ra_rad, dec_rad, radius_rad : float
+    ra_rad, dec_rad, radius_rad
         The cone, J2000.
-    et_s : float, optional
+    et_s
         Epoch of the places, TDB seconds past J2000; none: the catalog's own.
 
     Returns

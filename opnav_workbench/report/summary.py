@@ -100,10 +100,6 @@ def summary_png(session: ImageSession) -> bytes:
 def summary_figure(session: ImageSession) -> Figure:
     """Draw a session's summary (the paper's Figures 10 and 12 for this picture).
 
-    Parameters
-    ----------
-    session : ImageSession
-
     Returns
     -------
     matplotlib.figure.Figure

@@ -25,14 +25,11 @@ class Viewpoint:
 
     Attributes
     ----------
-    spacecraft : int
+    spacecraft
         NAIF number.
-    et : float
-    observer : Observer
-    camera : Camera or None
     camera_from_j2000 : (3, 3) array or None
         None: the attitude is not known.
-    center, frame : str
+    center, frame
         What geometric states refer to.
     """
 
@@ -51,29 +48,27 @@ class BodyGeometry:
 
     Attributes
     ----------
-    name : str
-    id : int
+    id
         NAIF number.
     spacecraft_km, spacecraft_km_s : (3,) arrays
         Geometric state of the spacecraft relative to the body, in the report's frame.
     body_km, body_km_s : (3,) arrays
         Geometric state of the body relative to the report's center, in the report's frame.
-    range_km, light_time_s : float
+    range_km, light_time_s
         From the spacecraft to where the light that it receives left the body.
-    ra_deg, dec_deg : float
+    ra_deg, dec_deg
         Apparent J2000 direction: light time and stellar aberration.
-    phase_deg : float
+    phase_deg
         Sun - body - spacecraft.
-    elongation_deg : float
+    elongation_deg
         Apparent angle from the Sun.
-    sun_distance_km : float
+    sun_distance_km
         Of the body.
-    diameter_px : float
+    diameter_px
         Diameter of the circle with the area of the projected limb.
-    pixel, line : float
+    pixel, line
         Predicted place of the center.
-    on_detector : bool
-    sub_observer, sub_solar : SurfacePoint or None
+    sub_observer, sub_solar
         Planetocentric.
     """
 

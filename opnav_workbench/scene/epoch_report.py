@@ -220,13 +220,13 @@ class CameraPointing:
 
     Attributes
     ----------
-    camera, frame : str
+    camera, frame
         Name and SPICE frame.
     camera_from_j2000 : (3, 3) array
         ``v_camera = camera_from_j2000 @ v_j2000``.
     quaternion_camera_from_j2000 : (4,) array
         The same as a SPICE quaternion, scalar first.
-    ra_deg, dec_deg, twist_deg : float
+    ra_deg, dec_deg, twist_deg
         Boresight, and position angle of increasing line, east of J2000 north.
     """
 
@@ -253,21 +253,17 @@ class GeometryReport:
 
     Attributes
     ----------
-    et : float
+    et
         TDB s past J2000.
-    utc : str
-    sclk : str or None
+    sclk
         Reading of the spacecraft clock.
-    spacecraft : str
-    center : str
+    center
         Body that the states refer to.
-    frame : str
+    frame
         Frame of the states.
     spacecraft_km, spacecraft_km_s : (3,) arrays
         Geometric state of the spacecraft relative to the center.
-    pointing : CameraPointing or None
-    bodies : tuple of BodyGeometry
-    notes : tuple of str
+    notes
         What could not be found, and why.
     """
 
@@ -330,20 +326,20 @@ def geometry_report(
 
     Parameters
     ----------
-    et : float
+    et
         Time at the spacecraft, TDB s past J2000.
-    spacecraft : str or int
+    spacecraft
         SPICE name or NAIF number.
-    bodies : sequence of str
+    bodies
         SPICE names.
-    camera : Camera, optional
+    camera
         For attitude, sizes and places on the detector. Where no CK covers `et`, sizes are those of a body in the
         middle of the field, places are nan, and a note says why.
-    clock_id : int, optional
+    clock_id
         Spacecraft clock; none: no clock reading.
-    center : str
+    center
         Body that states refer to.
-    frame : str
+    frame
         SPICE frame of the states.
 
     Raises

@@ -94,19 +94,16 @@ class BodyPrediction:
 
     Attributes
     ----------
-    name : str
     pixel_line : (2,) array
         Projected center of figure, px (nan behind the camera).
     direction : (3,) array
         Apparent unit vector of the center, J2000.
-    range_km : float
-    diameter_px : float
+    diameter_px
         Diameter of the circle with the area of the projected limb; 0 for a star, nan without radii.
-    phase_rad : float
+    phase_rad
         Sun - body - spacecraft angle; nan where no Sun direction is known.
     limb_px : (k, 2) array
         The projected limb (k = 0 for a star or a body without radii).
-    on_detector : bool
     """
 
     name: str
@@ -150,15 +147,14 @@ def predict_stars(
 
     Parameters
     ----------
-    stars : StarTable
+    stars
         n catalog rows.
-    et : float
+    et
         TDB seconds past J2000.
-    observer : Observer
+    observer
         Barycentric state of the spacecraft.
-    camera : Camera
     camera_from_j2000 : (3, 3) array
-    margin_px : float
+    margin_px
         Stars up to this far outside the detector are kept (with ``on_detector`` False).
     """
     directions = apparent_stars(stars, et, observer)

@@ -34,7 +34,7 @@ class Observer:
     ----------
     position_km, velocity_km_s : (3,) arrays
         With respect to the solar-system barycenter, J2000.
-    source : str
+    source
         "kernels" or "header", for the record.
     """
 

@@ -180,9 +180,9 @@ class Autosave:
 
     Parameters
     ----------
-    folder : Path
+    folder
         Made where it is not there.
-    session, sha256 : str
+    session, sha256
         The session's id, and its picture's SHA-256.
 
     Raises
@@ -232,8 +232,7 @@ class Autosave:
 
         Parameters
         ----------
-        history : History
-        cost_s : float
+        cost_s
             What its last step took.
 
         Raises

@@ -30,10 +30,6 @@ class Context:
 
     Attributes
     ----------
-    frame : Picture
-    camera : Camera
-    mission : Mission
-    background : Background
     signal_dn : (n_line, n_pixel) array
         Picture minus background level.
     noise_dn : (n_line, n_pixel) array
@@ -42,7 +38,6 @@ class Context:
         Pixels that no measurement may use.
     extended : (n_line, n_pixel) array of bool
         Pixels that the light of resolved bodies covers, where no star can be measured.
-    settings : Settings
     """
 
     frame: Picture

@@ -185,13 +185,13 @@ class PictureDecisions(StrictModel):
 
     Attributes
     ----------
-    name : str
+    name
         Its file name; the key of the entry, its SHA-256, is what counts.
     who, when
         Analyst, and when the last decision was made.
     mission, catalog, attitude : str
         What the session was opened with.
-    settings : mapping
+    settings
         Settings of the session that differ from the defaults.
     reject, accept, place, two_stars, nudge, circles, scans, methods, together, notes, steps : sequences
         Items, see the classes above.
@@ -435,8 +435,7 @@ class Decisions(BaseModel):
 
         Parameters
         ----------
-        session : ImageSession
-        who : str
+        who
             The analyst.
         """
         sections: dict[str, list[DecisionItem]] = {}

@@ -41,15 +41,15 @@ class JournalEntry:
 
     Attributes
     ----------
-    step : str
+    step
         The `ImageSession` method called.
-    parameters : mapping
+    parameters
         Its arguments as plain values; replaying them reproduces the state.
-    reason : str
+    reason
         Why, in the analyst's words.
-    outcome : str
+    outcome
         One line of what came out.
-    time_utc : str
+    time_utc
         When, ISO 8601.
     """
 
@@ -82,12 +82,11 @@ class JournalTail:
 
     Attributes
     ----------
-    entries : tuple of JournalEntry
-    inputs : tuple of mapping
+    inputs
         What the steps added to the inputs, as `inputs_added` gives them.
-    length : int
+    length
         Bytes of the file that are whole and belong to the session.
-    note : str
+    note
         What was left out, and why; empty as a rule.
     """
 
@@ -226,9 +225,9 @@ class History:
 
     Parameters
     ----------
-    context : Context
+    context
         The picture that the steps work on.
-    inputs : Inputs
+    inputs
         What kernels, header and catalog gave; replaced when a step needs more of them.
     """
 
@@ -326,10 +325,9 @@ class History:
 
         Parameters
         ----------
-        journal : sequence of JournalEntry
-        source : str
+        source
             What it was read from.
-        kept : callable
+        kept
             Gives a state that was kept after the first of the standing steps, if there is one.
 
         Raises

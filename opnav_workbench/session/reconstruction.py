@@ -35,16 +35,15 @@ class Reconstruction:
 
     Attributes
     ----------
-    path : Path
-    frame : str
+    frame
         What the CK orients: the bus, or the camera where its mounting was not known.
-    structure_id : int
+    structure_id
         NAIF id of that in the CK.
-    pictures : tuple of str
+    pictures
         Pictures whose pointing the CK holds, in order of time.
     skipped : tuple of (str, str)
         Pictures left out, and why.
-    note : str
+    note
         What a user of the CK must know; empty as a rule.
     """
 
@@ -98,13 +97,13 @@ def write_reconstructed_ck(
 
     Parameters
     ----------
-    results : sequence of mapping
+    results
         As `ImageSession.result` returns them and ``result.json`` holds them; all of one mission.
-    out : path
+    out
         The CK; an older file of that name is replaced once the new one is whole.
-    mission : Mission, optional
+    mission
         Default: the one that the results name.
-    without_twist : bool
+    without_twist
         Take pictures whose stars did not determine the twist, too; they keep their a priori twist.
 
     Raises

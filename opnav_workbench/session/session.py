@@ -63,9 +63,9 @@ class ImageSession:
         Names this session in its files.
     resume_note : str
         What `resume` had to leave out, such as a line that a crash cut short; empty as a rule.
-    context : Context
+    context
         The picture, its camera, background and settings.
-    source : InputSource
+    source
         Where the inputs come from: catalog, target stars, attitude.
 
     Raises

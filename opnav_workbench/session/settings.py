@@ -14,32 +14,32 @@ class Settings:
 
     Attributes
     ----------
-    max_shift_px : float
+    max_shift_px
         How far the a priori pointing may be off; the paper speaks of "more than 40 pixels".
-    max_twist_deg : float
+    max_twist_deg
         How far the a priori twist may be off; 0.2 deg was measured on LORRI frames.
-    wider_shift_px, wider_twist_deg : float
+    wider_shift_px, wider_twist_deg
         How far a second search goes where the field is not identified for sure within these limits; 0 px: no such search.
-    widest_shift_px, widest_twist_deg : float
+    widest_shift_px, widest_twist_deg
         The same for a last search; 180 deg is any twist.
-    search_radius_px : float
+    search_radius_px
         How far from its expected place a star is searched once the field is identified.
-    refined_radius_px : float
+    refined_radius_px
         The same once the pointing is solved: the expected place is then known to a fraction of a pixel.
-    min_snr : float
+    min_snr
         A star below this signal-to-noise ratio counts as not detected: noise alone exceeds 5 sigma within the
         search area once in about 1e5 stars.
-    max_magnitude_error : float
+    max_magnitude_error
         A detection this much (mag) off the frame's own zero point is not the catalog star: colours of late-type stars
         reach 2.5 mag between V and a broad red band.
-    blend_radius_px : float
+    blend_radius_px
         Two catalog stars nearer than this are not separate pictures of stars where centers are of correlations; least
         squares fits neighbors together and separates them from 1.5 sigma of the PSF on.
-    blend_magnitude : float
+    blend_magnitude
         ... unless the fainter is this much (mag) fainter, when it moves the center by less than 3 % of their distance.
-    max_stars : int
+    max_stars
         At most so many stars, the brightest, are used.
-    mag_limit : float
+    mag_limit
         Faintest catalog magnitude asked for.
     """
 

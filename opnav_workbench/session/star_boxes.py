@@ -21,8 +21,6 @@ class StarBox:
 
     Attributes
     ----------
-    id : str
-    mag : float
     first_px : (int, int)
         Pixel and line of the first pixel of the box on the detector.
     data_dn : (size, size) array
@@ -34,14 +32,13 @@ class StarBox:
     predicted_px : (2,) array
         Where the star is expected with the best known pointing.
     sigma_px : (2,) array or None
-    snr : float
+    snr
         nan where nothing was fitted.
-    status, reason : str
-    verdict : str
+    verdict
         ``accepted`` or ``rejected`` by the analyst, else empty.
-    flags : str
+    flags
         What is known against the center, in words.
-    method : str
+    method
         Centerfinder; empty where nothing was fitted.
     """
 

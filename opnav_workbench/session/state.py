@@ -71,14 +71,14 @@ class FieldFound:
         Attitude that brings the stars onto their detections, to a pixel.
     shift_px : (2,) array
         Observed minus a priori place of the field's center, without distortion.
-    twist_rad : float
+    twist_rad
         Turn of the picture, positive from +pixel toward +line.
-    confidence : float
+    confidence
         1 - estimated probability that it is another field.
     search : {"a priori", "wide", "marked", "by hand"}
         Found within the limits of the a priori pointing, by a wider search, from two stars marked by the analyst, or where
         the analyst moved it.
-    sure : bool
+    sure
         False for a proposal that the analyst should confirm.
     """
 
@@ -95,13 +95,7 @@ class FieldFound:
 
 @dataclass(frozen=True, slots=True)
 class ScanChoice:
-    """Limb scans that the analyst chose.
-
-    Attributes
-    ----------
-    numbers : tuple of int
-    reason : str
-    """
+    """Limb scans that the analyst chose."""
 
     numbers: tuple[int, ...]
     reason: str = ""
@@ -113,16 +107,13 @@ class BodyRequest:
 
     Attributes
     ----------
-    name, method : str
+    name, method
         The method as asked for, such as ``auto``.
-    search_radius_px : float or None
     circle : (float, float, float) or None
         Pixel, line and radius of a circle given for this search alone.
-    scans : tuple of int or None
-    solve_range : bool
-    together : tuple of str
+    together
         Bodies that were found jointly with it, itself included; empty for a body alone.
-    scene : tuple of str
+    scene
         Bodies in the picture that nobody asked for, but whose light, shadow or disk may matter.
     """
 
@@ -142,8 +133,6 @@ class JointFound:
 
     Attributes
     ----------
-    names : tuple of str
-    method : str
     covariance_px2 : (2 n, 2 n) array
         Pixel and line of the first, of the second, ...; nan for a body without a center.
     """
@@ -162,15 +151,15 @@ class SessionState:
 
     Attributes
     ----------
-    a_priori : StarPrediction or None
+    a_priori
         Stars predicted with the a priori pointing, around the detector.
-    centers : StarCenters or None
+    centers
         Fitted centers, one row per star of `a_priori`.
-    found_status : tuple of StarStatus
+    found_status
         One per star of `a_priori`, as measuring left it: neither pointing nor analyst has rejected any yet.
-    status : tuple of StarStatus
+    status
         The same after the pointing's outliers and the analyst's decisions.
-    targets : tuple of str
+    targets
         Names of the targets expected in the picture.
     decisions : mapping of str to (str, str)
         Analyst's verdict ("rejected" or "accepted") and reason by star id; they outrank the automatic ones.
@@ -182,19 +171,15 @@ class SessionState:
         Where the analyst saw a body, by name.
     scan_choices : mapping of str to ScanChoice
         Limb scans that the analyst chose, by body.
-    user_notes : tuple of str
+    user_notes
         The analyst's remarks.
-    star_field : FieldFound or None
+    star_field
         The field as identification, or the analyst, found it.
-    psf : ShapePrior or None
+    psf
         The frame's own PSF.
-    pointing : PointingSolution or None
-    bodies : tuple of BodyCenter
-    requests : tuple of BodyRequest
+    requests
         One per body of `bodies`.
-    joint : tuple of JointFound
-    observables : tuple of Observable
-    skipped_targets : tuple of str
+    skipped_targets
         Targets asked for that neither kernels nor star list know.
     notes : mapping of str to tuple of str
         What the analyst must know, by topic; a step that is repeated replaces its own notes.
@@ -251,15 +236,13 @@ class FieldMatch:
 
     Attributes
     ----------
-    found : FieldFound or None
-    stars : StarPrediction or None
+    stars
         Predicted anew, where the field lies so far off that others are on the detector; else None.
     expected_px : (n, 2) array
     visible : (n,) array of bool
         Expected on the detector.
-    radius_px : float
+    radius_px
         How far from the expected place a star may lie.
-    messages : tuple of str
     """
 
     found: FieldFound | None

@@ -125,12 +125,12 @@ class LoadedSession:
 
     Attributes
     ----------
-    session : str
+    session
         Its id.
     context, source, inputs
-    journal : tuple of JournalEntry
+    journal
         Of both files.
-    tail : JournalTail
+    tail
         What the journal file adds.
     """
 
@@ -176,10 +176,9 @@ class SessionOnDisk:
 
     Attributes
     ----------
-    session, sha256 : str
+    session, sha256
         Its id, and the picture's SHA-256.
-    journal : tuple of JournalEntry
-    tail_bytes : int
+    tail_bytes
         Whole bytes of the journal file.
     """
 

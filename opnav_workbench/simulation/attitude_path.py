@@ -67,7 +67,6 @@ class AttitudePath:
 
         Parameters
         ----------
-        camera : Camera
         directions : (n, 3) or (n, k, 3) array_like
             J2000 vectors, the same at every sample or not.
         """
@@ -96,11 +95,11 @@ class CameraMotion:
     ----------
     rate_px_s : (float, float)
         Of the boresight's sky along pixel and line.
-    twist_rate_deg_s : float
+    twist_rate_deg_s
         Of the sky about the boresight, from +pixel toward +line.
-    jitter_px : float
+    jitter_px
         1 sigma of each axis.
-    jitter_hz : float
+    jitter_hz
         The shake's power lies between a tenth of this frequency and this one.
     """
 
@@ -137,14 +136,11 @@ def kernel_path(
 
     Parameters
     ----------
-    camera : Camera
-    et : float
+    et
         Mid-exposure.
-    exposure_s : float
-    motion : CameraMotion, optional
-    seed : int
+    seed
         Of the jitter.
-    frame : str, optional
+    frame
         SPICE frame; the camera's own unless given.
 
     Raises
@@ -189,14 +185,13 @@ def sample_path(
 
     Parameters
     ----------
-    camera : Camera
-    attitude_at : callable
+    attitude_at
         ``camera_from_j2000`` (3, 3) at a time.
-    et, exposure_s : float
+    et, exposure_s
         Mid-exposure and its length.
-    motion : CameraMotion, optional
+    motion
         Added to the attitude.
-    seed : int
+    seed
         Of the jitter.
     """
     moves = motion or CameraMotion()
@@ -242,7 +237,6 @@ def sky_turn(camera: Camera, offsets: ArrayLike) -> FloatArray:
 
     Parameters
     ----------
-    camera : Camera
     offsets : (..., 3) array_like
         By how much along pixel and line, px, and about the boresight from +pixel toward +line, rad.
     """

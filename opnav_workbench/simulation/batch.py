@@ -33,14 +33,13 @@ def simulate(
 
     Parameters
     ----------
-    scenario : PictureScenario
-    out : Path
+    out
         Folder; gets for every picture ``NAME.fit``, its truth and its preview.
-    jobs : int
+    jobs
         Processes. A script that asks for more than one must guard its main part (``if __name__ == "__main__"``).
-    only : sequence of str
+    only
         Names of pictures (of a series: its name, or that of one of its pictures); none: all.
-    done : callable
+    done
         Called with each picture's report as soon as it stands, in any order.
 
     Returns

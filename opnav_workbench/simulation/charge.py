@@ -63,7 +63,7 @@ def poisson_counts(mean: ArrayLike, rng: np.random.Generator) -> FloatArray:
     ----------
     mean : array_like
         Expected counts; negative ones count as 0.
-    rng : numpy.random.Generator
+    rng
         Gives one normal deviate per element, whatever the mean.
 
     Returns
@@ -126,11 +126,11 @@ class ChargeTransfer:
 
     Attributes
     ----------
-    after : float
+    after
         Transfer time of all lines after the exposure, over the exposure time.
-    before : float
+    before
         The same of the clearing before it.
-    toward_first : bool
+    toward_first
         Whether the rows leave over line 0 (else over the last one).
 
     Raises
@@ -249,12 +249,10 @@ def draw_cosmic_rays(
 
     Parameters
     ----------
-    settings : CosmicRays
-    camera : Camera
+    camera
         Its pixel size turns rates per area into rates per pixel, and tracks into pixels.
-    open_s : float
+    open_s
         Time during which charge lies on the detector.
-    rng : numpy.random.Generator
     """
     pixel_mm = 1.0 / np.sqrt(abs(np.linalg.det(camera.pixel_from_mm)))
     rate = settings.rate_per_px_s
@@ -284,8 +282,7 @@ def bloom(electrons: FloatArray, full_well_e: float, *, spill: bool = True) -> F
     Parameters
     ----------
     electrons : (n_line, n_pixel) array
-    full_well_e : float
-    spill : bool
+    spill
         Whether the excess flows along the column (line axis); else a drain takes it.
 
     Returns

@@ -66,24 +66,22 @@ class Exposure:
 
     Attributes
     ----------
-    image_dn : array
+    image_dn
         What the file holds: raw or calibrated.
     level : {"raw", "calibrated"}
-    exposure_s : float
-    noiseless_electrons : array
+    noiseless_electrons
         The scene's light as it was given: stars and bodies, no detector effect.
-    expected_electrons : array
+    expected_electrons
         Mean of the photo-electrons: with sky, stray light, flat field and smear.
-    collected_electrons : array
+    collected_electrons
         Charge that was read out, after noise, cosmic rays and blooming.
     saturated, lost, defective : bool arrays
         At the end of the converter's range or the full well; lost in telemetry; hot or dead.
-    flag_defects : bool
+    flag_defects
         Whether the quality plane shall show the defective pixels.
     dark_columns_dn : (n_line, k) array
         Raw values of k covered columns beside the picture; k is 0 unless asked for.
-    cosmic_rays : CosmicRayHits
-    values : DetectorValues
+    values
         The numbers that were used.
     """
 
@@ -140,14 +138,11 @@ def expose(
     ----------
     electrons : (n_line, n_pixel) array
         Expected photo-electrons of the scene over the whole exposure, at full sensitivity.
-    camera : Camera
-    effects : DetectorEffects
-    exposure_s : float
-    seed : int
+    seed
         The same seed gives the same picture, bit for bit.
     level : {"raw", "calibrated"}
         Calibrated: bias, mean dark current, smear and flat field are removed, their noise stays.
-    dark_columns : int
+    dark_columns
         Covered columns that the raw picture has at its right end.
 
     Raises

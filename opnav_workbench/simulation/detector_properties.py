@@ -31,18 +31,14 @@ class DetectorValues:
 
     Attributes
     ----------
-    gain_e_per_dn, read_noise_dn, bias_dn : float
-    dark_e_s : float
+    dark_e_s
         Mean dark current of a pixel.
-    full_well_e : float or None
-    digitised : bool
+    digitised
         Whether data numbers are whole numbers.
-    ceiling_dn : float or None
+    ceiling_dn
         Highest raw value.
-    transfer : ChargeTransfer or None
-    transfer_s : float
+    transfer_s
         Time of the frame transfer, 0 without.
-    prnu, hot_fraction, dead_fraction : float
     """
 
     gain_e_per_dn: float
@@ -154,11 +150,11 @@ class FixedPattern:
 
     Attributes
     ----------
-    response : array or None
+    response
         Relative sensitivity; 0 in dead pixels.
-    known_response : array or None
+    known_response
         The flat field that calibration divides by.
-    dark_e_s : array or None
+    dark_e_s
         Dark current, with the leak of hot pixels.
     bias_dn : (n_pixel,) array or None
         Offset of each column from the bias level.

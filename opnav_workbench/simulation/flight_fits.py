@@ -53,10 +53,9 @@ def quality_plane(exposure: Exposure, table: str, housekeeping_pixels: int = 0) 
 
     Parameters
     ----------
-    exposure : Exposure
-    table : str
+    table
         Name of the mission's table.
-    housekeeping_pixels : int
+    housekeeping_pixels
         Pixels at the start of line 0 that carry telemetry.
     """
     codes = QUALITY_CODES[table]
@@ -98,8 +97,7 @@ def write_flight_fits(path: str | PathLike[str], exposure: Exposure, record: Fli
     Parameters
     ----------
     path : path-like
-    exposure : Exposure
-    record : FlightRecord
+    record
         The predicted attitude goes into the header, never the true one.
 
     Returns

@@ -64,16 +64,13 @@ class FlightRecord:
 
     Attributes
     ----------
-    mission : Mission
-    camera : Camera
-    et : float
+    et
         Mid-exposure.
-    exposure_s : float
     camera_from_j2000 : (3, 3) array
         The predicted attitude.
-    identity : mapping
+    identity
         Cards that tell mission and camera, and any others; they outrank those made here.
-    target : str or None
+    target
         Body that the header names; its geometry comes from the kernels.
     """
 
@@ -300,8 +297,7 @@ def flight_cards(record: FlightRecord, values: DetectorValues, level: Level) -> 
 
     Parameters
     ----------
-    record : FlightRecord
-    values : DetectorValues
+    values
         Gain, read noise and bias of the exposure.
     level : {"raw", "calibrated"}
 
@@ -396,7 +392,6 @@ def wcs_cards(camera: Camera, camera_from_j2000: ArrayLike) -> dict[str, Any]:
 
     Parameters
     ----------
-    camera : Camera
     camera_from_j2000 : (3, 3) array_like
         The attitude that the header states.
     """

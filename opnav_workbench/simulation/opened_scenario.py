@@ -53,9 +53,9 @@ class ScenarioPicture:
 
     Attributes
     ----------
-    index : int
+    index
         Of its entry in the scenario.
-    entry : PictureEntry
+    entry
         With one time; of a series, that of this picture.
     """
 

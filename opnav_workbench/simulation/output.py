@@ -81,11 +81,11 @@ class BodyReport:
 
     Attributes
     ----------
-    name, regime : str
+    name, regime
         SPICE name; drawn as "point", "small" or "disk".
     center_px : (2,) array
         True center of figure.
-    diameter_px, snr, occulted_fraction : float
+    diameter_px, snr, occulted_fraction
         `snr` is that of all its light against photon and read noise.
     """
 
@@ -106,14 +106,11 @@ class PictureReport:
 
     Attributes
     ----------
-    name, utc, camera : str
-    exposure_s : float
-    stars_drawn : int
+    stars_drawn
         On the detector and not behind a body.
-    brightest_mag : float or None
+    brightest_mag
         Of these.
-    bodies : tuple of BodyReport
-    files : tuple of Path
+    files
         The picture first.
     """
 
@@ -138,12 +135,10 @@ def write_picture(
 
     Parameters
     ----------
-    picture : SimulatedPicture
-    mission : Mission
-    out : Path
+    out
         Folder; gets ``NAME.fit``, ``NAME.truth.*`` and ``NAME_<stretch>.png``.
     stretches : sequence of {"linear", "log"}
-    settings : mapping, optional
+    settings
         What made the picture, for the truth file.
 
     Raises

@@ -43,35 +43,31 @@ class PictureInputs:
 
     Attributes
     ----------
-    name : str
+    name
         File name stem.
-    camera : Camera
-    et : float
+    et
         Mid-exposure, TDB s past J2000.
-    exposure_s : float
-    observer : Observer
+    observer
         True barycentric state of the spacecraft.
     predicted_camera_from_j2000 : (3, 3) array
         What the header says.
-    path : AttitudePath
+    path
         How the camera really stood during the exposure.
-    stars : StarTable
+    stars
         Catalog stars around the field.
-    bodies : tuple of BodyModel
+    bodies
         True states of the bodies, and how they look.
     body_tracks_px : tuple of (k, 2) array or None
         For each body how it moves on the detector in equal parts of the exposure, from mid-exposure; None: as
         `path` moves the sky. Empty: that for all.
-    psf : Psf
-    effects : DetectorEffects
-    place_effects : ApparentPlaceEffects
+    place_effects
         Those on places that are not switched off.
     level : {"calibrated", "raw"}
-    dark_columns : int
+    dark_columns
         Covered columns that a raw picture has at its right end.
-    seed : int
+    seed
         Of this picture.
-    header : mapping
+    header
         Further header cards.
     """
 
@@ -163,7 +159,6 @@ def add_stars(
         places that are not finite (behind the camera) are left out.
     flux_e : (n,) array_like
         Electrons of each star over the whole exposure.
-    psf : Psf
     weights : (k,) array_like, optional
         Share of the exposure at each time; equal ones unless given.
 
@@ -215,17 +210,15 @@ class SimulatedPicture:
 
     Attributes
     ----------
-    inputs : PictureInputs
-    exposure : Exposure
+    exposure
         The picture in DN, and the electrons before and after the detector's effects.
-    stars : StarPrediction
+    stars
         True places of the stars in or just outside the picture.
     star_flux_e : (n,) array
         Electrons of each star over the exposure; 0 without a magnitude.
     star_occulted : (n,) array of bool
         Behind a body, and therefore not drawn.
-    star_trails : Trails
-    rendering : Rendering
+    rendering
         The bodies: true centers, sizes and light.
     """
 

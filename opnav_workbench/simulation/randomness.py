@@ -37,9 +37,9 @@ def picture_random(seed: int, stream: str) -> np.random.Generator:
 
     Parameters
     ----------
-    seed : int
+    seed
         Of the picture, not negative.
-    stream : str
+    stream
         A name of `STREAMS`.
 
     Raises

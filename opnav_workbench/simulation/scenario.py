@@ -260,18 +260,17 @@ def varied(
 
     Parameters
     ----------
-    scenario : PictureScenario
-    exposure_s : float, optional
+    exposure_s
         Of every picture.
-    noise : bool
+    noise
         False: an ideal detector, electrons over gain.
-    law : str, optional
+    law
         Scattering law of every body, with its default parameters.
-    albedo : {"uniform", "mottled"}, optional
+    albedo
         Surface of every body.
-    offset_body : str, optional
+    offset_body
         Body or barycenter that is moved; its other offsets stay.
-    toward_sun_km : float
+    toward_sun_km
         By how much, toward the Sun.
 
     Raises

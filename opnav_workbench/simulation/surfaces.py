@@ -61,15 +61,14 @@ def mottled_map(
 
     Parameters
     ----------
-    seed : int
+    seed
         The same seed gives the same map, bit for bit.
-    dark, bright : float
+    dark, bright
         Limits of the albedo.
-    features : int
+    features
         Number of patches.
-    smallest_deg, largest_deg : float
+    smallest_deg, largest_deg
         Their angular radii (1 sigma).
-    rows : int
 
     Examples
     --------
@@ -118,13 +117,11 @@ class Surface:
 
     Attributes
     ----------
-    law : ScatteringLaw
-    albedo : float or AlbedoMap
-    brightness : Brightness or None
+    brightness
         None: the mission's photometry where it knows the body, else the albedo.
-    shape : ShapeModel or None
+    shape
         None: the ellipsoid of the kernels.
-    radius_km : float or None
+    radius_km
         Of a sphere in place of that ellipsoid.
     """
 

@@ -64,13 +64,10 @@ def true_attitude(
 
     Parameters
     ----------
-    plan : ActualAttitude
     predicted : (3, 3) array
-    camera : Camera
-    et : float
-    seed : int
+    seed
         Of the picture.
-    folder : Path
+    folder
         Where relative paths of kernels count from.
 
     Raises

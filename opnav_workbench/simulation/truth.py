@@ -69,19 +69,14 @@ class BodyTruth:
 
     Attributes
     ----------
-    name : str
     center_px : (2,) array
         Center of figure at mid-exposure.
     light_px : (2,) array
         Center of its light over the exposure; nan where none reaches the detector.
-    flux_e : float
-    mag : float
+    mag
         nan where it is not known.
-    diameter_px : float
-    on_detector : bool
-    occulted_fraction : float
+    occulted_fraction
         Part of its light that other bodies hide.
-    smear_px : float
     """
 
     name: str
@@ -180,22 +175,18 @@ class Truth:
 
     Attributes
     ----------
-    picture : Path
-    mission, camera, utc : str
+    mission, camera, utc
         Names, and mid-exposure.
-    et, exposure_s : float
     camera_from_j2000 : (3, 3) array
         True attitude at mid-exposure.
     predicted_camera_from_j2000 : (3, 3) array
         What the header says.
-    objects : QTable
+    objects
         See `truth_table`.
-    seed : int
-    settings : mapping
+    settings
         What made the picture, as plain values: effects, attitude, perturbations.
-    exposure : mapping
+    exposure
         What the detector did: `Exposure.summary`.
-    cosmic_rays : CosmicRayHits
     noiseless_electrons : (n_line, n_pixel) array or None
         None where it was not asked for.
     """

@@ -78,17 +78,17 @@ def cramer_rao(
         True places (pixel, line); only their sub-pixel phases matter.
     flux_dn : float or (n,) array_like
         True fluxes.
-    psf : Psf or ShapePrior
+    psf
         A PSF: the shape is known, and free are flux, pixel, line and background. A prior: free are also log
         scale, e1 and e2 of a Gaussian with the prior's mean, and the prior's information is added to that of the
         data (with it the bound is that of the posterior, averaged over the prior).
-    noise_dn : float
+    noise_dn
         1-sigma noise of a pixel without the star: read noise, dark current, sky.
-    box_px : int
+    box_px
         Side of the box of pixels that are used, odd, centered on the pixel that holds the star.
-    noise_model : NoiseModel, optional
+    noise_model
         Its gain adds the star's shot noise.
-    background : {"level", "plane", "none"}
+    background
         What is free beside the star; "none" for a background that is known.
 
     Raises
@@ -130,7 +130,7 @@ def flux_at_snr(
 
     Parameters
     ----------
-    snr : float
+    snr
         Flux over its sigma, all free parameters estimated.
     psf, noise_dn, box_px, noise_model, background
         As in `cramer_rao`.

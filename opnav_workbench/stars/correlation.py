@@ -87,7 +87,7 @@ def extract_template(
         Pixels to leave out (also saturated ones); they count as empty.
     pixel_line : (2,) array_like
         Center of the star, sub-pixel: what is found with the template refers to it.
-    radius_px : float
+    radius_px
         Radius of the circle: large enough for the wings, too small for another star.
 
     Raises
@@ -165,11 +165,11 @@ def correlate(
         Pixels to leave out.
     start_pixel_line : (n, 2) array_like
         Predicted (pixel, line).
-    template : StarTemplate
+    template
         From `extract_template` or `gaussian_template`.
-    search_radius_px : float
+    search_radius_px
         How far from its prediction a star may be. The cross-correlation sees no farther than its sub-image.
-    method : {"matched_filter", "cross_correlation"}
+    method
         See the module.
     saturated : (n_line, n_pixel) array_like of bool, optional
         Left out and flagged where they touch the star.

@@ -118,11 +118,11 @@ def detect(
         Expected 1-sigma noise of the pixels.
     bad, saturated : (n_line, n_pixel) array_like of bool, optional
         Pixels to leave out; stars with saturated pixels are found by what is left of them, and flagged.
-    sigma_px : float
+    sigma_px
         PSF, before integration over the pixels.
-    threshold_snr : float
+    threshold_snr
         Smallest signal-to-noise ratio of the matched filter.
-    max_detections : int, optional
+    max_detections
         Keep the brightest only.
 
     Returns

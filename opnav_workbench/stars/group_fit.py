@@ -130,13 +130,13 @@ def find_hits(
 
     Parameters
     ----------
-    final : ModelEvaluation
+    final
         The fit at its end, g boxes of m = size^2 pixels.
     covariance : (g, q, q) array
         Of the fitted parameters, from the noise alone.
     light : (g, m) array
         Of the fitted stars.
-    psf_error : float
+    psf_error
         Relative error of the PSF model, where it is known to be larger than `PSF_TOLERANCE`.
     """
     used = final.weight > 0.0

@@ -72,14 +72,13 @@ def identify_sky(
         far around it as the pointing may be off.
     magnitude : (n,) array_like
         Their magnitudes; nan where unknown.
-    detections : Detections
+    detections
         From `detect`; cosmic rays among them are expected.
-    camera : Camera
-    max_shift_px, max_twist_rad : float
+    max_shift_px, max_twist_rad
         Limits of the pointing error; a twist of pi is any twist.
-    tolerance_px : float
+    tolerance_px
         Largest distance between a star and its detection, once the rotation is right.
-    zero_point_mag : float, optional
+    zero_point_mag
         Magnitude of a star of 1 DN total flux in this exposure; without it brightness only ranks.
 
     Returns
@@ -219,7 +218,7 @@ def identify_marked(
         Marked places (pixel, line); each means the nearest detection, or itself where there is none.
     stars : (int, int), optional
         Rows of the stars that were marked; without it they are looked for.
-    max_shift_px : float
+    max_shift_px
         Where the stars are not named: how far the pointing may be off.
 
     Returns

@@ -75,29 +75,29 @@ def fit_gaussian(
         Pixels to leave out.
     start_pixel_line : (n, 2) array_like
         First guess (pixel, line), good to `search_radius_px` along each axis.
-    prior : ShapePrior
+    prior
         What is known of the PSF.
-    box_px : int, optional
+    box_px
         Side of the box around each star, odd; by default 4 sigma and a rim.
-    background : {"level", "plane"}
+    background
         What is estimated beside the star.
-    noise_model : NoiseModel, optional
+    noise_model
         With it, the shot noise of the fitted star is added to `noise_dn`, which then must not hold it
         already.
-    psf_error : float
+    psf_error
         Relative error of the Gaussian as a model of the PSF. The covariance allows for that fraction of the
         star in each pixel (see `estimate_psf_error`); the weights stay those of the noise, so that the
         centers do not depend on it.
-    search_radius_px : float
+    search_radius_px
         The brightest point of the search area starts the fit; the center stays within it, along each axis.
-    inflate_misfit : bool
+    inflate_misfit
         Scale the covariance of center and shape by the reduced chi-square (less what `psf_error` explains)
         where that is significantly above 1 (see `misfit_factor`).
-    joint : bool
+    joint
         Fit stars that lie in each other's boxes together, with one background and shape. They are searched as
         a pattern, so their starts must be good to a pixel relative to each other. A member that turns out
         fainter than SNR 4 is taken out, and its neighbors are fitted without it.
-    mask_hits : bool
+    mask_hits
         Leave out pixels with light that no listed star explains (see `find_hits`), and fit again.
 
     Returns
@@ -189,9 +189,9 @@ def fit_psf(
     image_dn, noise_dn, bad, start_pixel_line, background, saturated, noise_model, psf_error, search_radius_px,
     inflate_misfit, joint, mask_hits
         As in `fit_gaussian`.
-    psf : Psf
+    psf
         Image of a point. A center is the place of the point as the PSF defines it.
-    box_px : int, optional
+    box_px
         Side of the box around each star, odd; by default 4 sigma of the core and half the trail on each side.
 
     Returns

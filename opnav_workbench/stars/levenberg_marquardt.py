@@ -74,7 +74,7 @@ def solve_batched(
         First guess and bounds.
     prior_mean, prior_information : (n, q) array
         Center and inverse variance of the prior on each parameter; 0 for none.
-    max_iterations : int
+    max_iterations
         Trial steps per problem.
     """
     n = len(start)

@@ -47,9 +47,9 @@ def link_neighbors(
     places : (n, 2) array
     joinable : (n,) array of bool
         The others stay alone.
-    radius_px : float
+    radius_px
         Along each axis: neighbors in a box of twice this size are linked.
-    too_close_px : float
+    too_close_px
         Of two places nearer than this, one source for the fit, the second stays alone.
     """
     joinable = joinable.copy()

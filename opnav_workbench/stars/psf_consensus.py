@@ -41,11 +41,11 @@ def shape_from_stars(
 
     Parameters
     ----------
-    centers : StarCenters
+    centers
         From `fit_gaussian` with `prior`.
-    prior : ShapePrior
+    prior
         The prior of that fit; returned unchanged where no star is good enough.
-    min_snr : float
+    min_snr
         Stars below, and flagged ones, have no say.
 
     Returns

@@ -113,13 +113,13 @@ def linear_phase_magnitude(
 
     Parameters
     ----------
-    absolute_mag : float
+    absolute_mag
         H: magnitude at 1 au from Sun and observer, phase 0.
-    slope_mag_deg : float
+    slope_mag_deg
         beta, mag/deg.
-    sun_km, range_km : float
+    sun_km, range_km
         Distances body - Sun and body - spacecraft.
-    phase_rad : float
+    phase_rad
         Sun - body - spacecraft angle.
 
     Examples
@@ -137,11 +137,11 @@ def hg_magnitude(absolute_mag: float, g: float, sun_km: float, range_km: float, 
 
     Parameters
     ----------
-    absolute_mag, g : float
+    absolute_mag, g
         H, mag, and slope parameter G.
-    sun_km, range_km : float
+    sun_km, range_km
         Distances body - Sun and body - spacecraft.
-    phase_rad : float
+    phase_rad
         Sun - body - spacecraft angle, up to about 120 deg.
 
     Examples
@@ -191,15 +191,15 @@ def disk_magnitude(
 
     Parameters
     ----------
-    geometric_albedo : float
+    geometric_albedo
         Brightness at zero phase over that of a white Lambert disk of its size; 2/3 for a white Lambert sphere.
-    radius_km : float
+    radius_km
         Of a sphere; of an ellipsoid that of a disk of the area seen.
-    sun_km, range_km : float
+    sun_km, range_km
         Distances body - Sun and body - spacecraft.
-    phase_rad : float
+    phase_rad
         Sun - body - spacecraft angle.
-    phase_function : callable
+    phase_function
         `lambert_phase_function` or `lommel_seeliger_phase_function`.
 
     Examples
@@ -221,7 +221,7 @@ def center_of_light_radii(phase_rad: float) -> tuple[float, float]:
 
     Parameters
     ----------
-    phase_rad : float
+    phase_rad
         0 to pi.
 
     Returns
@@ -265,20 +265,19 @@ class Photometry(StrictModel):
 
     Attributes
     ----------
-    absolute_mag : float or None
+    absolute_mag
         V at 1 au from Sun and observer and phase 0 as the phase law extrapolates it: H.
-    earth_apparent : EarthApparent or None
+    earth_apparent
         A measured magnitude.
-    geometric_albedo : float or None
     diameter_km : float or None
         With an albedo; that of the body's radii where it is not given.
-    slope_mag_deg : float or None
+    slope_mag_deg
         Linear phase law.
-    g : float or None
+    g
         Slope parameter of the H,G system.
     law : "lambert" or "lommel_seeliger" or None
         Phase function of a sphere.
-    b_v : float
+    b_v
         Color, from which a camera's magnitude follows; the Sun's by default.
 
     Examples

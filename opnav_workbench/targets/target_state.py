@@ -29,7 +29,6 @@ class TargetState:
 
     Attributes
     ----------
-    name : str
     position_km : (3,) array
         Spacecraft to body center, J2000: light time removed, stellar aberration not applied.
     radii_km : (3,) array or None
@@ -40,9 +39,9 @@ class TargetState:
         Body to Sun, J2000.
     covariance_km2 : (3, 3) array or None
         A priori covariance of `position_km`, J2000.
-    magnitude : float or None
+    magnitude
         Expected V magnitude.
-    is_star : bool
+    is_star
         True for a star used as a target.
     velocity_km_s : (3,) array or None
         With respect to the solar-system barycenter when the light left, J2000; what partials with solved light time
@@ -125,16 +124,15 @@ def star_target(
 
     Parameters
     ----------
-    name : str
+    name
         The star's designation.
     direction : (3,) array_like
         Toward the star as seen from the spacecraft, J2000, of any length: space motion and parallax applied,
         stellar aberration not (`opnav_workbench.geometry.propagate` gives it).
-    parallax_rad : float
+    parallax_rad
         Annual parallax; unknown (nan), zero and negative ones count as `MIN_PARALLAX_RAD`.
     covariance_rad2 : (2, 2) array_like, optional
         Covariance of the direction toward east and north.
-    magnitude : float, optional
 
     Raises
     ------

@@ -39,15 +39,15 @@ class Action:
 
     Attributes
     ----------
-    name : str
+    name
         What the controller is told.
-    keys : tuple of str
+    keys
         As the browser names them, with ``Ctrl+``, ``Alt+`` and ``Shift+`` before; the first is shown.
-    label : str
+    label
         On the button.
-    tooltip : str
+    tooltip
         One sentence.
-    where : str
+    where
         The tab, tool or menu where it belongs; empty: everywhere.
     """
 
@@ -100,10 +100,6 @@ def shown_key(key: str) -> str:
 
 class ActionRegistry:
     """All actions by name and by key.
-
-    Parameters
-    ----------
-    actions : iterable of Action
 
     Raises
     ------

@@ -32,8 +32,7 @@ class Region(anywidget.AnyWidget):
 
     Parameters
     ----------
-    name : str
-    on_message : callable
+    on_message
         Called with what the page reports.
 
     Attributes
@@ -65,8 +64,7 @@ class WorkbenchBox(ipywidgets.Box):  # type: ignore[misc]  # ipywidgets has no t
 
     Parameters
     ----------
-    children : sequence of Widget
-    picture : callable
+    picture
         Returns the PNG of the picture.
     """
 
@@ -133,12 +131,8 @@ def workbench(images: Images, out: str | Path | None = None) -> Workbench:
     ----------
     images : ImageSession, sequence of them, ImageQueue, or Campaign
         A campaign offers the images that need an analyst, or all if none does.
-    out : path, optional
+    out
         Folder of the sessions' folders, for sessions that do not save themselves yet.
-
-    Returns
-    -------
-    Workbench
 
     Raises
     ------

@@ -101,21 +101,19 @@ class BodyPage:
 
     Attributes
     ----------
-    bodies : list of BodyChip
-    chosen : str
+    chosen
         The body at hand; empty: none is expected.
-    method : str
+    method
         Chosen among `methods`.
-    prediction : Prediction or None
-    circle : DrawnCircle or None
+    circle
         The analyst's.
-    circling : bool
+    circling
         Whether a circle is being drawn.
-    center : CenterShown or None
+    center
         Found last.
-    scans : ScanPage or None
+    scans
         The limb scans of the body; they leave little room for what stands above them.
-    offered : tuple of str
+    offered
         Bodies of the mission that can be added.
     """
 

@@ -113,11 +113,11 @@ class Bridge:
     ----------
     *roots : bokeh Model
         What is shown, from top to bottom.
-    picture : callable, optional
+    picture
         Returns the PNG that front ends without a live kernel show.
-    status : Status, optional
+    status
         Where failures are told; default a line of its own below the view.
-    parts : sequence of str
+    parts
         Parts of BokehJS that the models need.
 
     Examples
@@ -192,12 +192,12 @@ class Bridge:
 
         Parameters
         ----------
-        key : str
+        key
             As ``KeyboardEvent.key`` has it: ``a``, ``A``, ``?``, ``ArrowLeft``, ``Enter``; with modifiers
             ``Shift+ArrowLeft``, ``Ctrl+z``, ``Ctrl+Shift+z``. Meta counts as Ctrl.
-        callback : callable, optional
+        callback
             Runs in Python.
-        page : str
+        page
             Name of an action of the page instead, which needs no round trip.
         """
         with self._lock:

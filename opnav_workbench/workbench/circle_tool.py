@@ -131,8 +131,7 @@ class CircleControl:
 
     Parameters
     ----------
-    runner : StepRunner
-    body : callable
+    body
         Returns the name of the body at hand, or raises `SessionError`.
     """
 

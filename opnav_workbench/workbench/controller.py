@@ -42,11 +42,9 @@ class WorkbenchController:
 
     Parameters
     ----------
-    queue : ImageQueue
-    viewer : Viewer
-    out : Path, optional
+    out
         Where sessions without a folder of their own are exported to.
-    status : Status, optional
+    status
         The status line, where it is shared with the picture.
     """
 

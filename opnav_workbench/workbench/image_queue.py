@@ -45,10 +45,9 @@ class QueueItem:
 
     Attributes
     ----------
-    name : str
-    open : callable
+    open
         Opens or resumes its session.
-    folder : Path or None
+    folder
         Where its decisions are saved at once; None: nowhere.
     """
 
@@ -78,10 +77,6 @@ class QueueItem:
 
 class ImageQueue:
     """Images in order, one of them at hand.
-
-    Parameters
-    ----------
-    items : sequence of QueueItem
 
     Raises
     ------
@@ -183,16 +178,16 @@ class ImageQueue:
 
         Parameters
         ----------
-        images : paths
+        images
             Pictures; a folder stands for all pictures in it.
         mission : str, path or Mission
-        out : path
+        out
             Folder of the sessions' folders.
-        folders : sequence of str
+        folders
             Names of the sessions' folders, one a picture; left out: as `picture_names` gives them.
-        targets : sequence of str, optional
+        targets
             Bodies expected in every picture; None: the mission's own, with kernels.
-        predict : bool
+        predict
             Predict stars and targets when a picture is opened for the first time.
         **options
             As for `ImageSession.open`.
@@ -238,8 +233,7 @@ def predict_scene(session: ImageSession, targets: Sequence[str] | None = None) -
 
     Parameters
     ----------
-    session : ImageSession
-    targets : sequence of str, optional
+    targets
         None: the mission's own, where kernels are open.
     """
     session.predict()

@@ -61,7 +61,6 @@ class PictureSet:
 
     Parameters
     ----------
-    bridge : Bridge
     state : ViewState
     """
 
@@ -180,8 +179,7 @@ class ImageView:
 
     Parameters
     ----------
-    session : ImageSession, optional
-    status : Status, optional
+    status
         Where failures are told; default a line below the picture.
     theme : {"standard", "CAVIAR"}
 
@@ -341,13 +339,12 @@ class ImageView:
 
         Parameters
         ----------
-        key : str
         image_dn : (n_line, n_pixel) array
-        label : str
+        label
             What the menu calls it; default the key.
         usable : (n_line, n_pixel) array of bool, optional
             Pixels that choose the limits.
-        same_limits : bool
+        same_limits
             Use the limits of the image itself, so that blinking shows what differs.
         """
         self.images.put(key, image_dn, label, usable, same_limits)

@@ -55,10 +55,10 @@ class Feedback:
 
     Attributes
     ----------
-    name : str
+    name
         Of the exercise.
     state : {"right", "not yet", "not answered"}
-    message : str
+    message
         A hint, or why the answer is right.
     """
 
@@ -96,21 +96,21 @@ def check(
 
     Parameters
     ----------
-    name : str
+    name
         Of the exercise, such as ``1.2``.
     answer : number, array, text, bool or None
         None, or an array with None in it, is not answered.
     expected : number, array, text or bool
         Texts are compared without case and surrounding blanks.
-    tolerance : float
+    tolerance
         Largest absolute difference of any element, in the unit of the answer.
-    relative : float
+    relative
         The same as a share of the largest expected element; the wider of both counts.
-    hint : str
+    hint
         Said of a wrong answer that explains itself in no other way.
     slips : iterable of (wrong answer, hint)
         Mistakes that are often made.
-    why : str
+    why
         Said of a right answer.
 
     Examples
@@ -158,11 +158,11 @@ def check_function(
     ----------
     name, tolerance, relative, hint, why
         As in `check`.
-    function : callable
+    function
         The student's; one that returns None is not answered, one that raises is told its exception.
-    reference : callable
+    reference
         Takes the same arguments.
-    cases : sequence of tuple
+    cases
         Arguments of each call.
     slips : iterable of (callable, hint)
         Functions that are often written in place of the right one.
@@ -205,7 +205,7 @@ def check_claim(name: str, answer: Any, judge: Callable[[Any], str], *, why: str
 
     Parameters
     ----------
-    judge : callable
+    judge
         Takes the answer and returns the hint, "" if it is right; what it raises is told as a hint, too.
 
     Examples
@@ -286,13 +286,7 @@ SliderValues = Mapping[str, tuple[Sequence[Any], Any]]  # by name: what a slider
 
 @dataclass(frozen=True, slots=True)
 class LessonFigure:
-    """A figure with its caption, as a notebook shows it.
-
-    Attributes
-    ----------
-    png : bytes
-    caption : str
-    """
+    """A figure with its caption, as a notebook shows it."""
 
     png: bytes
     caption: str
@@ -309,12 +303,11 @@ class SliderFigure:
 
     Parameters
     ----------
-    draw : callable
+    draw
         Takes the sliders' values by name, returns a matplotlib figure.
-    caption : str
     values : mapping of str to (choices, start)
         What each slider may take, and where it starts.
-    live : bool
+    live
         With sliders; a still picture without.
     """
 
@@ -399,10 +392,9 @@ class Lesson:
 
     Parameters
     ----------
-    title : str
     out : path-like
         Folder for figures and ``verdicts.json``; made where it does not stand.
-    answers : mapping, optional
+    answers
         Answers by the exercise's name, which come before the student's: a teacher runs the lesson headless with them.
         The answer to an exercise that asks for a function is the source text of one.
 
@@ -463,11 +455,11 @@ class Lesson:
 
         Parameters
         ----------
-        draw : callable
+        draw
             Takes the sliders' values by name, returns a figure.
-        name, caption : str
+        name, caption
             As in `figure`.
-        live : bool, optional
+        live
             With sliders or without; by default whether a person sits there.
         """
         shown = SliderFigure(draw, caption, values, live=is_attended() if live is None else live)

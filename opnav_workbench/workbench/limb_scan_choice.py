@@ -45,9 +45,9 @@ def parse_scan_numbers(typed: str, n_scans: int) -> list[int]:
 
     Parameters
     ----------
-    typed : str
+    typed
         Numbers and ranges, such as ``3-9,12``.
-    n_scans : int
+    n_scans
         There are scans 0 to ``n_scans - 1``.
 
     Raises
@@ -205,25 +205,21 @@ class ScanPage:
 
     Attributes
     ----------
-    focus : ScanShown
+    focus
         The scan shown large.
-    profile, correlation : SvgPlot
+    profile, correlation
         Its data and model; their correlation.
-    peak_x : float or None
+    peak_x
         Where the offset stands in the plot of the correlation, px.
-    offset : str
+    offset
         The offset in words.
-    thumbs : list of ScanThumb
-    chosen : str
+    chosen
         Numbers of the scans that are chosen.
-    boxing, by_hand : bool
+    boxing, by_hand
         Whether a box is being drawn in the picture; whether the analyst chose the scans.
-    n_used, n_scans : int
-    summary : str
-    strip : SvgPlot
+    strip
         All scans by number.
-    columns : list of ScanColumn
-    column_px : float
+    column_px
         Width of a column of the strip.
     """
 
@@ -249,12 +245,11 @@ def scan_page(scans: LimbScans, focus: int, *, by_hand: bool, boxing: bool) -> S
 
     Parameters
     ----------
-    scans : LimbScans
-    focus : int
+    focus
         The scan shown large.
-    by_hand : bool
+    by_hand
         Whether the analyst chose the scans.
-    boxing : bool
+    boxing
         Whether a box is being drawn in the picture.
     """
     shown = [

@@ -155,12 +155,10 @@ class BodyMarks:
 
     Attributes
     ----------
-    name : str
     center_px : (2,) array
         Observed center where there is one, else predicted.
-    radius_px : float
+    radius_px
         Half the predicted diameter; 0 for a star.
-    observed : bool
     predicted_limb_px, limb_px, terminator_px, pole_px : (n, 2) arrays
         The last three about `center_px`.
     """

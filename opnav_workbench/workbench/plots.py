@@ -85,13 +85,11 @@ class SvgPlot:
 
     Parameters
     ----------
-    width_px, height_px : int
     x_range, y_range : (float, float)
         At left and right, at bottom and top; descending is fine.
-    title, x_label, y_label : str
-    bare : bool
+    bare
         No axes and no labels: a thumbnail.
-    ticks : int
+    ticks
         About so many on each axis.
     """
 
@@ -182,14 +180,13 @@ class StarResiduals:
 
     Attributes
     ----------
-    ids : tuple of str
     mag : (n,) array
     place_px : (n, 2) array
         Where they are predicted now.
     before_px, after_px : (n, 2) array
         Observed minus predicted, with the a priori and with the present pointing.
     sigma_px : (n, 2) array
-    solved : bool
+    solved
         Whether a pointing stands, so that ``after_px`` means something.
     size_px : (int, int)
         Pixels and lines of the picture.
@@ -244,7 +241,6 @@ def residual_plots(rows: StarResiduals, size: tuple[int, int]) -> ResidualPlots 
 
     Parameters
     ----------
-    rows : StarResiduals
     size : (int, int)
         Width and height of each, px.
     """

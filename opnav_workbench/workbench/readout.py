@@ -38,7 +38,7 @@ class Tile:
         First and last (pixel, line), px.
     coefficients : (2, d + 1, d + 1) array
         Of T_i(u) T_j(v), for the tangents along pixel and line; u and v run from -1 to 1 over the tile.
-    error_px : float
+    error_px
         Largest difference from the camera that was found.
     """
 
@@ -65,7 +65,7 @@ class SkyReadout:
 
     Attributes
     ----------
-    tiles : tuple of Tile
+    tiles
         They cover the detector, edges included.
     j2000_from_focal : (3, 3) array
         From the focal axes (pixel, line, boresight) to J2000.

@@ -152,24 +152,20 @@ class StarPage:
 
     Attributes
     ----------
-    cards : tuple of StarCard
+    cards
         Those on the page.
-    focus : StarCard
+    focus
         The star under decision.
-    first, n_all, n_accepted, n_rejected : int
+    first, n_all, n_accepted, n_rejected
         Number of the first card; how many stars there are, and are decided.
-    searched : bool
+    searched
         Whether the stars have been fitted.
-    radius_px : float
-    template : str
-    reasons_open, placing, examine_each : bool
+    reasons_open, placing, examine_each
         The menu of reasons is open; a click places the star; each star must be decided on.
-    reasons : tuple of Action
-    pointing : str
+    pointing
         One line.
-    noise_dn : float
+    noise_dn
         Typical noise of the picture.
-    residuals : ResidualPlots or None
     """
 
     cards: tuple[StarCard, ...]

@@ -39,9 +39,8 @@ class Status:
 
     Attributes
     ----------
-    message : str
     kind : {"info", "done", "busy", "error"}
-    log_folder : Path or None
+    log_folder
         Folder of the session's files, where ``workbench_errors.log`` then is.
     """
 

@@ -48,11 +48,11 @@ class StarSearch:
 
     Attributes
     ----------
-    template : str
+    template
         One of `TEMPLATES`.
-    template_star : str or None
+    template_star
         Catalog id of the star that is the template.
-    radius_px : float or None
+    radius_px
         None: as the settings say.
     """
 
@@ -149,12 +149,6 @@ class RunningStep:
 
 class StepRunner:
     """What the tabs work with.
-
-    Parameters
-    ----------
-    queue : ImageQueue
-    viewer : Viewer
-    status : Status
 
     Attributes
     ----------
@@ -399,13 +393,7 @@ ARROW_STEPS = {"left": (-1.0, 0.0), "right": (1.0, 0.0), "up": (0.0, -1.0), "dow
 
 
 class Tab:
-    """A tab.  Each public attribute is for the workbench that holds it.
-
-    Parameters
-    ----------
-    runner : StepRunner
-    registry : ActionRegistry
-    """
+    """A tab.  Each public attribute is for the workbench that holds it."""
 
     name = ""
 

@@ -47,10 +47,9 @@ class MarkStyle:
 
     Attributes
     ----------
-    color : str
-    shape : str
+    shape
         A bokeh marker, or what static/image_view.js draws in the legend: ``line``, ``arrow``, ``hatch``, ``dots``.
-    dash : str
+    dash
         ``solid``, ``dashed``, ``dotted`` or ``dotdash``.
     """
 
@@ -187,7 +186,6 @@ def label_columns(
     Parameters
     ----------
     places : (pixel, line) of each
-    texts : sequence of str
     offset : (right, down)
         Screen px; down may be one for each text.
     size : (n_pixel, n_line)

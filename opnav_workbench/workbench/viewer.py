@@ -19,7 +19,7 @@ class Layer:
     Parameters
     ----------
     segments : sequence of (pixel, line, pixel, line)
-    styles : sequence of str
+    styles
         One per segment: ``used``, ``unused``, ``rejected`` or ``focus``.
     labels : sequence of (pixel, line, text)
     """

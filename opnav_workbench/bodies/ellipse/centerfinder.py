@@ -67,15 +67,14 @@ def find_ellipse(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
+    name
         A sphere, a triaxial ellipsoid or a shape model of `picture.models`.
-    circle : Circle, optional
+    circle
         An analyst's; None: predicted place and size.
-    solve_range : bool
+    solve_range
         Solve for the range (the size in the picture) as well; given up where it is known better beforehand (from the
         target's covariance; 0.2 % where it has none).
-    search_radius_px : float, optional
+    search_radius_px
         How far from the expected place to look.
 
     Returns

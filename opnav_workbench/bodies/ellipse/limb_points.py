@@ -59,7 +59,6 @@ class LimbPieces:
         Middles on the predicted limb.
     normal : (n, 2) array
         Outward unit vectors.
-    length_px : float
     pixel, line : (m,) arrays of int
         Pixels of the picture near the limb.
     piece : (m,) array of int
@@ -99,10 +98,8 @@ def limb_pieces(
 
     Parameters
     ----------
-    outline : Outline
     shape : (int, int)
         Lines and pixels of the picture.
-    reach : float
     offset_px : (n,) array, optional
         Where the limb of each piece really is, along its normal, if that is known; the pixels about it are taken.
     """
@@ -206,8 +203,6 @@ def fit_edges(
 
     Parameters
     ----------
-    picture : BodyPicture
-    pieces : LimbPieces
     model_dn : (n_line, n_pixel) array
         The body rendered at its predicted place, over `window`.
     window : (int, int, int, int)

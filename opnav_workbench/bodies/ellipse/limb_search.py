@@ -92,11 +92,8 @@ def limb_lags(picture: BodyPicture, pieces: LimbPieces, template: LimbTemplate, 
 
     Parameters
     ----------
-    picture : BodyPicture
-    pieces : LimbPieces
-    template : LimbTemplate
+    template
         Of the same pieces; its lit ones are looked for.
-    search_px : float
     """
     k = template.model_dn.shape[1] // 2
     m = int(np.ceil(search_px / STEP_PX))
@@ -228,8 +225,7 @@ class FitStart:
     Attributes
     ----------
     center_px : (2,) array
-    range_scale : float
-    spread_px : float
+    spread_px
         How far the limb lies from the outline there (median of absolute lags, as a standard deviation).
     """
 

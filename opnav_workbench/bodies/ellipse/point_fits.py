@@ -124,11 +124,11 @@ class LimbMotion:
     residual_px : (n,) array
         Shift left over.
     used : (n,) array of bool
-    rough_px : float
+    rough_px
         Standard deviation of the limb beyond noise.
-    rough_length : float
+    rough_length
         Pieces over which it is correlated (e-folding).
-    chi2_reduced : float
+    chi2_reduced
         Of the residuals against noise alone.
     """
 
@@ -163,7 +163,6 @@ def limb_motion(
         Of the shift to center pixel, line (px) and log range.
     usable : (n,) array of bool
         Pieces that count, unless they prove to be outliers.
-    solve_range : bool
 
     Returns
     -------
@@ -325,7 +324,7 @@ def compare_ellipses(
         Their errors across the limb, roughness of the body included.
     outline_px : (m, 2) array
         The model's limb, distortion removed.
-    arc_rad : float
+    arc_rad
         Angle that the points cover.
 
     Returns

@@ -45,14 +45,9 @@ class LimbStage:
 
     Attributes
     ----------
-    outline : Outline
-    range_scale : float
     window : (int, int, int, int)
     model_dn : (n_line, n_pixel) array
-    pieces : LimbPieces
-    edges : EdgeFit
-    selection : LimbSelection
-    motion : LimbMotion or None
+    motion
         None: too few pieces.
     """
 

@@ -42,11 +42,9 @@ class Acquisition:
     Attributes
     ----------
     center_px : (2,) array
-    range_scale : float
+    range_scale
         Range over that of the model which gives the body its size; 1 unless the limb is clearly elsewhere.
-    fan : ScanFan
-    profiles : ScanProfiles
-    agreeing : float
+    agreeing
         Share of the scans across the lit limb that agree with the center.
     """
 

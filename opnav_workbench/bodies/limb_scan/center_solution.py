@@ -67,10 +67,9 @@ class CenterStep:
     covariance_px2, noise_covariance_px2 : (2, 2) arrays
     used : (n,) array of bool
     residual_px : (n,) array
-    chi2_reduced : float
-    size, size_sigma : float
+    size, size_sigma
         Logarithm of the size over the predicted one, solved together with the center.
-    size_trust : float
+    size_trust
         How far the center follows that solution, 0..1: 0 unless the size is significantly different.
     """
 
@@ -94,11 +93,11 @@ class ErrorSources:
 
     Attributes
     ----------
-    sampler : ScanSampler
+    sampler
         Which pixels the samples of the scans rest on.
     variance_dn2 : (n_line, n_pixel) array
         Of the noise of pixels.
-    roughness : float
+    roughness
         Relative scatter of the albedo.
     angle_rad : (n,) array
         Of the scans: those that lie close share an albedo.
@@ -151,16 +150,14 @@ def solve_center(
 
     Parameters
     ----------
-    match : ScanMatch
     weight_sigma_px : (n,) array
         Sigma that a scan is weighted and judged with.
     chosen : (n,) array of bool
     limb_px : (n,) array
         Distance of the limb: the change of an offset with the logarithm of the body's size.
-    sources : ErrorSources
-    size_in_model : float
+    size_in_model
         Logarithm of the size that the model has over the predicted one.
-    trust : float or None
+    trust
         How far to follow the measured size, 0..1; None: as it is significant.
     """
     used = _without_outliers(match, weight_sigma_px, chosen)

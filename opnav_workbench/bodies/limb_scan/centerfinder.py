@@ -313,19 +313,17 @@ def find_limb_scan(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
-    circle : Circle, optional
+    circle
         Where an analyst sees the body.
-    scans : sequence of int, optional
+    scans
         Numbers of the scans to use; scan k leaves the center at ``360 k / n_scans`` degrees from +pixel toward +line.
         None: they are chosen automatically.
-    n_scans : int
+    n_scans
         How many there are.
-    solve_range : bool
+    solve_range
         Solve for the range from the size of the image. Without, the body has the size of its model unless the limb
         clearly says otherwise.
-    search_radius_px : float, optional
+    search_radius_px
         How far from its prediction (or circle) the body may be.
 
     Returns

@@ -75,7 +75,7 @@ class ScanFan:
         Another body hides or shades the body where the scan meets its edge.
     first : (n,) array of int
         Sample where each window begins: distance ``STEP_PX * first``.
-    n_samples : int
+    n_samples
         Of a window.
     """
 

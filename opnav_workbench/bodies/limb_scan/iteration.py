@@ -104,16 +104,9 @@ class ScanIteration:
 
     Attributes
     ----------
-    evaluation : ScanEvaluation
-    roughness : float
-    choice : ScanSelection
     uneven : (n,) array
-    common : CommonTerms
-    system : ScanSystem
+    system
         With what is common taken out.
-    match : ScanMatch
-    errors : OffsetErrors
-    solved : CenterStep
     """
 
     evaluation: ScanEvaluation
@@ -133,11 +126,9 @@ class ScanSolution:
 
     Attributes
     ----------
-    last : ScanIteration or None
+    last
         None where fewer scans than `FEWEST` were left, or a step left the body.
-    choice : ScanSelection
     steps : tuple of (float, float)
-    converged : bool
     """
 
     last: ScanIteration | None
@@ -158,12 +149,8 @@ def iterate_center(
 
     Parameters
     ----------
-    picture : BodyPicture
-    name : str
-    captured : Acquisition
     numbers : (k,) array of int or None
         Scans chosen by hand.
-    solve_size : bool
     """
     fan, profiles = captured.fan, captured.profiles
     center, scale = captured.center_px, captured.range_scale

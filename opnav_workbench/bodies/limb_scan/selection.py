@@ -39,7 +39,6 @@ class ScanSelection:
     ----------
     chosen : (n,) array of bool
     reason : (n,) array of str
-    summary : tuple of str
     """
 
     chosen: BoolArray
@@ -123,8 +122,6 @@ def choose_scans(
 
     Parameters
     ----------
-    fan : ScanFan
-    view : ScanView
     sigma_px : (n,) array
         Uncertainty of their offsets.
     motion : (n, 2) array

@@ -214,8 +214,7 @@ class ModelLight:
     light_dn : (n_line, n_pixel) array
     slope_dn : (2, n_line, n_pixel) array
         Per px that the center moves along pixel and along line.
-    diameter_px : float
-    flux_dn : float
+    flux_dn
         On and off the window.
     """
 

@@ -51,11 +51,10 @@ class PointFit:
     pixel_line : (2,) array
         Of the reference camera.
     covariance_px2 : (2, 2) array
-    flux_dn, flux_sigma_dn : float
+    flux_dn, flux_sigma_dn
         DN of the longest exposure.
-    chi2_reduced, degrees_of_freedom : float
+    chi2_reduced, degrees_of_freedom
         With the full covariance of the pixels.
-    converged : bool
     """
 
     pixel_line: FloatArray
@@ -86,11 +85,8 @@ def find_in_stack(
 
     Parameters
     ----------
-    stacked : Stacked
-    name : str
     predicted_px : (2,) array, optional
         (pixel, line) of the reference camera; default where ephemeris expects the stack's target.
-    search_radius_px : float
 
     Returns
     -------
@@ -319,7 +315,6 @@ class Growth:
     Attributes
     ----------
     pictures : array of int
-    flux_dn, flux_sigma_dn : array
     """
 
     pictures: IntArray

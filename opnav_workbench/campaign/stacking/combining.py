@@ -64,8 +64,6 @@ def mask_hits(
 
     Parameters
     ----------
-    frames : sequence of StackFrame
-    grid : Grid
     cube : (n, n_line, n_pixel) array
         The pictures resampled on the grid, light divided by `response`; nan where unusable.
     response : (n,) array
@@ -150,26 +148,23 @@ class Stacked:
 
     Attributes
     ----------
-    image_dn, noise_dn : array
+    image_dn, noise_dn
         DN of the longest exposure, and 1 sigma of each pixel by itself; nan where no picture has a usable pixel.
         Neighbouring pixels are correlated, see `covariance_dn2`.
     count : array of int
         Pictures in each pixel.
-    grid : Grid
-    frames : tuple of StackFrame
+    frames
         With hits masked and, in a subtracted stack, the star field taken away.
-    before_subtraction : tuple of StackFrame
+    before_subtraction
         The same before subtraction.
     weights, response : (n,) array
         Of the pictures: weights sum to 1; light against the longest exposure's.
-    et : float
+    et
         Weighted mean epoch, TDB seconds past J2000.
-    target : TargetState or None
+    target
         The target at that epoch, interpolated between the pictures.
-    subtractions : tuple of Subtraction or None
-    hits : tuple of int
+    hits
         Pixels masked in each picture.
-    messages : tuple of str
     """
 
     image_dn: FloatArray
@@ -261,14 +256,14 @@ def stack_frames(
 
     Parameters
     ----------
-    frames : sequence of StackFrame
+    frames
         Of one camera, two at least; three for hits to be found.
     follow : {"stars", "target"}
-    window_px : int, optional
+    window_px
         Side of the part about the target that is stacked; default 64 for a target, the whole field for stars.
-    reject_hits : bool
+    reject_hits
         Mask what is in one picture only.
-    subtract : bool
+    subtract
         Take the star field away before, as the other pictures show it where the target has moved on.
 
     Raises

@@ -35,28 +35,26 @@ class StackFrame:
 
     Attributes
     ----------
-    name : str
-    et, exposure_s : float
+    et, exposure_s
         Mid-exposure, TDB seconds past J2000.
     signal_dn, noise_dn : (n_line, n_pixel) array
         Picture without background, and its 1-sigma noise.
     bad : (n_line, n_pixel) array of bool
         Pixels to leave out, also saturated ones.
-    camera : Camera
     camera_from_j2000 : (3, 3) array
         Solved attitude.
     observer_velocity_km_s : (3,) array
         With respect to the solar-system barycenter.
-    psf : Psf
+    psf
         Of the picture's own stars.
-    target : TargetState or None
+    target
         As ephemeris expects it; None in a stack that follows the stars.
     attitude_covariance_rad2, catalog_covariance_rad2 : (3, 3) array
         Of the solved attitude, and the part of it that comes from the catalog's errors: the same in all pictures of a
         field, it does not average out.
-    excess_sigma_px : float
+    excess_sigma_px
         Centering error of the picture's stars beyond their covariances.
-    gain_e_per_dn : float
+    gain_e_per_dn
         For the target's own shot noise; inf: none.
     neighbours : (k, 3) array
         Apparent directions of other bodies, J2000: bright ones beside a faint target.
@@ -152,13 +150,12 @@ class RunFrames:
 
     Attributes
     ----------
-    frames : tuple of StackFrame
+    frames
         In the order of time.
-    utc : tuple of str
+    utc
         Of their exposures.
     left_out : tuple of (str, str)
         Folder and reason of those that cannot be stacked.
-    mission, reference_body : str
     """
 
     frames: tuple[StackFrame, ...]
@@ -177,11 +174,11 @@ def frames_of_runs(
 
     Parameters
     ----------
-    folders : sequence of path
+    folders
         Run folders with ``session.json``.
-    target : str or None
+    target
         SPICE body, or star of the target list; a session that has not met it yet asks the active `KernelSet`.
-    say : callable
+    say
         Called with each folder's name before it is read.
 
     Raises

@@ -39,7 +39,6 @@ class Grid:
 
     Attributes
     ----------
-    camera : Camera
     camera_from_j2000 : (3, 3) array
     observer_velocity_km_s : (3,) array
     follow : {"stars", "target"}
@@ -187,9 +186,7 @@ def resample(grid: Grid, frame: StackFrame, response: float) -> tuple[FloatArray
 
     Parameters
     ----------
-    grid : Grid
-    frame : StackFrame
-    response : float
+    response
         The picture's light is divided by it.
     """
     centers = grid.centers()

@@ -39,10 +39,9 @@ def stack_observable(
 
     Parameters
     ----------
-    stacked : Stacked
-    center : BodyCenter
+    center
         As `find_in_stack` gives it.
-    image, utc, reference_body : str
+    image, utc, reference_body
         Name of the stack, its epoch in UTC, and the body that the partials refer to.
 
     Raises
@@ -89,11 +88,11 @@ class StackProducts:
 
     Attributes
     ----------
-    folder, picture : Path
+    folder, picture
         The picture is a FITS file: stack, noise, and pictures in each pixel.
-    result : mapping
+    result
         Content of ``result.json``.
-    observable : Observable or None
+    observable
         None for a stack that follows the stars.
     """
 
@@ -116,11 +115,8 @@ def write_stack(
 
     Parameters
     ----------
-    stacked : Stacked
-    center : BodyCenter or None
+    center
         Of the target, as `find_in_stack` gives it.
-    out : path
-    mission, reference_body : str
     left_out : sequence of (str, str)
         Runs that could not be stacked, and why.
 

@@ -42,9 +42,9 @@ class Subtraction:
 
     Attributes
     ----------
-    number : int
+    number
         Of the picture.
-    grid : Grid
+    grid
         The picture's own pixels about its target, following the stars.
     pixels : (m,) array of int
         Those pixels in the picture's flat array.
@@ -52,7 +52,7 @@ class Subtraction:
         Part of each picture in each pixel of the template.
     kernel : (3, 3) array
         Applied to the template.
-    misfit : float
+    misfit
         Part of the template's light that the match leaves.
     response : (n,) array
     """

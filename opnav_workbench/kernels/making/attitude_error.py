@@ -48,11 +48,11 @@ class Jitter:
     amplitudes_rad : (n, 3) array
         Along pixel, along line, twist; one of the three is not zero.
     frequencies_hz, phases_rad : (n,) array
-    start : float
+    start
         et from which the phases count.
     spans : (k, 2) array
         Begin and end in et; outside there is none.
-    fade_s : float
+    fade_s
         Time within which it swells before a span, and dies after it.
     """
 
@@ -99,10 +99,9 @@ def jitter_of(error: AttitudeError, pixel_scale_rad: float, start: float, spans:
 
     Parameters
     ----------
-    error : AttitudeError
-    pixel_scale_rad : float
+    pixel_scale_rad
         Angle of a pixel.
-    start : float
+    start
         et from which phases count.
     spans : (k, 2) array
         et between which there is jitter.

@@ -72,7 +72,7 @@ def make_kernels(
         See `load_scenario`.
     out : path
         Made if it is not there. Files of the same names are replaced, once all of the new ones are written.
-    actual : bool
+    actual
         Also write ``NAME_actual.bc``, the attitudes as flown (`AttitudeError`), and ``NAME_actual.tm``, which
         loads it in place of the predicted ones.
 

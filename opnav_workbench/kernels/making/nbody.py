@@ -56,12 +56,11 @@ def propagate(
     ----------
     state : (6,) array_like
         Position and velocity relative to ``forces.center``, J2000, km and km/s, at `et`.
-    et : float
+    et
         Epoch of the state, TDB s past J2000; inside the span or not.
     span : (start, end)
         Wanted epochs.
-    forces : ForceModel
-    impulses : sequence of Impulse
+    impulses
         In order of time. At its own epoch, the state is that before an impulse.
 
     Returns

@@ -65,20 +65,20 @@ def sclk_assignments(
 
     Parameters
     ----------
-    clock_id : int
+    clock_id
         Negative, as a rule the spacecraft's NAIF id.
     correlation : iterable of (tick, time_s, seconds_per_count)
         Ticks since the first partition's start; time in s past J2000 of `time_system`; rate from there on.
         ``[(0, et, 1.0)]`` is a simulated clock that reads zero at `et` and keeps perfect time.
-    subcounts : int
+    subcounts
         Ticks per count (second).
-    counts : int
+    counts
         Counts after which the counter starts again.
     partitions : sequence of (first tick, last tick)
         None: one partition over the whole counter.
-    time_system : {"TDB", "TDT"}
+    time_system
         TDB makes the clock linear in et.
-    delimiter : {":", "."}
+    delimiter
         Between counts and subcounts, in readings that SPICE writes; it reads both.
 
     Raises
@@ -221,7 +221,7 @@ def instrument_assignments(
         Rows: increasing pixel, increasing line and boresight, unit vectors in the camera frame.
     fov_half_angles_deg : (2,) tuple, optional
         Along pixel and line; those of the detector if not given.
-    keywords : mapping, optional
+    keywords
         More variables, named without ``INS<id>_``: the distortion model, binning, filters.
 
     Examples
@@ -273,9 +273,9 @@ def pck_assignments(
 
     Parameters
     ----------
-    pole_ra_deg, pole_dec_deg : sequence of float
+    pole_ra_deg, pole_dec_deg
         Value at J2000, rate per Julian century, second-order term; what is missing is zero.
-    prime_meridian_deg : sequence of float
+    prime_meridian_deg
         The same, with rates per day.
 
     Examples

@@ -40,11 +40,11 @@ def read_states(folder: Path, name: str, bodies: frozenset[str]) -> tuple[FloatA
 
     Parameters
     ----------
-    folder : Path
+    folder
         Of the scenario; the file must be in it, or deeper.
-    name : str
+    name
         The file.
-    bodies : frozenset of str
+    bodies
         What the body may be called in the column ``body``.
 
     Returns

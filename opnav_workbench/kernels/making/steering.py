@@ -55,11 +55,11 @@ def smooth_track(
 
     Parameters
     ----------
-    directions : callable
+    directions
         Epochs (n,) to unit vectors (n, 3), smooth but for rounding.
-    start, end : float
+    start, end
         Epochs between which it is asked.
-    tolerance_rad : float
+    tolerance_rad
         Largest miss of the series; where rounding is larger, the shortest series that are tried stand.
 
     Examples

@@ -66,9 +66,9 @@ def sampled_segment(
         Epochs (n,), in order, to states (n, 6), km and km/s.
     span_et : (start, end)
         What the segment covers.
-    segment : callable
+    segment
         Makes a segment of epochs (n,) and states (n, 6).
-    longest_step_s : float
+    longest_step_s
         To begin with.
 
     Raises

@@ -35,7 +35,7 @@ class AttitudePrior:
         camera_from_j2000.
     axis : (3,) array
         Boresight, camera frame.
-    twist_sigma_rad : float
+    twist_sigma_rad
         1 sigma of the rotation about it.
     covariance_rad2 : (3, 3) array or None
         Of the rotation vector about the camera frame's axes; None where only the twist counts.
@@ -54,7 +54,7 @@ class AttitudePrior:
 
         Parameters
         ----------
-        stars_twist_information : float
+        stars_twist_information
             Inverse variance, rad^-2, with which the stars alone determine the twist.
         """
         if self.covariance_rad2 is not None:
@@ -91,8 +91,7 @@ class PointingProblem:
         Of the observed center and of the catalog place together.
     directions : (n, 3) array
         Apparent unit vectors, J2000.
-    camera : Camera
-    prior : AttitudePrior
+    prior
         The a priori attitude.
     start : (3, 3) array
         camera_from_j2000 to start from.
@@ -167,9 +166,9 @@ class AttitudeFit:
         Of all stars, used or not.
     jacobian : (n, 2, 3) array
         d(pixel, line) / d(eps) of all stars.
-    linear : LinearizedProblem
+    linear
         The used stars at `attitude`.
-    twist_solved : bool
+    twist_solved
         The stars alone determine the twist better than it was known beforehand.
     """
 

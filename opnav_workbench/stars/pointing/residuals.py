@@ -151,12 +151,11 @@ class StarSelection:
     Attributes
     ----------
     used : (n,) array of bool
-    excess_sigma_px : float
-    fit : AttitudeFit
+    fit
         To the used stars.
     distance : (n,) array
         Residuals in units of their sigmas, both coordinates together.
-    ambiguous : bool
+    ambiguous
         Three stars of which one may be wrong, but not which one.
     """
 

@@ -29,9 +29,9 @@ class PictureShift:
 
     Attributes
     ----------
-    delta_pixel, delta_line : float
+    delta_pixel, delta_line
         How far the sky at the a priori boresight moved on the detector, px.
-    delta_twist_rad : float
+    delta_twist_rad
         Change of the twist (position angle of increasing line at the boresight, east of north). Near a
         celestial pole most of it is the turn of north itself.
     """
@@ -54,33 +54,33 @@ class PointingSolution:
         ``camera_from_j2000 (true) = rotation_from_vector(eps) @ camera_from_j2000 (solved)``.
     formal_covariance_rad2 : (3, 3) array
         The same from the given covariances alone, as if these were sure.
-    ra_rad, dec_rad, twist_rad : float
+    ra_rad, dec_rad, twist_rad
         Boresight and position angle of increasing line, J2000, no aberration removed or added.
-    delta_pixel, delta_line, delta_twist_rad : float
+    delta_pixel, delta_line, delta_twist_rad
         Solved against a priori (see `PictureShift`): the sum of `iterations`.
-    iterations : tuple of PictureShift
+    iterations
         The steps from the a priori attitude to the solved one.
-    rms_px : float
+    rms_px
         Root mean square of the residuals of the used stars, per coordinate.
-    n_stars : int
+    n_stars
         Number of stars used.
     used : (n,) array of bool
-    reasons : tuple of str
+    reasons
         Why a star was not used, "" where it was; n entries.
     residual_px : (n, 2) array
         Observed minus predicted with the solved attitude; nan where there is no observation.
-    excess_sigma_px : float
+    excess_sigma_px
         Centering error (1 sigma, each coordinate) beyond the given covariances that must be expected after these
         residuals; with few stars it is never quite 0, because they cannot exclude it. One or two stars: 0 unless
         the covariances are improbable.
-    chi2_reduced : float
+    chi2_reduced
         Chi-squared per degree of freedom with the given covariances, excess not included; nan without
         redundancy.
-    model : str
+    model
         "euler" or "image_plane".
-    twist_solved : bool
+    twist_solved
         False where the rotation about the boresight rests on its a priori value.
-    messages : tuple of str
+    messages
         What the analyst should know.
     """
 
@@ -117,7 +117,6 @@ def attitude_shift(camera: Camera, first: FloatArray, second: FloatArray) -> Pic
 
     Parameters
     ----------
-    camera : Camera
     first, second : (3, 3) arrays
         ``camera_from_j2000``.
 

@@ -50,13 +50,13 @@ class PointingInput:
 
     Attributes
     ----------
-    sightings : PointingProblem
+    sightings
         The usable ones.
     index : (m,) array of int
         Their rows.
     observed_px : (n, 2) array
     directions : (n, 3) array
-    reasons : tuple of str
+    reasons
         Why a star is not usable, "" where it is; n entries.
     """
 
@@ -231,7 +231,6 @@ def solve_pointing(
         Covariances of the centers.
     directions : (n, 3) array_like
         Apparent directions of the same stars, J2000 (space motion, parallax and stellar aberration applied).
-    camera : Camera
     a_priori_camera_from_j2000 : (3, 3) array_like
     catalog_covariance_px2 : (n, 2, 2) array_like, optional
         Covariances of the predicted places.
@@ -242,7 +241,7 @@ def solve_pointing(
         False for stars that must not be used.
     trusted : (n,) array_like of bool, optional
         True for usable stars that must not be rejected as outliers.
-    twist_sigma_rad : float, optional
+    twist_sigma_rad
         1 sigma of the a priori rotation about the boresight, by default the camera's ``attitude_sigma``. It
         counts where the stars alone determine that rotation less well.
     a_priori_covariance_rad2 : (3, 3) array_like, optional
@@ -251,10 +250,6 @@ def solve_pointing(
     start : {"a_priori", "svd", "q_method"}
         Where the iteration starts: the a priori attitude, or a closed form from the stars themselves (see
         `opnav_workbench.stars.pointing.closed_form`), which is then the first step. One star always starts a priori.
-
-    Returns
-    -------
-    PointingSolution
 
     Raises
     ------
