@@ -22,13 +22,13 @@ this list to its top; a package imports what stands below it.
 ``workbench``
     The workbench in JupyterLab: pictures, marks, plots, keys. Every button calls one method of `ImageSession`.
 ``headless``
-    What runs without a person: nights of pictures, rehearsals, star frames for a calibration.
+    What runs without a person: nights of pictures, rehearsals.
+``processing``
+    What shall be done with a picture, said once for program, notebooks, nights and queues; and the automatic steps.
 ``report``
     Figures and pages that a navigator shows.
 ``campaign``
     Many pictures: their archive, their trends and their stack.
-``processing``
-    What shall be done with a picture, said once for program, notebooks, nights and queues; and the automatic steps.
 ``session``
     One picture, step by step, with its journal, its files and its undo.
 ``planning``
@@ -109,7 +109,7 @@ a field of ``result.json``
 a step of a session
     its method in ``session.session``, its function and line in ``session.history``'s table of steps
 an option of processing
-    ``processing``: program, notebooks, nights and queues follow
+    its field in ``processing.model``: program, notebooks, nights and queues follow
 a camera or a mission
     no code: ``camera.camera_file`` and ``mission`` say what their YAML files hold
 a picture format
@@ -197,6 +197,7 @@ if TYPE_CHECKING:
     )
     from opnav_workbench.kernels import KernelSet
     from opnav_workbench.mission import Mission, load_mission
+    from opnav_workbench.processing import process
     from opnav_workbench.session import ImageSession, Settings
 
 # Loaded on first use, so that a layer below may import the package's version without importing the layers above it.
@@ -206,6 +207,7 @@ _HOMES = {
     "open_catalog": "catalog",
     "Mission": "mission",
     "load_mission": "mission",
+    "process": "processing",
     "ImageSession": "session",
     "Settings": "session",
     "KernelSet": "kernels",
@@ -243,6 +245,7 @@ __all__ = [
     "__version__",
     "load_mission",
     "open_catalog",
+    "process",
 ]
 
 __getattr__ = names_on_demand(__name__, _HOMES)

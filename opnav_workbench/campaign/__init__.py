@@ -10,13 +10,11 @@ run folders; then `trends` over it, `export_observables` from it, and ``stacking
 ``database``
     The SQLite file: transactions of many processes, older schemas brought to the present one.
 ``run_folder``
-    A run folder read and checked, as rows.
+    A run folder read and checked, as rows; why an analyst should look at a picture.
 ``ingest``
     Runs into the archive, each content once.
 ``queries``
     Questions answered as tables with units.
-``analyst_queue``
-    Pictures that need an analyst: why, and the file ``queue.json``.
 ``trend_series``
     O-C, pointing error, star residuals and detections over time.
 ``detection_curve``

@@ -21,7 +21,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import sqlalchemy as sa
 
-from opnav_workbench.campaign.analyst_queue import attention_reasons
+from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.campaign.schema import APPLICATION_ID, SCHEMA_VERSION, metadata, tables
 from opnav_workbench.errors import SessionError
 

@@ -21,13 +21,20 @@ import numpy as np
 from astropy import units as u
 from astropy.table import QTable, Table
 
-from opnav_workbench.campaign.analyst_queue import attention_reasons
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import digest, read_json
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
-__all__ = ["ObservableColumn", "RunRows", "find_runs", "observables_from_rows", "read_run", "without_times"]
+__all__ = [
+    "ObservableColumn",
+    "RunRows",
+    "attention_reasons",
+    "find_runs",
+    "observables_from_rows",
+    "read_run",
+    "without_times",
+]
 
 
 # ---- Observables between their ECSV file, the archive's rows, and a table with units again.
@@ -259,6 +266,37 @@ def _entry(item: Mapping[str, Any]) -> dict[str, Any]:
     known = ("step", "parameters", "reason", "outcome", "time_utc")
     row = {key: item.get(key) for key in known}
     return row | {"extra": {key: value for key, value in item.items() if key not in known}}
+
+
+def attention_reasons(
+    status: str, messages: Iterable[str], bodies: Iterable[tuple[str | None, str | None]] = ()
+) -> tuple[str, ...]:
+    """Return the reasons to look at a picture; none where all is well.
+
+    Parameters
+    ----------
+    status : str
+        Of the picture: ok, partial or failed.
+    messages : iterable of str
+        Of the picture.
+    bodies : iterable of (name, status)
+
+    Examples
+    --------
+    >>> attention_reasons("ok", ["3 pixels masked"])
+    ()
+    >>> attention_reasons("partial", [], [("PLUTO", "ok"), ("NIX", "uncertain")])
+    ('NIX: uncertain',)
+    """
+    if status == "ok":
+        return ()
+    said = tuple(dict.fromkeys(messages))
+    doubtful = tuple(
+        f"{name}: {verdict.replace('_', ' ')}"
+        for name, verdict in bodies
+        if verdict not in (None, "ok") and not any(message.startswith(f"{name}:") for message in said)
+    )
+    return (*said, *doubtful) or (f"status {status}",)
 
 
 def _attention(result: Mapping[str, Any]) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ determine is null in the report and "not determined" in the table.
 
 import shutil
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,15 +30,13 @@ from opnav_workbench.calibration import (
     write_camera_file,
 )
 from opnav_workbench.camera import BrownDistortion, Camera, OwenDistortion
+from opnav_workbench.cli.processing_options import processing_of, processing_options
 from opnav_workbench.cli.terminal import named_progress
 from opnav_workbench.files import atomic_path, make_folder, write_json
-from opnav_workbench.headless import Policy
-from opnav_workbench.headless.star_frames import SolvedFrames, psf_frames, solve_frames, star_frames
-from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import OpenedProcessing
+from opnav_workbench.processing.model import NO_TARGETS
+from opnav_workbench.processing.star_frames import SolvedFrames, psf_frames, solve_frames, star_frames
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.session import ATTITUDE_SOURCES
-from opnav_workbench.session.decisions import Decisions, load_decisions
 from opnav_workbench.version import __version__
 
 __all__ = ["calibrate"]
@@ -158,25 +155,18 @@ DEFAULT_TERMS: dict[type, tuple[str, ...]] = {
     BrownDistortion: ("k1", "k2", "p1", "p2"),
 }
 
+# Of a star frame nothing else matters.
+NOT_FOR_CAMERA = ("targets", "method", "target_stars")
+
 ImagesArgument = Annotated[list[Path], typer.Argument(help="Pictures of one camera.", show_default=False)]
-MissionOption = Annotated[
-    str, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
-]
-KernelsOption = Annotated[
-    str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
-]
-CatalogOption = Annotated[str, typer.Option(help="bundled | npz:FILE | tycho2:DIR | ucac4:DIR | ...")]
-DecisionsOption = Annotated[
-    Path | None, typer.Option(help="YAML of an analyst's accepted and rejected stars.", show_default=False)
-]
-AttitudeOption = Annotated[str, typer.Option(help="A priori attitude: " + " | ".join(ATTITUDE_SOURCES))]
 OutOption = Annotated[Path, typer.Option(help="Folder for the new camera file and the report.")]
 
 
 @calibrate.command()
+@processing_options(without=NOT_FOR_CAMERA)
 def camera(
     images: ImagesArgument,
-    mission: MissionOption,
+    given: dict[str, Any],
     solve: Annotated[
         str | None,
         typer.Option(
@@ -185,10 +175,6 @@ def camera(
         ),
     ] = None,
     distortion: Annotated[str, typer.Option(help="Distortion model: keep | none | owen | brown")] = "keep",
-    kernels: KernelsOption = None,
-    catalog: CatalogOption = "bundled",
-    attitude: AttitudeOption = "auto",
-    decisions: DecisionsOption = None,
     out: OutOption = Path("calibration"),
 ) -> None:
     """Solve focal length, distortion and mounting angles over many star frames.
@@ -201,27 +187,22 @@ def camera(
     file with the new values, OUT/<camera>_calibration.json and OUT/<camera>_residuals.png. Mounting angles
     (mounting_pixel_rad, mounting_line_rad, mounting_boresight_rad) need a priori attitudes that differ alike.
     """
-    policy = _policy(mission, catalog, attitude, decisions)
-    with ExitStack() as stack:
-        if kernels is not None:
-            stack.enter_context(KernelSet(kernels))
-        solved = _solve_frames(images, policy)
+    opened = processing_of({**given, "targets": NO_TARGETS}).opened()
+    solved = _solve_frames(images, opened)
     start = with_distortion(solved.sessions[0].context.camera, distortion)
     names = (
         _default_names(start) if solve is None else tuple(n.strip() for n in solve.split(",") if n.strip())
     )
     stars = star_frames(solved.sessions)
     result = calibrate_camera(stars, start, names)
-    _write_camera(policy, start, solved, stars, result, distortion, out)
+    _write_camera(opened, start, solved, stars, result, distortion, out)
 
 
 @calibrate.command()
+@processing_options(without=(*NOT_FOR_CAMERA, "decisions"))
 def psf(
     images: ImagesArgument,
-    mission: MissionOption,
-    kernels: KernelsOption = None,
-    catalog: CatalogOption = "bundled",
-    attitude: AttitudeOption = "auto",
+    given: dict[str, Any],
     min_snr: Annotated[
         float, typer.Option(help="Least signal-to-noise ratio of a star in the stack.")
     ] = 50.0,
@@ -239,32 +220,19 @@ def psf(
     Writes OUT/<camera>_psf.npz, OUT/<camera>.yaml, a copy of the camera's file that uses it, and a report as JSON and PNG.
     Stars need not be in the catalog; pictures whose stars have another shape are left out and named.
     """
-    policy = _policy(mission, catalog, attitude, None)
-    with ExitStack() as stack:
-        if kernels is not None:
-            stack.enter_context(KernelSet(kernels))
-        solved = _solve_frames(images, policy, least_stars=1)
+    opened = processing_of({**given, "targets": NO_TARGETS}).opened()
+    solved = _solve_frames(images, opened, least_stars=1)
     context = solved.sessions[0].context
     isolation = max(ISOLATION_PX, ISOLATION_SIGMAS * context.camera.psf.sigma_px)
     frames = psf_frames(solved.sessions, min_snr, isolation)
     result = stack_psf(frames, context.camera_psf, oversampling=oversampling)
-    _write_psf(policy, context.camera, solved, result, out)
+    _write_psf(opened, context.camera, solved, result, out)
 
 
-def _policy(mission: str, catalog: str, attitude: str, decisions: Path | None) -> Policy:
-    return Policy(
-        mission=load_mission(mission),
-        catalog=catalog,
-        targets=(),
-        attitude=attitude,
-        decisions=load_decisions(decisions) if decisions else Decisions(),
-    )
-
-
-def _solve_frames(images: Sequence[Path], policy: Policy, **options: Any) -> SolvedFrames:
+def _solve_frames(images: Sequence[Path], opened: OpenedProcessing, **options: Any) -> SolvedFrames:
     console = Console(stderr=True, soft_wrap=True)
-    with named_progress(console, len(images)) as say:
-        solved = solve_frames(images, policy, say, **options)
+    with opened.how.kernel_set(), named_progress(console, len(images)) as say:
+        solved = solve_frames(images, opened, say, **options)
     for name, reason in solved.failed:
         console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}", highlight=False)
     return solved
@@ -276,7 +244,7 @@ def _default_names(camera: Camera) -> tuple[str, ...]:
 
 
 def _write_camera(
-    policy: Policy,
+    opened: OpenedProcessing,
     start: Camera,
     solved: SolvedFrames,
     stars: StarFrames,
@@ -284,16 +252,16 @@ def _write_camera(
     distortion: str,
     out: Path,
 ) -> None:
-    source = policy.mission.camera_file(start)
+    source = opened.mission.camera_file(start)
     target = make_folder(out) / source.name
     heading = (
         f"Calibrated with {int(result.used.sum())} stars of {stars.n_frames} frames ({stars.names[0]} to "
-        f"{stars.names[-1]}), catalog {policy.catalog}; before: {source.name}"
+        f"{stars.names[-1]}), catalog {opened.how.catalog}; before: {source.name}"
     )
     _copy_psf(source, target)
     write_camera_file(source, target, camera_edits(result, distortion), heading)
     values_file = target.with_name(f"{source.stem}_calibration.json")
-    write_json(values_file, calibration_json(stars, result, start, solved.failed, policy.catalog))
+    write_json(values_file, calibration_json(stars, result, start, solved.failed, opened.how.catalog))
     picture = target.with_name(f"{source.stem}_residuals.png")
     report.write_png(
         report.camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"),
@@ -306,9 +274,9 @@ def _write_camera(
 
 
 def _write_psf(
-    policy: Policy, start: Camera, solved: SolvedFrames, result: PsfCalibration, out: Path
+    opened: OpenedProcessing, start: Camera, solved: SolvedFrames, result: PsfCalibration, out: Path
 ) -> None:
-    source = policy.mission.camera_file(start)
+    source = opened.mission.camera_file(start)
     target = make_folder(out) / source.name
     template = target.with_name(f"{source.stem}_psf.npz")
     result.psf.save(template)

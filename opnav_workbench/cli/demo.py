@@ -10,9 +10,9 @@ from rich.table import Table
 
 from opnav_workbench.cli.process import run_images
 from opnav_workbench.cli.terminal import EXIT_PARTLY
-from opnav_workbench.headless import Policy
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import Processing
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
     DEMO_KERNELS,
@@ -53,8 +53,8 @@ def demo(
         truths = [
             simulate_picture(r.reseeded(seed), mission, DEMO_CATALOG, out / "pictures") for r in DEMO_PICTURES
         ]
-        policy = Policy(mission=mission, catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
-        outcomes = run_images([truth.picture for truth in truths], policy, out)
+        how = Processing(mission=DEMO_MISSION, catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
+        outcomes = run_images([truth.picture for truth in truths], how, out)
     ok = True
     for request, truth, outcome in zip(DEMO_PICTURES, truths, outcomes, strict=True):
         rows = compare(truth, outcome.result, mission.camera_for(request.header))
@@ -66,7 +66,7 @@ def demo(
         else f"[bold red]A solved quantity is more than {AGREES_SIGMAS:g} sigmas from the truth.[/]",
         highlight=False,
     )
-    console.print(f"Look at {outcomes[0].folder / 'summary.png'}", highlight=False, soft_wrap=True)
+    console.print(f"Look at {out / truths[0].picture.stem / 'summary.png'}", highlight=False, soft_wrap=True)
     if not ok:
         raise typer.Exit(EXIT_PARTLY)
 

@@ -6,6 +6,7 @@ papermill does; cells that the analyst added to an older one are kept.
 
 import json
 import webbrowser
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,12 +15,15 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from opnav_workbench.campaign.analyst_queue import read_queue
 from opnav_workbench.cli.lab_server import LabServer
+from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder, write_text
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import Processing
+from opnav_workbench.processing.model import NO_TARGETS
+from opnav_workbench.processing.queue_file import read_queue
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
     DEMO_KERNELS,
@@ -46,29 +50,21 @@ class LabParameters:
     ----------
     images : tuple of str
         Picture files or folders, in full.
-    mission : str
-    kernels : str
-        Empty: none.
-    catalog : str
+    how : Processing
     folders : tuple of str
         Names of the pictures' folders; empty: named after the pictures.
-    targets : tuple of str
-        Empty: the mission's own.
     """
 
     images: tuple[str, ...]
-    mission: str
-    kernels: str
-    catalog: str
+    how: Processing
     folders: tuple[str, ...] = ()
-    targets: tuple[str, ...] = ()
 
     def source(self) -> str:
         """Return the source of the parameters cell.
 
         Examples
         --------
-        >>> print(LabParameters(("/data/a.fit",), "new_horizons", "", "bundled").source())
+        >>> print(LabParameters(("/data/a.fit",), Processing(mission="new_horizons", targets="PLUTO:limb_scan")).source())
         # Set by opnav lab
         images = [
             "/data/a.fit",
@@ -76,21 +72,27 @@ class LabParameters:
         mission = "new_horizons"
         kernels = None
         catalog = "bundled"
+        targets = [
+            "PLUTO",
+        ]
+        methods = {"PLUTO": "limb_scan"}
         out = "."
         """
-        kernels = json.dumps(self.kernels) if self.kernels else "None"
-        return (
-            f"# Set by opnav lab\n{_list_source('images', self.images)}"
-            f"{_list_source('folders', self.folders) if self.folders else ''}"
-            f"mission = {json.dumps(self.mission)}\nkernels = {kernels}\ncatalog = {json.dumps(self.catalog)}\n"
-            f"{_list_source('targets', self.targets) if self.targets else ''}"
-            'out = "."'
-        )
+        how = self.how
+        values: dict[str, Any] = {"images": self.images}
+        values |= {"folders": self.folders} if self.folders else {}
+        values |= {"mission": how.mission, "kernels": how.kernels, "catalog": how.catalog}
+        values |= {name: getattr(how, name) for name in how.said() if name not in values}
+        values |= {"targets": NO_TARGETS} if how.targets == () else {}
+        lines = [_assignment(name, value) for name, value in (values | {"out": "."}).items()]
+        return "\n".join(["# Set by opnav lab", *lines])
 
 
-def _list_source(name: str, values: tuple[str, ...]) -> str:
-    lines = "".join(f"    {json.dumps(value)},\n" for value in values)
-    return f"{name} = [\n{lines}]\n"
+def _assignment(name: str, value: Any) -> str:
+    if isinstance(value, tuple):
+        lines = "".join(f"    {json.dumps(item)},\n" for item in value)
+        return f"{name} = [\n{lines}]"
+    return f"{name} = {'None' if value is None else json.dumps(value)}"
 
 
 def put_notebook(folder: Path, parameters: LabParameters) -> Path:
@@ -133,19 +135,11 @@ def _set_parameters(cells: list[dict[str, Any]], parameters: LabParameters) -> N
 # ---- ``opnav lab``: JupyterLab with the workbench open on pictures.
 
 
+@processing_options()
 def lab(
+    given: dict[str, Any],
     images: Annotated[
         list[Path] | None, typer.Argument(help="Pictures, or folders of them.", show_default=False)
-    ] = None,
-    mission: Annotated[
-        str | None, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
-    ] = None,
-    kernels: Annotated[
-        str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
-    ] = None,
-    catalog: Annotated[
-        str | None,
-        typer.Option(help="Catalog spec; see opnav catalog list. Default: bundled.", show_default=False),
     ] = None,
     queue: Annotated[
         Path | None,
@@ -179,34 +173,28 @@ def lab(
     if sum([bool(images), queue is not None, demo]) != 1:
         raise SessionError("give pictures, or --queue DIR, or --demo: exactly one of them.")
     if queue is not None:
-        parameters = _queued_pictures(queue, mission, kernels, catalog, console)
+        parameters = _queued_pictures(queue, given, console)
         folder = out or queue
     elif demo:
         folder = out or Path("opnav_lab")
-        parameters = _demo_pictures(folder, console)
+        parameters = _demo_pictures(folder, given, console)
     else:
         folder = out or Path("opnav_lab")
-        parameters = _given_pictures(images or [], mission, kernels, catalog)
+        parameters = _given_pictures(images or [], given)
     notebook = put_notebook(folder, parameters)
     _serve(notebook, console, browser=browser, port=port)
 
 
-def _given_pictures(
-    images: list[Path], mission: str | None, kernels: str | None, catalog: str | None
-) -> LabParameters:
-    if mission is None:
-        raise SessionError("--mission is missing; name the mission (new_horizons) or its YAML file.")
-    load_mission(mission)  # a wrong name is told here, not in the notebook
+def _given_pictures(images: list[Path], given: Mapping[str, Any]) -> LabParameters:
+    how = processing_of(given).with_full_paths()
     missing = [image for image in images if not image.exists()]
+    how.opened()  # what is wrong is told here, not in the notebook
     if missing:
         raise SessionError(f"there is no picture {missing[0]}; check the path.")
-    paths = tuple(str(image.resolve()) for image in images)
-    return LabParameters(paths, _absolute(mission), _absolute(kernels or ""), catalog or "bundled")
+    return LabParameters(tuple(str(image.resolve()) for image in images), how)
 
 
-def _queued_pictures(
-    folder: Path, mission: str | None, kernels: str | None, catalog: str | None, console: Console
-) -> LabParameters:
+def _queued_pictures(folder: Path, given: Mapping[str, Any], console: Console) -> LabParameters:
     queue = read_queue(folder)
     if not queue.images:
         raise SessionError(f"nothing waits in {folder}: every picture of it was solved.")
@@ -218,20 +206,17 @@ def _queued_pictures(
         raise SessionError(
             f"none of the pictures that wait in {folder} is there; bring them back, or run the night anew."
         )
-    mission = mission or queue.mission
-    if not mission:
+    if queue.how is None and "mission" not in given:
         raise SessionError(f"{folder} does not say which mission its pictures are of; give --mission.")
+    how = processing_of(given) if queue.how is None else with_options(queue.how, given)
     return LabParameters(
-        tuple(item.image for item in there),
-        _absolute(mission),
-        _absolute(kernels or queue.kernels),
-        catalog or queue.catalog or "bundled",
-        tuple(item.folder for item in there),
-        queue.targets,
+        tuple(item.image for item in there), how.with_full_paths(), tuple(item.folder for item in there)
     )
 
 
-def _demo_pictures(folder: Path, console: Console) -> LabParameters:
+def _demo_pictures(folder: Path, given: Mapping[str, Any], console: Console) -> LabParameters:
+    demo = Processing(mission=DEMO_MISSION, kernels=DEMO_KERNELS, catalog=DEMO_CATALOG)
+    how = with_options(demo, given)
     pictures = folder / "pictures"
     paths = [pictures / f"{request.name}.fit" for request in DEMO_PICTURES]
     if not all(path.is_file() for path in paths):
@@ -239,14 +224,7 @@ def _demo_pictures(folder: Path, console: Console) -> LabParameters:
         with KernelSet(DEMO_KERNELS):
             mission = load_mission(DEMO_MISSION)
             paths = [simulate_picture(r, mission, DEMO_CATALOG, pictures).picture for r in DEMO_PICTURES]
-    return LabParameters(
-        tuple(str(path.resolve()) for path in paths), DEMO_MISSION, DEMO_KERNELS, DEMO_CATALOG
-    )
-
-
-def _absolute(name: str) -> str:
-    """Return a path in full, because the notebook runs in another folder; a name of something as it is."""
-    return str(Path(name).resolve()) if name and Path(name).exists() else name
+    return LabParameters(tuple(str(path.resolve()) for path in paths), how)
 
 
 def _serve(notebook: Path, console: Console, *, browser: bool, port: int) -> None:

@@ -17,13 +17,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night
 from opnav_workbench.headless.night_summary import SUMMARY_PAGE, write_night_summary
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
-from opnav_workbench.yaml_file import check_model
 
 __all__ = ["nightly"]
 
@@ -31,6 +31,7 @@ YAML_SUFFIXES = (".yaml", ".yml")
 SHOWN = 20  # reasons printed; the page has all
 
 
+@processing_options()
 def nightly(
     sources: Annotated[
         list[str],
@@ -38,19 +39,7 @@ def nightly(
             help="A night file (YAML), or pictures: files, folders, quoted patterns.", show_default=False
         ),
     ],
-    mission: Annotated[
-        str | None, typer.Option("--mission", "-m", help="Mission name or mission YAML.", show_default=False)
-    ] = None,
-    kernels: Annotated[
-        str | None, typer.Option(help="Metakernel, kernel folder or kernel-set name.", show_default=False)
-    ] = None,
-    catalog: Annotated[
-        str | None, typer.Option(help="Catalog spec; see opnav catalog list.", show_default=False)
-    ] = None,
-    targets: Annotated[str | None, typer.Option(help="Targets, comma-separated.", show_default=False)] = None,
-    decisions: Annotated[
-        Path | None, typer.Option(help="YAML of an analyst's decisions.", show_default=False)
-    ] = None,
+    given: dict[str, Any],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("night"),
     jobs: Annotated[
         int | None,
@@ -84,14 +73,7 @@ def nightly(
 
     Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
     """
-    given = {
-        "mission": mission,
-        "kernels": kernels,
-        "catalog": catalog,
-        "targets": None if targets is None else tuple(t.strip() for t in targets.split(",") if t.strip()),
-        "decisions": None if decisions is None else str(decisions.resolve()),
-    }
-    spec = _night_spec(sources, {name: value for name, value in given.items() if value is not None})
+    spec = _night_spec(sources, given)
     console = Console(stderr=True, soft_wrap=True)
     plan = plan_night(spec, out, only_new=only_new)
     _print_plan(console, plan)
@@ -108,16 +90,11 @@ def _night_spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:
     """Build the night from its file, or from pictures; options outrank the file."""
     files = [source for source in sources if source.lower().endswith(YAML_SUFFIXES)]
     if not files:
-        if "mission" not in given:
-            raise SessionError(
-                "give --mission, the mission's name or YAML; opnav doctor lists the missions found."
-            )
-        if given.get("kernels") and Path(given["kernels"]).exists():
-            given = {**given, "kernels": str(Path(given["kernels"]).resolve())}
-        return check_model({"images": tuple(sources), **given}, NightSpec, "night", SessionError)
+        how = processing_of(given).with_full_paths()
+        return NightSpec.checked({**dict(how), "images": tuple(sources)}, "night")
     if len(sources) > 1:
         raise SessionError(f"give one night file alone, or pictures; got {', '.join(sources)}.")
-    return load_night(files[0]).model_copy(update=dict(given))
+    return with_options(load_night(files[0]), given)
 
 
 def _print_plan(console: Console, plan: NightPlan) -> None:

@@ -7,7 +7,7 @@ score  writes down what was delivered, opens the truth, and holds the one agains
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -16,10 +16,12 @@ from rich.table import Table
 
 from opnav_workbench import report
 from opnav_workbench.cli.process import Reporter
+from opnav_workbench.cli.processing_options import processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, picture_progress, plain_table
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import write_json, write_text
-from opnav_workbench.headless.rehearsal_run import process_package
+from opnav_workbench.headless.rehearsal_run import package_processing, process_package
+from opnav_workbench.processing import Processing
 from opnav_workbench.rehearsal.making import new_rehearsal
 from opnav_workbench.rehearsal.package import OrtPackage, open_rehearsal
 from opnav_workbench.rehearsal.results import picture_results
@@ -185,8 +187,10 @@ FEW_PICTURES = 3  # starting a process costs about as much as a picture
 SOLUTION_PAGE_FILE = "solution.html"
 
 
+@processing_options(without=("mission", "kernels"))
 def solve(
     folder: Annotated[Path, typer.Argument(help="Package of the rehearsal.", show_default=False)],
+    given: dict[str, Any],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ort_run"),
     jobs: Annotated[
         int | None,
@@ -219,7 +223,7 @@ def solve(
     """
     package = open_rehearsal(folder)
     if not only_estimate:
-        _process_pictures(package, out, jobs, again)
+        _process_pictures(package, with_options(package_processing(package), given), out, jobs, again)
     solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma)
     solution.write(out / SOLUTION_FILE)
     write_text(out / SOLUTION_PAGE_FILE, report.solution_page(solution, package.title))
@@ -232,12 +236,12 @@ def solve(
     )
 
 
-def _process_pictures(package: OrtPackage, out: Path, jobs: int | None, again: bool) -> None:
+def _process_pictures(package: OrtPackage, how: Processing, out: Path, jobs: int | None, again: bool) -> None:
     count = len(package.pictures)
     processes = jobs or (1 if count <= FEW_PICTURES else os.cpu_count() or 1)
     with Reporter(count) as reporter:
         reporter.say(package.name, f"{count} pictures")
-        outcomes = process_package(package, out, jobs=processes, again=again, done=reporter.done)
+        outcomes = process_package(package, out, how=how, jobs=processes, again=again, done=reporter.done)
     reporter.table(outcomes, out)
 
 

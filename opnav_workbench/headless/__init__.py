@@ -1,18 +1,8 @@
-"""What runs without a person: pictures by the automatic policy, nights of many pictures, blind rehearsal runs.
+"""Many pictures without a person: nights, and blind runs of rehearsals.
 
-Enter by `process_image` for one picture, `picture_job` in the notebook ``process_image.ipynb``, and `plan_night` and
-`run_night` of ``night`` for many.
+Enter by `plan_night` and `run_night` of ``night``, and by `process_package` of ``rehearsal_run``; how a picture is processed
+is said and done in ``processing``.
 
-``policy``
-    `Policy`: how pictures are processed.
-``picture_job``
-    The parameters of the processing notebook, checked.
-``picture_run``
-    One picture: the automatic steps, the farther search for bodies, the folder of results.
-``star_frames``
-    Star frames for a calibration: pictures solved one after the other.
-``rehearsal_run``
-    All pictures of a rehearsal package.
 ``night_spec``
     The YAML file of a night.
 ``night``
@@ -23,22 +13,8 @@ Enter by `process_image` for one picture, `picture_job` in the notebook ``proces
     The morning's summary, page and queue.
 ``notebook_run``
     The program that executes one notebook; it imports nothing of this package.
+``rehearsal_run``
+    All pictures of a rehearsal package.
 """
 
-from opnav_workbench.headless.picture_job import PictureJob, picture_job
-from opnav_workbench.headless.picture_run import Outcome, open_picture, process_image, run_policy
-from opnav_workbench.headless.policy import Policy
-from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
-
-__all__ = [
-    "Decisions",
-    "Outcome",
-    "PictureJob",
-    "Policy",
-    "load_decisions",
-    "open_picture",
-    "picture_job",
-    "process_image",
-    "run_policy",
-    "write_decisions",
-]
+__all__: list[str] = []

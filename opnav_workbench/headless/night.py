@@ -14,7 +14,7 @@ import json
 import shutil
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,9 @@ from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import inside, json_text, make_folder, sha256_of, write_json
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
-from opnav_workbench.headless.picture_job import PictureJob
-from opnav_workbench.headless.picture_run import failed_result
 from opnav_workbench.image.picture_files import picture_names
-from opnav_workbench.kernels import KernelSet
+from opnav_workbench.processing import notebook_parameters
+from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.session.folder_lock import FolderLock
@@ -126,6 +125,9 @@ def move_into_place(work: Path, final: Path, record: NightRecord, attic: Path) -
 # ---- A night: the same notebook for many pictures, each on its own, nothing done twice and nothing lost.
 
 NOTEBOOK = "process_image.ipynb"
+# It belongs to the version: this is the digest that it had when nights were first recorded, so that another word in one of
+# its cells does no night over again.
+PACKAGED_NOTEBOOK = "6c55442aa9e39dd68f2aed0463bc6772c7fb5b152b95e730ccd53a1e24ec4e6d"
 WORK_FOLDER = ".work"
 
 
@@ -327,17 +329,17 @@ def _archive(night: Night, campaign: Campaign, name: str) -> None:
 
 
 def _check_spec(spec: NightSpec) -> None:
-    _ = PictureJob(**_parameters(spec, Path("picture"))).policy  # mission, catalog, methods, decisions
-    with KernelSet(spec.kernels) if spec.kernels else nullcontext():
+    spec.changed("night").opened()  # fields that were set unchecked; mission, catalog, decisions
+    with spec.kernel_set():
         pass
-    _check_notebook(_notebook(spec))
+    _check_notebook(_notebook(spec), _parameters(spec, Path("picture")))
 
 
 def _notebook(spec: NightSpec) -> Path:
     return Path(spec.notebook) if spec.notebook else notebooks_dir() / NOTEBOOK
 
 
-def _check_notebook(path: Path) -> None:
+def _check_notebook(path: Path, parameters: Mapping[str, Any]) -> None:
     """Refuse a notebook that would ignore parameters: papermill alone only warns."""
     import papermill  # noqa: PLC0415  takes a second
 
@@ -345,7 +347,7 @@ def _check_notebook(path: Path) -> None:
         known = set(papermill.inspect_notebook(str(path)))
     except Exception as error:
         raise SessionError(f"the notebook {path} cannot be read ({error}); give a .ipynb file.") from error
-    missing = sorted(set(PictureJob.model_fields) - known)
+    missing = sorted({*parameters, "out"} - known)
     if missing:
         raise SessionError(
             f"the notebook {path} has no parameter {', '.join(missing)}; its parameters cell needs all of {NOTEBOOK}'s."
@@ -354,20 +356,7 @@ def _check_notebook(path: Path) -> None:
 
 def _parameters(spec: NightSpec, image: Path) -> dict[str, Any]:
     """Return the notebook's parameters, but for the folder of the results."""
-    return {
-        "image": str(image),
-        "mission": spec.mission,
-        "kernels": spec.kernels or "",
-        "catalog": spec.catalog,
-        "targets": ",".join(spec.targets or ()),
-        "methods": spec.methods,
-        "target_stars": spec.target_stars or "",
-        "decisions": spec.decisions or "",
-        "attitude": spec.attitude,
-        "model": spec.model,
-        "centers": spec.centers,
-        "mode": "headless",
-    }
+    return {"image": str(image), **notebook_parameters(spec), "mode": "headless"}
 
 
 def _processing_inputs(spec: NightSpec) -> dict[str, Any]:
@@ -382,5 +371,5 @@ def _processing_inputs(spec: NightSpec) -> dict[str, Any]:
         "version": __version__,
         "parameters": parameters,
         "files": files,
-        "notebook": sha256_of(_notebook(spec)),
+        "notebook": sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK,
     }

@@ -6,19 +6,21 @@
     mission: new_horizons
     kernels: flight.tm             # kernel-set name, metakernel or folder; left out: headers only
     catalog: bundled
-    targets: [PLUTO, CHARON]       # left out: the mission's own
-    methods: {PLUTO: limb_scan}    # centerfinder by target; left out: automatic
+    targets: [PLUTO:limb_scan, CHARON]  # left out: the mission's own
     decisions: decisions.yaml
     time_limit_s: 300
+
+Every field of `Processing` may stand there.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.image.picture_files import picture_files
+from opnav_workbench.processing import Processing
 from opnav_workbench.yaml_file import read_model
 
 __all__ = ["NightSpec", "load_night", "pictures_of_night"]
@@ -26,47 +28,30 @@ __all__ = ["NightSpec", "load_night", "pictures_of_night"]
 MIN_MEMORY_MB = 300  # a notebook's kernel with this package and one small picture takes 250 MB
 
 
-class NightSpec(BaseModel):
-    """A night's work.
+class NightSpec(Processing):
+    """A night's work: how pictures are processed, which, and within which limits."""
 
-    Attributes
-    ----------
-    images : tuple of str
-        Files, folders (all pictures in them) or patterns.
-    mission, catalog, attitude, model, centers : str
-        As ``opnav process`` takes them.
-    kernels, target_stars, decisions : str or None
-    targets : tuple of str or None
-        None: the mission's own.
-    methods : mapping of str to str
-        Centerfinder by target.
-    notebook : str or None
-        Another notebook than ``process_image.ipynb``; it gets the same parameters.
-    time_limit_s : float
-        Longest time a picture may take, notebook and all.
-    memory_limit_mb : float
-        Most memory that a picture's processes may hold together.
-    retries : int
-        How often a picture is tried again after a fault of the machine (a process killed, a kernel that does not start).
-    """
+    path_fields: ClassVar[tuple[str, ...]] = (*Processing.path_fields, "notebook")
 
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
-
-    images: tuple[str, ...] = Field(min_length=1)
-    mission: str
-    kernels: str | None = None
-    catalog: str = "bundled"
-    targets: tuple[str, ...] | None = None
-    methods: dict[str, str] = {}
-    target_stars: str | None = None
-    decisions: str | None = None
-    attitude: str = "auto"
-    model: str = "euler"
-    centers: str = "least_squares"
-    notebook: str | None = None
-    time_limit_s: float = Field(300.0, gt=0.0)
-    memory_limit_mb: float = Field(3000.0, ge=MIN_MEMORY_MB)
-    retries: int = Field(1, ge=0, le=10)
+    images: tuple[str, ...] = Field(
+        min_length=1, description="Files, folders (all pictures in them) or patterns."
+    )
+    notebook: str | None = Field(
+        None, description="Another notebook than process_image.ipynb; it gets the same parameters."
+    )
+    time_limit_s: float = Field(
+        300.0, gt=0.0, description="Longest time a picture may take, notebook and all."
+    )
+    memory_limit_mb: float = Field(
+        3000.0, ge=MIN_MEMORY_MB, description="Most memory that a picture's processes may hold together."
+    )
+    retries: int = Field(
+        1,
+        ge=0,
+        le=10,
+        description="How often a picture is tried again after a fault of the machine (a process killed, a kernel that "
+        "does not start).",
+    )
 
 
 def load_night(path: str | Path) -> NightSpec:
@@ -80,14 +65,8 @@ def load_night(path: str | Path) -> NightSpec:
     file = Path(path)
     spec = read_model(file, NightSpec, "night file", SessionError)
     base = file.resolve().parent
-    changes: dict[str, Any] = {"images": tuple(str(base / image) for image in spec.images)}
-    for field in ("decisions", "target_stars", "notebook", "kernels", "mission"):
-        value = getattr(spec, field)
-        # Kernel sets and missions have names too; what exists beside the file is meant as a file.
-        named = field in ("kernels", "mission") and value is not None and not (base / value).exists()
-        if value is not None and not named:
-            changes[field] = str(base / value)
-    return spec.model_copy(update=changes)
+    images = tuple(str(base / image) for image in spec.images)
+    return spec.with_full_paths(base).changed(images=images)
 
 
 def pictures_of_night(spec: NightSpec) -> tuple[Path, ...]:

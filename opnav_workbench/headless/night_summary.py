@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from opnav_workbench import report
-from opnav_workbench.campaign.analyst_queue import AnalystQueue, QueuedImage, attention_reasons, write_queue
+from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.files import inside, write_json, write_text
 from opnav_workbench.headless.night import Night, NightPicture, read_record
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
+from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, write_queue
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
@@ -48,9 +49,7 @@ def write_night_summary(night: Night) -> dict[str, Any]:
         for row in summary["images"]
         if row["attention"] and row["state"] != "waiting"
     )
-    write_queue(
-        out, AnalystQueue(waiting, spec.mission, spec.kernels or "", spec.catalog, spec.targets or ())
-    )
+    write_queue(out, AnalystQueue(waiting, spec.plain))
     return summary
 
 

@@ -26,7 +26,7 @@ import psutil
 from opnav_workbench import errors
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import write_json
-from opnav_workbench.headless.picture_run import failed_result
+from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.session import RESULT_FILE
 
 __all__ = [

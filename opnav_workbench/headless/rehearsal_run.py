@@ -11,15 +11,12 @@ from pathlib import Path
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder, sha256_of
-from opnav_workbench.headless.picture_run import Outcome, process_image
-from opnav_workbench.headless.policy import Policy
-from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.processes import in_processes
+from opnav_workbench.processing import OpenedProcessing, Outcome, Processing, process_image
 from opnav_workbench.rehearsal.package import OrtPackage
 from opnav_workbench.session import RESULT_FILE
 
-__all__ = ["process_package"]
+__all__ = ["package_processing", "process_package"]
 
 OutcomeCallback = Callable[[Outcome], None]
 
@@ -28,6 +25,7 @@ def process_package(
     package: OrtPackage,
     out: str | Path,
     *,
+    how: Processing | None = None,
     jobs: int = 1,
     again: bool = False,
     done: OutcomeCallback = lambda _outcome: None,
@@ -40,6 +38,8 @@ def process_package(
     ----------
     package : OrtPackage
     out : path
+    how : Processing, optional
+        Default `package_processing`.
     jobs : int
         Processes. A script that asks for more than one must guard its main part (``if __name__ == "__main__"``).
     again : bool
@@ -69,7 +69,8 @@ def process_package(
     for outcome in kept.values():
         done(outcome)
     left = [path for path in paths if path not in kept]
-    opening, work = partial(_package_opened, package), partial(_process_picture, out=folder)
+    opening = partial(_opened, how or package_processing(package))
+    work = partial(_process_picture, out=folder)
     made = in_processes(left, jobs, opening, work, done)
     found = kept | dict(zip(left, made, strict=True))
     return tuple(found[path] for path in paths)
@@ -88,15 +89,20 @@ def _earlier_outcome(path: Path, out: Path) -> Outcome | None:
 
 
 @contextlib.contextmanager
-def _package_opened(package: OrtPackage) -> Iterator[Policy]:
-    with KernelSet(package.metakernel):
-        yield package_policy(package)
+def _opened(how: Processing) -> Iterator[OpenedProcessing]:
+    with how.kernel_set():
+        yield how.opened()
 
 
-def _process_picture(policy: Policy, path: Path, out: Path) -> Outcome:
-    return process_image(path, policy, out)
+def _process_picture(opened: OpenedProcessing, path: Path, out: Path) -> Outcome:
+    return process_image(path, opened, out)
 
 
-def package_policy(package: OrtPackage) -> Policy:
-    """Return how the pictures of a package are processed."""
-    return Policy(mission=load_mission(package.mission), catalog=package.catalog, targets=package.targets)
+def package_processing(package: OrtPackage) -> Processing:
+    """Return how the pictures of a package are processed, if nobody says otherwise."""
+    return Processing(
+        mission=package.mission,
+        kernels=str(package.metakernel),
+        catalog=package.catalog,
+        targets=package.targets,
+    )

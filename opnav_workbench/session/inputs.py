@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from opnav_workbench.targets import TargetState
 
 __all__ = [
     "ATTITUDE_SOURCES",
+    "AttitudeSource",
     "InputSource",
     "Inputs",
     "collect_inputs",
@@ -86,7 +87,8 @@ class Inputs:
 WIDE_STARS = 1000  # of a wide search: dozens on the detector of any camera, and a session file of a megabyte
 FAINT_MARGIN_MAG = 1.0  # colors, and the zero point's own error
 MAX_CONE_RAD = np.pi
-ATTITUDE_SOURCES = ("auto", "kernels", "header")
+AttitudeSource = Literal["auto", "kernels", "header"]
+ATTITUDE_SOURCES: tuple[AttitudeSource, ...] = get_args(AttitudeSource)
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,13 +31,23 @@ from opnav_workbench.stars import (
     gaussian_template,
 )
 
-__all__ = ["FINAL_METHODS", "StarFitOptions", "centers_with_rows", "fit_all", "fit_some", "star_statuses"]
+__all__ = [
+    "FINAL_METHODS",
+    "FinalMethod",
+    "InitialMethod",
+    "StarFitOptions",
+    "centers_with_rows",
+    "fit_all",
+    "fit_some",
+    "star_statuses",
+]
 
 
 InitialMethod = Literal["matched_filter", "cross_correlation"]
 INITIAL_METHODS: tuple[InitialMethod, ...] = get_args(InitialMethod)
 FITTED_METHODS = ("least_squares", "psf_fit")  # neighbors are fitted together
-FINAL_METHODS = (*FITTED_METHODS, *INITIAL_METHODS)
+FinalMethod = Literal["least_squares", "psf_fit", "matched_filter", "cross_correlation"]
+FINAL_METHODS: tuple[FinalMethod, ...] = get_args(FinalMethod)
 TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the stars it finds
 
 

@@ -1,15 +1,19 @@
 """The parameters of the notebook ``workbench.ipynb``, checked, and what they mean: kernels and the list of images."""
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import Field, field_validator
 
-from opnav_workbench.errors import SessionError
+from opnav_workbench.image.picture_files import picture_files
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import OpenedProcessing, Processing, run_policy
+from opnav_workbench.processing.automatic import open_or_resume
+from opnav_workbench.processing.notebook import checked_parameters
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
     DEMO_KERNELS,
@@ -17,52 +21,44 @@ from opnav_workbench.rehearsal import (
     DEMO_PICTURES,
     simulate_picture,
 )
-from opnav_workbench.workbench.image_queue import ImageQueue
-from opnav_workbench.yaml_file import check_model
+from opnav_workbench.session import ImageSession
+from opnav_workbench.session.decisions import EVERY_IMAGE
+from opnav_workbench.workbench.image_queue import ImageQueue, predict_scene
 
-__all__ = []
-
-# What a fresh notebook's namespace holds besides its parameters.
-NOTEBOOK_NAMES = frozenset({"In", "Out", "exit", "quit", "open", "get_ipython", "workbench_job"})
+__all__ = ["NotebookParameters", "workbench_job"]
 
 
-class NotebookParameters(BaseModel):
-    """Images and how they are opened.
+class NotebookParameters(Processing):
+    """Images, and how they are opened and processed.
 
     Attributes
     ----------
-    images : tuple of str
-        Pictures or folders of them, also comma-separated in one text; empty: two simulated pictures.
-    folders : tuple of str
-        Names of the images' folders in `out`, one each, also comma-separated; empty: named after the pictures.
-    mission, kernels, catalog : str
-        As ``opnav process`` takes them; without kernels, time, attitude and state come from the header.
-    targets : tuple of str
-        Names, also comma-separated in one text; empty: the mission's own.
-    decisions : str
-        YAML of an analyst's decisions, for a headless run.
-    require : tuple of str
-        What must be decided before the notebook goes on; see `ImageSession.require`.
-    mode : {"interactive", "headless"}
-        Interactive shows the workbench; headless applies `decisions`, and the automatic policy where there are none.
-    out : str
-        Folder of the images' folders.
+    ready : OpenedProcessing
+        Mission, catalog and decisions, read once.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    mission: str = Field(DEMO_MISSION, description="Mission name or mission YAML.")
+    images: tuple[str, ...] = Field(
+        (),
+        description="Pictures or folders of them, also comma-separated in one text; empty: two simulated pictures.",
+    )
+    folders: tuple[str, ...] = Field(
+        (),
+        description="Names of the images' folders in `out`, one each, also comma-separated; empty: named after the "
+        "pictures.",
+    )
+    require: tuple[str, ...] = Field(
+        ("stars_confirmed", "pointing"),
+        description="What must be decided before the notebook goes on; see `ImageSession.require`.",
+    )
+    mode: Literal["interactive", "headless"] = Field(
+        "interactive",
+        description="Interactive shows the workbench; headless carries out the decisions, and the automatic policy where "
+        "there are none.",
+    )
+    out: str = Field("workbench_run", description="Folder of the images' folders.")
 
-    images: tuple[str, ...] = ()
-    folders: tuple[str, ...] = ()
-    mission: str = DEMO_MISSION
-    kernels: str | None = None
-    catalog: str = "bundled"
-    targets: tuple[str, ...] = ()
-    decisions: str = ""
-    require: tuple[str, ...] = ("stars_confirmed", "pointing")
-    mode: Literal["interactive", "headless"] = "interactive"
-    out: str = "workbench_run"
-
-    @field_validator("images", "folders", "targets", "require", mode="before")
+    @field_validator("images", "folders", "require", mode="before")
     @classmethod
     def _listed(cls, value: Any) -> Any:
         return (
@@ -81,29 +77,54 @@ class NotebookParameters(BaseModel):
         """Whether the pictures are simulated."""
         return not self.images
 
+    @cached_property
+    def ready(self) -> OpenedProcessing:
+        """Mission, catalog and decisions; raises as `opened`."""
+        return (self.changed(catalog=DEMO_CATALOG) if self.demo else self).opened()
+
     def kernel_set(self) -> AbstractContextManager[Any]:
         """Return the kernels to work in."""
-        kernels = self.kernels or (DEMO_KERNELS if self.demo else None)
-        return KernelSet(kernels) if kernels else nullcontext()
+        return super().kernel_set() if self.kernels or not self.demo else KernelSet(DEMO_KERNELS)
 
     def queue(self) -> ImageQueue:
         """Return the list of images; each is resumed where it was left.  Within the kernels.
+
+        Where a person looks on, a picture that is opened for the first time is predicted; one that decisions concern is
+        processed as they say.
 
         Raises
         ------
         OpNavError
             A picture is not there, or the mission is unknown.
         """
-        images = self.images if not self.demo else tuple(self._simulated())
-        return ImageQueue.of_images(
-            images,
-            load_mission(self.mission),
-            self.out,
-            folders=self.folders,
-            targets=self.targets or None,
-            predict=self.interactive,
-            catalog=DEMO_CATALOG if self.demo else self.catalog,
-        )
+        images = picture_files(self.images if not self.demo else self._simulated())
+        queue = ImageQueue.of_images(images, self.ready.mission, self.out, folders=self.folders)
+        for item, image in zip(queue.items, images, strict=True):
+            assert item.folder is not None
+            item.open = partial(self._opened, image, item.folder)
+        return queue
+
+    def _opened(self, image: Path, folder: Path) -> ImageSession:
+        """Return a picture's session; where a person looks on, its first steps are taken."""
+        session = open_or_resume(image, folder, self.ready)
+        if self.interactive and not session.journal:
+            frame, decided = session.context.frame, self.ready.decisions.images
+            if not {EVERY_IMAGE, frame.path.name, frame.sha256}.isdisjoint(decided):
+                self.process(session)
+            else:
+                predict_scene(session, self.targets)
+        return session
+
+    def process(self, session: ImageSession) -> None:
+        """Carry out the decisions, else the automatic policy; a session that was worked on before stays as it is.
+
+        Raises
+        ------
+        OpNavError
+            A step cannot be carried out.
+        """
+        if not session.standing:
+            run_policy(session, self.ready)
 
     def _simulated(self) -> list[str]:
         """Simulate the demo's pictures, the same bit for bit each time."""
@@ -134,5 +155,4 @@ def workbench_job(namespace: Mapping[str, Any]) -> NotebookParameters:
     >>> workbench_job({"images": "a.fit, b.fit", "mission": "new_horizons"}).images
     ('a.fit', 'b.fit')
     """
-    values = {k: v for k, v in namespace.items() if not k.startswith("_") and k not in NOTEBOOK_NAMES}
-    return check_model(values, NotebookParameters, "notebook parameters", SessionError)
+    return checked_parameters(namespace, NotebookParameters)

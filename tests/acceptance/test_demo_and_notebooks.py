@@ -42,9 +42,9 @@ def test_demo_statistics_over_seeds(tmp_path):
     """Errors over predicted sigmas of many demos: standard deviation near one, no outlier."""
     import numpy as np
 
-    from opnav_workbench.headless import Policy, process_image
     from opnav_workbench.kernels import KernelSet
     from opnav_workbench.mission import load_mission
+    from opnav_workbench.processing import Processing, process_image
     from opnav_workbench.rehearsal import (
         DEMO_CATALOG,
         DEMO_KERNELS,
@@ -60,10 +60,10 @@ def test_demo_statistics_over_seeds(tmp_path):
     camera = mission.camera_for(request.header)
     errors = []
     with KernelSet(DEMO_KERNELS):
-        policy = Policy(mission=mission, catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
+        how = Processing(mission=DEMO_MISSION, catalog=DEMO_CATALOG, targets=DEMO_TARGETS).opened()
         for seed in range(1, 16):
             truth = simulate_picture(request.reseeded(seed), mission, DEMO_CATALOG, tmp_path / str(seed))
-            outcome = process_image(truth.picture, policy, tmp_path / str(seed))
+            outcome = process_image(truth.picture, how, tmp_path / str(seed))
             assert outcome.result["status"] == "ok", outcome.result["messages"]
             errors.append([row.sigmas for row in compare(truth, outcome.result, camera)])
     scatter = np.array(errors)

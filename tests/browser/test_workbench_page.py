@@ -18,13 +18,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from opnav_workbench.campaign.analyst_queue import read_queue
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.night_summary import write_night_summary
 from opnav_workbench.headless.night_workers import LocalPool
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc
+from opnav_workbench.processing.queue_file import read_queue
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import load_picture_scenario, simulate

@@ -9,9 +9,9 @@ import pytest
 
 from opnav_workbench.campaign.stacking import StackFrame
 from opnav_workbench.geometry import apparent_direction, rotation_from_vector, unit
-from opnav_workbench.headless import Policy, process_image
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.psf import GaussianPsf, add_sources
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_MISSION, DEMO_TARGETS
 from opnav_workbench.targets import TargetState
@@ -20,7 +20,7 @@ from opnav_workbench.targets import TargetState
 @pytest.fixture(scope="session")
 def real_run(demo_truths, tmp_path_factory):
     """The demo's LORRI picture, processed: Pluto and Charon, four stars."""
-    policy = Policy(mission=load_mission(DEMO_MISSION), catalog=DEMO_CATALOG, targets=DEMO_TARGETS)
+    policy = Processing(mission=DEMO_MISSION, catalog=DEMO_CATALOG, targets=DEMO_TARGETS).opened()
     with KernelSet(DEMO_KERNELS):
         outcome = process_image(demo_truths[0].picture, policy, tmp_path_factory.mktemp("run"))
     assert outcome.result["status"] == "ok", outcome.result["messages"]

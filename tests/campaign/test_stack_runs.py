@@ -13,10 +13,9 @@ from opnav_workbench.campaign.stacking import fit_point, frames_of_runs, stack_f
 from opnav_workbench.campaign.stacking.grid import resample
 from opnav_workbench.cli.campaign import campaign_app
 from opnav_workbench.errors import KernelError, SessionError
-from opnav_workbench.headless import Policy, process_image
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import read_ecsv
+from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.simulation import PictureScenario, read_truth, simulate
 
 WIDE = {"COLUMNS": "160", "NO_COLOR": "1", "TERM": "dumb"}
@@ -48,7 +47,7 @@ def faint_charon(tmp_path_factory):
         }
     )
     simulate(scenario, folder / "pictures")
-    policy = Policy(mission=load_mission("new_horizons"), catalog="bundled", targets=())
+    policy = Processing(mission="new_horizons", catalog="bundled", targets=()).opened()
     with KernelSet(KERNELS):
         for i in range(COUNT):
             outcome = process_image(folder / "pictures" / f"c{i}.fit", policy, folder / "run")
@@ -129,9 +128,9 @@ def test_runs_that_cannot_be_stacked_are_named(faint_charon, make_run, tmp_path)
 def test_real_pictures_fall_on_each_other(data_dir, tmp_path):
     """Three LORRI pictures of Proxima Centauri, pixels apart: stars agree to 0.1 px, noise falls as it should."""
     pictures = sorted((data_dir / "images" / "lorri_interstellar").glob("lor_04498559*.fits"))
-    policy = Policy(
-        mission=load_mission("new_horizons"), catalog=f"npz:{data_dir / 'stars' / 'tycho2.npz'}", targets=()
-    )
+    policy = Processing(
+        mission="new_horizons", catalog=f"npz:{data_dir / 'stars' / 'tycho2.npz'}", targets=()
+    ).opened()
     runs = [process_image(picture, policy, tmp_path).folder for picture in pictures]
     taken = frames_of_runs(runs, None)
     assert [frame.name for frame in taken.frames] == [picture.name for picture in pictures]

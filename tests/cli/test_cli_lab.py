@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from opnav_workbench.campaign.analyst_queue import AnalystQueue, QueuedImage, write_queue
 from opnav_workbench.cli import lab_server
 from opnav_workbench.cli.lab import LabParameters, lab, put_notebook
 from opnav_workbench.errors import SessionError
+from opnav_workbench.processing import Processing
+from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, write_queue
 
-PARAMETERS = LabParameters(("/data/a.fit",), "new_horizons", "", "bundled")
+PARAMETERS = LabParameters(("/data/a.fit",), Processing(mission="new_horizons"))
 
 
 def parameters_of(folder, *more):
@@ -34,7 +35,8 @@ def test_notebook_gets_its_parameters_and_keeps_the_analysts_cells(tmp_path):
     notebook = json.loads(path.read_text())
     notebook["cells"].append({"cell_type": "markdown", "id": "mine", "metadata": {}, "source": ["my note"]})
     path.write_text(json.dumps(notebook))
-    put_notebook(tmp_path / "run", LabParameters(('/x/"odd".fit',), "new_horizons", "k.tm", "npz:c.npz"))
+    how = Processing(mission="new_horizons", kernels="k.tm", catalog="npz:c.npz")
+    put_notebook(tmp_path / "run", LabParameters(('/x/"odd".fit',), how))
     assert parameters_of(tmp_path / "run") == {
         "images": ['/x/"odd".fit'], "mission": "new_horizons", "kernels": "k.tm", "catalog": "npz:c.npz", "out": ".",
     }  # fmt: skip
@@ -84,7 +86,8 @@ def test_queue_of_a_night(tmp_path, served, capsys):
     pictures[0].touch()
     waiting = tuple(QueuedImage(str(p), f"{p.parent.name}_lor_1", "partial", ("no stars",)) for p in pictures)
     kernels = "new_horizons/pluto_opnav"
-    write_queue(tmp_path, AnalystQueue(waiting, "new_horizons", kernels, "bundled", ("PLUTO", "CHARON")))
+    how = Processing(mission="new_horizons", kernels=kernels, targets=("PLUTO", "CHARON"))
+    write_queue(tmp_path, AnalystQueue(waiting, how))
     run(queue=tmp_path)
     found = parameters_of(tmp_path, "folders", "targets")
     assert (found["images"], found["mission"]) == ([str(pictures[0])], "new_horizons")

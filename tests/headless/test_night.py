@@ -13,7 +13,6 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign
-from opnav_workbench.campaign.analyst_queue import read_queue
 from opnav_workbench.cli import app
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, plan_night, run_night
@@ -21,6 +20,7 @@ from opnav_workbench.headless.night_spec import NightSpec, load_night, pictures_
 from opnav_workbench.headless.night_summary import write_night_summary
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool
 from opnav_workbench.image.picture_files import picture_names
+from opnav_workbench.processing.queue_file import read_queue
 
 NIGHT = """
 import sys

@@ -8,14 +8,14 @@ import pytest
 import yaml
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.headless import Policy, open_picture, process_image, run_policy
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import Processing, open_picture, process_image, run_policy
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.session import ImageSession, Settings
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
 
-POLICY = Policy(mission=load_mission("new_horizons"), targets=())
+HOW = Processing(mission="new_horizons", targets=())
+POLICY = HOW.opened()
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +246,7 @@ def test_the_policy_keeps_what_was_decided_in_an_open_session(picture):
         session.find_stars()
         star = str(session.state.a_priori.id[session.state.mask("used")][0])
         session.reject_stars([star], "odd")
-        assert run_policy(session, replace(POLICY, targets=None))
+        assert run_policy(session, HOW.changed(targets=None).opened())
     assert session.state.decisions[star] == ("rejected", "odd")
     assert session.state.pointing.n_stars == 14
     assert {body.name for body in session.state.bodies} == {"PLUTO", "CHARON"}
@@ -265,9 +265,8 @@ def test_the_policy_can_be_cancelled_between_steps(picture):
 
 @pytest.mark.slow
 def test_methods_for_all_bodies_and_for_one(picture):
-    policy = replace(
-        POLICY, targets=("PLUTO", "CHARON"), method="unresolved", methods={"CHARON": "least_squares"}
-    )
+    how = HOW.changed(targets="PLUTO,CHARON:least_squares", method="unresolved")
+    policy = how.opened()
     with KernelSet(DEMO_KERNELS):
         session = open_picture(picture, policy)
         run_policy(session, policy)
@@ -276,4 +275,4 @@ def test_methods_for_all_bodies_and_for_one(picture):
         "CHARON": "least_squares",
     }
     with pytest.raises(SessionError, match="limb_scan"):
-        replace(POLICY, method="eye")
+        HOW.changed(method="eye")

@@ -1,4 +1,4 @@
-"""Pictures that need an analyst: why, as their results tell it, and the queue of a run (``queue.json``).
+"""The queue of a run: pictures that need an analyst, and how they are opened and processed (``queue.json``).
 
 ::
 
@@ -6,57 +6,23 @@
      "targets": ["PLUTO"],
      "images": [{"image": "/data/lor_0299.fit", "folder": "lor_0299", "status": "partial", "reasons": ["..."]}]}
 
-``folder`` is relative to the file; it holds the session to go on with, where there is one.
+``folder`` is relative to the file; it holds the session to go on with, where there is one.  Other fields of `Processing`
+stand beside ``targets`` where they differ from their defaults; empty targets are the mission's own, ``["none"]`` none.
 """
 
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import inside, write_json
+from opnav_workbench.processing.model import NO_TARGETS, Processing
 from opnav_workbench.session.storage import SESSION_FILE
 
-__all__ = ["AnalystQueue", "QueuedImage", "attention_reasons", "read_queue", "write_queue"]
+__all__ = ["AnalystQueue", "QueuedImage", "read_queue", "write_queue"]
 
-
-# ---- Why an analyst should look at a picture, as its result tells it.
-
-
-def attention_reasons(
-    status: str, messages: Iterable[str], bodies: Iterable[tuple[str | None, str | None]] = ()
-) -> tuple[str, ...]:
-    """Return the reasons to look at a picture; none where all is well.
-
-    Parameters
-    ----------
-    status
-        Of the picture: ok, partial or failed.
-    messages
-        Of the picture.
-    bodies : iterable of (name, status)
-
-    Examples
-    --------
-    >>> attention_reasons("ok", ["3 pixels masked"])
-    ()
-    >>> attention_reasons("partial", [], [("PLUTO", "ok"), ("NIX", "uncertain")])
-    ('NIX: uncertain',)
-    """
-    if status == "ok":
-        return ()
-    said = tuple(dict.fromkeys(messages))
-    doubtful = tuple(
-        f"{name}: {verdict.replace('_', ' ')}"
-        for name, verdict in bodies
-        if verdict not in (None, "ok") and not any(message.startswith(f"{name}:") for message in said)
-    )
-    return (*said, *doubtful) or (f"status {status}",)
-
-
-# ---- The analyst's queue.
 
 QUEUE_FILE = "queue.json"
 SCHEMA = 1
@@ -83,22 +49,27 @@ class QueuedImage:
 
 @dataclass(frozen=True, slots=True)
 class AnalystQueue:
-    """All pictures that wait, and how they are opened.
+    """All pictures that wait, and how they are processed.
 
     Attributes
     ----------
-    mission, kernels, catalog
-        As the run had them; empty where unknown.
-    targets
-        Bodies that the run looked for; empty: the mission's own.
+    images
+    how
+        As the run had it; None where that is unknown.
     """
 
     images: tuple[QueuedImage, ...] = ()
-    mission: str = ""
-    kernels: str = ""
-    catalog: str = ""
-    targets: tuple[str, ...] = ()
-    schema: int = field(default=SCHEMA, repr=False)
+    how: Processing | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of the file."""
+        content: dict[str, Any] = {"images": [asdict(item) for item in self.images]}
+        content |= {"mission": "", "kernels": "", "catalog": "", "targets": []}
+        if self.how is not None:
+            targets = [NO_TARGETS] if self.how.targets == () else list(self.how.targets or ())
+            content |= {"mission": self.how.mission, "catalog": self.how.catalog}
+            content |= self.how.plain.said() | {"targets": targets}
+        return content | {"schema": SCHEMA}
 
 
 def write_queue(folder: str | Path, queue: AnalystQueue) -> Path:
@@ -112,7 +83,7 @@ def write_queue(folder: str | Path, queue: AnalystQueue) -> Path:
     for item in queue.images:
         inside(folder, item.folder)
     path = Path(folder) / QUEUE_FILE
-    write_json(path, asdict(queue))
+    write_json(path, queue.to_dict())
     return path
 
 
@@ -139,7 +110,7 @@ def read_queue(folder: str | Path) -> AnalystQueue:
         images = tuple(
             QueuedImage(**(item | {"reasons": tuple(item["reasons"])})) for item in data.pop("images")
         )
-        queue = AnalystQueue(images, **(data | {"targets": tuple(data.get("targets", ()))}))
+        queue = AnalystQueue(images, _read_processing(data, path))
     except (OSError, UnicodeDecodeError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise SessionError(
             f"{path} cannot be read ({error!r}); run opnav nightly again, it writes it anew."
@@ -147,6 +118,12 @@ def read_queue(folder: str | Path) -> AnalystQueue:
     for item in images:
         inside(place, item.folder)
     return queue
+
+
+def _read_processing(values: Mapping[str, Any], path: Path) -> Processing | None:
+    """Return how the pictures are processed; what is empty was not given."""
+    given = {name: value for name, value in values.items() if name != "schema" and value not in ("", [], {})}
+    return Processing.checked(given, f"queue {path}") if "mission" in given else None
 
 
 def _queue_of_sessions(place: Path) -> AnalystQueue:

@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 
 from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.headless import Policy, process_image
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_TARGETS
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.decisions import Decisions, load_decisions
 
-POLICY = Policy(mission=load_mission("new_horizons"), targets=())
+HOW = Processing(mission="new_horizons", targets=())
+POLICY = HOW.opened()
 FILES = ["observables.ecsv", "result.json", "session.json", "summary.png"]
 
 
@@ -47,17 +47,17 @@ def test_a_picture_gets_its_folder_with_all_files(demo_truths, tmp_path):
 def test_targets_of_the_mission_are_taken_with_kernels(picture, tmp_path):
     words = []
     with KernelSet(DEMO_KERNELS):
-        outcome = process_image(picture, replace(POLICY, targets=None), tmp_path, words.append)
+        outcome = process_image(picture, HOW.changed(targets=None).opened(), tmp_path, words.append)
     assert [f"finding {body['name']}" for body in outcome.result["bodies"]] == words[4:-2]
     assert {body["name"] for body in outcome.result["bodies"]} >= set(DEMO_TARGETS)
-    without = process_image(picture, replace(POLICY, targets=None), tmp_path)
+    without = process_image(picture, HOW.changed(targets=None).opened(), tmp_path)
     assert without.result["bodies"] == []
 
 
 @pytest.mark.slow
 def test_an_unknown_target_costs_no_pointing(picture, tmp_path):
     with KernelSet(DEMO_KERNELS):
-        outcome = process_image(picture, replace(POLICY, targets=("PLUTO", "VULCAN")), tmp_path)
+        outcome = process_image(picture, HOW.changed(targets=("PLUTO", "VULCAN")).opened(), tmp_path)
     assert outcome.result["status"] == "partial"
     assert any("VULCAN" in message for message in outcome.result["messages"])
     assert [body["name"] for body in outcome.result["bodies"]] == ["PLUTO"]
@@ -170,4 +170,4 @@ def test_rejecting_every_star_fails_with_the_reason(picture, tmp_path):
 
 def test_policy_is_checked_before_any_picture():
     with pytest.raises(SessionError, match="euler"):
-        replace(POLICY, model="guess")
+        HOW.changed(model="guess")

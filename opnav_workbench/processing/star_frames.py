@@ -9,8 +9,8 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray
 from opnav_workbench.calibration import MIN_STARS, PsfFrame, StarFrames
 from opnav_workbench.errors import CameraError, OpNavError
-from opnav_workbench.headless.picture_run import open_picture, solve_stars
-from opnav_workbench.headless.policy import Policy
+from opnav_workbench.processing.automatic import open_picture, solve_stars
+from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.session import ImageSession
 from opnav_workbench.stars import Detections, StarFlag, detect
 
@@ -38,7 +38,7 @@ class SolvedFrames:
 
 def solve_frames(
     images: Sequence[Path],
-    policy: Policy,
+    opened: OpenedProcessing,
     say: PictureProgress = lambda _name, _words: None,
     least_stars: int = MIN_STARS,
 ) -> SolvedFrames:
@@ -46,7 +46,7 @@ def solve_frames(
 
     Parameters
     ----------
-    policy
+    opened
         Targets are not searched.
     say : callable
         Called with a picture's name and a few words.
@@ -63,9 +63,9 @@ def solve_frames(
     for image in images:
         say(image.name, "finding stars")
         try:
-            session = open_picture(image, policy)
+            session = open_picture(image, opened)
             session.predict()
-            solve_stars(session, policy)
+            solve_stars(session, opened)
         except OpNavError as error:
             failed.append((image.name, str(error)))
             continue

@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from opnav_workbench.headless import Policy, process_image
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
+from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate
 
 
@@ -19,7 +18,7 @@ def bennu(tmp_path):
         content = load_picture_scenario("osiris_rex/bennu_approach").model_dump()
         content["perturbations"]["bodies"] = [{"name": "BENNU", "offset_km": offset_km}]
         (report,) = simulate(load_picture_scenario(content), tmp_path / "pictures")
-        policy = Policy(mission=load_mission("osiris_rex"), targets=("BENNU",))
+        policy = Processing(mission="osiris_rex", targets=("BENNU",)).opened()
         with KernelSet("osiris_rex/bennu_approach"):
             outcome = process_image(report.files[0], policy, tmp_path / "run")
         result = json.loads((outcome.folder / "result.json").read_text())

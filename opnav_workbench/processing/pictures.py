@@ -1,0 +1,262 @@
+"""Pictures from their files to their folders of results, one after the other; enter by `process`.
+
+Whatever goes wrong with a picture is told in its `Outcome` and costs the others nothing; what is done is always saved.
+"""
+
+import contextlib
+import inspect
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from opnav_workbench import report
+from opnav_workbench.errors import OpNavError, SessionError
+from opnav_workbench.files import inside, make_folder, sha256_of, write_json, write_text
+from opnav_workbench.processing.automatic import Progress, open_picture, run_policy, silent
+from opnav_workbench.processing.model import OpenedProcessing, Processing
+from opnav_workbench.session import RESULT_FILE
+
+__all__ = ["Outcome", "failed_result", "process", "process_image", "process_images"]
+
+FIGURE_FILE = "summary.png"
+TRACEBACK_FILE = "traceback.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one picture.
+
+    Attributes
+    ----------
+    image : Path
+    folder : Path or None
+        Where its files are; None where nothing was to be written.
+    result : mapping
+        The content of ``result.json``.
+    error : str
+        The one line that says why the picture failed; empty otherwise.
+    """
+
+    image: Path
+    folder: Path | None
+    result: dict[str, Any]
+    error: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether no pointing came out."""
+        return bool(self.result["status"] == "failed")
+
+
+# ---- Many pictures.
+
+
+def process(
+    images: str | Path | Sequence[str | Path],
+    *,
+    out: str | Path | None = None,
+    say: Callable[[str, str], None] = lambda _name, _words: None,
+    done: Callable[[Outcome], None] = lambda _outcome: None,
+    **how: Any,
+) -> tuple[Outcome, ...]:
+    """Solve pointing and target centers of pictures, as the command ``opnav process`` does.
+
+    Parameters
+    ----------
+    images : path or sequence of paths
+        FITS or VICAR pictures.
+    mission : str or path
+        Mission name or mission YAML; must be given.
+    kernels : str or path, optional
+        Metakernel, kernel folder or kernel-set name.  Without any, an open `KernelSet` serves; where none is open, time,
+        attitude and state come from the header.
+    catalog : str
+        Catalog spec; default ``bundled``.
+    targets : str or sequence of str, optional
+        Names, each with its method if wanted (``"PLUTO:limb_scan,CHARON"``); empty or ``"none"``: no targets; default the
+        mission's own, where kernels are open.
+    method : {"auto", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"}
+        How the centers of targets are found.
+    methods : mapping of str to str, optional
+        The same for single targets, by name.
+    target_stars : path, optional
+        YAML star list for stars that are targets.
+    decisions : path, optional
+        YAML of an analyst's decisions on stars, bodies and scans.
+    attitude : {"auto", "kernels", "header"}
+        Where the a priori attitude comes from.
+    initial : {"matched_filter", "cross_correlation"}
+        Coarse star centers.
+    centers : {"least_squares", "psf_fit", "matched_filter", "cross_correlation"}
+        Star centers.
+    model : {"euler", "image_plane"}
+        Pointing model.
+    settings : mapping of str to float, optional
+        Limits of searches and other thresholds that differ from the usual ones; see `Settings`.
+    out : path, optional
+        Folder for the results: each picture has ``OUT/<picture>/`` with ``result.json``, ``observables.ecsv``,
+        ``session.json`` and ``summary.png``.  None: nothing is written.
+    say : callable, optional
+        Called with a picture's name and a few words before each step.
+    done : callable, optional
+        Called with each outcome as soon as it stands.
+
+    Returns
+    -------
+    tuple of Outcome
+        One a picture, in their order; ``result`` is the content of ``result.json``.  A picture that fails is an outcome
+        with its one line in ``error``.
+
+    Raises
+    ------
+    OpNavError
+        What would fail for every picture: an option that is not allowed, an unknown mission, kernels or a catalog that
+        cannot be opened, `out` that cannot be written, two pictures of one name.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import opnav_workbench as opnav
+    >>> from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_PICTURES, simulate_picture
+    >>> mission = opnav.load_mission("new_horizons")
+    >>> with opnav.KernelSet(DEMO_KERNELS), tempfile.TemporaryDirectory() as folder:
+    ...     truth = simulate_picture(DEMO_PICTURES[0], mission, "bundled", folder)
+    ...     (outcome,) = opnav.process(truth.picture, mission="new_horizons", targets="PLUTO,CHARON")
+    >>> outcome.result["status"], [body["status"] for body in outcome.result["bodies"]]
+    ('ok', ['ok', 'ok'])
+    """
+    paths = [Path(image) for image in ([images] if isinstance(images, str | Path) else images)]
+    return process_images(paths, Processing.checked(how), out, say, done)
+
+
+def _with_fields(signature: inspect.Signature) -> inspect.Signature:
+    """Return a signature with the fields of `Processing` in place of ``**how``, for ``help`` and notebooks."""
+    fields = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.is_required() else field.default,
+            annotation=field.annotation,
+        )
+        for name, field in Processing.model_fields.items()
+    ]
+    images, *rest = (p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD)
+    return signature.replace(parameters=[images, *fields, *rest])
+
+
+process.__signature__ = _with_fields(inspect.signature(process))  # type: ignore[attr-defined]
+
+
+def process_images(
+    images: Sequence[Path],
+    how: Processing,
+    out: str | Path | None,
+    say: Callable[[str, str], None] = lambda _name, _words: None,
+    done: Callable[[Outcome], None] = lambda _outcome: None,
+) -> tuple[Outcome, ...]:
+    """Process pictures one after the other; parameters, outcomes and errors as of `process`."""
+    opened = how.opened()
+    with how.kernel_set():
+        if out is not None:
+            _check_names(images)
+            make_folder(out)
+        outcomes = []
+        for image in images:
+            outcomes.append(process_image(image, opened, out, partial(say, image.name)))
+            done(outcomes[-1])
+    return tuple(outcomes)
+
+
+def _check_names(images: Sequence[Path]) -> None:
+    twice = [name for name, count in Counter(image.stem for image in images).items() if count > 1]
+    if twice:
+        raise SessionError(
+            f"more than one picture is named {', '.join(twice)}; process them in calls of their own, each with its --out."
+        )
+
+
+# ---- One picture.
+
+
+def process_image(
+    image: str | Path, opened: OpenedProcessing, out: str | Path | None, say: Progress = silent
+) -> Outcome:
+    """Process one picture and write its folder ``OUT/<stem>``.
+
+    Parameters
+    ----------
+    image : path
+    opened : OpenedProcessing
+    out : path or None
+        The folder of all pictures' folders; None: nothing is written.
+    say : callable
+        Called with a few words before each step, for progress.
+
+    Returns
+    -------
+    Outcome
+        Never raises an `OpNavError`: a picture that fails is an outcome with its one line.
+    """
+    path = Path(image)
+    try:
+        folder = None if out is None else _picture_folder(out, path)
+    except OpNavError as error:
+        reason = str(error)
+        return Outcome(path, Path(str(out)), failed_result(path, opened.mission.name, reason), reason)
+    try:
+        say("reading")
+        session = open_picture(path, opened)
+        run_policy(session, opened, say)
+        if folder is not None:
+            say("writing")
+            session.save(folder)
+            report.write_summary(session, folder / FIGURE_FILE)
+    except OpNavError as error:
+        return _recorded_failure(path, folder, opened, str(error))
+    except Exception as error:  # a defect of ours must not cost the other pictures
+        return _recorded_defect(path, folder, opened, error)
+    result = session.result()
+    reason = (
+        "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
+    )
+    return Outcome(path, folder, result, reason)
+
+
+def _picture_folder(out: str | Path, picture: Path) -> Path:
+    """Return the picture's own folder in `out`; a name such as ``...fit`` (stem ``..``) has none."""
+    folder = inside(out, picture.stem)
+    if folder == Path(out).resolve():
+        raise SessionError(f"{picture.name!r} gives no name for a folder in {out}; rename the picture.")
+    return folder
+
+
+def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:
+    """Return the ``result.json`` of a picture that could not be processed, so that a night's summary can name it."""
+    result = {"image": image.name, "mission": mission, "status": "failed", "messages": [reason]}
+    with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
+        result["sha256"] = sha256_of(image)
+    return result
+
+
+def _recorded_failure(path: Path, folder: Path | None, opened: OpenedProcessing, reason: str) -> Outcome:
+    """Record a picture that could not be processed."""
+    result = failed_result(path, opened.mission.name, reason)
+    if folder is not None:
+        with contextlib.suppress(SessionError):  # the folder cannot be written: the reason tells it already
+            write_json(folder / RESULT_FILE, result)
+    return Outcome(path, folder, result, reason)
+
+
+def _recorded_defect(path: Path, folder: Path | None, opened: OpenedProcessing, error: Exception) -> Outcome:
+    """Keep the traceback of an unforeseen error beside the picture's results."""
+    remedy = "give a folder for the results, and report it with the traceback that is kept there."
+    if folder is not None:
+        remedy = f"please report it with {folder / TRACEBACK_FILE}."
+        with contextlib.suppress(SessionError):
+            write_text(folder / TRACEBACK_FILE, "".join(traceback.format_exception(error)))
+    reason = f"unforeseen {type(error).__name__}: {' '.join(str(error).split())}"
+    return _recorded_failure(path, folder, opened, f"{reason}; {remedy}")
