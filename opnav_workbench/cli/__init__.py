@@ -6,6 +6,8 @@ One module a command or group of commands; nothing else in the package imports t
     The table of commands, loaded when they are called, and how errors end the program.
 ``terminal``
     Consoles, progress, tables and exit statuses that commands share.
+``processing_options``
+    The options that say how pictures are processed, the same for every command.
 ``process``
     Pictures to pointing and observables; also runs pictures for demo and ort.
 ``demo``

@@ -37,16 +37,18 @@ class NightSpec(Processing):
         min_length=1, description="Files, folders (all pictures in them) or patterns."
     )
     notebook: str | None = Field(
-        None, description="Another notebook than process_image.ipynb; it gets the same parameters."
+        default=None, description="Another notebook than process_image.ipynb; it gets the same parameters."
     )
     time_limit_s: float = Field(
-        300.0, gt=0.0, description="Longest time a picture may take, notebook and all."
+        default=300.0, gt=0.0, description="Longest time a picture may take, notebook and all."
     )
     memory_limit_mb: float = Field(
-        3000.0, ge=MIN_MEMORY_MB, description="Most memory that a picture's processes may hold together."
+        default=3000.0,
+        ge=MIN_MEMORY_MB,
+        description="Most memory that a picture's processes may hold together.",
     )
     retries: int = Field(
-        1,
+        default=1,
         ge=0,
         le=10,
         description="How often a picture is tried again after a fault of the machine (a process killed, a kernel that "

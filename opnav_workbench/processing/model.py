@@ -161,25 +161,25 @@ class Processing(BaseModel):
     path_fields: ClassVar[tuple[str, ...]] = ("target_stars", "decisions")
 
     mission: str = Field(description="Mission name or mission YAML.")
-    kernels: str | None = Field(None, description="Metakernel, kernel folder or kernel-set name.")
-    catalog: str = Field("bundled", description="Catalog spec; see opnav catalog list.")
+    kernels: str | None = Field(default=None, description="Metakernel, kernel folder or kernel-set name.")
+    catalog: str = Field(default="bundled", description="Catalog spec; see opnav catalog list.")
     targets: tuple[str, ...] | None = Field(
-        None,
+        default=None,
         description="Targets, comma-separated, each with its method if wanted (PLUTO:limb_scan,CHARON), or none; "
         "default the mission's, with kernels.",
     )
-    method: BodyMethod = Field("auto", description="Body centers")
-    methods: dict[str, BodyMethod] = Field({}, description="Body centers of single targets, by name.")
-    target_stars: str | None = Field(None, description="YAML star list for stars that are targets.")
+    method: BodyMethod = Field(default="auto", description="Body centers")
+    methods: dict[str, BodyMethod] = Field(default={}, description="Body centers of single targets, by name.")
+    target_stars: str | None = Field(default=None, description="YAML star list for stars that are targets.")
     decisions: str | None = Field(
-        None, description="YAML of an analyst's decisions on stars, bodies and scans."
+        default=None, description="YAML of an analyst's decisions on stars, bodies and scans."
     )
-    attitude: AttitudeSource = Field("auto", description="A priori attitude")
-    initial: InitialMethod = Field("matched_filter", description="Coarse star centers")
-    centers: FinalMethod = Field("least_squares", description="Star centers")
-    model: PointingModel = Field("euler", description="Pointing model")
+    attitude: AttitudeSource = Field(default="auto", description="A priori attitude")
+    initial: InitialMethod = Field(default="matched_filter", description="Coarse star centers")
+    centers: FinalMethod = Field(default="least_squares", description="Star centers")
+    model: PointingModel = Field(default="euler", description="Pointing model")
     settings: dict[str, float | int] = Field(
-        {},
+        default={},
         description="Limits of searches and other thresholds, comma-separated (max_shift_px=200,max_stars=50).",
     )
 

@@ -94,10 +94,12 @@ class PictureJob(Processing):
 
     image: str = Field(description="A picture file (FITS, VICAR).")
     mode: Literal["interactive", "headless"] = Field(
-        "headless",
+        default="headless",
         description="Interactive shows the workbench, headless the same pictures as they are; the processing is the same.",
     )
-    out: str = Field("", description="Folder of the picture's results; empty: run/<name of the picture>.")
+    out: str = Field(
+        default="", description="Folder of the picture's results; empty: run/<name of the picture>."
+    )
 
     @property
     def interactive(self) -> bool:

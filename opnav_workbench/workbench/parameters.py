@@ -37,26 +37,26 @@ class NotebookParameters(Processing):
         Mission, catalog and decisions, read once.
     """
 
-    mission: str = Field(DEMO_MISSION, description="Mission name or mission YAML.")
+    mission: str = Field(default=DEMO_MISSION, description="Mission name or mission YAML.")
     images: tuple[str, ...] = Field(
-        (),
+        default=(),
         description="Pictures or folders of them, also comma-separated in one text; empty: two simulated pictures.",
     )
     folders: tuple[str, ...] = Field(
-        (),
+        default=(),
         description="Names of the images' folders in `out`, one each, also comma-separated; empty: named after the "
         "pictures.",
     )
     require: tuple[str, ...] = Field(
-        ("stars_confirmed", "pointing"),
+        default=("stars_confirmed", "pointing"),
         description="What must be decided before the notebook goes on; see `ImageSession.require`.",
     )
     mode: Literal["interactive", "headless"] = Field(
-        "interactive",
+        default="interactive",
         description="Interactive shows the workbench; headless carries out the decisions, and the automatic policy where "
         "there are none.",
     )
-    out: str = Field("workbench_run", description="Folder of the images' folders.")
+    out: str = Field(default="workbench_run", description="Folder of the images' folders.")
 
     @field_validator("images", "folders", "require", mode="before")
     @classmethod
