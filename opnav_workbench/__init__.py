@@ -104,7 +104,7 @@ a star catalog
     a module of ``catalog`` beside ``catalog.tycho2`` that answers as ``catalog.interface`` says; its spec: ``catalog.specs``
 a column of the observables
     ``observables.columns``, filled by ``observables.observing``; all files take it from there
-a field of ``result.json``
+a field of a result
     ``session.result``
 a step of a session
     its method in ``session.session``, its function and line in ``session.history``'s table of steps
