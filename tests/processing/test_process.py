@@ -18,7 +18,11 @@ def test_it_writes_what_the_command_writes(demo_truths, tmp_path):
     options = {"mission": "new_horizons", "kernels": DEMO_KERNELS, "targets": "PLUTO,CHARON:unresolved"}
     said, done = [], []
     outcomes = opnav.process(
-        [gone, picture], **options, out=tmp_path / "a", say=lambda name, _: said.append(name), done=done.append
+        [gone, picture],
+        **options,
+        out=tmp_path / "a",
+        say=lambda name, _: said.append(name),
+        done=done.append,
     )
     words = [word for name, value in options.items() for word in (f"--{name}", value)]
     command = ["process", str(gone), str(picture), *words, "--out", str(tmp_path / "b")]
