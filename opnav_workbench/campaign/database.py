@@ -99,8 +99,7 @@ class Database:
 
     Parameters
     ----------
-    path : Path
-    create : bool
+    create
         Make the file where there is none.
 
     Raises

@@ -140,20 +140,18 @@ class RunRows:
 
     Attributes
     ----------
-    folder : Path
+    folder
         Absolute.
-    key : str
+    key
         The picture's own, wherever it was processed: the SHA-256 of its file, else `name_key`.
-    name_key : str
+    name_key
         Mission and name of the picture.
-    content_sha256 : str
+    content_sha256
         Of all that came out, times left out.
-    processed_utc : str
-    image : mapping
+    image
         Row of ``images``.
-    parts : mapping of str to sequence of mapping
+    parts
         Rows of the other tables, in order.
-    observable_columns : sequence of ObservableColumn
     """
 
     folder: Path
@@ -275,9 +273,9 @@ def attention_reasons(
 
     Parameters
     ----------
-    status : str
+    status
         Of the picture: ok, partial or failed.
-    messages : iterable of str
+    messages
         Of the picture.
     bodies : iterable of (name, status)
 

@@ -48,10 +48,9 @@ class LabParameters:
 
     Attributes
     ----------
-    images : tuple of str
+    images
         Picture files or folders, in full.
-    how : Processing
-    folders : tuple of str
+    folders
         Names of the pictures' folders; empty: named after the pictures.
     """
 

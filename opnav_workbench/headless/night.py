@@ -49,15 +49,12 @@ class NightRecord:
 
     Attributes
     ----------
-    image : str
-    fingerprint : str
+    fingerprint
         Of everything that the result depends on; empty where another try may come to another result.
-    session : str
+    session
         Digest of the session as the night left it; another one tells of an analyst's work since.
-    fault, reason : str
+    fault, reason
         As in `night_workers.NotebookOutcome`.
-    seconds, peak_mb : float
-    tries : int
     """
 
     image: str
@@ -98,9 +95,7 @@ def move_into_place(work: Path, final: Path, record: NightRecord, attic: Path) -
 
     Parameters
     ----------
-    work, final : path
-    record : NightRecord
-    attic : path
+    attic
         Folder on the same file system for what is about to be deleted.
 
     Raises
@@ -137,10 +132,8 @@ class NightPicture:
 
     Attributes
     ----------
-    image : Path
-    name : str
+    name
         Of its folder.
-    fingerprint : str
     state : {"new", "done", "kept", "older"}
         To be processed; done before in the same way; worked on by an analyst since, and left alone; done before in another
         way, and left alone because only new pictures were asked for.
@@ -154,14 +147,7 @@ class NightPicture:
 
 @dataclass(frozen=True, slots=True)
 class NightPlan:
-    """What a night has to do.
-
-    Attributes
-    ----------
-    spec : NightSpec
-    out : Path
-    pictures : tuple of Picture
-    """
+    """What a night has to do."""
 
     spec: NightSpec
     out: Path
@@ -194,10 +180,9 @@ class Night:
 
     Attributes
     ----------
-    plan : NightPlan
-    verdicts : list of NotebookOutcome
+    verdicts
         Of the pictures processed now.
-    unarchived : list of str
+    unarchived
         Why a picture could not be taken into the archive.
     """
 
@@ -211,10 +196,9 @@ def plan_night(spec: NightSpec, out: str | Path, *, only_new: bool = False) -> N
 
     Parameters
     ----------
-    spec : NightSpec
-    out : path
+    out
         Folder of the results.
-    only_new : bool
+    only_new
         Leave pictures alone that have been processed before, even if with other inputs.
 
     Raises
@@ -254,12 +238,11 @@ def run_night(
 
     Parameters
     ----------
-    night : Night
+    night
         Gains a verdict for every picture that is finished.
-    pool : NightPool
-    archive : path, optional
+    archive
         Campaign archive; default ``OUT/campaign.sqlite``.
-    say : callable
+    say
         Told of every picture that is finished.
 
     Raises

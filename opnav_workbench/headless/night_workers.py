@@ -58,17 +58,15 @@ class NotebookRequest:
 
     Attributes
     ----------
-    image, name : str
+    image, name
         The file, and the name of its folder.
-    folder : str
+    folder
         Where its working folders are made, one a try.
-    notebook : str
-    parameters : mapping
+    parameters
         Of the notebook, but ``out``: that is the working folder.
-    mission : str
+    mission
         For the result of a picture that fails.
-    time_limit_s, memory_limit_mb : float
-    retries : int
+    retries
         Further tries after a fault of the machine.
     """
 
@@ -93,17 +91,15 @@ class NotebookOutcome:
 
     Attributes
     ----------
-    name : str
-    folder : str
+    folder
         Working folder with what it wrote.
     fault : {"", "picture", "notebook", "limit", "machine"}
         What went wrong: nothing; the picture or its inputs; a cell of the notebook; time or memory; the machine (another try
         may succeed).
-    reason : str
+    reason
         One line.
-    seconds, peak_mb : float
+    seconds, peak_mb
         Of the last try.
-    tries : int
     """
 
     name: str
@@ -120,9 +116,9 @@ def process_picture(values: Mapping[str, Any], stop: threading.Event | None = No
 
     Parameters
     ----------
-    values : mapping
+    values
         A `NotebookRequest` as plain values.
-    stop : Event, optional
+    stop
         Ends the work when set.
 
     Returns
@@ -278,7 +274,7 @@ class LocalPool:
 
     Parameters
     ----------
-    count : int
+    count
         Pictures at a time.
     """
 
@@ -306,7 +302,7 @@ class ClusterPool:
 
     Parameters
     ----------
-    address : str
+    address
         Of the scheduler.
 
     Raises

@@ -36,13 +36,11 @@ def process_package(
 
     Parameters
     ----------
-    package : OrtPackage
-    out : path
-    how : Processing, optional
+    how
         Default `package_processing`.
-    jobs : int
+    jobs
         Processes. A script that asks for more than one must guard its main part (``if __name__ == "__main__"``).
-    again : bool
+    again
         Process all of them anew.
     done : callable
         Called with each outcome as soon as it stands, in any order.

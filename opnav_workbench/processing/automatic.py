@@ -81,11 +81,9 @@ def run_policy(
 
     Parameters
     ----------
-    session : ImageSession
-    opened : OpenedProcessing
     say : callable
         Called with a few words before each step, for progress.
-    cancelled : callable
+    cancelled
         Asked between steps; once it says True, what is done stands and the rest is left.
 
     Returns

@@ -325,15 +325,7 @@ def allowed_values(field: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class OpenedProcessing:
-    """A `Processing` with what it names read once for all pictures.
-
-    Attributes
-    ----------
-    how : Processing
-    mission : Mission
-    catalog : Catalog
-    decisions : Decisions
-    """
+    """A `Processing` with what it names read once for all pictures."""
 
     how: Processing
     mission: Mission

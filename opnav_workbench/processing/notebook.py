@@ -59,9 +59,9 @@ def checked_parameters(namespace: Mapping[str, Any], model: type[Job]) -> Job:
 
     Parameters
     ----------
-    namespace : mapping
+    namespace
         The notebook's ``globals()`` after its parameters.
-    model : type
+    model
         What the parameters describe.
 
     Raises
@@ -88,7 +88,7 @@ class PictureJob(Processing):
 
     Attributes
     ----------
-    ready : OpenedProcessing
+    ready
         Mission, catalog and decisions, read once.
     """
 
@@ -145,7 +145,7 @@ def picture_job(namespace: Mapping[str, Any]) -> PictureJob:
 
     Parameters
     ----------
-    namespace : mapping
+    namespace
         The notebook's ``globals()`` after its parameters.
 
     Raises

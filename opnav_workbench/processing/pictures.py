@@ -32,12 +32,11 @@ class Outcome:
 
     Attributes
     ----------
-    image : Path
-    folder : Path or None
+    folder
         Where its files are; None where nothing was to be written.
-    result : mapping
+    result
         The content of ``result.json``.
-    error : str
+    error
         The one line that says why the picture failed; empty otherwise.
     """
 
@@ -67,7 +66,7 @@ def process(
 
     Parameters
     ----------
-    images : path or sequence of paths
+    images
         FITS or VICAR pictures.
     mission : str or path
         Mission name or mission YAML; must be given.
@@ -97,12 +96,12 @@ def process(
         Pointing model.
     settings : mapping of str to float, optional
         Limits of searches and other thresholds that differ from the usual ones; see `Settings`.
-    out : path, optional
+    out
         Folder for the results: each picture has ``OUT/<picture>/`` with ``result.json``, ``observables.ecsv``,
         ``session.json`` and ``summary.png``.  None: nothing is written.
-    say : callable, optional
+    say
         Called with a picture's name and a few words before each step.
-    done : callable, optional
+    done
         Called with each outcome as soon as it stands.
 
     Returns
@@ -189,9 +188,7 @@ def process_image(
 
     Parameters
     ----------
-    image : path
-    opened : OpenedProcessing
-    out : path or None
+    out
         The folder of all pictures' folders; None: nothing is written.
     say : callable
         Called with a few words before each step, for progress.

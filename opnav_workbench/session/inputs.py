@@ -52,17 +52,15 @@ class Inputs:
 
     Attributes
     ----------
-    et : float
+    et
         Mid-exposure, TDB seconds past J2000.
-    utc : str
-    observer : Observer
     a_priori_camera_from_j2000 : (3, 3) array
-    attitude_source : str
+    attitude_source
         "kernels" or "header".
-    stars : StarTable
+    stars
         Catalog rows around the a priori field.
     targets : mapping of str to TargetState
-    wide_stars : StarTable or None
+    wide_stars
         Brightest catalog rows as far around as the widest search goes, once one was needed.
     shapes : mapping of str to Path
         Shape models of targets, where the kernels hold one.
@@ -97,9 +95,9 @@ class InputSource:
 
     Attributes
     ----------
-    catalog : str
+    catalog
         Catalog spec.
-    target_stars : Path or None
+    target_stars
         Star list for stars that are targets.
     attitude : {"auto", "kernels", "header"}
     """

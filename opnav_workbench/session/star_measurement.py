@@ -58,9 +58,9 @@ class StarFitOptions:
     Attributes
     ----------
     initial, final : str
-    radius_px : float
+    radius_px
         How far from its expected place a star may lie.
-    template : int or None
+    template
         Row of the star that the matched filter takes as its template; None: a well-exposed one.
     """
 
@@ -275,9 +275,9 @@ def star_statuses(
     ----------
     mag : (n,) array
         Predicted magnitudes.
-    match : FieldMatch
+    match
         Where the stars were expected.
-    centers : StarCenters
+    centers
         (n,) measured with `psf` as `options` say.
     occulting : (n,) sequence of str
         Body that stands before each star; empty for none.

@@ -33,7 +33,7 @@ class NotebookParameters(Processing):
 
     Attributes
     ----------
-    ready : OpenedProcessing
+    ready
         Mission, catalog and decisions, read once.
     """
 
@@ -142,7 +142,7 @@ def workbench_job(namespace: Mapping[str, Any]) -> NotebookParameters:
 
     Parameters
     ----------
-    namespace : mapping
+    namespace
         The notebook's ``globals()`` after its parameters.
 
     Raises
