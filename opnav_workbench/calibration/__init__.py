@@ -1,25 +1,25 @@
-"""Calibration of a camera from its own star frames: pure functions of arrays.
+"""Calibration of a camera from its own star pictures: pure functions of arrays.
 
-Enter by `calibrate_camera` with `StarFrames` for optics and mounting, by `stack_psf` with `PsfFrame` for the PSF, and by
+Enter by `calibrate_camera` with `StarPictures` for optics and mounting, by `stack_psf` with `PsfPicture` for the PSF, and by
 `write_camera_file` to put the result into a camera file.
 
 ``camera_fit``
-    `calibrate_camera`: optics and mounting from many star frames, and what comes out.
+    `calibrate_camera`: optics and mounting from many star pictures, and what comes out.
 ``bundle_adjustment``
-    The stars of many frames, the sparse rows they give, and their solution.
+    The stars of many pictures, the sparse rows they give, and their solution.
 ``parameters``
     What can be solved for, by name.
 ``psf_stack``
-    `stack_psf`: bright stars of many frames to an empirical PSF.
+    `stack_psf`: bright stars of many pictures to an empirical PSF.
 ``camera_file``
     A camera file with some values replaced, its comments kept.
 """
 
-from opnav_workbench.calibration.bundle_adjustment import MIN_STARS, StarFrames
+from opnav_workbench.calibration.bundle_adjustment import MIN_STARS, StarPictures
 from opnav_workbench.calibration.camera_file import Edit, camera_edits, write_camera_file
 from opnav_workbench.calibration.camera_fit import CameraCalibration, calibrate_camera
 from opnav_workbench.calibration.parameters import MOUNTING, CameraParameters, solvable, with_distortion
-from opnav_workbench.calibration.psf_stack import PsfCalibration, PsfFrame, stack_psf
+from opnav_workbench.calibration.psf_stack import PsfCalibration, PsfPicture, stack_psf
 
 __all__ = [
     "MIN_STARS",
@@ -28,8 +28,8 @@ __all__ = [
     "CameraParameters",
     "Edit",
     "PsfCalibration",
-    "PsfFrame",
-    "StarFrames",
+    "PsfPicture",
+    "StarPictures",
     "calibrate_camera",
     "camera_edits",
     "solvable",

@@ -1,12 +1,12 @@
-"""The bundle adjustment of star frames, linearized: rows of stars and a priori attitudes, columns of camera and frames.
+"""The bundle adjustment of star pictures, linearized: rows of stars and a priori attitudes, columns of camera and pictures.
 
-    star of frame i       observed - project(camera, A_i d) = d(px)/d(camera) dc + d(px)/d(eps) eps_i + noise
+    star of picture i       observed - project(camera, A_i d) = d(px)/d(camera) dc + d(px)/d(eps) eps_i + noise
     a priori attitude i   theta_i - M mu = noise_i,  theta_i the rotation vector from the a priori to the solved one
 
-Every row touches the shared columns and those of one frame only, so the matrix is sparse and the normal matrix an
-arrowhead: a small dense block, and 3 x 3 blocks along the diagonal. The frames' angles are eliminated (Schur complement),
+Every row touches the shared columns and those of one picture only, so the matrix is sparse and the normal matrix an
+arrowhead: a small dense block, and 3 x 3 blocks along the diagonal. The pictures' angles are eliminated (Schur complement),
 which leaves a small dense system for the shared parameters; directions in it that the rows leave open are not moved along.
-`StarFrames` holds the measured stars of all frames.
+`StarPictures` holds the measured stars of all pictures.
 """
 
 from dataclasses import dataclass
@@ -21,24 +21,24 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import vector_from_rotation
 
-__all__ = ["MIN_STARS", "ArrowheadSolution", "StarFrames", "linearize", "residuals", "solve_arrowhead"]
+__all__ = ["MIN_STARS", "ArrowheadSolution", "StarPictures", "linearize", "residuals", "solve_arrowhead"]
 
 
-# ---- The stars of many frames of one camera, as arrays.
+# ---- The stars of many pictures of one camera, as arrays.
 
-MIN_STARS = 2  # of a frame: with fewer its own three angles are not determined
+MIN_STARS = 2  # of a picture: with fewer its own three angles are not determined
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StarFrames:
-    """Measured centers of n identified stars on m frames; arrays are read-only.
+class StarPictures:
+    """Measured centers of n identified stars on m pictures; arrays are read-only.
 
     Attributes
     ----------
     names
-        The frames, m.
-    frame : (n,) array of int
-        Which frame a star is on.
+        The pictures, m.
+    picture_index : (n,) array of int
+        Which picture a star is on.
     observed_px : (n, 2) array
         Measured centers (pixel, line).
     covariance_px2 : (n, 2, 2) array
@@ -57,7 +57,7 @@ class StarFrames:
     """
 
     names: tuple[str, ...]
-    frame: IntArray
+    picture_index: IntArray
     observed_px: FloatArray
     covariance_px2: FloatArray
     directions: FloatArray
@@ -65,7 +65,7 @@ class StarFrames:
     a_priori: FloatArray
 
     def __post_init__(self) -> None:
-        n, m = len(self.frame), len(self.names)
+        n, m = len(self.picture_index), len(self.names)
         shapes = {
             "observed_px": (n, 2),
             "covariance_px2": (n, 2, 2),
@@ -79,16 +79,16 @@ class StarFrames:
                 raise CameraError(
                     f"star frames: {name} must be finite of shape {shape}, it is {array.shape}."
                 )
-        if n and not (self.frame.min() >= 0 and self.frame.max() < m):
+        if n and not (self.picture_index.min() >= 0 and self.picture_index.max() < m):
             raise CameraError(f"star frames: frame numbers must be 0..{m - 1}.")
         freeze_arrays(self)
 
     def __len__(self) -> int:
-        return len(self.frame)
+        return len(self.picture_index)
 
     @property
-    def n_frames(self) -> int:
-        """Number of frames."""
+    def n_pictures(self) -> int:
+        """Number of pictures."""
         return len(self.names)
 
 
@@ -110,7 +110,7 @@ class WeightedRows:
     Attributes
     ----------
     matrix : sparse (r, q + 3 m)
-        q shared parameters (optical, then mounting), then three angles a frame.
+        q shared parameters (optical, then mounting), then three angles a picture.
     residual : (r,) array
     effect_px : (q,) array
         Root mean square motion of the stars by a unit of each shared parameter, before anything absorbs it.
@@ -124,13 +124,13 @@ class WeightedRows:
         freeze_arrays(self)
 
 
-def residuals(stars: StarFrames, camera: Camera, attitudes: FloatArray) -> FloatArray:
+def residuals(stars: StarPictures, camera: Camera, attitudes: FloatArray) -> FloatArray:
     """Return observed minus computed (n, 2), px; nan out of the camera's sight."""
     return np.asarray(stars.observed_px - camera.project(_in_camera(stars, attitudes)))
 
 
 def linearize(
-    stars: StarFrames,
+    stars: StarPictures,
     parameters: CameraParameters,
     values: FloatArray,
     attitudes: FloatArray,
@@ -150,7 +150,7 @@ def linearize(
     covariance_px2 : (n, 2, 2) array
         Excess included.
     a_priori_covariance_rad2 : (3, 3) array or None
-        Of each frame's a priori attitude, its own part.
+        Of each picture's a priori attitude, its own part.
     """
     camera = parameters.camera_with(values)
     whiten = np.linalg.inv(np.linalg.cholesky(covariance_px2[used]))
@@ -159,7 +159,11 @@ def linearize(
     rotation = camera.attitude_jacobian(in_camera)
     turn = _mounting_effect(parameters, rotation)
     residual = stars.observed_px[used] - camera.project(in_camera)
-    blocks = [_star_rows(whiten @ shared, whiten @ rotation, stars.frame[used], stars.n_frames, parameters)]
+    blocks = [
+        _star_rows(
+            whiten @ shared, whiten @ rotation, stars.picture_index[used], stars.n_pictures, parameters
+        )
+    ]
     right = [(whiten @ residual[..., None]).ravel()]
     if parameters.mounting and a_priori_covariance_rad2 is not None:
         rows, left = _prior_rows(stars, parameters, attitudes, mounting_rad, a_priori_covariance_rad2)
@@ -204,8 +208,8 @@ def _with_step(values: FloatArray, index: int, step: float) -> FloatArray:
     return stepped
 
 
-def _in_camera(stars: StarFrames, attitudes: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("nij,nj->ni", attitudes[stars.frame], stars.directions))
+def _in_camera(stars: StarPictures, attitudes: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("nij,nj->ni", attitudes[stars.picture_index], stars.directions))
 
 
 def _mounting_effect(parameters: CameraParameters, rotation: FloatArray) -> FloatArray:
@@ -215,20 +219,20 @@ def _mounting_effect(parameters: CameraParameters, rotation: FloatArray) -> Floa
 
 
 def _star_rows(
-    shared: FloatArray, rotation: FloatArray, frame: IntArray, n_frames: int, parameters: CameraParameters
+    shared: FloatArray, rotation: FloatArray, picture: IntArray, n_pictures: int, parameters: CameraParameters
 ) -> sparse.csr_matrix:
     n, _, p = shared.shape
     q = len(parameters.names)
     values = np.concatenate([shared, rotation], axis=2)
-    own = q + 3 * frame[:, None] + np.arange(3)
+    own = q + 3 * picture[:, None] + np.arange(3)
     columns = np.concatenate([np.broadcast_to(np.arange(p), (n, p)), own], axis=1)
     columns = np.repeat(columns[:, None], 2, axis=1)
     starts = np.arange(2 * n + 1) * (p + 3)
-    return sparse.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(2 * n, q + 3 * n_frames))
+    return sparse.csr_matrix((values.ravel(), columns.ravel(), starts), shape=(2 * n, q + 3 * n_pictures))
 
 
 def _prior_rows(
-    stars: StarFrames,
+    stars: StarPictures,
     parameters: CameraParameters,
     attitudes: FloatArray,
     mounting_rad: FloatArray,
@@ -239,17 +243,17 @@ def _prior_rows(
     axes = parameters.camera.focal_from_camera
     theta = np.stack([vector_from_rotation(a @ b.T) for a, b in zip(attitudes, stars.a_priori, strict=True)])
     left = -(theta - mounting_rad @ axes) @ whiten.T
-    m, p = stars.n_frames, len(parameters.optical)
+    m, p = stars.n_pictures, len(parameters.optical)
     shared = np.zeros((3, len(parameters.names)))
     shared[:, p:] = -whiten @ axes[list(parameters.mounting)].T
-    frames = sparse.kron(sparse.eye(m), whiten, format="csr")
+    pictures = sparse.kron(sparse.eye(m), whiten, format="csr")
     common = sparse.csr_matrix(np.tile(shared, (m, 1)))
-    return sparse.csr_matrix(sparse.hstack([common, frames])), left.ravel()
+    return sparse.csr_matrix(sparse.hstack([common, pictures])), left.ravel()
 
 
-# ---- Least squares of an arrow: shared parameters, and three angles a frame that touch nothing else.
+# ---- Least squares of an arrow: shared parameters, and three angles a picture that touch nothing else.
 
-# A combination of parameters whose 1 sigma moves stars by more than this, before the frames' angles take it up, is not
+# A combination of parameters whose 1 sigma moves stars by more than this, before the pictures' angles take it up, is not
 # determined: a camera of which a drawing exists is known better.
 UNDETERMINED_PX = 100.0
 
@@ -263,7 +267,7 @@ class ArrowheadSolution:
     shared : (q,) array
         Step of the shared parameters, none along open directions.
     angles : (m, 3) array
-        Steps of the frames' attitudes.
+        Steps of the pictures' attitudes.
     covariance : (q, q) array
         Of the shared parameters, open directions left out.
     open_directions : (k, q) array
@@ -284,18 +288,18 @@ def solve_arrowhead(design: WeightedRows) -> ArrowheadSolution:
     q = len(design.effect_px)
     normal = (design.matrix.T @ design.matrix).tocsc()
     right = design.matrix.T @ design.residual
-    frames = splu(normal[q:, q:])
+    pictures = splu(normal[q:, q:])
     if q == 0:
-        return _arrowhead_solution(np.zeros(0), frames.solve(right), np.zeros((0, 0)), np.zeros((0, 0)))
+        return _arrowhead_solution(np.zeros(0), pictures.solve(right), np.zeros((0, 0)), np.zeros((0, 0)))
     mixed = normal[q:, :q].toarray()
-    eliminated = frames.solve(mixed)
+    eliminated = pictures.solve(mixed)
     reduced = symmetric(normal[:q, :q].toarray() - mixed.T @ eliminated)
     values, axes, scale = _spectrum(reduced, design.effect_px)
     known = values > UNDETERMINED_PX**-2
     kept = axes[:, known]
     covariance = scale[:, None] * ((kept / values[known]) @ kept.T) * scale
     shared = covariance @ (right[:q] - eliminated.T @ right[q:])
-    angles = frames.solve(right[q:] - mixed @ shared)
+    angles = pictures.solve(right[q:] - mixed @ shared)
     return _arrowhead_solution(shared, angles, symmetric(covariance), axes[:, ~known].T)
 
 

@@ -1,16 +1,16 @@
-"""Camera calibration: optics and mounting angles shared by many star frames, each with its own attitude.
+"""Camera calibration: optics and mounting angles shared by many star pictures, each with its own attitude.
 
-Flow   centers of identified stars on many frames -> here -> a camera with other values, and their covariance
+Flow   centers of identified stars on many pictures -> here -> a camera with other values, and their covariance
 Units  px, mm, rad; see `opnav_workbench.calibration.parameters` for the names
 
 Gauss-Newton with the linear problem of `opnav_workbench.calibration.bundle_adjustment`; outliers are rejected, and the
 scatter beyond the given covariances becomes one centering error for all stars. `CameraCalibration` holds what comes out,
-also which combinations of parameters these frames do not determine.
+also which combinations of parameters these pictures do not determine.
 
 References
 ----------
 Owen, "Methods of optical navigation", AAS 11-215 (2011), section on camera calibration; Owen and O'Connell, JPL
-IOM 343L-11-002 (2011): focal length and distortion of LORRI from star fields with every frame's pointing solved.
+IOM 343L-11-002 (2011): focal length and distortion of LORRI from star fields with every picture's pointing solved.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.calibration.bundle_adjustment import (
     MIN_STARS,
     ArrowheadSolution,
-    StarFrames,
+    StarPictures,
     linearize,
     residuals,
     solve_arrowhead,
@@ -64,11 +64,11 @@ class CameraCalibration:
     open_directions : (k, q) array
         Combinations that are not determined: unit vectors in units of one pixel's effect of each parameter.
     attitudes : (m, 3, 3) array
-        camera_from_j2000 of the frames, for directions in the frame of the uncalibrated camera.
+        camera_from_j2000 of the pictures, for directions in the picture of the uncalibrated camera.
     used : (n,) array of bool
         Stars that were not rejected as outliers.
     residual_before_px, residual_after_px : (n, 2) arrays
-        Observed minus computed, every frame's attitude fitted, with the old and with the new camera.
+        Observed minus computed, every picture's attitude fitted, with the old and with the new camera.
     excess_sigma_px
         Centering error beyond the given covariances that the remaining scatter asks for.
     chi2_reduced
@@ -140,7 +140,7 @@ def undetermined_message(direction: FloatArray, names: tuple[str, ...]) -> str:
     )
 
 
-# ---- Camera calibration: optics and mounting angles shared by many star frames, each with its own attitude.
+# ---- Camera calibration: optics and mounting angles shared by many star pictures, each with its own attitude.
 
 CONVERGED_PX = (
     1e-4  # no star moves more in the last step: a hundredth of what the best mean over a field is worth
@@ -160,13 +160,13 @@ class _State:
 
 
 def calibrate_camera(
-    stars: StarFrames,
+    stars: StarPictures,
     camera: Camera,
     names: Sequence[str],
     *,
     a_priori_covariance_rad2: ArrayLike | None = None,
 ) -> CameraCalibration:
-    """Solve for parameters of a camera that many star frames share.
+    """Solve for parameters of a camera that many star pictures share.
 
     Parameters
     ----------
@@ -175,13 +175,13 @@ def calibrate_camera(
     names
         Parameters to solve for (see `opnav_workbench.calibration.parameters`); none fits the attitudes only.
     a_priori_covariance_rad2 : (3, 3) array_like, optional
-        Covariance of each frame's a priori attitude, without what all have in common (rotation vector about the camera
-        frame's axes); by default the camera's ``attitude_sigma``. It counts only with mounting angles.
+        Covariance of each picture's a priori attitude, without what all have in common (rotation vector about the camera
+        picture's axes); by default the camera's ``attitude_sigma``. It counts only with mounting angles.
 
     Raises
     ------
     CameraError
-        Unknown parameters, fewer measurements than unknowns, frames of less than two stars, or no convergence.
+        Unknown parameters, fewer measurements than unknowns, pictures of less than two stars, or no convergence.
     """
     parameters = CameraParameters(camera, tuple(names))
     _check_counts(stars, parameters)
@@ -203,19 +203,19 @@ def calibrate_camera(
     return _result(stars, parameters, state, last, excess, used, steps + count)
 
 
-def _check_counts(stars: StarFrames, parameters: CameraParameters, used: BoolArray | None = None) -> None:
-    frame = stars.frame if used is None else stars.frame[used]
-    count = np.bincount(frame, minlength=stars.n_frames)
+def _check_counts(stars: StarPictures, parameters: CameraParameters, used: BoolArray | None = None) -> None:
+    picture = stars.picture_index if used is None else stars.picture_index[used]
+    count = np.bincount(picture, minlength=stars.n_pictures)
     poor = [name for name, n in zip(stars.names, count, strict=True) if n < MIN_STARS]
     if poor or not len(count):
         raise CameraError(
             f"{len(poor)} of {len(count)} frames have fewer than {MIN_STARS} usable stars ({', '.join(poor[:3])}); "
             "leave them out, or search fainter stars."
         )
-    measured, unknown = 2 * len(frame), 3 * stars.n_frames + len(parameters.optical)
+    measured, unknown = 2 * len(picture), 3 * stars.n_pictures + len(parameters.optical)
     if measured <= unknown:
         raise CameraError(
-            f"{len(frame)} stars give {measured} measurements for {unknown} unknowns; solve for fewer parameters "
+            f"{len(picture)} stars give {measured} measurements for {unknown} unknowns; solve for fewer parameters "
             "or give more frames."
         )
 
@@ -230,7 +230,7 @@ def _prior(camera: Camera, covariance_rad2: ArrayLike | None) -> FloatArray:
 
 
 def _iterate(
-    stars: StarFrames,
+    stars: StarPictures,
     parameters: CameraParameters,
     state: _State,
     excess: float,
@@ -263,7 +263,7 @@ def _iterate(
 
 
 def _take_step(
-    stars: StarFrames, parameters: CameraParameters, state: _State, step: ArrowheadSolution
+    stars: StarPictures, parameters: CameraParameters, state: _State, step: ArrowheadSolution
 ) -> _State:
     """Take the step, or half of it, or a quarter, until it is a camera that sees all stars."""
     p = len(parameters.optical)
@@ -285,23 +285,27 @@ def _take_step(
     )
 
 
-def _largest_motion(stars: StarFrames, parameters: CameraParameters, before: _State, after: _State) -> float:
+def _largest_motion(
+    stars: StarPictures, parameters: CameraParameters, before: _State, after: _State
+) -> float:
     """Largest motion of a star, and of the mounting, px."""
     places = [residuals(stars, parameters.camera_with(s.values), s.attitudes) for s in (before, after)]
     mounting = np.abs(after.mounting_rad - before.mounting_rad).max() / parameters.camera.pixel_scale_rad
     return float(max(np.abs(places[1] - places[0]).max(), mounting))
 
 
-def _squared_sigmas(stars: StarFrames, residual: FloatArray, excess: float) -> FloatArray:
+def _squared_sigmas(stars: StarPictures, residual: FloatArray, excess: float) -> FloatArray:
     inverse = np.linalg.inv(stars.covariance_px2 + excess**2 * np.eye(2))
     return np.asarray(np.einsum("ni,nij,nj->n", residual, inverse, residual))
 
 
-def _freedom(stars: StarFrames, parameters: CameraParameters, used: BoolArray) -> int:
-    return int(2 * used.sum()) - 3 * stars.n_frames - len(parameters.optical)
+def _freedom(stars: StarPictures, parameters: CameraParameters, used: BoolArray) -> int:
+    return int(2 * used.sum()) - 3 * stars.n_pictures - len(parameters.optical)
 
 
-def _excess(stars: StarFrames, residual: FloatArray, used: BoolArray, parameters: CameraParameters) -> float:
+def _excess(
+    stars: StarPictures, residual: FloatArray, used: BoolArray, parameters: CameraParameters
+) -> float:
     """Excess sigma that makes chi-squared its expectation; the many stars of a calibration tell it well."""
     freedom = _freedom(stars, parameters, used)
 
@@ -311,12 +315,12 @@ def _excess(stars: StarFrames, residual: FloatArray, used: BoolArray, parameters
     return moment_excess(surplus, EXCESS_TOLERANCE_PX)
 
 
-def _accepted(stars: StarFrames, residual: FloatArray, excess: float) -> BoolArray:
+def _accepted(stars: StarPictures, residual: FloatArray, excess: float) -> BoolArray:
     return np.asarray(_squared_sigmas(stars, residual, excess) <= REJECT_SIGMA**2)
 
 
 def _result(
-    stars: StarFrames,
+    stars: StarPictures,
     parameters: CameraParameters,
     state: _State,
     last: ArrowheadSolution,
@@ -355,9 +359,9 @@ def _mounted(camera: Camera, mounting_rad: FloatArray) -> Camera:
 
 
 def _residuals_before(
-    stars: StarFrames, parameters: CameraParameters, excess: float, used: BoolArray
+    stars: StarPictures, parameters: CameraParameters, excess: float, used: BoolArray
 ) -> FloatArray:
-    """Residuals with the old camera, every frame's attitude fitted to the same stars."""
+    """Residuals with the old camera, every picture's attitude fitted to the same stars."""
     nothing = CameraParameters(parameters.camera, ())
     start = _State(np.zeros(0), np.zeros(3), np.array(stars.attitudes))
     state, *_ = _iterate(stars, nothing, start, excess, np.eye(3), used)

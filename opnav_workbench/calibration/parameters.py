@@ -6,7 +6,7 @@ line_scale                    factor on the line axis of ``pixel_from_mm``: pixe
 e1_per_mm ... e6_per_mm       Owen's terms            k1 ... k6, p1, p2, s1 ... s4    Brown's
 mounting_pixel_rad, mounting_line_rad, mounting_boresight_rad
                               turn of the camera against its SPICE frame, about its pixel, line and boresight axes:
-                              what all frames' attitudes differ alike from the a priori ones
+                              what all pictures' attitudes differ alike from the a priori ones
 """
 
 from dataclasses import dataclass, fields, replace

@@ -1,13 +1,13 @@
-"""An empirical PSF stacked from the bright stars of many frames.
+"""An empirical PSF stacked from the bright stars of many pictures.
 
-Flow   frames -> Gaussian fits -> frames that share one shape -> cells -> centers with these cells -> cells again
+Flow   pictures -> Gaussian fits -> pictures that share one shape -> cells -> centers with these cells -> cells again
 Units  px, DN; cells of 1/oversampling px
 
 The cells are the difference from the mean Gaussian, so that few or noisy stars leave that; how smooth the difference
 must be is what explains stars best that were not in the stack. Gaussian centers of an undersampled PSF err with the
 sub-pixel phase, and cells stacked on them are blurred by it. The cells themselves give better centers, whose common
 shift is taken out: the PSF's own origin stays where Gaussian fits put it in the mean over all phases, so that both
-methods measure the same point. Frames whose stars have another shape (smear, focus) are left out: a stack of both would
+methods measure the same point. Pictures whose stars have another shape (smear, focus) are left out: a stack of both would
 fit neither to better than the Gaussian does. Idea: Anderson & King (2000), doi 10.1086/316632.
 """
 
@@ -23,10 +23,10 @@ from opnav_workbench.psf import EmpiricalPsf, GaussianPsf, Psf
 from opnav_workbench.psf.empirical import cells_from_stars
 from opnav_workbench.stars import NoiseModel, ShapePrior, StarCenters, default_box_px, fit_gaussian, fit_psf
 
-__all__ = ["PsfCalibration", "PsfFrame", "stack_psf"]
+__all__ = ["PsfCalibration", "PsfPicture", "stack_psf"]
 
 
-# ---- Frames for a PSF stack, and which of them show stars of one shape.
+# ---- Pictures for a PSF stack, and which of them show stars of one shape.
 
 # Second moments, pixel included, that differ by more than this part are those of another smear or focus: a stack of both
 # would fit neither to better than the Gaussian does.
@@ -35,8 +35,8 @@ MIN_SIGMA_PX = 0.15  # below this a Gaussian is one pixel, whatever its sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PsfFrame:
-    """One frame and its bright, isolated stars; arrays are read-only.
+class PsfPicture:
+    """One picture and its bright, isolated stars; arrays are read-only.
 
     Attributes
     ----------
@@ -78,24 +78,24 @@ def gaussian_of_moments(second_moments: FloatArray) -> GaussianPsf:
 
 
 def frames_of_one_shape(
-    frames: Sequence[PsfFrame], fits: Sequence[StarCenters]
+    pictures: Sequence[PsfPicture], fits: Sequence[StarCenters]
 ) -> tuple[BoolArray, tuple[str, ...]]:
-    """Return which frames (m,) have stars of the commonest shape, and a word on each of the others."""
-    of_frame = [shape_moments(fit) for fit in fits]
-    common = np.median(np.concatenate(of_frame), axis=0) if sum(map(len, of_frame)) else np.zeros(3)
+    """Return which pictures (m,) have stars of the commonest shape, and a word on each of the others."""
+    of_picture = [shape_moments(fit) for fit in fits]
+    common = np.median(np.concatenate(of_picture), axis=0) if sum(map(len, of_picture)) else np.zeros(3)
     size = 0.5 * (common[0] + common[2]) + PIXEL_VARIANCE_PX2
-    used, words = np.zeros(len(frames), dtype=bool), []
-    for i, (frame, own) in enumerate(zip(frames, of_frame, strict=True)):
+    used, words = np.zeros(len(pictures), dtype=bool), []
+    for i, (picture, own) in enumerate(zip(pictures, of_picture, strict=True)):
         if not len(own):
-            words.append(f"{frame.name}: no bright star, left out")
+            words.append(f"{picture.name}: no bright star, left out")
             continue
         shape = np.median(own, axis=0)
         used[i] = bool(np.abs(shape - common).max() <= SHAPE_TOLERANCE * size)
         if not used[i]:
             mine = gaussian_of_moments(shape)
             words.append(
-                f"{frame.name}: its stars are of another shape ({mine.sigma_major_px:.2f} x {mine.sigma_minor_px:.2f} px), "
-                "smeared perhaps; left out"
+                f"{picture.name}: its stars are of another shape "
+                f"({mine.sigma_major_px:.2f} x {mine.sigma_minor_px:.2f} px), smeared perhaps; left out"
             )
     return used, tuple(words)
 
@@ -117,8 +117,8 @@ class PsfCalibration:
         Median of the latter for stars that were left out of the stack.
     moved_px
         Root mean square shift between Gaussian and empirical centers, per coordinate.
-    used_frames : (m,) array of bool
-        False for frames whose stars have another shape.
+    used_pictures : (m,) array of bool
+        False for pictures whose stars have another shape.
     """
 
     psf: EmpiricalPsf
@@ -128,14 +128,14 @@ class PsfCalibration:
     empirical_chi2: FloatArray
     held_out_chi2: float
     moved_px: float
-    used_frames: BoolArray
+    used_pictures: BoolArray
     messages: tuple[str, ...]
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
 
-# ---- An empirical PSF stacked from the bright stars of many frames.
+# ---- An empirical PSF stacked from the bright stars of many pictures.
 
 CELLS_PER_FWHM = 4.0  # keep shares good to 4e-4 (see `EmpiricalPsf`)
 STARS_PER_CELL = 4.0  # of a pixel: phases are random, so cells would stay empty with fewer
@@ -150,13 +150,13 @@ MIN_HALF_SIZE_PX, MAX_HALF_SIZE_PX = 4.0, 12.0
 
 
 def stack_psf(
-    frames: Sequence[PsfFrame],
+    pictures: Sequence[PsfPicture],
     prior: ShapePrior,
     *,
     oversampling: int | None = None,
     half_size_px: float | None = None,
 ) -> PsfCalibration:
-    """Stack the stars of many frames to an oversampled PSF.
+    """Stack the stars of many pictures to an oversampled PSF.
 
     Parameters
     ----------
@@ -172,11 +172,11 @@ def stack_psf(
     CameraError
         Too few stars to fill the cells.
     """
-    gaussian = [_gaussian_fit(frame, prior) for frame in frames]
-    used, messages = frames_of_one_shape(frames, gaussian)
-    chosen = [frame for frame, take in zip(frames, used, strict=True) if take]
+    gaussian = [_gaussian_fit(picture, prior) for picture in pictures]
+    used, messages = frames_of_one_shape(pictures, gaussian)
+    chosen = [picture for picture, take in zip(pictures, used, strict=True) if take]
     fits = [fit for fit, take in zip(gaussian, used, strict=True) if take]
-    starts = [_FrameStars(fit.pixel_line, _trusted_flux(fit)) for fit in fits]
+    starts = [_PictureStars(fit.pixel_line, _trusted_flux(fit)) for fit in fits]
     n_stars = sum(stars.count for stars in starts)
     cells, note = _oversampling(n_stars, prior.sigma_px, oversampling)
     half = _half_size(prior.sigma_px) if half_size_px is None else half_size_px
@@ -187,8 +187,8 @@ def stack_psf(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FrameStars:
-    """Centers (n, 2) of one frame's stars, and fluxes (n,), nan for those that do not count."""
+class _PictureStars:
+    """Centers (n, 2) of one picture's stars, and fluxes (n,), nan for those that do not count."""
 
     pixel_line: FloatArray
     flux_dn: FloatArray
@@ -197,15 +197,15 @@ class _FrameStars:
     def count(self) -> int:
         return int(np.isfinite(self.flux_dn).sum())
 
-    def only(self, keep: BoolArray) -> "_FrameStars":
-        return _FrameStars(self.pixel_line, np.where(keep, self.flux_dn, np.nan))
+    def only(self, keep: BoolArray) -> "_PictureStars":
+        return _PictureStars(self.pixel_line, np.where(keep, self.flux_dn, np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stack:
-    """All frames one below the other, with masked rows between, so that one least squares serves them all."""
+    """All pictures one below the other, with masked rows between, so that one least squares serves them all."""
 
-    frames: Sequence[PsfFrame]
+    pictures: Sequence[PsfPicture]
     base: GaussianPsf
     oversampling: int
     half_size_px: float
@@ -215,8 +215,8 @@ class _Stack:
 
     def __post_init__(self) -> None:
         gap = ((0, self._gap), (0, 0))
-        image = np.concatenate([np.pad(frame.signal_dn, gap) for frame in self.frames])
-        bad = np.concatenate([np.pad(frame.bad, gap, constant_values=True) for frame in self.frames])
+        image = np.concatenate([np.pad(picture.signal_dn, gap) for picture in self.pictures])
+        bad = np.concatenate([np.pad(picture.bad, gap, constant_values=True) for picture in self.pictures])
         object.__setattr__(self, "_image", image)
         object.__setattr__(self, "_bad", bad)
 
@@ -224,9 +224,9 @@ class _Stack:
     def _gap(self) -> int:
         return int(np.ceil(self.half_size_px)) + 2
 
-    def cells(self, stars: Sequence[_FrameStars], smoothness: float) -> EmpiricalPsf:
+    def cells(self, stars: Sequence[_PictureStars], smoothness: float) -> EmpiricalPsf:
         """Return the PSF of stars whose centers and fluxes are known."""
-        lines = np.cumsum([0, *(len(frame.signal_dn) + self._gap for frame in self.frames[:-1])])
+        lines = np.cumsum([0, *(len(picture.signal_dn) + self._gap for picture in self.pictures[:-1])])
         base = EmpiricalPsf(self.base.kernel(self.oversampling), self.oversampling)
         places = [s.pixel_line + np.array([0.0, line]) for s, line in zip(stars, lines, strict=True)]
         samples = cells_from_stars(
@@ -242,31 +242,31 @@ class _Stack:
         )
         return EmpiricalPsf(samples, self.oversampling)
 
-    def _weights(self, stars: Sequence[_FrameStars]) -> list[FloatArray]:
+    def _weights(self, stars: Sequence[_PictureStars]) -> list[FloatArray]:
         """Inverse errors of the pixels of stars: noise, and a part of their light, so that no star outweighs many."""
-        noise = [float(np.median(frame.noise_dn)) for frame in self.frames]
+        noise = [float(np.median(picture.noise_dn)) for picture in self.pictures]
         return [1.0 / np.hypot(sigma, LIGHT_ERROR * s.flux_dn) for sigma, s in zip(noise, stars, strict=True)]
 
-    def fit(self, psf: Psf, stars: Sequence[_FrameStars]) -> list[StarCenters]:
+    def fit(self, psf: Psf, stars: Sequence[_PictureStars]) -> list[StarCenters]:
         """Fit the stars with a PSF; a PSF still wrong leaves residuals at bright stars that are no hits."""
         return [
             fit_psf(
-                frame.signal_dn,
-                frame.noise_dn,
-                frame.bad,
+                picture.signal_dn,
+                picture.noise_dn,
+                picture.bad,
                 s.pixel_line,
                 psf,
                 box_px=self.box_px,
-                noise_model=frame.noise_model,
+                noise_model=picture.noise_model,
                 joint=False,
                 mask_hits=False,
             )
-            for frame, s in zip(self.frames, stars, strict=True)
+            for picture, s in zip(self.pictures, stars, strict=True)
         ]
 
     def iterate(
-        self, stars: Sequence[_FrameStars], smoothness: float, passes: int = PASSES
-    ) -> tuple[EmpiricalPsf, list[_FrameStars]]:
+        self, stars: Sequence[_PictureStars], smoothness: float, passes: int = PASSES
+    ) -> tuple[EmpiricalPsf, list[_PictureStars]]:
         """Return the PSF after improving centers with it, and the stars as they then are."""
         now = list(stars)
         for _ in range(passes):
@@ -275,14 +275,14 @@ class _Stack:
         return self.cells(now, smoothness), now
 
 
-def _improved(before: Sequence[_FrameStars], fits: Sequence[StarCenters]) -> list[_FrameStars]:
+def _improved(before: Sequence[_PictureStars], fits: Sequence[StarCenters]) -> list[_PictureStars]:
     """New centers without their common shift, new fluxes; stars unlike the others no longer count."""
     known = [np.isfinite(s.flux_dn) & fit.usable for s, fit in zip(before, fits, strict=True)]
     shifts = [(fit.pixel_line - s.pixel_line)[ok] for s, fit, ok in zip(before, fits, known, strict=True)]
     shift = np.median(np.concatenate(shifts), axis=0)
     odd = _unlike_others(fits, known)
     return [
-        _FrameStars(
+        _PictureStars(
             np.where(ok[:, None], fit.pixel_line - shift, s.pixel_line),
             np.where(ok & ~strange, fit.flux_dn, np.nan),
         )
@@ -299,7 +299,7 @@ def _unlike_others(fits: Sequence[StarCenters], known: Sequence[BoolArray]) -> l
     return [worse & larger for worse, larger in zip(*measures, strict=True)]
 
 
-def _best_smoothness(stack: _Stack, stars: Sequence[_FrameStars]) -> tuple[float, float]:
+def _best_smoothness(stack: _Stack, stars: Sequence[_PictureStars]) -> tuple[float, float]:
     """Smoothness of least median chi-squared of stars that were left out, and that median."""
     rated = []
     for smoothness in SMOOTHNESS:
@@ -321,7 +321,7 @@ def _result(
     stack: _Stack,
     psf: EmpiricalPsf,
     gaussian: Sequence[StarCenters],
-    stars: Sequence[_FrameStars],
+    stars: Sequence[_PictureStars],
     smoothness: float,
     held_out: float,
     used: BoolArray,
@@ -343,7 +343,7 @@ def _result(
         empirical_chi2=chi2[1],
         held_out_chi2=held_out,
         moved_px=float(np.sqrt(np.nanmean(moved**2))),
-        used_frames=used,
+        used_pictures=used,
         messages=messages,
     )
 
@@ -367,14 +367,14 @@ def _half_size(sigma_px: float) -> float:
     return float(np.clip(HALF_SIZE_SIGMAS * sigma_px, MIN_HALF_SIZE_PX, MAX_HALF_SIZE_PX))
 
 
-def _gaussian_fit(frame: PsfFrame, prior: ShapePrior) -> StarCenters:
+def _gaussian_fit(picture: PsfPicture, prior: ShapePrior) -> StarCenters:
     return fit_gaussian(
-        frame.signal_dn,
-        frame.noise_dn,
-        frame.bad,
-        frame.pixel_line,
+        picture.signal_dn,
+        picture.noise_dn,
+        picture.bad,
+        picture.pixel_line,
         prior,
-        noise_model=frame.noise_model,
+        noise_model=picture.noise_model,
         joint=False,
         mask_hits=False,
     )

@@ -21,7 +21,7 @@ from opnav_workbench.calibration import (
     CameraCalibration,
     Edit,
     PsfCalibration,
-    StarFrames,
+    StarPictures,
     calibrate_camera,
     camera_edits,
     solvable,
@@ -35,7 +35,12 @@ from opnav_workbench.cli.terminal import named_progress
 from opnav_workbench.files import atomic_path, make_folder, write_json
 from opnav_workbench.processing import OpenedProcessing
 from opnav_workbench.processing.model import NO_TARGETS
-from opnav_workbench.processing.star_frames import SolvedFrames, psf_frames, solve_frames, star_frames
+from opnav_workbench.processing.star_pictures import (
+    SolvedPictures,
+    psf_pictures,
+    solve_star_pictures,
+    star_pictures,
+)
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.version import __version__
 
@@ -65,7 +70,7 @@ def camera_table(result: CameraCalibration, name: str) -> Table:
 
 
 def calibration_json(
-    stars: StarFrames,
+    stars: StarPictures,
     result: CameraCalibration,
     start: Camera,
     failed: Sequence[tuple[str, str]],
@@ -95,14 +100,14 @@ def calibration_json(
         "iterations": result.iterations,
         "n_stars": int(result.used.sum()),
         "n_rejected": int((~result.used).sum()),
-        "frames": [_picture_report(stars, result, i) for i in range(stars.n_frames)],
+        "frames": [_picture_report(stars, result, i) for i in range(stars.n_pictures)],
         "left_out": [{"image": name, "reason": reason} for name, reason in failed],
         "messages": list(result.messages),
     }
 
 
-def _picture_report(stars: StarFrames, result: CameraCalibration, index: int) -> dict[str, Any]:
-    own = (stars.frame == index) & result.used
+def _picture_report(stars: StarPictures, result: CameraCalibration, index: int) -> dict[str, Any]:
+    own = (stars.picture_index == index) & result.used
     return {
         "image": stars.names[index],
         "n_stars": int(own.sum()),
@@ -130,7 +135,8 @@ def psf_json(
         },
         "centers_moved_rms_px": result.moved_px,
         "frames": [
-            {"image": name, "used": bool(used)} for name, used in zip(names, result.used_frames, strict=True)
+            {"image": name, "used": bool(used)}
+            for name, used in zip(names, result.used_pictures, strict=True)
         ],
         "left_out": [{"image": name, "reason": reason} for name, reason in failed],
         "messages": list(result.messages),
@@ -188,12 +194,12 @@ def camera(
     (mounting_pixel_rad, mounting_line_rad, mounting_boresight_rad) need a priori attitudes that differ alike.
     """
     opened = processing_of({**given, "targets": NO_TARGETS}).opened()
-    solved = _solve_frames(images, opened)
+    solved = _solved_pictures(images, opened)
     start = with_distortion(solved.sessions[0].context.camera, distortion)
     names = (
         _default_names(start) if solve is None else tuple(n.strip() for n in solve.split(",") if n.strip())
     )
-    stars = star_frames(solved.sessions)
+    stars = star_pictures(solved.sessions)
     result = calibrate_camera(stars, start, names)
     _write_camera(opened, start, solved, stars, result, distortion, out)
 
@@ -221,18 +227,18 @@ def psf(
     Stars need not be in the catalog; pictures whose stars have another shape are left out and named.
     """
     opened = processing_of({**given, "targets": NO_TARGETS}).opened()
-    solved = _solve_frames(images, opened, least_stars=1)
+    solved = _solved_pictures(images, opened, least_stars=1)
     context = solved.sessions[0].context
     isolation = max(ISOLATION_PX, ISOLATION_SIGMAS * context.camera.psf.sigma_px)
-    frames = psf_frames(solved.sessions, min_snr, isolation)
-    result = stack_psf(frames, context.camera_psf, oversampling=oversampling)
+    pictures = psf_pictures(solved.sessions, min_snr, isolation)
+    result = stack_psf(pictures, context.camera_psf, oversampling=oversampling)
     _write_psf(opened, context.camera, solved, result, out)
 
 
-def _solve_frames(images: Sequence[Path], opened: OpenedProcessing, **options: Any) -> SolvedFrames:
+def _solved_pictures(images: Sequence[Path], opened: OpenedProcessing, **options: Any) -> SolvedPictures:
     console = Console(stderr=True, soft_wrap=True)
     with opened.how.kernel_set(), named_progress(console, len(images)) as say:
-        solved = solve_frames(images, opened, say, **options)
+        solved = solve_star_pictures(images, opened, say, **options)
     for name, reason in solved.failed:
         console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}", highlight=False)
     return solved
@@ -246,8 +252,8 @@ def _default_names(camera: Camera) -> tuple[str, ...]:
 def _write_camera(
     opened: OpenedProcessing,
     start: Camera,
-    solved: SolvedFrames,
-    stars: StarFrames,
+    solved: SolvedPictures,
+    stars: StarPictures,
     result: CameraCalibration,
     distortion: str,
     out: Path,
@@ -255,7 +261,7 @@ def _write_camera(
     source = opened.mission.camera_file(start)
     target = make_folder(out) / source.name
     heading = (
-        f"Calibrated with {int(result.used.sum())} stars of {stars.n_frames} frames ({stars.names[0]} to "
+        f"Calibrated with {int(result.used.sum())} stars of {stars.n_pictures} frames ({stars.names[0]} to "
         f"{stars.names[-1]}), catalog {opened.how.catalog}; before: {source.name}"
     )
     _copy_psf(source, target)
@@ -264,7 +270,7 @@ def _write_camera(
     write_json(values_file, calibration_json(stars, result, start, solved.failed, opened.how.catalog))
     picture = target.with_name(f"{source.stem}_residuals.png")
     report.write_png(
-        report.camera_figure(stars, result, f"{start.name}: {stars.n_frames} frames, {len(stars)} stars"),
+        report.camera_figure(stars, result, f"{start.name}: {stars.n_pictures} frames, {len(stars)} stars"),
         picture,
     )
     console = Console()
@@ -274,16 +280,16 @@ def _write_camera(
 
 
 def _write_psf(
-    opened: OpenedProcessing, start: Camera, solved: SolvedFrames, result: PsfCalibration, out: Path
+    opened: OpenedProcessing, start: Camera, solved: SolvedPictures, result: PsfCalibration, out: Path
 ) -> None:
     source = opened.mission.camera_file(start)
     target = make_folder(out) / source.name
     template = target.with_name(f"{source.stem}_psf.npz")
     result.psf.save(template)
     edit = Edit({"model": "empirical", "file": template.name}, f"{result.n_stars} stars")
-    names = [s.context.frame.path.name for s in solved.sessions]
+    names = [s.context.picture.path.name for s in solved.sessions]
     heading = (
-        f"PSF of {result.n_stars} stars of {int(result.used_frames.sum())} frames; before: {source.name}"
+        f"PSF of {result.n_stars} stars of {int(result.used_pictures.sum())} frames; before: {source.name}"
     )
     write_camera_file(source, target, {("psf", "model"): edit}, heading)
     values_file = target.with_name(f"{source.stem}_psf.json")

@@ -34,9 +34,9 @@ from opnav_workbench.campaign.stacking import (
     Stacked,
     StackProducts,
     find_in_stack,
-    frames_of_runs,
+    pictures_of_runs,
     snr_growth,
-    stack_frames,
+    stack_pictures,
     write_stack,
 )
 from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress
@@ -282,12 +282,12 @@ def stack(
         if kernels is not None:
             opened.enter_context(KernelSet(kernels))
         with named_progress(console, len(folders)) as say:
-            pictures = frames_of_runs(folders, target, lambda name: say(name, "taking up its session"))
+            pictures = pictures_of_runs(folders, target, lambda name: say(name, "taking up its session"))
         for run, reason in pictures.left_out:
             console.print(f"[yellow]left out[/] {escape(run)}: {escape(reason)}", highlight=False)
         with console.status("stacking") if console.is_terminal else ExitStack():
-            stacked = stack_frames(
-                pictures.frames,
+            stacked = stack_pictures(
+                pictures.pictures,
                 "stars" if target is None else "target",
                 window_px=window,
                 reject_hits=not keep_hits,
@@ -319,7 +319,7 @@ def _write_figure(stacked: Stacked, center: BodyCenter | None, products: StackPr
 def _print_stack(
     console: Console, stacked: Stacked, center: BodyCenter | None, products: StackProducts
 ) -> None:
-    names = [frame.name for frame in stacked.frames]
+    names = [picture.name for picture in stacked.pictures]
     console.print(
         f"{len(names)} pictures, {escape(names[0])} to {escape(names[-1])}, mean epoch "
         f"{products.result['utc']} UTC; {sum(stacked.hits)} pixels masked",

@@ -13,7 +13,7 @@ YAML or a queue; `run_policy` does it with an open session.
     A `Processing` as parameters of notebooks and back; the job of ``process_image.ipynb``.
 ``queue_file``
     Pictures that wait for an analyst, and how they are processed (``queue.json``).
-``star_frames``
+``star_pictures``
     Star frames for a calibration: pictures solved one after the other.
 """
 

@@ -96,7 +96,7 @@ def run_policy(
     OpNavError
         A step cannot be carried out.
     """
-    if not session.standing and opened.decisions.recorded(session.context.frame.sha256) is not None:
+    if not session.standing and opened.decisions.recorded(session.context.picture.sha256) is not None:
         say("repeating the analyst's session")
         opened.decisions.apply(session)
         return True

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.calibration import CameraCalibration, PsfCalibration, StarFrames
+from opnav_workbench.calibration import CameraCalibration, PsfCalibration, StarPictures
 from opnav_workbench.camera import Camera
 from opnav_workbench.psf import Psf
 from opnav_workbench.report.drawing import LINE_COLOR, PIXEL_COLOR, new_figure
@@ -21,7 +21,7 @@ PROFILE_PX = 5.0
 FLOOR = 1e-6  # of the logarithmic picture, relative to the peak
 
 
-def camera_figure(stars: StarFrames, result: CameraCalibration, title: str = "") -> Figure:
+def camera_figure(stars: StarPictures, result: CameraCalibration, title: str = "") -> Figure:
     """Draw residuals before and after over the detector and against the radius, and the correlations.
 
     Parameters
@@ -77,7 +77,7 @@ def psf_figure(result: PsfCalibration, gaussian: Psf, title: str = "") -> Figure
 
 
 def _draw_vectors(
-    axes: Axes, stars: StarFrames, result: CameraCalibration, residual: FloatArray, scale_px: float
+    axes: Axes, stars: StarPictures, result: CameraCalibration, residual: FloatArray, scale_px: float
 ) -> None:
     camera: Camera = result.camera
     length = VECTOR_SHARE * min(camera.n_pixel, camera.n_line) / scale_px
@@ -89,7 +89,7 @@ def _draw_vectors(
 
 
 def _against_radius(
-    axes: Axes, stars: StarFrames, result: CameraCalibration, residual: FloatArray, limit_px: float
+    axes: Axes, stars: StarPictures, result: CameraCalibration, residual: FloatArray, limit_px: float
 ) -> None:
     offset = (stars.observed_px - result.camera.center_pixel_line)[result.used]
     radius = np.hypot(*offset.T)

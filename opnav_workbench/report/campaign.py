@@ -144,12 +144,12 @@ def stack_figure(
     """
     figure = new_figure(13.0, 4.6, title)
     single, together, last = figure.subplots(1, 3)
-    number = len(stacked.frames) // 2
-    image, variance = resample(stacked.grid, stacked.frames[number], float(stacked.response[number]))
-    _draw_sigmas(single, stacked, image / np.sqrt(variance), f"one picture: {stacked.frames[number].name}")
+    number = len(stacked.pictures) // 2
+    image, variance = resample(stacked.grid, stacked.pictures[number], float(stacked.response[number]))
+    _draw_sigmas(single, stacked, image / np.sqrt(variance), f"one picture: {stacked.pictures[number].name}")
     words = "star field subtracted" if stacked.subtractions is not None else f"on the {_grid_words(stacked)}"
     _draw_sigmas(
-        together, stacked, stacked.image_dn / stacked.noise_dn, f"stack of {len(stacked.frames)}, {words}"
+        together, stacked, stacked.image_dn / stacked.noise_dn, f"stack of {len(stacked.pictures)}, {words}"
     )
     figure.colorbar(together.images[0], ax=[single, together], label="DN over noise", shrink=0.8)
     for axes in (single, together):

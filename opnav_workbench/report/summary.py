@@ -105,7 +105,7 @@ def summary_figure(session: ImageSession) -> Figure:
     matplotlib.figure.Figure
         Not tied to any window.
     """
-    panels = panels_of(session.context.frame.image_dn.shape)
+    panels = panels_of(session.context.picture.image_dn.shape)
     figure = titled_figure(*panels.size_inch, _title(session))
     _draw_image(panels, figure, session)
     vectors, before, after = panels.plots(figure)
@@ -116,7 +116,8 @@ def summary_figure(session: ImageSession) -> Figure:
 
 def _title(session: ImageSession) -> str:
     context, pointing = session.context, session.state.pointing
-    first = f"{context.frame.path.name}   {context.camera.name}   {session.inputs.utc} UTC   {context.frame.exposure_s:g} s"
+    picture, camera = context.picture, context.camera
+    first = f"{picture.path.name}   {camera.name}   {session.inputs.utc} UTC   {picture.exposure_s:g} s"
     if pointing is None:
         return f"{first}\npointing not determined"
     return (
@@ -129,7 +130,7 @@ def _title(session: ImageSession) -> str:
 
 
 def _draw_image(panels: Panels, figure: Figure, session: ImageSession) -> None:
-    n_line = session.context.frame.image_dn.shape[0]
+    n_line = session.context.picture.image_dn.shape[0]
     scaled = _stretched(session)
     for axes, first, last in panels.pictures(figure):
         axes.imshow(
@@ -156,7 +157,7 @@ def _stretched(session: ImageSession) -> FloatArray:
 
 
 def _draw_marks(axes: Axes, session: ImageSession, first: int, last: int) -> None:
-    n_line = session.context.frame.image_dn.shape[0]
+    n_line = session.context.picture.image_dn.shape[0]
     for place in _star_places(session):
         _mark(axes, place, first, last, n_line, "o", PREDICTED_COLOR)
     for place, used in _observed(session):
@@ -237,7 +238,7 @@ def _observed(session: ImageSession) -> list[tuple[FloatArray, bool]]:
 
 
 def _draw_vectors(axes: Axes, session: ImageSession) -> None:
-    n_line, n_pixel = session.context.frame.image_dn.shape
+    n_line, n_pixel = session.context.picture.image_dn.shape
     axes.set(xlim=(-0.5, n_pixel - 0.5), ylim=(n_line - 0.5, -0.5), xlabel="pixel", ylabel="line")
     if n_pixel <= STRIP_ASPECT * n_line:
         axes.set_aspect("equal")

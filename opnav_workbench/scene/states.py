@@ -58,7 +58,7 @@ def observer_from_kernels(spacecraft: int, et: float) -> Observer:
     return Observer(geometric.position_km, geometric.velocity_km_s, "kernels")
 
 
-def observer_from_header(frame: Picture, et: float) -> Observer:
+def observer_from_header(picture: Picture, et: float) -> Observer:
     """Take the spacecraft's state from the image header (Sun vector there, Sun about the barycenter from ERFA).
 
     Raises
@@ -66,14 +66,14 @@ def observer_from_header(frame: Picture, et: float) -> Observer:
     ImageError
         The header has no Sun vector or velocity.
     """
-    geometry = frame.header_geometry
+    geometry = picture.header_geometry
     if (
         geometry is None
         or geometry.spacecraft_from_sun_km is None
         or geometry.spacecraft_velocity_km_s is None
     ):
         raise ImageError(
-            f"{frame.path.name}: the header gives no spacecraft position and velocity; "
+            f"{picture.path.name}: the header gives no spacecraft position and velocity; "
             "give kernels that cover the spacecraft (--kernels)."
         )
     position, velocity = barycentric_from_heliocentric(

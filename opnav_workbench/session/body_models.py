@@ -120,7 +120,7 @@ def _flux_e(context: Context, target: TargetState, b_v: float) -> float | None:
         return None
     in_band = target.magnitude + float(context.camera.color.offset(b_v))
     try:
-        return float(context.camera.electrons(in_band, context.frame.exposure_s))
+        return float(context.camera.electrons(in_band, context.picture.exposure_s))
     except CameraError:
         return None
 
@@ -174,7 +174,7 @@ def _picture(
         signal_dn=context.signal_dn,
         noise_dn=context.noise_dn,
         bad=context.bad,
-        saturated=context.frame.saturated,
+        saturated=context.picture.saturated,
         camera=context.camera,
         camera_from_j2000=best_attitude(inputs, state),
         observer_velocity_km_s=inputs.observer.velocity_km_s,
@@ -206,7 +206,7 @@ def best_center(state: SessionState, name: str) -> BodyCenter | None:
 
 def _sunlight(context: Context) -> float | None:
     try:
-        return context.camera.sunlight_e(context.frame.exposure_s)
+        return context.camera.sunlight_e(context.picture.exposure_s)
     except CameraError:
         return None
 

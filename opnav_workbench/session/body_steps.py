@@ -242,7 +242,7 @@ def _unresolved(
         prior,
         name=target.name,
         search_radius_px=search_radius(0.0, circle, radius),
-        saturated=context.frame.saturated,
+        saturated=context.picture.saturated,
         noise_model=context.noise_model,
         psf_error=psf_error,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,

@@ -40,7 +40,7 @@ class Context:
         Pixels that the light of resolved bodies covers, where no star can be measured.
     """
 
-    frame: Picture
+    picture: Picture
     camera: Camera
     mission: Mission
     background: Background
@@ -76,9 +76,9 @@ class Context:
 def zero_point_mag(context: Context) -> float | None:
     """Magnitude of a star of 1 DN in this exposure; None where the camera file has no zero point."""
     zero_point = context.camera.zero_point_mag
-    if zero_point is None or not context.frame.exposure_s > 0.0:
+    if zero_point is None or not context.picture.exposure_s > 0.0:
         return None
-    return zero_point + 2.5 * float(np.log10(context.frame.exposure_s))
+    return zero_point + 2.5 * float(np.log10(context.picture.exposure_s))
 
 
 def faintest_magnitude(context: Context) -> float:
@@ -99,30 +99,30 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     ImageError, CameraError
         See `opnav_workbench.image.read_image` and `Mission.camera_for`.
     """
-    frame = read_image(path, KeywordMap(**mission.keywords))
-    camera = mission.camera_for(frame.header)
-    _check_size(frame, camera)
-    saturated = frame.saturated
+    picture = read_image(path, KeywordMap(**mission.keywords))
+    camera = mission.camera_for(picture.header)
+    _check_size(picture, camera)
+    saturated = picture.saturated
     if camera.saturation_dn is not None:
-        saturated = saturated | (frame.image_dn >= camera.saturation_dn)
-        frame = frame.with_saturated(saturated)
+        saturated = saturated | (picture.image_dn >= camera.saturation_dn)
+        picture = picture.with_saturated(saturated)
     sigma = camera.psf.sigma_px
     background, extended = sky_and_bodies(
-        frame.image_dn,
-        frame.bad,
+        picture.image_dn,
+        picture.bad,
         saturated,
         radius_px=max(MIN_BODY_RADIUS_PX, BODY_PSF_SIGMAS * sigma),
         psf_sigma_px=sigma,
     )
     noise = pixel_noise(background, camera.read_noise_dn, camera.gain_e_per_dn)
-    signal = np.where(frame.bad, 0.0, frame.image_dn - background.level_dn)
-    return Context(frame, camera, mission, background, signal, noise, frame.bad, extended, settings)
+    signal = np.where(picture.bad, 0.0, picture.image_dn - background.level_dn)
+    return Context(picture, camera, mission, background, signal, noise, picture.bad, extended, settings)
 
 
-def _check_size(frame: Picture, camera: Camera) -> None:
-    n_line, n_pixel = frame.image_dn.shape
+def _check_size(picture: Picture, camera: Camera) -> None:
+    n_line, n_pixel = picture.image_dn.shape
     if (n_line, n_pixel) != (camera.n_line, camera.n_pixel):
         raise ImageError(
-            f"{frame.path.name} has {n_pixel} x {n_line} pixels, but {camera.name} makes {camera.n_pixel} x "
+            f"{picture.path.name} has {n_pixel} x {n_line} pixels, but {camera.name} makes {camera.n_pixel} x "
             f"{camera.n_line}; choose the mission file that describes this picture (--mission)."
         )

@@ -444,7 +444,7 @@ class Decisions(BaseModel):
                 sections.setdefault(section, []).append(item)
         own, usual = session.context.settings.to_dict(), Settings().to_dict()
         picture = PictureDecisions(
-            name=session.context.frame.path.name,
+            name=session.context.picture.path.name,
             who=who,
             when=session.standing[-1].time_utc if session.standing else None,  # type: ignore[arg-type]
             mission=session.context.mission.name,
@@ -453,7 +453,7 @@ class Decisions(BaseModel):
             settings={key: value for key, value in own.items() if value != usual[key]},
             **{section: tuple(items) for section, items in sections.items()},  # type: ignore[arg-type]
         )
-        return cls(images={session.context.frame.sha256: picture})
+        return cls(images={session.context.picture.sha256: picture})
 
     def with_path(self, path: str | Path) -> "Decisions":
         """Remember the file, so that errors name its lines; return the decisions themselves."""
@@ -487,7 +487,7 @@ class Decisions(BaseModel):
             A decision cannot be made (line and field are named), or the session was opened otherwise than the recorded
             one.
         """
-        recorded = self.recorded(session.context.frame.sha256)
+        recorded = self.recorded(session.context.picture.sha256)
         if recorded is not None and not session.standing:
             self._replay(session, recorded)
             return
@@ -520,12 +520,12 @@ class Decisions(BaseModel):
 
     def _entries_for(self, session: "ImageSession") -> list[tuple[str, PictureDecisions]]:
         """Return the entries that concern a picture, the most general first."""
-        frame = session.context.frame
+        frame = session.context.picture
         keys = (EVERY_IMAGE, frame.path.name, frame.sha256)
         return [(key, self.images[key]) for key in dict.fromkeys(keys) if key in self.images]
 
     def _replay(self, session: "ImageSession", picture: PictureDecisions) -> None:
-        key = session.context.frame.sha256
+        key = session.context.picture.sha256
         _check_opened(session, picture)
         first = next((s.at for s in picture.steps if s.step == "find_stars" and s.at), 1)
         groups: dict[tuple[int, int, str, int], list[tuple[int, DecisionItem]]] = {}
@@ -563,7 +563,7 @@ def _concerns(session: "ImageSession", item: DecisionItem) -> bool:
 
 def _check_opened(session: "ImageSession", picture: PictureDecisions) -> None:
     """Refuse to take a session again that was opened otherwise: other stars, another a priori pointing."""
-    name = session.context.frame.path.name
+    name = session.context.picture.path.name
     kind = picture.catalog.partition(":")[0]
     if kind and kind != session.source.catalog.partition(":")[0]:
         raise SessionError(

@@ -119,7 +119,7 @@ def collect_inputs(context: Context, source: InputSource, catalog: Catalog | Non
     attitude, origin = _attitude(context, source.attitude, et)
     inputs = Inputs(
         et=et,
-        utc=context.frame.utc or "",
+        utc=context.picture.utc or "",
         observer=_observer(context, et),
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
@@ -180,15 +180,15 @@ def _cone(
 
 def _et(context: Context) -> float:
     """Mid-exposure time from the header's ET, UTC or clock reading, in this order."""
-    frame = context.frame
-    if frame.et is not None:
-        return frame.et
-    if KernelSet.active() is not None and frame.utc is not None:
-        return et_from_utc(frame.utc)
-    if KernelSet.active() is not None and frame.sclk is not None:
-        return et_from_sclk(context.mission.clock_id, frame.sclk)
+    picture = context.picture
+    if picture.et is not None:
+        return picture.et
+    if KernelSet.active() is not None and picture.utc is not None:
+        return et_from_utc(picture.utc)
+    if KernelSet.active() is not None and picture.sclk is not None:
+        return et_from_sclk(context.mission.clock_id, picture.sclk)
     raise ImageError(
-        f"{frame.path.name}: the header gives no time but a clock reading ({frame.sclk}); "
+        f"{picture.path.name}: the header gives no time but a clock reading ({picture.sclk}); "
         "give kernels with an LSK and the SCLK of this spacecraft (--kernels)."
     )
 
@@ -198,7 +198,7 @@ def _observer(context: Context, et: float) -> Observer:
     spacecraft = context.mission.spacecraft_id
     if kernels is not None and any(c.body == spacecraft for c in kernels.coverage("SPK")):
         return observer_from_kernels(spacecraft, et)
-    return observer_from_header(context.frame, et)
+    return observer_from_header(context.picture, et)
 
 
 def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str]:
@@ -206,10 +206,10 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str
     with_ck = kernels is not None and kernels.has_attitude(frame_name)
     if wanted == "kernels" or (wanted == "auto" and with_ck):
         return camera_attitude(frame_name, et), "kernels"
-    geometry = context.frame.header_geometry
+    geometry = context.picture.header_geometry
     if geometry is None or geometry.camera_from_j2000 is None:
         raise ImageError(
-            f"{context.frame.path.name}: the header gives no attitude; "
+            f"{context.picture.path.name}: the header gives no attitude; "
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
     return np.asarray(geometry.camera_from_j2000), "header"

@@ -76,7 +76,7 @@ def _joint_covariances(o: Observable) -> dict[str, Any] | None:
 
 def result_dict(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
     """Return everything found as plain values; residual = observed minus predicted, missing values are None."""
-    frame = context.frame
+    frame = context.picture
     return {
         "image": frame.path.name,
         "sha256": frame.sha256,
@@ -201,7 +201,7 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
         "catalog": source.catalog,
         "attitude_source": inputs.attitude_source,
         "observer_source": inputs.observer.source,
-        "image_notes": list(context.frame.messages),
+        "image_notes": list(context.picture.messages),
         "settings": context.settings.to_dict(),
         "decisions": [
             {"star": star, "verdict": verdict, "reason": reason}

@@ -171,7 +171,7 @@ class ImageSession:
         saved = storage.load_session(Path(folder), image)
         session = cls(saved.context, saved.source, saved.inputs)
         session.id = saved.session or session.id
-        kept = partial(read_state, Path(folder), saved.context.frame.sha256)
+        kept = partial(read_state, Path(folder), saved.context.picture.sha256)
         session._history.load(saved.journal, storage.SESSION_FILE, kept)
         session.resume_note = saved.tail.note
         return session

@@ -115,7 +115,7 @@ def _cut(context: Context, place: FloatArray, size: int) -> tuple[FloatArray, Fl
     if not np.isfinite(place).all():
         return np.zeros(2), data
     first = np.rint(place).astype(int) - size // 2
-    signal = np.where(context.bad | context.frame.saturated, np.nan, context.signal_dn)
+    signal = np.where(context.bad | context.picture.saturated, np.nan, context.signal_dn)
     n_line, n_pixel = signal.shape
     pixel, line = first
     p0, l0, p1, l1 = max(pixel, 0), max(line, 0), min(pixel + size, n_pixel), min(line + size, n_line)

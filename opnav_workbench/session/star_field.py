@@ -155,7 +155,7 @@ def _from_wide_search(
 
 def star_detections(context: Context) -> Detections:
     """Return the brightest detections of the picture; none where no pixel is usable."""
-    camera, saturated = context.camera, context.frame.saturated
+    camera, saturated = context.camera, context.picture.saturated
     if np.all(context.not_stars | saturated | ~np.isfinite(context.signal_dn)):
         empty = np.empty(0)
         return Detections(np.empty((0, 2)), empty, empty, empty, np.empty(0, np.int64))

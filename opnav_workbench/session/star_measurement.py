@@ -98,7 +98,7 @@ def fit_all(
         context.not_stars,
         start,
         prior,
-        saturated=context.frame.saturated,
+        saturated=context.picture.saturated,
         noise_model=context.noise_model,
     )
 
@@ -126,7 +126,7 @@ def fit_some(
                 context.not_stars,
                 start,
                 psf,
-                saturated=context.frame.saturated,
+                saturated=context.picture.saturated,
                 noise_model=context.noise_model,
                 psf_error=psf_error,
             )
@@ -153,7 +153,7 @@ def _coarse(
         _template(context, match, prior, options),
         search_radius_px=options.radius_px,
         method=options.coarse,
-        saturated=context.frame.saturated,
+        saturated=context.picture.saturated,
     )
 
 
@@ -164,7 +164,7 @@ def _psf_fit(context: Context, start: FloatArray) -> StarCenters:
         context.not_stars,
         start,
         context.camera.psf_model,
-        saturated=context.frame.saturated,
+        saturated=context.picture.saturated,
         noise_model=context.noise_model,
     )
 
@@ -186,7 +186,7 @@ def _template(
         match.expected_px[chosen],
         gaussian,
         search_radius_px=match.radius_px,
-        saturated=context.frame.saturated,
+        saturated=context.picture.saturated,
     )
     clean = centers.usable & (centers.flags == 0)
     if options.template is None:
@@ -346,7 +346,7 @@ def _magnitude_error(
     """Magnitude from the fitted flux minus the catalog's, about the frame's median (or the camera's zero point)."""
     with np.errstate(invalid="ignore"):
         good = match.visible & (centers.snr > context.settings.min_snr) & (centers.flux_dn > 0.0)
-        rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / context.frame.exposure_s
+        rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / context.picture.exposure_s
     error = -2.5 * np.log10(rate) - mag
     if good.sum() >= MIN_STARS_FOR_ZERO_POINT:
         error = error - np.median(error[good])

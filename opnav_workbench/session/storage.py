@@ -50,8 +50,8 @@ def session_dict(
         "schema": SCHEMA,
         "version": __version__,
         "session": session,
-        "image": str(context.frame.path.resolve()),
-        "sha256": context.frame.sha256,
+        "image": str(context.picture.path.resolve()),
+        "sha256": context.picture.sha256,
         "mission": _mission_spec(context.mission),
         "settings": context.settings.to_dict(),
         "catalog": source.catalog,
@@ -223,7 +223,7 @@ def _reopened_context(data: Mapping[str, Any], image: str | Path | None) -> Cont
             f"the picture {path} is not there; say where it is now: resume(folder, image=PATH)."
         )
     context = open_context(path, load_mission(data["mission"]), Settings.from_dict(data["settings"]))
-    if context.frame.sha256 != data["sha256"]:
+    if context.picture.sha256 != data["sha256"]:
         raise SessionError(
             f"{path} is not the picture of this session (SHA-256 differs); give the original file."
         )

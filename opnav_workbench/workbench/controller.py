@@ -227,7 +227,7 @@ class WorkbenchController:
         session, item = self.queue.opened, self.queue.item
         facts = ""
         if session is not None:
-            picture = session.context.frame
+            picture = session.context.picture
             facts = f"{session.context.camera.name}, {session.inputs.utc} UTC, {picture.exposure_s:g} s"
         return render(
             "header.html",

@@ -149,16 +149,16 @@ class ImageQueue:
             try:
                 session.require(*needs)
             except SelectionPending as error:
-                raise SelectionPending(f"{session.context.frame.path.name}: {error}") from None
+                raise SelectionPending(f"{session.context.picture.path.name}: {error}") from None
 
     @classmethod
     def of_sessions(cls, sessions: Iterable[ImageSession], out: str | Path | None = None) -> "ImageQueue":
         """Make a list of open sessions; with `out` each saves its decisions into ``OUT/<stem>`` from now on."""
         items = []
         for session in sessions:
-            stem = session.context.frame.path.stem
+            stem = session.context.picture.path.stem
             folder = session.folder or (None if out is None else inside(out, stem))
-            item = QueueItem(session.context.frame.path.name, lambda s=session: s, folder)  # type: ignore[misc]
+            item = QueueItem(session.context.picture.path.name, lambda s=session: s, folder)  # type: ignore[misc]
             items.append(item)
         return cls(items)
 

@@ -151,7 +151,7 @@ def modeled_picture(session: ImageSession) -> FloatArray:
 
 def difference_picture(session: ImageSession) -> FloatArray:
     """Return picture minus model (n_line, n_pixel), DN; nan in bad pixels."""
-    frame = session.context.frame
+    frame = session.context.picture
     return np.where(frame.bad, np.nan, frame.image_dn - modeled_picture(session))
 
 
@@ -238,13 +238,13 @@ class ImageView:
         if self.session is None:
             return picture_png(np.zeros((EMPTY_SIZE, EMPTY_SIZE)), 0.0, 1.0)
         low, high = self.images.limits(DEFAULT_LIMITS)
-        return picture_png(self.session.context.frame.image_dn, low, high)
+        return picture_png(self.session.context.picture.image_dn, low, high)
 
     # -- what is shown -----------------------------------------------------------------------------------------
 
     def show(self, session: ImageSession) -> None:
         """Show a session: its pixels, and everything that it knows."""
-        frame = session.context.frame
+        frame = session.context.picture
         with self.bridge.batch():
             self.session = session
             self.images.forget()
@@ -293,7 +293,7 @@ class ImageView:
             for kind in ("predicted", "missing", "used", "rejected"):
                 self.models.fill(kind, {axis: getattr(stars, kind)[axis] for axis in ("pixel", "line")})
             places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
-            size = session.context.frame.image_dn.shape[::-1]
+            size = session.context.picture.image_dn.shape[::-1]
             self.models.fill("star_labels", label_columns(places, stars.labels["text"], (9.0, -5.0), size))
             self._vectors = stars.vectors
             self._draw_vectors()
@@ -307,7 +307,9 @@ class ImageView:
         if not len(self._vectors) or self.session is None:
             return
         if self.state.vector_scale <= 0.0:
-            self.state.vector_scale = _vector_scale(self._vectors, self.session.context.frame.image_dn.shape)
+            self.state.vector_scale = _vector_scale(
+                self._vectors, self.session.context.picture.image_dn.shape
+            )
         self.models.fill("vectors", vector_columns(dict(self._vectors), self.state.vector_scale))
 
     def _draw_bodies(self, session: ImageSession) -> None:

@@ -108,7 +108,7 @@ class NotebookParameters(Processing):
         """Return a picture's session; where a person looks on, its first steps are taken."""
         session = open_or_resume(image, folder, self.ready)
         if self.interactive and not session.journal:
-            frame, decided = session.context.frame, self.ready.decisions.images
+            frame, decided = session.context.picture, self.ready.decisions.images
             if not {EVERY_IMAGE, frame.path.name, frame.sha256}.isdisjoint(decided):
                 self.process(session)
             else:

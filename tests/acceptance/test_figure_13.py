@@ -116,7 +116,7 @@ def test_difference_picture_shows_it(process):
 def test_center_carries_the_part_across(process, surface):
     """95 px of O-C: the part across to kilometers, whatever the surface; within the sigma where it is known."""
     session, _ = process(surface)
-    truth = read_truth(session.context.frame.path)
+    truth = read_truth(session.context.picture.path)
     center, o = found(session, "ellipse")
     assert center.status == "ok"
     assert o.observer == "NEW HORIZONS"

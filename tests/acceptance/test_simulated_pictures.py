@@ -296,7 +296,7 @@ def solved(path: Path, catalog: str) -> ImageSession:
 
 def made_again(session: ImageSession, out: Path) -> Path:
     """Simulate a flight frame: its own header, exposure, background level and solved pointing."""
-    frame, camera, mission = session.context.frame, session.context.camera, session.context.mission
+    frame, camera, mission = session.context.picture, session.context.camera, session.context.mission
     names = KeywordMap(**mission.keywords)
     own = [*names.required, "INSTRU", "SFORMAT", names.et, names.utc, names.sclk]
     own += [*names.quaternion, *names.sun_position, *names.sun_velocity]
@@ -334,7 +334,7 @@ def test_a_real_frame_made_again_is_like_the_real_one(data_dir, tmp_path, met):
     real = solved(data_dir / "images" / "lorri_interstellar" / f"lor_{met}_0x633_pwcs2.fits", catalog)
     again = solved(made_again(real, tmp_path), catalog)
     assert again.result()["status"] == "ok"
-    assert again.context.frame.utc == real.context.frame.utc
+    assert again.context.picture.utc == real.context.picture.utc
     places = [
         dict(zip(s.state.a_priori.id.tolist(), s.state.centers.pixel_line, strict=True))
         for s in (real, again)

@@ -111,7 +111,7 @@ def test_readout_is_right(opened, demo_truths, number):
     nb = opened(number)
     truth = demo_truths[number].picture
     frame = ImageSession.open(truth, DEMO_MISSION, attitude="header").context
-    camera = load_mission(DEMO_MISSION).camera_for(frame.frame.header)
+    camera = load_mission(DEMO_MISSION).camera_for(frame.picture.header)
     attitude = np.array(nb.python("session.camera_from_j2000.tolist()"))
     x0, x1 = nb.python("[view.models.x_range.start, view.models.x_range.end]")
     left, right = max(x0, -0.5) + 2, min(x1, camera.n_pixel - 0.5) - 2
@@ -119,7 +119,7 @@ def test_readout_is_right(opened, demo_truths, number):
         for line in np.linspace(1.0, camera.n_line - 2.0, 3):
             place, dn, sky, _ = readout(nb, pixel, line)
             np.testing.assert_allclose(place, (pixel, line), atol=0.0051)  # told with two decimals
-            assert dn == pytest.approx(frame.frame.image_dn[round(place[1]), round(place[0])], abs=6e-4)
+            assert dn == pytest.approx(frame.picture.image_dn[round(place[1]), round(place[0])], abs=6e-4)
             x, y, z = attitude.T @ camera.unproject(np.array([place]))[0]
             ra, dec = np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arcsin(z))
             assert abs(sky[1] - dec) < 0.1 * ARCSEC_DEG
@@ -141,7 +141,7 @@ def test_readout_on_a_flight_frame(module_notebook, data_dir):
     context = ImageSession.open(path, DEMO_MISSION, attitude="header").context
     attitude = np.array(nb.python("session.camera_from_j2000.tolist()"))
     place, dn, sky, _ = readout(nb, 200.0, 31.0)
-    assert dn == pytest.approx(context.frame.image_dn[round(place[1]), round(place[0])], rel=1e-6, abs=6e-4)
+    assert dn == pytest.approx(context.picture.image_dn[round(place[1]), round(place[0])], rel=1e-6, abs=6e-4)
     x, y, z = attitude.T @ context.camera.unproject(np.array([place]))[0]
     assert abs(sky[0] - np.degrees(np.arctan2(y, x)) % 360.0) * np.hypot(x, y) < 0.1 * ARCSEC_DEG
     assert abs(sky[1] - np.degrees(np.arcsin(z))) < 0.1 * ARCSEC_DEG
@@ -149,7 +149,7 @@ def test_readout_on_a_flight_frame(module_notebook, data_dir):
 
 def test_stretch_blink_and_overlays(opened, demo_truths):
     nb = opened()
-    image = ImageSession.open(demo_truths[0].picture, DEMO_MISSION, attitude="header").context.frame
+    image = ImageSession.open(demo_truths[0].picture, DEMO_MISSION, attitude="header").context.picture
     limits = limits_of(image.image_dn, ~(image.bad | image.saturated))
 
     def expect(name, stretch, colormap):

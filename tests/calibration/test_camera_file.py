@@ -22,10 +22,10 @@ LORRI = kernels_meta_dir() / "new_horizons/cameras/lorri_1x1.yaml"
 NAMES = ("focal_length_mm", "e2_per_mm2", "e1_per_mm", "line_scale", "mounting_boresight_rad")
 
 
-def test_a_calibration_goes_through_the_file(cameras, star_frames, tmp_path):
+def test_a_calibration_goes_through_the_file(cameras, star_pictures, tmp_path):
     camera = cameras["lorri"]
-    frames = star_frames(camera, np.random.default_rng(1), mounting_rad=(0.0, 0.0, 2e-3))
-    result = calibrate_camera(frames, camera, NAMES)
+    pictures = star_pictures(camera, np.random.default_rng(1), mounting_rad=(0.0, 0.0, 2e-3))
+    result = calibrate_camera(pictures, camera, NAMES)
     target = tmp_path / "new.yaml"
     written = write_camera_file(LORRI, target, camera_edits(result), "calibrated")
     places = result.camera.unproject(np.random.default_rng(2).uniform(0, 1023, (50, 2)))
@@ -43,20 +43,20 @@ def test_a_calibration_goes_through_the_file(cameras, star_frames, tmp_path):
     assert all(before[key] == after[key] for key in unchanged if key in before)
 
 
-def test_another_distortion_model_replaces_all_terms(cameras, star_frames, tmp_path):
+def test_another_distortion_model_replaces_all_terms(cameras, star_pictures, tmp_path):
     start = with_distortion(cameras["lorri"], "brown")
-    frames = star_frames(cameras["lorri"], np.random.default_rng(3))
-    result = calibrate_camera(frames, start, ("focal_length_mm", "k1", "p1", "p2"))
+    pictures = star_pictures(cameras["lorri"], np.random.default_rng(3))
+    result = calibrate_camera(pictures, start, ("focal_length_mm", "k1", "p1", "p2"))
     written = write_camera_file(LORRI, tmp_path / "new.yaml", camera_edits(result, "brown"), "calibrated")
     assert isinstance(written.distortion, BrownDistortion)
     assert written.distortion.k1 == pytest.approx(result.values[1], rel=1e-9)
     assert written.distortion.focal_mm == pytest.approx(result.values[0], rel=1e-9)
 
 
-def test_center_and_what_is_not_determined(cameras, star_frames, tmp_path):
+def test_center_and_what_is_not_determined(cameras, star_pictures, tmp_path):
     camera = with_distortion(cameras["lorri"], "none")
     result = calibrate_camera(
-        star_frames(camera, np.random.default_rng(4)), camera, ("center_pixel", "center_line")
+        star_pictures(camera, np.random.default_rng(4)), camera, ("center_pixel", "center_line")
     )
     written = write_camera_file(LORRI, tmp_path / "new.yaml", camera_edits(result, "none"), "x")
     assert written.center_pixel_line.tolist() == camera.center_pixel_line.tolist()

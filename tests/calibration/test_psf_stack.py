@@ -1,11 +1,11 @@
-"""Empirical PSFs from simulated star frames with a known PSF."""
+"""Empirical PSFs from simulated star pictures with a known PSF."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from opnav_workbench.calibration import PsfFrame, stack_psf
+from opnav_workbench.calibration import PsfPicture, stack_psf
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import GaussianPsf, MoffatPsf, add_sources
 from opnav_workbench.stars import NoiseModel, ShapePrior, fit_psf
@@ -14,8 +14,8 @@ READ_NOISE_DN, GAIN = 2.0, 20.0
 TRUE = MoffatPsf(fwhm_px=1.6, beta=2.5)
 
 
-def frame(rng, psf, n=40, size=256, flux=(2e3, 2e4), name="frame"):
-    """A frame of isolated stars on a jittered grid, with shot and read noise; and where they truly are."""
+def picture(rng, psf, n=40, size=256, flux=(2e3, 2e4), name="frame"):
+    """A picture of isolated stars on a jittered grid, with shot and read noise; and where they truly are."""
     side = int(np.ceil(np.sqrt(n)))
     step = (size - 20.0) / side
     grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2)[:n]
@@ -26,7 +26,7 @@ def frame(rng, psf, n=40, size=256, flux=(2e3, 2e4), name="frame"):
     variance = READ_NOISE_DN**2 + np.maximum(image, 0.0) / GAIN
     image = image + rng.normal(size=image.shape) * np.sqrt(variance)
     start = np.round(places)
-    made = PsfFrame(
+    made = PsfPicture(
         name, image, np.full(image.shape, READ_NOISE_DN), np.zeros(image.shape, bool), start,
         NoiseModel(READ_NOISE_DN, GAIN),
     )  # fmt: skip
@@ -38,8 +38,8 @@ PRIOR = ShapePrior.round_psf(0.7)
 
 @pytest.fixture(scope="module")
 def stacked():
-    frames = [frame(np.random.default_rng([1, i]), TRUE, name=f"frame {i}")[0] for i in range(4)]
-    return stack_psf(frames, PRIOR)
+    pictures = [picture(np.random.default_rng([1, i]), TRUE, name=f"frame {i}")[0] for i in range(4)]
+    return stack_psf(pictures, PRIOR)
 
 
 @pytest.mark.slow
@@ -64,8 +64,8 @@ def test_stars_are_explained_by_noise(stacked):
 
 
 def test_centers_of_other_stars(stacked):
-    """A frame that was not in the stack: centers without bias, and their errors what they say."""
-    other, places = frame(np.random.default_rng(3), TRUE, n=100, flux=(5e3, 5e3))
+    """A picture that was not in the stack: centers without bias, and their errors what they say."""
+    other, places = picture(np.random.default_rng(3), TRUE, n=100, flux=(5e3, 5e3))
     fit = fit_psf(
         other.signal_dn, other.noise_dn, None, other.pixel_line, stacked.psf, noise_model=other.noise_model
     )
@@ -76,18 +76,18 @@ def test_centers_of_other_stars(stacked):
 
 @pytest.mark.slow
 def test_frames_of_another_shape_are_left_out():
-    frames = [frame(np.random.default_rng([4, i]), TRUE, name=f"frame {i}")[0] for i in range(3)]
-    smeared, _ = frame(np.random.default_rng(5), GaussianPsf(1.6, 0.7, 0.4), name="smeared")
-    empty = replace(frames[0], name="empty", pixel_line=np.zeros((0, 2)))
-    result = stack_psf([*frames, smeared, empty], PRIOR)
-    assert result.used_frames.tolist() == [True, True, True, False, False]
+    pictures = [picture(np.random.default_rng([4, i]), TRUE, name=f"frame {i}")[0] for i in range(3)]
+    smeared, _ = picture(np.random.default_rng(5), GaussianPsf(1.6, 0.7, 0.4), name="smeared")
+    empty = replace(pictures[0], name="empty", pixel_line=np.zeros((0, 2)))
+    result = stack_psf([*pictures, smeared, empty], PRIOR)
+    assert result.used_pictures.tolist() == [True, True, True, False, False]
     assert any("smeared: its stars are of another shape" in message for message in result.messages)
     assert any("empty: no bright star" in message for message in result.messages)
 
 
 @pytest.mark.slow
 def test_blends_and_hits_do_not_count():
-    made, places = frame(np.random.default_rng(6), TRUE, n=100)
+    made, places = picture(np.random.default_rng(6), TRUE, n=100)
     image = made.signal_dn.copy()
     column, row = np.round(places[:5]).astype(int).T
     image[row + 2, column] += 3e4  # beside five stars
@@ -100,16 +100,16 @@ def test_blends_and_hits_do_not_count():
 
 @pytest.mark.slow
 def test_few_stars_give_fewer_cells_and_say_so():
-    made, _ = frame(np.random.default_rng(7), TRUE, n=30)
+    made, _ = picture(np.random.default_rng(7), TRUE, n=30)
     result = stack_psf([made], PRIOR, oversampling=4)
     assert result.psf.oversampling == 2
     assert "fill 2 cells a pixel, 4 were wanted" in result.messages[-1]
     with pytest.raises(CameraError, match="9 bright stars cannot fill"):
-        stack_psf([frame(np.random.default_rng(8), TRUE, n=9)[0]], PRIOR)
+        stack_psf([picture(np.random.default_rng(8), TRUE, n=9)[0]], PRIOR)
 
 
 @pytest.mark.slow
 def test_same_frames_same_psf():
-    frames = [frame(np.random.default_rng(9), TRUE, n=20, size=128)[0]]
-    first, second = (stack_psf(frames, PRIOR) for _ in range(2))
+    pictures = [picture(np.random.default_rng(9), TRUE, n=20, size=128)[0]]
+    first, second = (stack_psf(pictures, PRIOR) for _ in range(2))
     assert first.psf.samples.tobytes() == second.psf.samples.tobytes()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from opnav_workbench.campaign.stacking import StackFrame
+from opnav_workbench.campaign.stacking import StackPicture
 from opnav_workbench.geometry import apparent_direction, rotation_from_vector, unit
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
@@ -82,7 +82,7 @@ def make_failure():
 class Sky:
     """Simulated pictures of one field with a moving target, and where everything truly is."""
 
-    frames: list  # StackFrame, without noise and light
+    pictures: list  # StackPicture, without noise and light
     light: list  # noiseless pictures
     target: object  # function of a Stacked: true place of the target, reference camera
 
@@ -107,12 +107,12 @@ def make_sky():
         scatter = rng.uniform(-1.0, 1.0, (stars, 2)) * scale * size * 0.8
         star_directions = unit(look + scatter @ across)
         star_fluxes = star_flux * 10.0 ** rng.uniform(-1.5, 0.3, stars)
-        frames, light = [], []
+        pictures, light = [], []
         for i, exposure in enumerate(exposures):
             turn = np.array([*rng.uniform(-2.0, 2.0, 2) * scale, rng.normal(0.0, twist)])
             along = motion_px * (i - 0.5 * (n - 1)) * scale
             state = TargetState("FAINT", 1e8 * unit(look + along * across[0] + 0.4 * along * across[1]))
-            frame = StackFrame(
+            picture = StackPicture(
                 f"sky_{i}.fit", 600.0 * i, exposure, np.zeros((size, size)), np.full((size, size), noise),
                 np.zeros((size, size), dtype=bool), camera, rotation_from_vector(turn) @ middle, velocity,
                 GaussianPsf(sigma, sigma), target=state,
@@ -122,12 +122,12 @@ def make_sky():
                 apparent_direction(state.direction, velocity) + scale * np.asarray(offset_px) @ across
             )
             directions = np.concatenate([seen[None], apparent_direction(star_directions, velocity)])
-            places = camera.project(directions @ frame.camera_from_j2000.T)
+            places = camera.project(directions @ picture.camera_from_j2000.T)
             fluxes = response * np.concatenate([[flux], star_fluxes])
             near = camera.on_detector(places, margin_px=6.0)
             image = np.zeros((size, size))
-            add_sources(image, frame.psf, places[near], fluxes[near])
-            frames.append(frame)
+            add_sources(image, picture.psf, places[near], fluxes[near])
+            pictures.append(picture)
             light.append(image)
 
         def truth(stacked):
@@ -135,7 +135,7 @@ def make_sky():
             seen = unit(expected + scale * np.asarray(offset_px) @ across)
             return camera.project((stacked.grid.camera_from_j2000 @ seen)[None])[0]
 
-        return Sky(frames, light, truth)
+        return Sky(pictures, light, truth)
 
     return make
 
@@ -145,7 +145,7 @@ def exposed():
     """Return a function that gives a sky's pictures their light and noise."""
 
     def expose(sky, rng):
-        pairs = zip(sky.frames, sky.light, strict=True)
+        pairs = zip(sky.pictures, sky.light, strict=True)
         return [f.replace(signal_dn=light + rng.normal(size=light.shape) * f.noise_dn) for f, light in pairs]
 
     return expose

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from opnav_workbench.campaign.stacking import Grid, stack_frames
+from opnav_workbench.campaign.stacking import Grid, stack_pictures
 from opnav_workbench.campaign.stacking.grid import cubic_rows, cubic_weights, resample, target_direction
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction, unit
@@ -13,11 +13,11 @@ from opnav_workbench.psf import GaussianPsf, add_sources
 
 
 def grid_of(sky, follow="stars"):
-    frame = sky.frames[0]
-    target = target_direction(frame) if follow == "target" else None
+    picture = sky.pictures[0]
+    target = target_direction(picture) if follow == "target" else None
     return Grid(
-        frame.camera, frame.camera_from_j2000, frame.observer_velocity_km_s, follow, target,
-        np.zeros(2), (frame.camera.n_line, frame.camera.n_pixel),
+        picture.camera, picture.camera_from_j2000, picture.observer_velocity_km_s, follow, target,
+        np.zeros(2), (picture.camera.n_line, picture.camera.n_pixel),
     )  # fmt: skip
 
 
@@ -25,42 +25,42 @@ def test_stars_fall_where_each_camera_sees_them(make_sky):
     """Distorted camera, turned pictures, other velocities: against stars projected by each picture by itself."""
     sky = make_sky(3, twist=0.5)
     grid, rng = grid_of(sky), np.random.default_rng(0)
-    look = sky.frames[0].camera_from_j2000.T @ sky.frames[0].camera.boresight
+    look = sky.pictures[0].camera_from_j2000.T @ sky.pictures[0].camera.boresight
     stars = unit(look + rng.normal(0.0, 1.5e-4, (50, 3)))  # some ten pixels
-    for i, one in enumerate(sky.frames):
-        frame = one.replace(observer_velocity_km_s=np.array([30.0 * i, -12.0, 5.0]))
+    for i, one in enumerate(sky.pictures):
+        picture = one.replace(observer_velocity_km_s=np.array([30.0 * i, -12.0, 5.0]))
 
         def seen(picture):
             apparent = apparent_direction(stars, picture.observer_velocity_km_s)
             return picture.camera.project(apparent @ picture.camera_from_j2000.T)
 
-        here, there = seen(sky.frames[0]), seen(frame)
-        assert np.abs(grid.to_frame(here, frame) - there).max() < 1e-6
-        assert np.abs(grid.from_frame(there, frame) - here).max() < 1e-6
+        here, there = seen(sky.pictures[0]), seen(picture)
+        assert np.abs(grid.to_picture(here, picture) - there).max() < 1e-6
+        assert np.abs(grid.from_picture(there, picture) - here).max() < 1e-6
         assert np.abs(here - there).max() > (0.5 if i else -1.0)
         step = 0.01
         slope = np.stack(
             [
-                (grid.to_frame(here + step * axis, frame) - grid.to_frame(here - step * axis, frame))
+                (grid.to_picture(here + step * axis, picture) - grid.to_picture(here - step * axis, picture))
                 / (2.0 * step)
                 for axis in np.eye(2)
             ],
             axis=2,
         )
-        assert np.abs(grid.jacobian(here, frame) - slope).max() < 2e-4
+        assert np.abs(grid.jacobian(here, picture) - slope).max() < 2e-4
 
 
 def test_the_target_stands_still(make_sky):
     """A grid that follows the target sees it, and any offset from ephemeris, at one place in all pictures."""
     sky = make_sky(4, motion_px=5.0, offset_px=(0.6, -0.4), flux=1.0)
-    stacked = stack_frames(sky.frames, "target", window_px=20, reject_hits=False)
+    stacked = stack_pictures(sky.pictures, "target", window_px=20, reject_hits=False)
     truth = sky.target(stacked)
-    for frame, light in zip(sky.frames, sky.light, strict=True):
-        place = stacked.grid.to_frame(truth[None], frame)[0]
+    for picture, light in zip(sky.pictures, sky.light, strict=True):
+        place = stacked.grid.to_picture(truth[None], picture)[0]
         line, pixel = np.indices(light.shape)
         centroid = [float((light * pixel).sum() / light.sum()), float((light * line).sum() / light.sum())]
         assert np.abs(place - centroid).max() < 0.02  # a centroid of pixels is as good as that for this PSF
-        assert np.abs(stacked.grid.from_frame(place[None], frame)[0] - truth).max() < 1e-6
+        assert np.abs(stacked.grid.from_picture(place[None], picture)[0] - truth).max() < 1e-6
     assert np.abs(truth - stacked.predicted_px).max() > 0.3
 
 
@@ -79,24 +79,24 @@ def test_light_and_level_are_conserved(make_sky):
     """Stars at 60 phases of two turned pictures: each flux to a percent, the mean to a thousandth; a level stays."""
     sky = make_sky(2, size=64, twist=0.4, seed=3)
     grid, rng = grid_of(sky), np.random.default_rng(1)
-    frame, ratios = sky.frames[1], []
+    picture, ratios = sky.pictures[1], []
     for _ in range(60):
         image = np.zeros((64, 64))
         add_sources(image, GaussianPsf(0.7, 0.7), rng.uniform(28.0, 36.0, (1, 2)), [1.0])
-        ratios.append(np.nansum(resample(grid, frame.replace(signal_dn=image), 1.0)[0]))
+        ratios.append(np.nansum(resample(grid, picture.replace(signal_dn=image), 1.0)[0]))
     assert np.abs(np.array(ratios) - 1.0).max() < 0.01
     assert np.mean(ratios) == pytest.approx(1.0, abs=1e-3)
-    level, variance = resample(grid, frame.replace(signal_dn=np.full((64, 64), 7.0)), 1.0)
+    level, variance = resample(grid, picture.replace(signal_dn=np.full((64, 64), 7.0)), 1.0)
     assert (
         np.nanmax(np.abs(level - 7.0)) < 7.0 * 1e-4
     )  # pixels are as large here as there, but for distortion
-    assert np.nanmax(variance) <= frame.noise_dn[0, 0] ** 2 * (1.0 + 1e-3)
-    assert np.nanmin(variance) > 0.25 * frame.noise_dn[0, 0] ** 2
+    assert np.nanmax(variance) <= picture.noise_dn[0, 0] ** 2 * (1.0 + 1e-3)
+    assert np.nanmin(variance) > 0.25 * picture.noise_dn[0, 0] ** 2
 
 
 def test_a_picture_on_its_own_grid_is_itself(make_sky):
     sky = make_sky(2, flux=100.0)
-    image, variance = resample(grid_of(sky), sky.frames[0].replace(signal_dn=sky.light[0]), 1.0)
+    image, variance = resample(grid_of(sky), sky.pictures[0].replace(signal_dn=sky.light[0]), 1.0)
     known = np.isfinite(image)
     assert known.sum() >= 32**2  # the four pixels about each must be there
     assert np.abs(image - sky.light[0])[known].max() < 1e-8
@@ -120,21 +120,21 @@ def test_the_stack_is_the_linear_map_that_it_says(make_sky, exposed, subtract):
         5, size=64, motion_px=6.0, stars=20 if subtract else 0, exposures=[10.0, 5.0, 10.0, 20.0, 10.0]
     )
     rng = np.random.default_rng(2)
-    stacked = stack_frames(exposed(sky, rng), "target", window_px=16, reject_hits=False, subtract=subtract)
+    stacked = stack_pictures(exposed(sky, rng), "target", window_px=16, reject_hits=False, subtract=subtract)
     points = stacked.grid.centers()[16 * 6 + 5 :][:40]
     known = (stacked.count[tuple((points - stacked.grid.first).astype(int).T[::-1])]) == 5
     points = points[known]
     operators = stacked.operators(points)
     parts = [
-        m @ f.signal_dn.ravel() for m, f in zip(operators, exposed_frames(stacked, subtract), strict=True)
+        m @ f.signal_dn.ravel() for m, f in zip(operators, exposed_pictures(stacked, subtract), strict=True)
     ]
     image = stacked.image_dn[tuple((points - stacked.grid.first).astype(int).T[::-1])]
     level = image - np.sum(parts, axis=0)
     assert np.ptp(level) < (0.2 if subtract else 1e-9)  # the levels that were matched are not part of the map
     covariance = stacked.covariance_dn2(points)
     draws = np.zeros((1500, len(points)))
-    for operator, frame in zip(operators, stacked.before_subtraction, strict=True):
-        draws += rng.normal(size=(1500, frame.bad.size)) * frame.noise_dn.ravel() @ operator.T
+    for operator, picture in zip(operators, stacked.before_subtraction, strict=True):
+        draws += rng.normal(size=(1500, picture.bad.size)) * picture.noise_dn.ravel() @ operator.T
     assert np.std(draws, axis=0) == pytest.approx(
         np.sqrt(np.diag(covariance)), rel=0.1
     )  # 1500 draws: 2 %, of 40
@@ -142,26 +142,26 @@ def test_the_stack_is_the_linear_map_that_it_says(make_sky, exposed, subtract):
     assert near == pytest.approx(np.diag(covariance, 1), abs=0.12 * covariance.max())
 
 
-def exposed_frames(stacked, subtract):
+def exposed_pictures(stacked, subtract):
     """The pictures that the operators act on: those before subtraction."""
-    return stacked.before_subtraction if subtract else stacked.frames
+    return stacked.before_subtraction if subtract else stacked.pictures
 
 
 def test_what_cannot_be_stacked_is_one_line(make_sky):
     sky = make_sky(4)
-    frames = sky.frames
-    without = frames[0].replace(target=None)
-    other = frames[1].replace(camera=replace(frames[1].camera, name="OTHER"))
+    pictures = sky.pictures
+    without = pictures[0].replace(target=None)
+    other = pictures[1].replace(camera=replace(pictures[1].camera, name="OTHER"))
     for given, options, words in (
-        (frames[:1], {}, "two pictures at least"),
-        ([without, *frames[1:]], {}, "no target to follow"),
-        ([frames[0], other], {}, "one camera at a time"),
-        ([frames[0].replace(exposure_s=0.0), *frames], {}, "exposure of 0.0 s"),
-        (frames, {"follow": "stars", "subtract": True}, "only a stack that follows the target"),
-        (frames, {"subtract": True}, "must move by"),
+        (pictures[:1], {}, "two pictures at least"),
+        ([without, *pictures[1:]], {}, "no target to follow"),
+        ([pictures[0], other], {}, "one camera at a time"),
+        ([pictures[0].replace(exposure_s=0.0), *pictures], {}, "exposure of 0.0 s"),
+        (pictures, {"follow": "stars", "subtract": True}, "only a stack that follows the target"),
+        (pictures, {"subtract": True}, "must move by"),
         ([without, without], {"follow": "stars", "window_px": 16}, "needs a target"),
     ):
         with pytest.raises(CenterfindingError, match=words):
-            stack_frames(given, **options)
+            stack_pictures(given, **options)
     with pytest.raises(CenterfindingError, match="differ in shape"):
-        frames[0].replace(bad=np.zeros((2, 2), dtype=bool))
+        pictures[0].replace(bad=np.zeros((2, 2), dtype=bool))

@@ -9,7 +9,7 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign
-from opnav_workbench.campaign.stacking import fit_point, frames_of_runs, stack_frames
+from opnav_workbench.campaign.stacking import fit_point, pictures_of_runs, stack_pictures
 from opnav_workbench.campaign.stacking.grid import resample
 from opnav_workbench.cli.campaign import campaign_app
 from opnav_workbench.errors import KernelError, SessionError
@@ -74,7 +74,7 @@ def test_a_faint_moon_in_simulated_pictures(faint_charon, tmp_path):
     truths = [read_truth(faint_charon / "pictures" / f"c{i}.fit") for i in range(COUNT)]
     assert min(t.et for t in truths) < result["et"] < max(t.et for t in truths)
     assert result["stack"]["follow"] == "target"
-    assert sum(frame["weight"] for frame in result["stack"]["frames"]) == pytest.approx(1.0)
+    assert sum(picture["weight"] for picture in result["stack"]["frames"]) == pytest.approx(1.0)
     assert 0.0 < result["stack"]["noise_correlation"] < 0.5
     (observable,) = read_ecsv(folder / "observables.ecsv")
     assert observable.name == "CHARON"
@@ -118,7 +118,7 @@ def test_runs_that_cannot_be_stacked_are_named(faint_charon, make_run, tmp_path)
     assert any("gone left out" in message for message in result["messages"])
     assert any("none is masked" in message for message in result["messages"])
     with pytest.raises(SessionError, match="no run can be stacked"):
-        frames_of_runs([tmp_path / "gone"], None)
+        pictures_of_runs([tmp_path / "gone"], None)
     failed = invoke("stack", faint_charon / "run", "-t", "NIX", "-o", tmp_path)
     assert isinstance(failed.exception, SessionError | KernelError)
 
@@ -132,16 +132,16 @@ def test_real_pictures_fall_on_each_other(data_dir, tmp_path):
         mission="new_horizons", catalog=f"npz:{data_dir / 'stars' / 'tycho2.npz'}", targets=()
     ).opened()
     runs = [process_image(picture, policy, tmp_path).folder for picture in pictures]
-    taken = frames_of_runs(runs, None)
-    assert [frame.name for frame in taken.frames] == [picture.name for picture in pictures]
-    stacked = stack_frames(taken.frames, "stars")
+    taken = pictures_of_runs(runs, None)
+    assert [picture.name for picture in taken.pictures] == [picture.name for picture in pictures]
+    stacked = stack_pictures(taken.pictures, "stars")
     stars = [_centers(run) for run in runs]
     common = sorted(set.intersection(*(set(of) for of in stars)))
     assert len(common) >= 6
     here = np.array(
         [
-            [stacked.grid.from_frame(of[star][None], frame)[0] for star in common]
-            for of, frame in zip(stars, stacked.frames, strict=True)
+            [stacked.grid.from_picture(of[star][None], picture)[0] for star in common]
+            for of, picture in zip(stars, stacked.pictures, strict=True)
         ]
     )
     mean = here.mean(axis=0)
@@ -150,7 +150,7 @@ def test_real_pictures_fall_on_each_other(data_dir, tmp_path):
     assert np.sqrt(np.mean(apart**2)) < 0.1  # star by star
     fits_there = np.array([fit_point(stacked, place).pixel_line for place in mean])
     assert np.sqrt(np.mean((fits_there - mean) ** 2)) < 0.1
-    measured = [_sky_noise(resample(stacked.grid, frame, 1.0)[0]) for frame in stacked.frames]
+    measured = [_sky_noise(resample(stacked.grid, picture, 1.0)[0]) for picture in stacked.pictures]
     assert _sky_noise(stacked.image_dn) < 1.15 * np.mean(measured) / np.sqrt(3.0)
 
 

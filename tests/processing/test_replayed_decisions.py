@@ -88,7 +88,7 @@ def test_the_file_says_what_was_decided_why_by_whom_and_when(analysed, tmp_path)
     analysed.write_decisions(tmp_path / "d.yaml", who="M. Jones")
     data = yaml.safe_load((tmp_path / "d.yaml").read_text())
     ((key, entry),) = data["images"].items()
-    assert key == analysed.context.frame.sha256
+    assert key == analysed.context.picture.sha256
     assert (entry["name"], entry["who"]) == ("mvic_framing.fit", "M. Jones")
     assert datetime.fromisoformat(entry["when"]).tzinfo is not None
     assert entry["settings"] == {"min_snr": 6.0, "max_stars": 250}
@@ -121,8 +121,11 @@ def test_several_pictures_share_a_file(analysed, demo_truths, tmp_path):
     other.note("second thoughts")
     other.write_decisions(path)
     images = load_decisions(path).images
-    assert set(images) == {analysed.context.frame.sha256, other.context.frame.sha256}
-    assert [n.text for n in images[other.context.frame.sha256].notes] == ["the other one", "second thoughts"]
+    assert set(images) == {analysed.context.picture.sha256, other.context.picture.sha256}
+    assert [n.text for n in images[other.context.picture.sha256].notes] == [
+        "the other one",
+        "second thoughts",
+    ]
 
 
 @pytest.mark.slow

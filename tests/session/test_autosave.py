@@ -215,7 +215,7 @@ def test_a_kept_state_of_a_class_with_other_fields_is_not_taken(near, tmp_path, 
     monkeypatch.setattr("opnav_workbench.session.autosave.KEEP_AFTER_S", 0.0)
     near.autosave(tmp_path)
     near.note("kept")
-    sha256 = near.context.frame.sha256
+    sha256 = near.context.picture.sha256
     assert read_state(tmp_path, sha256, near.standing) is not None
     with np.load(tmp_path / STATE_FILE) as file:
         arrays = dict(file)
@@ -247,7 +247,7 @@ def test_a_second_process_is_refused_in_one_line_that_names_the_first(demo_truth
             with pytest.raises(SessionError, match=rf"process {worker.pid} on .* \(since .*\)") as caught:
                 act()
             assert "\n" not in str(caught.value)
-        assert ImageSession.resume(folder).context.frame.path.name == picture.name  # reading is free
+        assert ImageSession.resume(folder).context.picture.path.name == picture.name  # reading is free
     finally:
         worker.kill()
         worker.communicate()

@@ -76,7 +76,7 @@ def test_session_writes_what_it_solved(finished, tmp_path):
     (found,) = read(written.path, frame, [finished.inputs.et])
     assert angle(found, truth) < ATTITUDE_RAD
     assert (written.frame, written.structure_id) == ("NH_SPACECRAFT", -98000)
-    assert written.pictures == (finished.context.frame.path.name,)
+    assert written.pictures == (finished.context.picture.path.name,)
     assert (written.skipped, written.note) == ((), "")
 
 

@@ -219,7 +219,7 @@ def test_pictures_of_one_or_two_stars_are_right_or_not_ok(truth, tmp_path, count
     session = ImageSession.open(truth.picture, MISSION)
     session.predict()
     places, ids = marks(truth, session, count)
-    flux = session.context.frame.exposure_s * 10.0 ** (
+    flux = session.context.picture.exposure_s * 10.0 ** (
         -0.4 * (session.inputs.stars.mag[np.isin(session.inputs.stars.id, ids)] - CAMERA.zero_point_mag)
     )
 

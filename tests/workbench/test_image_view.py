@@ -46,7 +46,7 @@ def test_view_serves_the_workbench(view):
 
 
 def test_pixels_are_exact(view, sessions):
-    np.testing.assert_allclose(pixels(view), sessions[0].context.frame.image_dn, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(pixels(view), sessions[0].context.picture.image_dn, rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.slow(keep=["values0-uint16", "values1-float32"])

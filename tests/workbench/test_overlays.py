@@ -108,7 +108,7 @@ def test_model_frame_explains_the_stars(session):
     difference = difference_picture(session)
     noise = np.median(session.context.noise_dn)
     places = np.c_[star_marks(session).used["pixel"], star_marks(session).used["line"]]
-    image = session.context.frame.image_dn
+    image = session.context.picture.image_dn
     for pixel, line in places:
         box = np.s_[max(round(line) - 2, 0) : round(line) + 3, max(round(pixel) - 2, 0) : round(pixel) + 3]
         peak = image[box].max() - session.context.background.level_dn[box].mean()

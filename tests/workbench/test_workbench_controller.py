@@ -59,9 +59,9 @@ def test_every_page_is_well_formed_at_every_stage(star_hands):
 def test_images_keep_their_own_state(hands_on, demo_truths, tmp_path):
     hands = hands_on(*(truth.picture for truth in demo_truths), out=tmp_path)
     hands.press("f", "a")
-    assert hands.session.context.frame.path.name == "lorri_4x4.fit"
+    assert hands.session.context.picture.path.name == "lorri_4x4.fit"
     hands.press("PageDown", "f")
-    assert hands.session.context.frame.path.name == "mvic_framing.fit"
+    assert hands.session.context.picture.path.name == "mvic_framing.fit"
     assert hands.session.state.decisions == {}
     hands.press("PageDown")  # beyond the end it stays
     hands.press("PageUp")
@@ -82,7 +82,7 @@ def test_an_image_that_cannot_be_opened_says_why(hands_on, demo_truths, tmp_path
     assert "broken.fit" in controller.runner.status.message
     assert "broken.fit" in controller.regions()["panel"]
     controller.handle({"act": "key", "arg": "PageUp"})
-    assert controller.queue.session.context.frame.path == demo_truths[0].picture
+    assert controller.queue.session.context.picture.path == demo_truths[0].picture
 
 
 @pytest.mark.slow

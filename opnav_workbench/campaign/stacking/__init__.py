@@ -1,8 +1,8 @@
 """Stacks for faint targets: many repointed pictures on one grid, and the target's center in their mean.
 
-Enter by `frames_of_runs`, then `stack_frames`, `find_in_stack` and `write_stack`.
+Enter by `pictures_of_runs`, then `stack_pictures`, `find_in_stack` and `write_stack`.
 
-``frames``
+``pictures``
     Solved pictures, their weights, and how they come from run folders.
 ``grid``
     The grid that follows stars or target, and cubic convolution onto it, its noise known.
@@ -17,9 +17,14 @@ Enter by `frames_of_runs`, then `stack_frames`, `find_in_stack` and `write_stack
 """
 
 from opnav_workbench.campaign.stacking.centers import Growth, PointFit, find_in_stack, fit_point, snr_growth
-from opnav_workbench.campaign.stacking.combining import Stacked, stack_frames
-from opnav_workbench.campaign.stacking.frames import RunFrames, StackFrame, frame_of_session, frames_of_runs
+from opnav_workbench.campaign.stacking.combining import Stacked, stack_pictures
 from opnav_workbench.campaign.stacking.grid import Grid
+from opnav_workbench.campaign.stacking.pictures import (
+    RunPictures,
+    StackPicture,
+    picture_of_session,
+    pictures_of_runs,
+)
 from opnav_workbench.campaign.stacking.products import (
     StackProducts,
     stack_attitude_covariance,
@@ -31,17 +36,17 @@ __all__ = [
     "Grid",
     "Growth",
     "PointFit",
-    "RunFrames",
-    "StackFrame",
+    "RunPictures",
+    "StackPicture",
     "StackProducts",
     "Stacked",
     "find_in_stack",
     "fit_point",
-    "frame_of_session",
-    "frames_of_runs",
+    "picture_of_session",
+    "pictures_of_runs",
     "snr_growth",
     "stack_attitude_covariance",
-    "stack_frames",
     "stack_observable",
+    "stack_pictures",
     "write_stack",
 ]

@@ -116,7 +116,9 @@ def find_in_stack(
     # A PSF that does not explain the image does not explain its center better (bright, undersampled, smeared stars).
     misfit = misfit_factor(np.array([fit.chi2_reduced]), np.array([fit.degrees_of_freedom]))
     factor = float((misfit * faint_factor(np.array([fit.snr])))[0])
-    excess = float(stacked.weights**2 @ np.array([frame.excess_sigma_px for frame in stacked.frames]) ** 2)
+    excess = float(
+        stacked.weights**2 @ np.array([picture.excess_sigma_px for picture in stacked.pictures]) ** 2
+    )
     return replace(
         found,
         method=METHOD,
@@ -196,8 +198,8 @@ class _FitBox:
         self.operators = stacked.operators(self.points)
         self._near = [self._windowed(i, place) for i in range(len(self.operators))]
         noise = np.zeros((len(self.points),) * 2)
-        for operator, frame in zip(self.operators, stacked.before_subtraction, strict=True):
-            noise += ((operator @ sparse.diags_array(frame.variance_dn2.ravel())) @ operator.T).toarray()
+        for operator, picture in zip(self.operators, stacked.before_subtraction, strict=True):
+            noise += ((operator @ sparse.diags_array(picture.variance_dn2.ravel())) @ operator.T).toarray()
         self._noise = noise
 
     def image(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -221,16 +223,16 @@ class _FitBox:
 
     def _windowed(self, i: int, place: FloatArray) -> "_PictureWindow":
         """The operator of a picture on the pixels that the point's light reaches, wherever the fit may move it."""
-        frame = self._stacked.before_subtraction[i]
-        there = self._stacked.grid.to_frame(place[None], frame)
-        psf = frame.psf.at(there[0])
+        picture = self._stacked.before_subtraction[i]
+        there = self._stacked.grid.to_picture(place[None], picture)
+        psf = picture.psf.at(there[0])
         first, size = covering_boxes(psf, there)
         first, size = first[0] - FIT_REACH_PX, size + 2 * FIT_REACH_PX
         line, pixel = (axis.ravel() for axis in np.indices((size, size)) + first[::-1, None, None])
-        n_line, n_pixel = frame.bad.shape
+        n_line, n_pixel = picture.bad.shape
         inside = (line >= 0) & (line < n_line) & (pixel >= 0) & (pixel < n_pixel)
         flat = np.where(inside, line * n_pixel + pixel, 0)
-        slope = self._stacked.grid.jacobian(place[None], frame)[0]
+        slope = self._stacked.grid.jacobian(place[None], picture)[0]
         return _PictureWindow(
             psf, there[0], slope, first, size, self.operators[i][:, flat].toarray() * inside
         )
@@ -278,7 +280,7 @@ class _PictureWindow:
 
 
 def _sigma_px(stacked: Stacked) -> float:
-    return max(float(frame.psf.sigma_px.max()) for frame in stacked.frames)
+    return max(float(picture.psf.sigma_px.max()) for picture in stacked.pictures)
 
 
 def _neighbours_in_view(stacked: Stacked) -> FloatArray:
@@ -340,7 +342,7 @@ def snr_growth(stacked: Stacked, pixel_line: FloatArray) -> Growth:
     """
     if stacked.subtractions is not None:
         raise CenterfindingError("a subtracted stack has no part: its templates are made of all pictures.")
-    total = len(stacked.frames)
+    total = len(stacked.pictures)
     counts = [*(2**i for i in range(total.bit_length()) if 2**i < total), total]
     fluxes = [fit_flux(_stack_of_first(stacked, count), pixel_line) for count in counts]
     flux, sigma = np.array(fluxes).T
@@ -349,9 +351,9 @@ def snr_growth(stacked: Stacked, pixel_line: FloatArray) -> Growth:
 
 def _stack_of_first(stacked: Stacked, count: int) -> Stacked:
     weights = stacked.weights[:count] / stacked.weights[:count].sum()
-    frames, response = stacked.frames[:count], stacked.response[:count]
-    image, noise, pictures = average(frames, stacked.grid, weights, response)
+    pictures, response = stacked.pictures[:count], stacked.response[:count]
+    image, noise, count_of_pixels = average(pictures, stacked.grid, weights, response)
     return replace(
-        stacked, frames=frames, before_subtraction=stacked.before_subtraction[:count], weights=weights, response=response,
-        image_dn=image, noise_dn=noise, count=pictures,
+        stacked, pictures=pictures, before_subtraction=stacked.before_subtraction[:count], weights=weights,
+        response=response, image_dn=image, noise_dn=noise, count=count_of_pixels,
     )  # fmt: skip

@@ -18,14 +18,14 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.campaign.stacking.frames import StackFrame, check_frames, weights_of
 from opnav_workbench.campaign.stacking.grid import Follow, Grid, resample, resampling_rows
+from opnav_workbench.campaign.stacking.pictures import StackPicture, check_pictures, weights_of
 from opnav_workbench.campaign.stacking.subtraction import SLOPE_PART, Subtraction, subtract_stars
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.targets import TargetState
 
-__all__ = ["Stacked", "average", "stack_frames"]
+__all__ = ["Stacked", "average", "stack_pictures"]
 
 
 # ---- The target at a stack's epoch: its state interpolated between the pictures that were stacked.
@@ -33,10 +33,10 @@ __all__ = ["Stacked", "average", "stack_frames"]
 MAX_DEGREE = 3  # of the polynomial in time: orbits bend slowly over a stack
 
 
-def mean_state(frames: Sequence[StackFrame], et: float) -> TargetState:
+def mean_state(pictures: Sequence[StackPicture], et: float) -> TargetState:
     """Return the target at `et`; its other properties are those of the nearest picture."""
-    times = np.array([frame.et for frame in frames])
-    states = [frame.target for frame in frames]
+    times = np.array([picture.et for picture in pictures])
+    states = [picture.target for picture in pictures]
     known = [state for state in states if state is not None]
     nearest = known[int(np.argmin(np.abs(times - et)))]
     span = float(np.ptp(times))
@@ -51,15 +51,15 @@ def mean_state(frames: Sequence[StackFrame], et: float) -> TargetState:
 
 # ---- Cosmic rays, and whatever else is in one picture only.
 
-MIN_FRAMES = 3  # of two that differ nobody knows which one is right
+MIN_PICTURES = 3  # of two that differ nobody knows which one is right
 HIT_SIGMAS = 5.0  # one pixel in two million by noise alone
 SKIRT_SIGMAS = 3.0  # beside a hit: charge that went astray
 EIGHT_NEIGHBOURS = np.ones((3, 3), dtype=bool)
 
 
 def mask_hits(
-    frames: Sequence[StackFrame], grid: Grid, cube: FloatArray, response: FloatArray
-) -> tuple[list[StackFrame], list[int]]:
+    pictures: Sequence[StackPicture], grid: Grid, cube: FloatArray, response: FloatArray
+) -> tuple[list[StackPicture], list[int]]:
     """Return the pictures with hits masked, and how many pixels of each.
 
     Parameters
@@ -68,17 +68,17 @@ def mask_hits(
         The pictures resampled on the grid, light divided by `response`; nan where unusable.
     response : (n,) array
     """
-    if len(frames) < MIN_FRAMES:
-        return list(frames), [0] * len(frames)
+    if len(pictures) < MIN_PICTURES:
+        return list(pictures), [0] * len(pictures)
     with np.errstate(invalid="ignore"):
-        known = np.isfinite(cube).sum(axis=0) >= MIN_FRAMES
+        known = np.isfinite(cube).sum(axis=0) >= MIN_PICTURES
         median = np.where(known, _median(cube), np.nan)
     slope = _slope(median)
     masked, counts = [], []
-    for frame, gain in zip(frames, response, strict=True):
-        hit = _hits_of_frame(frame, grid, median, slope, float(gain))
-        counts.append(int((hit & ~frame.bad).sum()))
-        masked.append(frame.replace(bad=frame.bad | hit))
+    for picture, gain in zip(pictures, response, strict=True):
+        hit = _hits_of_picture(picture, grid, median, slope, float(gain))
+        counts.append(int((hit & ~picture.bad).sum()))
+        masked.append(picture.replace(bad=picture.bad | hit))
     return masked, counts
 
 
@@ -103,25 +103,25 @@ def _slope(median: FloatArray) -> FloatArray:
     return np.where(known, steep, np.nan)
 
 
-def _hits_of_frame(
-    frame: StackFrame, grid: Grid, median: FloatArray, slope: FloatArray, response: float
+def _hits_of_picture(
+    picture: StackPicture, grid: Grid, median: FloatArray, slope: FloatArray, response: float
 ) -> BoolArray:
-    cut = _covered_part(frame, grid)
-    line, pixel = np.indices(frame.bad.shape)[(slice(None), *cut)]
+    cut = _covered_part(picture, grid)
+    line, pixel = np.indices(picture.bad.shape)[(slice(None), *cut)]
     own = np.stack([pixel.ravel(), line.ravel()], axis=1).astype(np.float64)
-    there = grid.index(grid.from_frame(own, frame))
+    there = grid.index(grid.from_picture(own, picture))
     expected, steep = (_interpolated(values, there).reshape(line.shape) for values in (median, slope))
-    off = np.abs(frame.signal_dn[cut] / response - expected) - SLOPE_PART * steep
-    sigmas = np.nan_to_num(off * response / frame.noise_dn[cut], nan=0.0)
+    off = np.abs(picture.signal_dn[cut] / response - expected) - SLOPE_PART * steep
+    sigmas = np.nan_to_num(off * response / picture.noise_dn[cut], nan=0.0)
     core = sigmas > HIT_SIGMAS
-    hit = np.zeros(frame.bad.shape, dtype=bool)
+    hit = np.zeros(picture.bad.shape, dtype=bool)
     hit[cut] = core | (ndimage.binary_dilation(core, EIGHT_NEIGHBOURS) & (sigmas > SKIRT_SIGMAS))
     return hit
 
 
-def _covered_part(frame: StackFrame, grid: Grid) -> tuple[slice, slice]:
+def _covered_part(picture: StackPicture, grid: Grid) -> tuple[slice, slice]:
     """Lines and pixels of a picture that the grid lies on."""
-    places = grid.to_frame(grid.centers(), frame)
+    places = grid.to_picture(grid.centers(), picture)
     seen = places[np.asarray(np.isfinite(places).all(axis=1))]
     if not len(seen):
         return slice(0), slice(0)
@@ -153,7 +153,7 @@ class Stacked:
         Neighbouring pixels are correlated, see `covariance_dn2`.
     count : array of int
         Pictures in each pixel.
-    frames
+    pictures
         With hits masked and, in a subtracted stack, the star field taken away.
     before_subtraction
         The same before subtraction.
@@ -171,8 +171,8 @@ class Stacked:
     noise_dn: FloatArray
     count: IntArray
     grid: Grid
-    frames: tuple[StackFrame, ...]
-    before_subtraction: tuple[StackFrame, ...]
+    pictures: tuple[StackPicture, ...]
+    before_subtraction: tuple[StackPicture, ...]
     weights: FloatArray
     response: FloatArray
     et: float
@@ -195,8 +195,10 @@ class Stacked:
     def neighbours_px(self) -> FloatArray:
         """Return where other bodies lie in the grid's reference camera (k, 2), each in every picture."""
         places = [
-            self.grid.from_frame(frame.camera.project(frame.neighbours @ frame.camera_from_j2000.T), frame)
-            for frame in self.frames
+            self.grid.from_picture(
+                picture.camera.project(picture.neighbours @ picture.camera_from_j2000.T), picture
+            )
+            for picture in self.pictures
         ]
         return np.concatenate(places)
 
@@ -205,7 +207,7 @@ class Stacked:
 
         The stack at these pixels is the sum of all products with the pictures' signals.
         """
-        rows = [resampling_rows(self.grid, pixel_line, frame) for frame in self.frames]
+        rows = [resampling_rows(self.grid, pixel_line, picture) for picture in self.pictures]
         share = self.weights[:, None] * np.array([row.usable for row in rows])
         total = share.sum(axis=0)
         share = share / np.where(total > 0.0, total, 1.0)
@@ -229,8 +231,8 @@ class Stacked:
     def covariance_dn2(self, pixel_line: FloatArray) -> FloatArray:
         """Return the covariance (m, m) of grid pixels (m, 2): exact, for pictures whose own pixels are independent."""
         covariance = np.zeros((len(pixel_line),) * 2)
-        for operator, frame in zip(self.operators(pixel_line), self.before_subtraction, strict=True):
-            weighted = operator @ sparse.diags_array(frame.variance_dn2.ravel())
+        for operator, picture in zip(self.operators(pixel_line), self.before_subtraction, strict=True):
+            weighted = operator @ sparse.diags_array(picture.variance_dn2.ravel())
             covariance += (weighted @ operator.T).toarray()
         return covariance
 
@@ -244,8 +246,8 @@ class Stacked:
         return float(np.mean((covariance / np.outer(sigma, sigma))[0, 1:]))
 
 
-def stack_frames(
-    frames: Sequence[StackFrame],
+def stack_pictures(
+    pictures: Sequence[StackPicture],
     follow: Follow = "target",
     *,
     window_px: int | None = None,
@@ -256,7 +258,7 @@ def stack_frames(
 
     Parameters
     ----------
-    frames
+    pictures
         Of one camera, two at least; three for hits to be found.
     follow : {"stars", "target"}
     window_px
@@ -271,30 +273,30 @@ def stack_frames(
     CenterfindingError
         Pictures that no stack can be made of, or a target that has not moved enough for the stars to be told from it.
     """
-    check_frames(frames, follow=follow)
+    check_pictures(pictures, follow=follow)
     if subtract and follow != "target":
         raise CenterfindingError("only a stack that follows the target can have its star field subtracted.")
-    response, weights = weights_of(frames)
-    et = float(weights @ [frame.et for frame in frames])
-    state = mean_state(frames, et) if all(frame.target is not None for frame in frames) else None
-    grid = _grid(frames, follow, state, et, window_px)
-    before, chosen, subtractions, messages = list(frames), list(frames), None, []
+    response, weights = weights_of(pictures)
+    et = float(weights @ [picture.et for picture in pictures])
+    state = mean_state(pictures, et) if all(picture.target is not None for picture in pictures) else None
+    grid = _grid(pictures, follow, state, et, window_px)
+    before, chosen, subtractions, messages = list(pictures), list(pictures), None, []
     if subtract:
-        before, chosen, subtractions = subtract_stars(frames, grid, weights, response)
-    hits = [int((a.bad & ~b.bad).sum()) for a, b in zip(chosen, frames, strict=True)]
-    if reject_hits and len(frames) >= MIN_FRAMES:
+        before, chosen, subtractions = subtract_stars(pictures, grid, weights, response)
+    hits = [int((a.bad & ~b.bad).sum()) for a, b in zip(chosen, pictures, strict=True)]
+    if reject_hits and len(pictures) >= MIN_PICTURES:
         cube = np.stack([resample(grid, f, float(g))[0] for f, g in zip(chosen, response, strict=True)])
         chosen, more = mask_hits(chosen, grid, cube, response)
         hits = [a + b for a, b in zip(hits, more, strict=True)]
     elif reject_hits:
-        messages.append(f"{len(frames)} pictures: hits cannot be told from stars, none is masked")
+        messages.append(f"{len(pictures)} pictures: hits cannot be told from stars, none is masked")
     image, noise, count = average(chosen, grid, weights, response)
     return Stacked(
         image_dn=image,
         noise_dn=noise,
         count=count,
         grid=grid,
-        frames=tuple(chosen),
+        pictures=tuple(chosen),
         before_subtraction=tuple(before),
         weights=weights,
         response=response,
@@ -307,12 +309,16 @@ def stack_frames(
 
 
 def _grid(
-    frames: Sequence[StackFrame], follow: Follow, state: TargetState | None, et: float, window_px: int | None
+    pictures: Sequence[StackPicture],
+    follow: Follow,
+    state: TargetState | None,
+    et: float,
+    window_px: int | None,
 ) -> Grid:
     """Pixels of the picture nearest to the mean epoch, all of them or those about the target."""
-    middle = min(frames, key=lambda frame: (abs(frame.et - et), frame.name))
-    times = np.array([frame.et for frame in frames])
-    velocity = np.array([frame.observer_velocity_km_s for frame in frames])
+    middle = min(pictures, key=lambda picture: (abs(picture.et - et), picture.name))
+    times = np.array([picture.et for picture in pictures])
+    velocity = np.array([picture.observer_velocity_km_s for picture in pictures])
     spread = float(np.ptp(times))
     # Between the pictures the velocity changes evenly, by far less than matters.
     mean = (
@@ -339,13 +345,13 @@ def _grid(
 
 
 def average(
-    frames: Sequence[StackFrame], grid: Grid, weights: FloatArray, response: FloatArray
+    pictures: Sequence[StackPicture], grid: Grid, weights: FloatArray, response: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return weighted mean, its 1-sigma noise, and the number of pictures in each pixel of the grid."""
     total, light, noise = (np.zeros(grid.shape) for _ in range(3))
     count = np.zeros(grid.shape, dtype=np.int64)
-    for frame, weight, gain in zip(frames, weights, response, strict=True):
-        image, variance = resample(grid, frame, float(gain))
+    for picture, weight, gain in zip(pictures, weights, response, strict=True):
+        image, variance = resample(grid, picture, float(gain))
         usable = np.isfinite(image)
         total += np.where(usable, weight, 0.0)
         light += np.where(usable, weight * image, 0.0)

@@ -21,7 +21,7 @@ from scipy import sparse
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
-from opnav_workbench.campaign.stacking.frames import StackFrame
+from opnav_workbench.campaign.stacking.pictures import StackPicture
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import apparent_direction, geometric_direction, rotation_from_vector
 
@@ -72,44 +72,44 @@ class Grid:
         """Return places (..., 2) of the reference camera as (pixel, line) of the grid's own arrays."""
         return np.asarray(pixel_line - self.first)
 
-    def to_frame(self, pixel_line: FloatArray, frame: StackFrame) -> FloatArray:
+    def to_picture(self, pixel_line: FloatArray, picture: StackPicture) -> FloatArray:
         """Return where places (n, 2) of the reference camera lie in a picture (n, 2); nan out of sight."""
         apparent = self.camera.unproject(pixel_line) @ self.camera_from_j2000
-        there = self._seen(apparent, frame)
-        return np.asarray(frame.camera.project(there @ frame.camera_from_j2000.T))
+        there = self._seen(apparent, picture)
+        return np.asarray(picture.camera.project(there @ picture.camera_from_j2000.T))
 
-    def from_frame(self, pixel_line: FloatArray, frame: StackFrame) -> FloatArray:
+    def from_picture(self, pixel_line: FloatArray, picture: StackPicture) -> FloatArray:
         """Return where places (n, 2) of a picture lie in the reference camera (n, 2); nan out of sight."""
-        there = frame.camera.unproject(pixel_line) @ frame.camera_from_j2000
+        there = picture.camera.unproject(pixel_line) @ picture.camera_from_j2000
         if self.follow == "target":
-            here = there @ self._turn(frame)
+            here = there @ self._turn(picture)
         else:
-            geometric = geometric_direction(there, frame.observer_velocity_km_s)
+            geometric = geometric_direction(there, picture.observer_velocity_km_s)
             here = apparent_direction(geometric, self.observer_velocity_km_s)
         return np.asarray(self.camera.project(here @ self.camera_from_j2000.T))
 
-    def jacobian(self, pixel_line: FloatArray, frame: StackFrame) -> FloatArray:
+    def jacobian(self, pixel_line: FloatArray, picture: StackPicture) -> FloatArray:
         """Return d(place in the picture)/d(place in the reference camera), (n, 2, 2).
 
         Aberration changes by 1e-4 over the sky; over a pixel it does not count.
         """
         apparent = self.camera.unproject(pixel_line) @ self.camera_from_j2000
-        turned = frame.camera_from_j2000 @ (self._turn(frame) if self.follow == "target" else np.eye(3))
-        there = self._seen(apparent, frame) @ frame.camera_from_j2000.T
+        turned = picture.camera_from_j2000 @ (self._turn(picture) if self.follow == "target" else np.eye(3))
+        there = self._seen(apparent, picture) @ picture.camera_from_j2000.T
         inward = self.camera.unproject_jacobian(pixel_line)
-        return np.asarray(frame.camera.project_jacobian(there) @ turned @ self.camera_from_j2000.T @ inward)
+        return np.asarray(picture.camera.project_jacobian(there) @ turned @ self.camera_from_j2000.T @ inward)
 
-    def _seen(self, apparent: FloatArray, frame: StackFrame) -> FloatArray:
+    def _seen(self, apparent: FloatArray, picture: StackPicture) -> FloatArray:
         """Directions (n, 3) as the other picture's spacecraft sees what is there at the stack's epoch."""
         if self.follow == "target":
-            return np.asarray(apparent @ self._turn(frame).T)
+            return np.asarray(apparent @ self._turn(picture).T)
         geometric = geometric_direction(apparent, self.observer_velocity_km_s)
-        return apparent_direction(geometric, frame.observer_velocity_km_s)
+        return apparent_direction(geometric, picture.observer_velocity_km_s)
 
-    def _turn(self, frame: StackFrame) -> FloatArray:
+    def _turn(self, picture: StackPicture) -> FloatArray:
         """Smallest rotation that carries the target's direction at the stack's epoch to that in the picture."""
         assert self.target is not None
-        there = target_direction(frame)
+        there = target_direction(picture)
         axis = np.cross(self.target, there)
         sine = float(np.linalg.norm(axis))
         if sine == 0.0:
@@ -117,10 +117,10 @@ class Grid:
         return rotation_from_vector(axis / sine * np.arctan2(sine, float(self.target @ there)))
 
 
-def target_direction(frame: StackFrame) -> FloatArray:
+def target_direction(picture: StackPicture) -> FloatArray:
     """Return the apparent direction (3,), J2000, in which a picture's target is expected."""
-    assert frame.target is not None
-    return apparent_direction(frame.target.direction, frame.observer_velocity_km_s)
+    assert picture.target is not None
+    return apparent_direction(picture.target.direction, picture.observer_velocity_km_s)
 
 
 # ---- Pictures resampled by cubic convolution, as sparse matrices.
@@ -155,11 +155,11 @@ def cubic_weights(fraction: FloatArray) -> FloatArray:
     return np.where(x <= 1.0, near, np.where(x < 2.0, far, 0.0)) + 0.0
 
 
-def resampling_rows(grid: Grid, pixel_line: FloatArray, frame: StackFrame) -> Resampling:
+def resampling_rows(grid: Grid, pixel_line: FloatArray, picture: StackPicture) -> Resampling:
     """Return the rows that make grid pixels at places (m, 2) of the reference camera out of a picture."""
-    places = grid.to_frame(pixel_line, frame)
-    area = np.abs(np.linalg.det(grid.jacobian(pixel_line, frame)))
-    return cubic_rows(places, area, frame.bad)
+    places = grid.to_picture(pixel_line, picture)
+    area = np.abs(np.linalg.det(grid.jacobian(pixel_line, picture)))
+    return cubic_rows(places, area, picture.bad)
 
 
 def cubic_rows(places: FloatArray, area: FloatArray, bad: BoolArray) -> Resampling:
@@ -181,7 +181,7 @@ def cubic_rows(places: FloatArray, area: FloatArray, bad: BoolArray) -> Resampli
     return Resampling(sparse.csr_array((weight.ravel(), index.ravel(), ends), shape=shape), usable)
 
 
-def resample(grid: Grid, frame: StackFrame, response: float) -> tuple[FloatArray, FloatArray]:
+def resample(grid: Grid, picture: StackPicture, response: float) -> tuple[FloatArray, FloatArray]:
     """Return a picture on the grid, and its variance there, both (n_line, n_pixel) of the grid; nan where unusable.
 
     Parameters
@@ -191,10 +191,10 @@ def resample(grid: Grid, frame: StackFrame, response: float) -> tuple[FloatArray
     """
     centers = grid.centers()
     image, variance = np.full(len(centers), np.nan), np.full(len(centers), np.nan)
-    signal, noise = np.asarray(frame.signal_dn).ravel(), frame.variance_dn2.ravel()
+    signal, noise = np.asarray(picture.signal_dn).ravel(), picture.variance_dn2.ravel()
     for start in range(0, len(centers), BLOCK_PIXELS):
         block = slice(start, start + BLOCK_PIXELS)
-        rows = resampling_rows(grid, centers[block], frame)
+        rows = resampling_rows(grid, centers[block], picture)
         blank = np.where(rows.usable, 1.0, np.nan)
         image[block] = blank * (rows.matrix @ signal) / response
         variance[block] = blank * (rows.matrix.power(2) @ noise) / response**2

@@ -16,7 +16,7 @@ from astropy.io import fits
 from opnav_workbench.arrays import FloatArray, symmetric
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.campaign.stacking.combining import Stacked
-from opnav_workbench.campaign.stacking.frames import StackFrame
+from opnav_workbench.campaign.stacking.pictures import StackPicture
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.files import atomic_path, make_folder, sha256_of
 from opnav_workbench.geometry.times import text_from_et
@@ -58,7 +58,7 @@ def stack_observable(
         center,
         stacked.grid.camera,
         stacked.grid.camera_from_j2000,
-        stack_attitude_covariance(stacked.frames, stacked.weights),
+        stack_attitude_covariance(stacked.pictures, stacked.weights),
         observer_velocity_km_s=stacked.grid.observer_velocity_km_s,
         a_priori_px=stacked.predicted_px,
         diameter_px=np.nan,
@@ -69,10 +69,10 @@ def stack_observable(
     )
 
 
-def stack_attitude_covariance(frames: Sequence[StackFrame], weights: FloatArray) -> FloatArray:
+def stack_attitude_covariance(pictures: Sequence[StackPicture], weights: FloatArray) -> FloatArray:
     """Return the covariance (3, 3) of the stack's attitude: errors of centers average out, the catalog's do not."""
-    own = [frame.attitude_covariance_rad2 - frame.catalog_covariance_rad2 for frame in frames]
-    common = [frame.catalog_covariance_rad2 for frame in frames]
+    own = [picture.attitude_covariance_rad2 - picture.catalog_covariance_rad2 for picture in pictures]
+    common = [picture.catalog_covariance_rad2 for picture in pictures]
     averaged = np.einsum("n,nij->ij", weights**2, np.array(own))
     return symmetric(averaged + np.einsum("n,nij->ij", weights, np.array(common)))
 
@@ -153,7 +153,7 @@ def write_stack(
 
 def _name(stacked: Stacked, center: BodyCenter | None) -> str:
     what = "stars" if center is None else "".join(c if c.isalnum() else "_" for c in center.name).lower()
-    return f"stack_{what}_{Path(stacked.frames[0].name).stem}_{len(stacked.frames)}"
+    return f"stack_{what}_{Path(stacked.pictures[0].name).stem}_{len(stacked.pictures)}"
 
 
 def _result(
@@ -172,7 +172,7 @@ def _result(
         "sha256": sha256_of(picture),
         "utc": utc,
         "et": stacked.et,
-        "exposure_s": float(sum(frame.exposure_s for frame in stacked.frames)),
+        "exposure_s": float(sum(one.exposure_s for one in stacked.pictures)),
         "mission": mission,
         "camera": stacked.grid.camera.name,
         "status": "ok" if center is None or center.status == "ok" else "partial",
@@ -188,7 +188,7 @@ def _result(
 
 
 def _stack_facts(stacked: Stacked) -> dict[str, Any]:
-    values = zip(stacked.frames, stacked.weights, stacked.response, stacked.hits, strict=True)
+    values = zip(stacked.pictures, stacked.weights, stacked.response, stacked.hits, strict=True)
     return {
         "follow": stacked.grid.follow,
         "star_field_subtracted": stacked.subtractions is not None,
@@ -202,15 +202,15 @@ def _stack_facts(stacked: Stacked) -> dict[str, Any]:
 
 def _write_fits(stacked: Stacked, path: Path) -> None:
     head = fits.Header()
-    head["STACKN"] = (len(stacked.frames), "pictures")
+    head["STACKN"] = (len(stacked.pictures), "pictures")
     head["FOLLOW"] = (stacked.grid.follow, "co-registered on")
     head["ET"] = (stacked.et, "weighted mean epoch, TDB s past J2000")
     head["CAMERA"] = stacked.grid.camera.name
     head["FIRSTPIX"] = (int(stacked.grid.first[0]), "of the grid in the reference camera, 0-based")
     head["FIRSTLIN"] = (int(stacked.grid.first[1]), "of the grid in the reference camera, 0-based")
     head["BUNIT"] = ("DN", "of the longest exposure")
-    for frame in stacked.frames:
-        head.add_history(frame.name)
+    for picture in stacked.pictures:
+        head.add_history(picture.name)
     parts = [
         fits.PrimaryHDU(stacked.image_dn, head),
         fits.ImageHDU(stacked.noise_dn, name="NOISE"),

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.campaign.stacking.frames import StackFrame
 from opnav_workbench.campaign.stacking.grid import Grid, resampling_rows, target_direction
+from opnav_workbench.campaign.stacking.pictures import StackPicture
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["SLOPE_PART", "Subtraction", "subtract_stars"]
@@ -69,7 +69,7 @@ class Subtraction:
         freeze_arrays(self)
 
     def parts(
-        self, rows: sparse.csr_array, frames: Sequence[StackFrame]
+        self, rows: sparse.csr_array, pictures: Sequence[StackPicture]
     ) -> Iterator[tuple[int, sparse.csr_array]]:
         """Yield (j, matrix): what the template takes off by way of picture j, for rows (k, n_line * n_pixel)."""
         matched = sparse.csr_array(rows[:, self.pixels] @ convolution_matrix(self.kernel, self.grid.shape))
@@ -78,10 +78,10 @@ class Subtraction:
             return
         matched = sparse.csr_array(matched[:, used] * self.response[self.number])
         centers = self.grid.centers()[used]
-        for j, frame in enumerate(frames):
+        for j, picture in enumerate(pictures):
             share = self.share[j, used] / self.response[j]
             if share.any():
-                there = resampling_rows(self.grid, centers, frame.replace(bad=np.zeros_like(frame.bad)))
+                there = resampling_rows(self.grid, centers, picture.replace(bad=np.zeros_like(picture.bad)))
                 yield j, sparse.csr_array(matched @ (sparse.diags_array(share) @ there.matrix))
 
 
@@ -102,8 +102,8 @@ def convolution_matrix(kernel: FloatArray, shape: tuple[int, int]) -> sparse.csr
 
 
 def subtract_stars(
-    frames: Sequence[StackFrame], grid: Grid, weights: FloatArray, response: FloatArray
-) -> tuple[list[StackFrame], list[StackFrame], list[Subtraction]]:
+    pictures: Sequence[StackPicture], grid: Grid, weights: FloatArray, response: FloatArray
+) -> tuple[list[StackPicture], list[StackPicture], list[Subtraction]]:
     """Return the pictures with the noise of what is left of their stars, the same without star fields, and how.
 
     The second are bad outside their templates.
@@ -113,18 +113,18 @@ def subtract_stars(
     CenterfindingError
         The target has not moved enough: no template of its place can be made.
     """
-    places = [_target_place(frame) for frame in frames]
+    places = [_target_place(picture) for picture in pictures]
     hidden = [
-        frame.replace(bad=frame.bad | _disc(frame, place))
-        for frame, place in zip(frames, places, strict=True)
+        picture.replace(bad=picture.bad | _disc(picture, place))
+        for picture, place in zip(pictures, places, strict=True)
     ]
     known, subtracted, ways = [], [], []
-    for number, frame in enumerate(frames):
-        own = _own_grid(frame, places[number], grid.shape)
+    for number, picture in enumerate(pictures):
+        own = _own_grid(picture, places[number], grid.shape)
         template, variance, share = _template(number, own, hidden, weights, response)
-        _check_moved(frame, own, share, places)
+        _check_moved(picture, own, share, places)
         noisier, done, way = _subtract(
-            number, frame, hidden[number], own, template, variance, share, response
+            number, picture, hidden[number], own, template, variance, share, response
         )
         known.append(noisier)
         subtracted.append(done)
@@ -132,33 +132,35 @@ def subtract_stars(
     return known, subtracted, ways
 
 
-def _target_place(frame: StackFrame) -> FloatArray:
-    apparent = target_direction(frame)
-    return np.asarray(frame.camera.project((frame.camera_from_j2000 @ apparent)[None])[0])
+def _target_place(picture: StackPicture) -> FloatArray:
+    apparent = target_direction(picture)
+    return np.asarray(picture.camera.project((picture.camera_from_j2000 @ apparent)[None])[0])
 
 
-def _radius_px(frame: StackFrame) -> float:
-    return float(PROTECT_SIGMAS * frame.psf.sigma_px.max() + PROTECT_PX)
+def _radius_px(picture: StackPicture) -> float:
+    return float(PROTECT_SIGMAS * picture.psf.sigma_px.max() + PROTECT_PX)
 
 
-def _disc(frame: StackFrame, place: FloatArray) -> BoolArray:
-    line, pixel = np.ogrid[: frame.bad.shape[0], : frame.bad.shape[1]]
-    return np.asarray(np.hypot(pixel - place[0], line - place[1]) <= _radius_px(frame))
+def _disc(picture: StackPicture, place: FloatArray) -> BoolArray:
+    line, pixel = np.ogrid[: picture.bad.shape[0], : picture.bad.shape[1]]
+    return np.asarray(np.hypot(pixel - place[0], line - place[1]) <= _radius_px(picture))
 
 
-def _own_grid(frame: StackFrame, place: FloatArray, shape: tuple[int, int]) -> Grid:
+def _own_grid(picture: StackPicture, place: FloatArray, shape: tuple[int, int]) -> Grid:
     """The picture's own pixels about its target, as far as the detector goes."""
-    if not frame.camera.on_detector(place):
-        raise CenterfindingError(f"{frame.name}: the target is not on its detector; leave that picture out.")
+    if not picture.camera.on_detector(place):
+        raise CenterfindingError(
+            f"{picture.name}: the target is not on its detector; leave that picture out."
+        )
     half = np.array([shape[1], shape[0]]) // 2 + MARGIN_PX
-    size = np.array([frame.camera.n_pixel, frame.camera.n_line])
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     first = np.maximum(np.round(place) - half, 0.0)
     last = np.minimum(np.round(place) + half, size - 1)
     n_pixel, n_line = (last - first + 1).astype(int).tolist()
     return Grid(
-        frame.camera,
-        frame.camera_from_j2000,
-        frame.observer_velocity_km_s,
+        picture.camera,
+        picture.camera_from_j2000,
+        picture.observer_velocity_km_s,
         "stars",
         None,
         first,
@@ -167,17 +169,17 @@ def _own_grid(frame: StackFrame, place: FloatArray, shape: tuple[int, int]) -> G
 
 
 def _template(
-    number: int, own: Grid, hidden: Sequence[StackFrame], weights: FloatArray, response: FloatArray
+    number: int, own: Grid, hidden: Sequence[StackPicture], weights: FloatArray, response: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weighted mean (m,) of the others, nan where too few show a pixel, its variance, and their shares (n, m)."""
     centers = own.centers()
     values, variances = np.full((2, len(hidden), len(centers)), np.nan)
-    for j, frame in enumerate(hidden):
+    for j, picture in enumerate(hidden):
         if j != number:
-            rows = resampling_rows(own, centers, frame)
+            rows = resampling_rows(own, centers, picture)
             blank = np.where(rows.usable, 1.0, np.nan) / response[j]
-            values[j] = blank * (rows.matrix @ frame.signal_dn.ravel())
-            variances[j] = blank**2 * (rows.matrix.power(2) @ frame.variance_dn2.ravel())
+            values[j] = blank * (rows.matrix @ picture.signal_dn.ravel())
+            variances[j] = blank**2 * (rows.matrix.power(2) @ picture.variance_dn2.ravel())
     usable = np.isfinite(values) & ~_hits_in_template(values, variances, own.shape)
     share = np.where(usable, weights[:, None], 0.0)
     enough = usable.sum(axis=0) >= MIN_SOURCES
@@ -199,11 +201,11 @@ def _hits_in_template(values: FloatArray, variances: FloatArray, shape: tuple[in
     return np.asarray(far & (known.sum(axis=0) > MIN_SOURCES))
 
 
-def _check_moved(frame: StackFrame, own: Grid, share: FloatArray, places: Sequence[FloatArray]) -> None:
-    if not share[:, _nearest(own, _target_place(frame))].any():
+def _check_moved(picture: StackPicture, own: Grid, share: FloatArray, places: Sequence[FloatArray]) -> None:
+    if not share[:, _nearest(own, _target_place(picture))].any():
         raise CenterfindingError(
-            f"{frame.name}: fewer than {MIN_SOURCES} other pictures show the sky behind the target, which must move by "
-            f"{2.0 * _radius_px(frame):.0f} px against the stars; stack without subtraction, or add pictures of other "
+            f"{picture.name}: fewer than {MIN_SOURCES} other pictures show the sky behind the target, which must move by "
+            f"{2.0 * _radius_px(picture):.0f} px against the stars; stack without subtraction, or add pictures of other "
             f"times (of {len(places)})."
         )
 
@@ -216,18 +218,18 @@ def _nearest(own: Grid, place: FloatArray) -> int:
 
 def _subtract(
     number: int,
-    frame: StackFrame,
-    hidden: StackFrame,
+    picture: StackPicture,
+    hidden: StackPicture,
     own: Grid,
     template: FloatArray,
     variance: FloatArray,
     share: FloatArray,
     response: FloatArray,
-) -> tuple[StackFrame, StackFrame, Subtraction]:
+) -> tuple[StackPicture, StackPicture, Subtraction]:
     pixel, line = own.centers().astype(int).T
-    flat = line * frame.camera.n_pixel + pixel
-    signal = frame.signal_dn.ravel()[flat] / response[number]
-    noise2 = frame.variance_dn2.ravel()[flat] / response[number] ** 2
+    flat = line * picture.camera.n_pixel + pixel
+    signal = picture.signal_dn.ravel()[flat] / response[number]
+    noise2 = picture.variance_dn2.ravel()[flat] / response[number] ** 2
     unknown = ~np.isfinite(template)
     filled = np.where(unknown, 0.0, template).reshape(own.shape)
     reached = ndimage.binary_dilation(unknown.reshape(own.shape), KERNEL_FOOTPRINT).ravel()
@@ -241,15 +243,19 @@ def _subtract(
     misfit = _misfit(rest, matched, noise2 + spread, teaches)
     # What the pictures' noise maps leave out: light that was not matched, and the stars' own shot noise.
     left = (
-        noise2 + (misfit * matched) ** 2 + np.maximum(matched, 0.0) / (frame.gain_e_per_dn * response[number])
+        noise2
+        + (misfit * matched) ** 2
+        + np.maximum(matched, 0.0) / (picture.gain_e_per_dn * response[number])
     )
-    noisier = frame.replace(
-        noise_dn=_with_pixels(frame, flat, np.sqrt(left) * response[number], frame.noise_dn.ravel()),
+    noisier = picture.replace(
+        noise_dn=_with_pixels(picture, flat, np.sqrt(left) * response[number], picture.noise_dn.ravel()),
     )
     done = noisier.replace(
-        signal_dn=_with_pixels(frame, flat, rest * response[number], 0.0),
-        noise_dn=_with_pixels(frame, flat, np.sqrt(left + spread) * response[number], frame.noise_dn.ravel()),
-        bad=_with_pixels(frame, flat, (reached | frame.bad.ravel()[flat]).astype(np.float64), 1.0) > 0.5,
+        signal_dn=_with_pixels(picture, flat, rest * response[number], 0.0),
+        noise_dn=_with_pixels(
+            picture, flat, np.sqrt(left + spread) * response[number], picture.noise_dn.ravel()
+        ),
+        bad=_with_pixels(picture, flat, (reached | picture.bad.ravel()[flat]).astype(np.float64), 1.0) > 0.5,
     )
     return noisier, done, Subtraction(number, own, flat, share, kernel, misfit, response)
 
@@ -285,8 +291,8 @@ def _misfit(rest: FloatArray, matched: FloatArray, variance: FloatArray, teaches
 
 
 def _with_pixels(
-    frame: StackFrame, flat: IntArray, values: FloatArray, elsewhere: float | FloatArray
+    picture: StackPicture, flat: IntArray, values: FloatArray, elsewhere: float | FloatArray
 ) -> FloatArray:
-    whole = np.array(np.broadcast_to(elsewhere, frame.bad.size), dtype=np.float64)
+    whole = np.array(np.broadcast_to(elsewhere, picture.bad.size), dtype=np.float64)
     whole[flat] = values
-    return whole.reshape(frame.bad.shape)
+    return whole.reshape(picture.bad.shape)

@@ -21,7 +21,14 @@ from opnav_workbench.session import ImageSession
 from opnav_workbench.session.body_models import picture_psf
 from opnav_workbench.targets import TargetState
 
-__all__ = ["RunFrames", "StackFrame", "check_frames", "frame_of_session", "frames_of_runs", "weights_of"]
+__all__ = [
+    "RunPictures",
+    "StackPicture",
+    "check_pictures",
+    "picture_of_session",
+    "pictures_of_runs",
+    "weights_of",
+]
 
 
 # ---- What goes into a stack: solved pictures of one camera.
@@ -30,7 +37,7 @@ NO_COVARIANCE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StackFrame:
+class StackPicture:
     """One solved picture; arrays are read-only.
 
     Attributes
@@ -88,12 +95,12 @@ class StackFrame:
         """Variance of the background (n_line, n_pixel)."""
         return np.asarray(self.noise_dn**2)
 
-    def replace(self, **changes: Any) -> "StackFrame":
+    def replace(self, **changes: Any) -> "StackPicture":
         """Return a copy with some fields changed."""
         return replace(self, **changes)
 
 
-def check_frames(frames: Sequence[StackFrame], *, follow: str) -> None:
+def check_pictures(pictures: Sequence[StackPicture], *, follow: str) -> None:
     """Refuse pictures that no stack can be made of.
 
     Raises
@@ -101,21 +108,21 @@ def check_frames(frames: Sequence[StackFrame], *, follow: str) -> None:
     CenterfindingError
         Fewer than two, exposures that are not positive, or a target that some do not know.
     """
-    if len(frames) < 2:
-        raise CenterfindingError(f"a stack needs two pictures at least, got {len(frames)}.")
-    for frame in frames:
-        if not 0.0 < frame.exposure_s < np.inf:
+    if len(pictures) < 2:
+        raise CenterfindingError(f"a stack needs two pictures at least, got {len(pictures)}.")
+    for picture in pictures:
+        if not 0.0 < picture.exposure_s < np.inf:
             raise CenterfindingError(
-                f"{frame.name}: exposure of {frame.exposure_s} s; its light cannot be scaled."
+                f"{picture.name}: exposure of {picture.exposure_s} s; its light cannot be scaled."
             )
-        if follow == "target" and frame.target is None:
-            raise CenterfindingError(f"{frame.name}: no target to follow; name one, or follow the stars.")
-    names = sorted({frame.camera.name for frame in frames})
+        if follow == "target" and picture.target is None:
+            raise CenterfindingError(f"{picture.name}: no target to follow; name one, or follow the stars.")
+    names = sorted({picture.camera.name for picture in pictures})
     if len(names) > 1:
         raise CenterfindingError(f"the pictures are of {', '.join(names)}; stack one camera at a time.")
 
 
-def weights_of(frames: Sequence[StackFrame]) -> tuple[FloatArray, FloatArray]:
+def weights_of(pictures: Sequence[StackPicture]) -> tuple[FloatArray, FloatArray]:
     """Return what each picture's light is worth against the longest one's (n,), and best weights (n,), sum 1.
 
     A picture of twice the exposure, or of half the noise, counts four times: a faint target is lost in the background.
@@ -125,18 +132,18 @@ def weights_of(frames: Sequence[StackFrame]) -> tuple[FloatArray, FloatArray]:
     CenterfindingError
         A picture without usable pixels or without noise.
     """
-    exposure = np.array([frame.exposure_s for frame in frames])
+    exposure = np.array([picture.exposure_s for picture in pictures])
     response = exposure / exposure.max()
-    noise = np.array([_typical_noise(frame) for frame in frames])
+    noise = np.array([_typical_noise(picture) for picture in pictures])
     weights = (response / noise) ** 2
     return response, weights / weights.sum()
 
 
-def _typical_noise(frame: StackFrame) -> float:
-    noise = float(np.median(frame.noise_dn[~frame.bad])) if (~frame.bad).any() else np.nan
+def _typical_noise(picture: StackPicture) -> float:
+    noise = float(np.median(picture.noise_dn[~picture.bad])) if (~picture.bad).any() else np.nan
     if not 0.0 < noise < np.inf:
         raise CenterfindingError(
-            f"{frame.name}: no usable pixel, or no noise; it cannot be weighted in a stack."
+            f"{picture.name}: no usable pixel, or no noise; it cannot be weighted in a stack."
         )
     return noise
 
@@ -145,12 +152,12 @@ def _typical_noise(frame: StackFrame) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class RunFrames:
+class RunPictures:
     """Pictures of run folders.
 
     Attributes
     ----------
-    frames
+    pictures
         In the order of time.
     utc
         Of their exposures.
@@ -158,18 +165,18 @@ class RunFrames:
         Folder and reason of those that cannot be stacked.
     """
 
-    frames: tuple[StackFrame, ...]
+    pictures: tuple[StackPicture, ...]
     utc: tuple[str, ...]
     left_out: tuple[tuple[str, str], ...]
     mission: str
     reference_body: str
 
 
-def frames_of_runs(
+def pictures_of_runs(
     folders: Sequence[str | Path],
     target: str | None,
     say: Callable[[str], None] = lambda _: None,
-) -> RunFrames:
+) -> RunPictures:
     """Take up sessions again and return their pictures for a stack.
 
     Parameters
@@ -186,26 +193,26 @@ def frames_of_runs(
     SessionError
         None of them can be used.
     """
-    taken: list[tuple[StackFrame, str, Mission]] = []
+    taken: list[tuple[StackPicture, str, Mission]] = []
     left_out = []
     for folder in map(Path, folders):
         say(folder.name)
         try:
             session = ImageSession.resume(folder)
-            frame = frame_of_session(session, target)
+            picture = picture_of_session(session, target)
         except OpNavError as error:
             left_out.append((str(folder), str(error)))
         else:
-            taken.append((frame, session.inputs.utc, session.context.mission))
+            taken.append((picture, session.inputs.utc, session.context.mission))
     if not taken:
         why = "; ".join(f"{folder}: {reason}" for folder, reason in left_out[:2])
         raise SessionError(f"no run can be stacked ({why}).")
     taken.sort(key=lambda item: (item[0].et, item[0].name))
-    frames, times, missions = zip(*taken, strict=True)
-    return RunFrames(frames, times, tuple(left_out), missions[0].name, missions[0].reference_body)
+    pictures, times, missions = zip(*taken, strict=True)
+    return RunPictures(pictures, times, tuple(left_out), missions[0].name, missions[0].reference_body)
 
 
-def frame_of_session(session: ImageSession, target: str | None = None) -> StackFrame:
+def picture_of_session(session: ImageSession, target: str | None = None) -> StackPicture:
     """Return a session's picture for a stack.
 
     Raises
@@ -215,18 +222,18 @@ def frame_of_session(session: ImageSession, target: str | None = None) -> StackF
     """
     pointing, context, inputs = session.state.pointing, session.context, session.inputs
     if pointing is None:
-        raise SessionError(f"{context.frame.path.name}: its pointing is not solved; it cannot be placed.")
+        raise SessionError(f"{context.picture.path.name}: its pointing is not solved; it cannot be placed.")
     if target is not None and target not in inputs.targets:
         session.add_target(target)
         inputs = session.inputs
     gain = context.camera.gain_e_per_dn
-    return StackFrame(
-        name=context.frame.path.name,
+    return StackPicture(
+        name=context.picture.path.name,
         et=inputs.et,
-        exposure_s=context.frame.exposure_s,
+        exposure_s=context.picture.exposure_s,
         signal_dn=context.signal_dn,
         noise_dn=context.noise_dn,
-        bad=context.bad | context.frame.saturated,
+        bad=context.bad | context.picture.saturated,
         camera=context.camera,
         camera_from_j2000=pointing.camera_from_j2000,
         observer_velocity_km_s=inputs.observer.velocity_km_s,

@@ -1,4 +1,4 @@
-"""Star frames for a calibration: pictures solved one after the other, then their stars as arrays."""
+"""Star pictures for a calibration: pictures solved one after the other, then their stars as arrays."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray
-from opnav_workbench.calibration import MIN_STARS, PsfFrame, StarFrames
+from opnav_workbench.calibration import MIN_STARS, PsfPicture, StarPictures
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.processing.automatic import open_picture, solve_stars
 from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.session import ImageSession
 from opnav_workbench.stars import Detections, StarFlag, detect
 
-__all__ = ["SolvedFrames", "psf_frames", "solve_frames", "star_frames"]
+__all__ = ["SolvedPictures", "psf_pictures", "solve_star_pictures", "star_pictures"]
 
 PictureProgress = Callable[[str, str], None]
 
@@ -23,7 +23,7 @@ UNFIT_FLAGS = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFla
 
 
 @dataclass(frozen=True, slots=True)
-class SolvedFrames:
+class SolvedPictures:
     """Pictures of one camera with their pointing solved, and those that failed.
 
     Attributes
@@ -36,12 +36,12 @@ class SolvedFrames:
     failed: tuple[tuple[str, str], ...]
 
 
-def solve_frames(
+def solve_star_pictures(
     images: Sequence[Path],
     opened: OpenedProcessing,
     say: PictureProgress = lambda _name, _words: None,
     least_stars: int = MIN_STARS,
-) -> SolvedFrames:
+) -> SolvedPictures:
     """Solve the pointing of pictures of one camera.
 
     Parameters
@@ -75,7 +75,7 @@ def solve_frames(
         else:
             sessions.append(session)
     _check_cameras(sessions, failed)
-    return SolvedFrames(tuple(sessions), tuple(failed))
+    return SolvedPictures(tuple(sessions), tuple(failed))
 
 
 def _check_cameras(sessions: Sequence[ImageSession], failed: Sequence[tuple[str, str]]) -> None:
@@ -87,7 +87,7 @@ def _check_cameras(sessions: Sequence[ImageSession], failed: Sequence[tuple[str,
         raise CameraError(f"the pictures are of {', '.join(cameras)}; calibrate one camera at a time.")
 
 
-def star_frames(sessions: Sequence[ImageSession]) -> StarFrames:
+def star_pictures(sessions: Sequence[ImageSession]) -> StarPictures:
     """Return the used stars of solved pictures, with the covariances of center and catalog together."""
     parts = []
     for number, session in enumerate(sessions):
@@ -96,12 +96,12 @@ def star_frames(sessions: Sequence[ImageSession]) -> StarFrames:
         assert state.centers is not None
         used = state.mask("used")
         covariance = state.centers.covariance_px2[used] + state.a_priori.covariance_px2[used]
-        frame = np.full(int(used.sum()), number)
-        parts.append((frame, state.centers.pixel_line[used], covariance, state.a_priori.directions[used]))
-    frame, observed, covariance, directions = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return StarFrames(
-        names=tuple(session.context.frame.path.name for session in sessions),
-        frame=frame,
+        picture = np.full(int(used.sum()), number)
+        parts.append((picture, state.centers.pixel_line[used], covariance, state.a_priori.directions[used]))
+    picture, observed, covariance, directions = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return StarPictures(
+        names=tuple(session.context.picture.path.name for session in sessions),
+        picture_index=picture,
         observed_px=observed,
         covariance_px2=covariance,
         directions=directions,
@@ -110,12 +110,14 @@ def star_frames(sessions: Sequence[ImageSession]) -> StarFrames:
     )
 
 
-def psf_frames(sessions: Sequence[ImageSession], min_snr: float, isolation_px: float) -> tuple[PsfFrame, ...]:
+def psf_pictures(
+    sessions: Sequence[ImageSession], min_snr: float, isolation_px: float
+) -> tuple[PsfPicture, ...]:
     """Return pictures with their bright stars that have no neighbor within `isolation_px`.
 
     Stars need not be in the catalog: every detection counts.
     """
-    frames = []
+    pictures = []
     for session in sessions:
         context = session.context
         found = detect(
@@ -123,19 +125,19 @@ def psf_frames(sessions: Sequence[ImageSession], min_snr: float, isolation_px: f
             context.noise_dn,
             context.bad,
             context.camera.psf.sigma_px,
-            saturated=context.frame.saturated,
+            saturated=context.picture.saturated,
         )
-        frames.append(
-            PsfFrame(
-                name=context.frame.path.name,
+        pictures.append(
+            PsfPicture(
+                name=context.picture.path.name,
                 signal_dn=context.signal_dn,
                 noise_dn=context.noise_dn,
-                bad=context.bad | context.frame.saturated,
+                bad=context.bad | context.picture.saturated,
                 pixel_line=found.pixel_line[_bright_and_isolated(found, min_snr, isolation_px)],
                 noise_model=context.noise_model,
             )
         )
-    return tuple(frames)
+    return tuple(pictures)
 
 
 def _bright_and_isolated(found: Detections, min_snr: float, isolation_px: float) -> BoolArray:
