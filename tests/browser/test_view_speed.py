@@ -42,7 +42,7 @@ def nb(module_notebook):
     nb = module_notebook(SETUP, "view")
     nb.command("notebook:run-cell-and-select-next")
     nb.idle()
-    nb.until("'model' in view.images._told")
+    nb.until("'model' in view.images._entries")
     return nb
 
 

@@ -12,6 +12,7 @@ from opnav_workbench.psf import (
     TrailedPsf,
     add_sources,
 )
+from opnav_workbench.psf.empirical import cells_from_stars
 from opnav_workbench.stars import (
     NoiseModel,
     ShapePrior,
@@ -64,7 +65,8 @@ def test_a_psf_extracted_from_stars_fits_other_stars_to_the_noise():
     image, truth, start = field(MoffatPsf(1.2, 2.5), 3e4, 30, 2)
     half = STARS // 2
     known, others = truth[:half], truth[half:]
-    template = EmpiricalPsf.from_stars(image - 10.0, None, known, np.full(half, 3e4), 4, half_size_px=5.0)
+    cells = cells_from_stars(image - 10.0, None, known, np.full(half, 3e4), 4, half_size_px=5.0)
+    template = EmpiricalPsf(cells, 4)
     empirical = fit_psf(image, NOISE_DN, None, start[half:], template, noise_model=NOISE)
     gaussian = fit_gaussian(image, NOISE_DN, None, start[half:], ShapePrior.round_psf(0.5), noise_model=NOISE)
     errors = [np.sqrt(np.mean((fit.pixel_line - others) ** 2)) for fit in (empirical, gaussian)]
