@@ -64,7 +64,9 @@ templates/ holds the HTML of the tabs and of the regions around them (jinja2), s
 of the regions (region.js, workbench.css), of ``bridge`` and of ``image_view``.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
 
 if TYPE_CHECKING:
     from opnav_workbench.workbench.app import workbench
@@ -76,15 +78,7 @@ __all__ = ["Bridge", "ImageView", "workbench"]
 # Loaded on first use: nothing of bokeh or ipywidgets is imported before something is to be shown.
 _HOMES = {"Bridge": "bridge", "ImageView": "image_view", "workbench": "app"}
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module  # noqa: PLC0415
-
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = names_on_demand(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:
