@@ -52,8 +52,11 @@ class AlbedoMapFile(StrictModel):
     north_first: bool = True
 
 
+Part = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+
 class TargetSurface(StrictModel):
-    """How a target's surface looks, where a mission knows more than its brightness.
+    """How a target's surface looks, where a mission knows more than its brightness, and how well its figure is known.
 
     Attributes
     ----------
@@ -61,12 +64,23 @@ class TargetSurface(StrictModel):
         Scattering law by name, with its parameters: ``{law: lunar_lambert, lunar_weight: 0.5}``.
     shape
         Shape model (OBJ, cmod or DSK); one of the loaded kernels comes first.
+    size_sigma
+        1 sigma of the mean radius, as a part of it: by default 0.10, as on a first approach.
+    axes_sigma
+        1 sigma of each principal axis of the outline beside the common size, as a part of the mean radius: by default
+        0.05, with a shape model 0.02.
+    limb_roughness
+        Root mean square of the topography as a part of the mean radius: by default 0.003, as of the small round moons of
+        Saturn; larger moons are smoother, small asteroids rougher by far.
     """
 
     law: dict[str, Any] | None = None
     albedo_map: AlbedoMapFile | None = None
     shape: Path | None = None
     shape_unit: Literal["km", "m"] = "km"
+    size_sigma: Part | None = None
+    axes_sigma: Part | None = None
+    limb_roughness: Part | None = None
 
 
 def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:
@@ -128,7 +142,7 @@ class Mission:
     target_photometry
         Brightness of targets by name.
     target_surfaces
-        How they scatter light, by name, and their albedo map and shape.
+        How they scatter light, by name, their albedo map and shape, and how well size and shape are known.
     target_stars
         List of stars that can be targets.
     keywords

@@ -12,7 +12,7 @@ derivatives).
 ``shape``
     Shape models of triangular plates, with the shadows they cast.
 ``body``
-    One body before the camera; its flux, center and spread.
+    One body before the camera, how far its figure may be wrong, its flux, center and spread.
 ``grid``
     Directions of pixels.
 ``sampling``
@@ -23,7 +23,7 @@ derivatives).
     All bodies: from models to electrons per pixel.
 """
 
-from opnav_workbench.render.body import BodyModel
+from opnav_workbench.render.body import BodyModel, FigureUncertainty
 from opnav_workbench.render.focal_plane import (
     MovingBody,
     RenderedBody,
@@ -46,6 +46,7 @@ from opnav_workbench.render.shape import ShapeModel
 __all__ = [
     "AlbedoMap",
     "BodyModel",
+    "FigureUncertainty",
     "Hapke",
     "Lambert",
     "LommelSeeliger",

@@ -17,13 +17,47 @@ from opnav_workbench.render.scattering import Lambert, ScatteringLaw
 from opnav_workbench.render.shape import PlateSurface, ShapeModel
 from opnav_workbench.targets import TargetState
 
-__all__ = ["BodyModel", "IntegratedLight", "PlacedBody", "integrate_light"]
+__all__ = ["BodyModel", "FigureUncertainty", "IntegratedLight", "PlacedBody", "integrate_light"]
 
 
 # ---- One body to render: its model, and that model placed before the camera and under the Sun.
 
 PATTERN_PX = 0.25  # map cells are averaged up to this size: the spacing of rays in a divided pixel
 COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
+
+
+@dataclass(frozen=True, slots=True)
+class FigureUncertainty:
+    """How far a body's figure may differ from its model: 1 sigma, as parts of the mean radius, above 0 and below 1.
+
+    The defaults suit a first approach, where size and shape come from brightness and light curves.
+
+    Attributes
+    ----------
+    size_sigma
+        Of the mean radius.
+    axes_sigma
+        Of each principal axis of the outline, beside the common size.
+    limb_roughness
+        Root mean square of the topography.
+
+    Raises
+    ------
+    MissionError
+        One of them is not between 0 and 1.
+    """
+
+    size_sigma: float = 0.10
+    axes_sigma: float = 0.05
+    limb_roughness: float = 0.003
+
+    def __post_init__(self) -> None:
+        for label in ("size_sigma", "axes_sigma", "limb_roughness"):
+            value = getattr(self, label)
+            if not 0.0 < value < 1.0:
+                raise MissionError(
+                    f"{label} is {value}; give a part of the mean radius, above 0 and below 1."
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +75,8 @@ class BodyModel:
     flux_e
         Electrons of the whole body, unocculted and uneclipsed; `albedo` then sets the pattern only. None: from albedo
         and sunlight.
+    figure
+        How far size, axes and limb may differ from radii or shape; centerfinders ask, the picture that is drawn does not.
 
     Raises
     ------
@@ -54,6 +90,7 @@ class BodyModel:
     albedo: float | AlbedoMap = 1.0
     shape: ShapeModel | None = None
     flux_e: float | None = None
+    figure: FigureUncertainty = field(default_factory=FigureUncertainty)
 
     def __post_init__(self) -> None:
         name = self.target.name

@@ -12,12 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, BodyPicture, displaced_model
 from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
 from opnav_workbench.mission import AlbedoMapFile, TargetSurface
 from opnav_workbench.photometry import SUN_B_V
 from opnav_workbench.psf import GaussianPsf, Psf
-from opnav_workbench.render import AlbedoMap, BodyModel, ScatteringLaw, ShapeModel, law_from_mapping
+from opnav_workbench.render import (
+    AlbedoMap,
+    BodyModel,
+    FigureUncertainty,
+    ScatteringLaw,
+    ShapeModel,
+    law_from_mapping,
+)
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
@@ -43,6 +51,10 @@ UNKNOWN_SURFACE = TargetSurface()
 # A wider body is no point any more: not in the pattern of stars, where its limb would add false detections, and not for the
 # unresolved method, which models a point.
 MAX_POINT_DIAMETER_PX = 3.0
+# The axes of a first shape model, where the mission does not say: the radar shape of Bennu gave its equatorial ones to 2 %
+# (Nolan et al. 2013, doi 10.1016/j.icarus.2013.05.028).
+SHAPE_AXES_SIGMA = 0.02
+MAX_AXES_SIGMA = 0.9  # of a body ten times as long as wide; an axis cannot vanish
 
 
 def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
@@ -64,14 +76,16 @@ def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
     shape = _shape_of_target(inputs, name, surface)
     law = _scattering_law(context, name, surface)
     flux = _flux_e(context, target, SUN_B_V if photometry is None else photometry.b_v)
+    figure = _figure(surface, shape)
     try:
-        return BodyModel(target, law, albedo, shape, flux)
+        return BodyModel(target, law, albedo, shape, flux, figure)
     except MissionError:
         round_already = target.radii_km is None or np.ptp(target.radii_km) == 0.0
         if shape is not None or isinstance(albedo, AlbedoMap) or round_already:
             raise
-    sphere = replace(target, radii_km=np.full(3, np.cbrt(np.prod(np.asarray(target.radii_km)))))
-    return BodyModel(sphere, law, albedo, flux_e=flux)
+    radii = np.asarray(target.radii_km)
+    sphere = replace(target, radii_km=np.full(3, np.cbrt(np.prod(radii))))
+    return BodyModel(sphere, law, albedo, None, flux, _turned_at_random(figure, radii))
 
 
 def has_albedo_map(context: Context, name: str) -> bool:
@@ -102,6 +116,19 @@ def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> Shape
     if name in inputs.shapes:
         return _shape_model(inputs.shapes[name], "km")
     return None if surface.shape is None else _shape_model(surface.shape, surface.shape_unit)
+
+
+def _figure(surface: TargetSurface, shape: ShapeModel | None) -> FigureUncertainty:
+    """Return how far the figure may be wrong: as the mission says; where it does not, as on a first approach."""
+    stated = surface.model_dump(include={"size_sigma", "axes_sigma", "limb_roughness"}, exclude_none=True)
+    default = FigureUncertainty() if shape is None else FigureUncertainty(axes_sigma=SHAPE_AXES_SIGMA)
+    return replace(default, **stated)
+
+
+def _turned_at_random(figure: FigureUncertainty, radii_km: FloatArray) -> FigureUncertainty:
+    """Return the figure of the sphere that stands for a body of unknown orientation: its axes differ as the radii do."""
+    unequal = float(np.std(np.log(radii_km)))
+    return replace(figure, axes_sigma=min(float(np.hypot(figure.axes_sigma, unequal)), MAX_AXES_SIGMA))
 
 
 @lru_cache(maxsize=8)

@@ -78,6 +78,10 @@ def test_an_unknown_mission_lists_the_known_ones(asked, hint):
         ({"keywords": {"exposure": "EXPTIME"}}, "keywords: .*unknown exposure; known are bits, "),
         ({"keywords": {"quaternion": ["A", "B"]}}, "keywords: .*quaternion .*list of 4 keywords"),
         ({"keywords": {"exposure_scale": "ms"}}, "keywords.exposure_scale: .*valid number"),
+        ({"target_surfaces": {"A": {"size_sigma": 0.0}}}, "target_surfaces.A.size_sigma: .*greater than 0"),
+        ({"target_surfaces": {"A": {"axes_sigma": 5}}}, "target_surfaces.A.axes_sigma: .*less than 1"),
+        ({"target_surfaces": {"A": {"limb_roughness": np.nan}}}, "limb_roughness: .*finite"),
+        ({"target_surfaces": {"A": {"size_sigm": 0.1}}}, "unknown field, did you mean size_sigma"),
     ],
 )
 def test_schema_errors_name_file_and_field(tmp_path, changes, message):
@@ -188,3 +192,15 @@ def test_mission_bodies_are_known_to_spice():
         assert spiceypy.bodn2c(mission.spacecraft_name) == mission.spacecraft_id
         for body in (mission.reference_body, *mission.default_targets):
             spiceypy.bodn2c(body)
+
+
+def test_a_mission_says_how_well_a_figure_is_known(tmp_path):
+    path = mission_file(tmp_path, target_surfaces={"MOON": {"size_sigma": 0.002, "limb_roughness": 0.01}})
+    moon = load_mission(path).target_surfaces["MOON"]
+    assert (moon.size_sigma, moon.axes_sigma, moon.limb_roughness) == (0.002, None, 0.01)
+
+
+def test_figures_that_cassini_measured_are_known_better_than_on_a_first_approach():
+    for surface in load_mission("cassini").target_surfaces.values():
+        assert surface.size_sigma < 0.01
+        assert surface.axes_sigma < 0.01

@@ -10,7 +10,7 @@ from opnav_workbench.constants import AU_KM, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.geometry import apparent_direction, unit
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.render import BodyModel, LommelSeeliger, render_bodies
+from opnav_workbench.render import BodyModel, FigureUncertainty, LommelSeeliger, render_bodies
 from opnav_workbench.scene import Observer, predict_body
 from opnav_workbench.targets import TargetState
 
@@ -225,6 +225,9 @@ def test_impossible_models_are_refused(stage):
         BodyModel(replace(target, sun_position_km=None))
     with pytest.raises(MissionError, match="orientation is unknown"):
         BodyModel(replace(target, body_from_j2000=None, radii_km=np.array([3.0, 2.0, 1.0])))
+    for wrong in (0.0, -0.1, 1.0, np.nan, np.inf):
+        with pytest.raises(MissionError, match=r"size_sigma is .*above 0 and below 1"):
+            FigureUncertainty(size_sigma=wrong)
     inside = replace(target, position_km=0.5 * target.radii_km[0] * unit(target.position_km))
     with pytest.raises(CameraError, match="it must stand outside"):
         stage.render(BodyModel(inside))

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ import pytest
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.kernels.dsk_files import write_dsk
-from opnav_workbench.mission import load_mission
+from opnav_workbench.mission import TargetSurface, load_mission
+from opnav_workbench.render import FigureUncertainty
 from opnav_workbench.session import BODY_METHODS, ImageSession
+from opnav_workbench.session.body_models import body_model_if_known
 
 RIGHT_PX = 0.1  # of a body of uniform albedo, 10 to 50 px wide; what the methods can is tested where they are
 METHODS = ("cross_correlation", "least_squares", "limb_scan", "ellipse")
@@ -59,6 +62,42 @@ def _with_map(folder):
     new = "PLUTO: {law: {law: lunar_lambert, lunar_weight: 0.5}, albedo_map: {file: map.npy}}"
     (folder / "mission.yaml").write_text(text.replace(old, new))
     return folder / "mission.yaml"
+
+
+def test_centerfinders_are_told_how_far_a_figure_may_be_wrong(near):
+    near.add_target("PLUTO")
+    near.add_target("CHARON")
+    known = MappingProxyType({"PLUTO": TargetSurface(size_sigma=0.001, limb_roughness=0.002)})
+    context = replace(near.context, mission=replace(near.context.mission, target_surfaces=known))
+    assert body_model_if_known(context, near.inputs, "PLUTO").figure == FigureUncertainty(0.001, 0.05, 0.002)
+    assert body_model_if_known(context, near.inputs, "CHARON").figure == FigureUncertainty()
+
+
+def test_a_sphere_for_a_body_of_unknown_orientation_may_be_as_wrong_as_its_radii_differ(near):
+    near.add_target("PLUTO")
+    radii = np.array([1250.0, 1250.0, 1000.0])
+    target = replace(near.inputs.targets["PLUTO"], radii_km=radii, body_from_j2000=None)
+    figure = body_model_if_known(
+        near.context, replace(near.inputs, targets={"PLUTO": target}), "PLUTO"
+    ).figure
+    assert figure.size_sigma == FigureUncertainty().size_sigma
+    assert 0.1 < figure.axes_sigma < 0.13  # log-radii scatter by 0.105, and the default adds to it
+
+
+def test_a_shape_model_is_trusted_more_than_an_ellipsoid(near, tmp_path):
+    near.add_target("PLUTO")
+    corners = 1188.0 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+    plates = [
+        (a, b, c) if (a + b + c) % 2 == 0 else (b, a, c) for a in (1, 2) for b in (3, 4) for c in (5, 6)
+    ]
+    lines = ["v {} {} {}".format(*v) for v in corners] + ["f {} {} {}".format(*p) for p in plates]
+    (tmp_path / "octahedron.obj").write_text("\n".join(lines))
+    for stated, expected in ((None, 0.02), (0.07, 0.07)):
+        surface = TargetSurface(shape=tmp_path / "octahedron.obj", axes_sigma=stated)
+        mission = replace(near.context.mission, target_surfaces=MappingProxyType({"PLUTO": surface}))
+        model = body_model_if_known(replace(near.context, mission=mission), near.inputs, "PLUTO")
+        assert model.shape is not None
+        assert model.figure.axes_sigma == expected
 
 
 @pytest.mark.parametrize("method", METHODS)
