@@ -1,6 +1,8 @@
 """Pictures of bodies before a LORRI that moves and distorts, and an independent, brute-force rendering of them."""
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +17,10 @@ from opnav_workbench.render import BodyModel, Lambert, render_bodies
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.stars import NoiseModel
 from opnav_workbench.targets import TargetState
+
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # the modules of the truth, disk_truth and its like, import each other
 
 SUN_AU = 33.0
 RADIUS_KM = 1188.3
