@@ -11,7 +11,7 @@ import sys
 import time
 import traceback
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -22,10 +22,11 @@ from disk_truth import TrialSetup, data_folder, make_trial
 import opnav_workbench.bodies as bodies
 
 CONTRASTS = (1.0, 3.0, 9.0)
-SIZE_EDGES_PX = (5.0, 15.0, 40.0, 120.0, 300.0, 800.0)
+SIZE_EDGES_PX = (5.0, 15.0, 40.0, 120.0, 300.0, 800.0, 2000.0)
 PHASE_EDGES_DEG = (0.0, 40.0, 90.0, 130.0)
 FIGURES = ("right", "size", "axes")
-GRIDS = {"small": (5.0, 150.0), "full": (5.0, 800.0)}
+GRIDS = {"small": (5.0, 150.0), "full": (5.0, 800.0), "odd": (3.0, 2000.0)}
+MAX_PHASE_DEG = {"small": 130.0, "full": 130.0, "odd": 150.0}
 TRIAXIAL = (1.12, 1.0, 0.88)
 PSFS, PSF_SHARES = ("known", "known_wings", "width", "wings"), (0.4, 0.15, 0.25, 0.2)
 CUT_SHARE = 0.1  # of the trials have their center anywhere in the frame
@@ -57,10 +58,10 @@ def draw(seed, index, grid="full"):
     figure = FIGURES[(index // 6) % 3]
     pattern, error = _figure(figure, rng)
     displaced = rng.random() < 0.5
-    return TrialSetup(
+    setup = TrialSetup(
         seed=int(rng.integers(2**31)),
         diameter_px=diameter,
-        phase_deg=float(130.0 * u[1]),
+        phase_deg=float(MAX_PHASE_DEG[grid] * u[1]),
         family=_family(contrast, rng),
         contrast=contrast,
         law=law,
@@ -72,6 +73,22 @@ def draw(seed, index, grid="full"):
         peak_dn=float(np.exp(rng.uniform(np.log(150.0), np.log(3000.0)))),
         place_px=tuple(rng.uniform(0.0, 1023.0, 2)) if rng.random() < CUT_SHARE else None,
     )
+    return setup if grid != "odd" else _with_oddities(setup, rng)
+
+
+def _with_oddities(setup, rng):
+    """Return a setup with some of: saturated parts, cosmic rays, a rough limb, a center outside the frame."""
+    odd = {}
+    if rng.random() < 0.4:
+        odd["saturation_dn"] = setup.peak_dn * float(rng.uniform(0.3, 1.0))
+    if rng.random() < 0.4:
+        odd["cosmic_rays"] = int(rng.integers(20, 400))
+    if rng.random() < 0.4:
+        odd["topography"] = float(rng.uniform(0.002, 0.01))
+    if rng.random() < 0.3:
+        beyond = min(0.4 * setup.diameter_px, 250.0)  # LORRI's distortion is not known much farther out
+        odd["place_px"] = tuple(rng.uniform(-beyond, 1023.0 + beyond, 2))
+    return replace(setup, **odd)
 
 
 def _figure(figure, rng):
@@ -215,6 +232,11 @@ KEYS = {
     "psf": lambda r: r["psf"],
     "family": lambda r: r["family"],
     "displaced": lambda r: "> 5 px" if r["displacement_px"] > 5.0 else "< 5 px",
+    "oddities": lambda r: (
+        "saturated " * (r["saturation_dn"] < np.inf)
+        + "hit " * (r["cosmic_rays"] > 0)
+        + "rough" * (r["topography"] > 0)
+    ),
     "place": lambda r: "anywhere" if r["place_px"] else "inside",
     "status": lambda r: r["status"],
 }
@@ -231,6 +253,7 @@ TABLES = (
     ("place",),
     ("law name",),
     ("family",),
+    ("oddities",),
 )
 HEAD = f"{'':36s}   n asked   ok%  err/sig  (median)  median px    max px  false  cpu s"
 

@@ -203,12 +203,14 @@ def _template(core, share):
 
 
 def _topography(rms, rng):
-    """Fourier amplitudes (cosine, sine) of the limb's height over the radius, from m = 2 on; None for none."""
+    """The limb's height over the radius at even steps of its angle, a Fourier series from m = 2 on; None for none."""
     if rms == 0.0:
         return None
     m = np.arange(2, 41)
     amplitudes = rng.normal(size=(2, len(m))) * m**-1.2
-    return rms * amplitudes / np.sqrt(0.5 * np.sum(amplitudes**2))
+    waves = np.linspace(-np.pi, np.pi, 2048)[:, None] * m
+    height = np.cos(waves) @ amplitudes[0] + np.sin(waves) @ amplitudes[1]
+    return rms * height / np.sqrt(0.5 * np.sum(amplitudes**2))
 
 
 @dataclass(frozen=True)
@@ -265,11 +267,9 @@ class TrueBody:
         """Points of nearest approach with the limb's relief taken out: a radius 1 + h is as one of 1."""
         if self.topography is None:
             return nearest
-        across = np.linalg.svd(self.body_from_j2000 @ self.position_km[None].T / self.axes_km[:, None])[0]
+        across = np.linalg.svd((self.body_from_j2000 @ self.position_km / self.axes_km)[:, None])[0]
         angle = np.arctan2(nearest @ across[:, 2], nearest @ across[:, 1])
-        m = np.arange(2, 41)
-        waves = angle[..., None] * m
-        height = np.cos(waves) @ self.topography[0] + np.sin(waves) @ self.topography[1]
+        height = np.interp(angle, np.linspace(-np.pi, np.pi, len(self.topography)), self.topography)
         return nearest / (1.0 + height)[..., None]
 
     def lit_limb_share(self, camera):
