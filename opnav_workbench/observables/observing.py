@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies import BodyCenter, JointCenters
+from opnav_workbench.bodies import BodyCenter, BodyFlag, JointCenters
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import PointingError
@@ -79,8 +79,12 @@ def observe(
     observer: str = "",
     light_time: str = "fixed",
     center_cross_px2: Mapping[str, FloatArray] | None = None,
+    pointing_doubt: str = "",
 ) -> Observable:
     """Turn a measured center into an observable.
+
+    A center that is ``ok`` is an observable that is ``uncertain`` where the pointing is in doubt: in the picture it is
+    measured, on the sky it stands no surer than the stars.
 
     Parameters
     ----------
@@ -103,6 +107,8 @@ def observe(
         "fixed" where that is not known.
     center_cross_px2 : mapping of str to (2, 2) array, optional
         See `center_cross`.
+    pointing_doubt
+        Why the pointing is not ok, in words.
 
     Raises
     ------
@@ -133,6 +139,8 @@ def observe(
         attitude_covariance_rad2=attitude_covariance_rad2,
         center_cross_px2=center_cross_px2 or {},
         **_measured_values(center),
+        **_judgement(center, pointing_doubt),
+        **_measured_range(center),
         **_directions(view, center),
         **_derivatives(view, center, np.asarray(attitude_covariance_rad2, float), diameter_px, predicted),
     )
@@ -153,15 +161,29 @@ def _measured_values(center: BodyCenter) -> dict[str, Any]:
     return {
         "name": center.name,
         "method": center.method,
-        "status": center.status,
         "observed_px": center.pixel_line,
         "covariance_px2": center.covariance_px2,
         "measured_diameter_px": center.diameter_px,
         "diameter_sigma_px": center.diameter_sigma_px,
-        "measured_range_km": center.range_km,
-        "range_sigma_km": center.range_sigma_km,
         "snr": center.snr,
-        "messages": center.messages,
+    }
+
+
+def _judgement(center: BodyCenter, pointing_doubt: str) -> dict[str, Any]:
+    """Status and messages of the center, and what the pointing makes of them."""
+    if center.pixel_line is None or not pointing_doubt:
+        return {"status": center.status, "messages": center.messages}
+    status = "uncertain" if center.status == "ok" else center.status
+    return {"status": status, "messages": (*center.messages, pointing_doubt)}
+
+
+def _measured_range(center: BodyCenter) -> dict[str, float]:
+    """Range from the body's size; none where the size was not solved for, or the center itself is in doubt."""
+    solved = not center.flags & BodyFlag.SIZE_UNSOLVED and 0.0 < center.range_sigma_km < np.inf
+    known = center.status == "ok" and solved
+    return {
+        "measured_range_km": center.range_km if known else np.nan,
+        "range_sigma_km": center.range_sigma_km if known else np.nan,
     }
 
 

@@ -164,7 +164,7 @@ def _draw_marks(axes: Axes, session: ImageSession, first: int, last: int) -> Non
         _mark(
             axes, place, first, last, n_line, "+" if used else "s", OBSERVED_COLOR if used else REJECTED_COLOR
         )
-    for number, body in enumerate(session.state.observables):
+    for number, body in enumerate(session.current_observables):
         if _mark(axes, body.predicted_px, first, last, n_line, "D", BODY_COLOR):
             above = number % 2 == 0  # names of near neighbours then do not cover each other
             left = body.predicted_px[0] > first + 0.85 * (last - first)  # no room on the right

@@ -287,7 +287,8 @@ def add_target(
 ) -> SessionState:
     """Expect a target in the picture; bodies already found are looked at again with its light and its shadow."""
     name = parameters["name"]
-    return _others_found_again(context, inputs, _expecting(state, name), name)
+    state = _others_found_again(context, inputs, _expecting(state, name), name)
+    return with_renewed_observables(context, inputs, state)
 
 
 def _expecting(state: SessionState, *names: str) -> SessionState:

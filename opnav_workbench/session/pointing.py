@@ -1,4 +1,4 @@
-"""The camera's attitude of a session: the best one known, its covariance, the step that solves it from the stars in use.
+"""The camera's attitude of a session: the best one known, its covariance, its doubts, the step that solves it from stars.
 
 Observables rest on the attitude, so they are computed here and follow every new solution.  Steps are pure functions:
 (context, inputs, state, parameters) -> state.
@@ -31,6 +31,8 @@ from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 __all__ = [
     "attitude_covariance",
     "best_attitude",
+    "current_observables",
+    "pointing_doubt",
     "repoint",
     "with_observables",
     "with_renewed_observables",
@@ -60,9 +62,34 @@ def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
     return state.pointing.covariance_rad2
 
 
+def pointing_doubt(state: SessionState) -> str:
+    """Return why the pointing is not ok, in words; empty where it is.
+
+    A star field that is no more than a proposal is sure once the analyst has accepted every star that the pointing uses.
+    """
+    if state.pointing is None:
+        return "the pointing is not solved from stars"
+    if state.star_field is not None and not state.star_field.sure and not _confirmed(state):
+        return "the star field is not identified for sure"
+    if not state.pointing.twist_solved:
+        return "the stars do not determine the twist of the pointing"
+    return ""
+
+
+def _confirmed(state: SessionState) -> bool:
+    assert state.a_priori is not None
+    used = state.a_priori.id[state.mask("used")].tolist()
+    return bool(used) and all(state.decisions.get(star, ("", ""))[0] == ACCEPTED for star in used)
+
+
+def current_observables(context: Context, inputs: Inputs, state: SessionState) -> tuple[Observable, ...]:
+    """Return every body's center as an observable with partials, whether they were asked for or not."""
+    return tuple(_observable(context, inputs, state, body) for body in state.bodies)
+
+
 def with_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
     """Turn every body's center into an observable with partials."""
-    return state.replace(observables=tuple(_observable(context, inputs, state, b) for b in state.bodies))
+    return state.replace(observables=current_observables(context, inputs, state))
 
 
 def with_renewed_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
@@ -89,6 +116,7 @@ def _observable(context: Context, inputs: Inputs, state: SessionState, center: B
         reference_body=context.mission.reference_body,
         observer=context.mission.spacecraft_name,
         center_cross_px2=_center_cross(state, center),
+        pointing_doubt=pointing_doubt(state),
     )
 
 

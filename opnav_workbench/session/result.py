@@ -4,6 +4,7 @@ Residuals are observed minus predicted; missing values are None.  An entry of ``
 observed, how, how well, and what is to be known of it.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,13 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, describe_body_flags
 from opnav_workbench.bodies.results import LimbScans
+from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.observables import Observable
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs, InputSource
+from opnav_workbench.session.pointing import current_observables, pointing_doubt
 from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, SessionState, has_center
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
@@ -26,10 +29,9 @@ __all__ = ["body_results", "kernel_entries", "result_dict"]
 # ---- Bodies.
 
 
-def body_results(state: SessionState) -> list[dict[str, Any]]:
+def body_results(observables: Sequence[Observable], centers: Sequence[BodyCenter]) -> list[dict[str, Any]]:
     """Return one mapping per observable; an observable belongs to the body's center at the same place."""
-    pairs = zip(state.observables, state.bodies, strict=True) if state.observables else ()
-    return [_body_result(observable, center) for observable, center in pairs]
+    return [_body_result(o, center) for o, center in zip(observables, centers, strict=True)]
 
 
 def _body_result(o: Observable, center: BodyCenter) -> dict[str, Any]:
@@ -48,8 +50,8 @@ def _body_result(o: Observable, center: BodyCenter) -> dict[str, Any]:
         "measured_diameter_px": o.measured_diameter_px,
         "diameter_sigma_px": center.diameter_sigma_px,
         "range_km": o.range_km,
-        "measured_range_km": center.range_km,
-        "range_sigma_km": center.range_sigma_km,
+        "measured_range_km": o.measured_range_km,
+        "range_sigma_km": o.range_sigma_km,
         "brightness_scale": center.brightness_scale,
         "partials_px_per_km": o.partials_px_per_km,
         "ra_deg": o.ra_deg,
@@ -77,6 +79,7 @@ def _joint_covariances(o: Observable) -> dict[str, Any] | None:
 def result_dict(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
     """Return everything found as plain values; residual = observed minus predicted, missing values are None."""
     frame = context.picture
+    observables = current_observables(context, inputs, state)
     return {
         "image": frame.path.name,
         "sha256": frame.sha256,
@@ -85,31 +88,37 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "exposure_s": frame.exposure_s,
         "mission": context.mission.name,
         "camera": context.camera.name,
-        "status": overall_status(state),
+        "status": overall_status(context.camera, state, observables),
         "messages": list(state.messages),
         "identification": _identification(state.star_field),
         "pointing": _pointing(state.pointing),
         "stars": _star_results(context, state),
-        "bodies": body_results(state),
+        "bodies": body_results(observables, state.bodies),
         "provenance": _provenance(context, source, inputs, state),
     }
 
 
-def overall_status(state: SessionState) -> str:
-    """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing."""
+def overall_status(camera: Camera, state: SessionState, observables: Sequence[Observable]) -> str:
+    """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing.
+
+    ``ok`` is a sure pointing with every target that was looked for either found for sure by one method at least, or
+    outside the field, where there is nothing to find.
+    """
     if state.pointing is None:
         return "failed"
-    found = not state.skipped_targets and all(
-        _body_found(state, name) for name in {o.name for o in state.observables}
-    )
-    sure = state.star_field is None or state.star_field.sure
-    complete = state.pointing.twist_solved and found and sure
-    return "ok" if complete else "partial"
+    told = {o.name: [p for p in observables if p.name == o.name] for o in observables}
+    found = not state.skipped_targets and all(_found_or_outside(camera, of_one) for of_one in told.values())
+    return "ok" if found and not pointing_doubt(state) else "partial"
 
 
-def _body_found(state: SessionState, name: str) -> bool:
-    """Whether at least one method is sure of a body."""
-    return any(o.status == "ok" for o in state.observables if o.name == name)
+def _found_or_outside(camera: Camera, of_one: Sequence[Observable]) -> bool:
+    return any(o.status == "ok" for o in of_one) or all(_outside(camera, o) for o in of_one)
+
+
+def _outside(camera: Camera, o: Observable) -> bool:
+    """Whether a target was not found, and no part of it is expected on the detector."""
+    radius_px = 0.5 * float(np.nan_to_num(o.diameter_px))
+    return o.observed_px is None and not camera.on_detector(o.predicted_px, radius_px)
 
 
 def _identification(found: FieldFound | None) -> dict[str, Any] | None:

@@ -21,7 +21,7 @@ from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
 from opnav_workbench.files import json_text, sha256_of
 from opnav_workbench.mission import Mission, load_mission
-from opnav_workbench.observables import observables_table
+from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.scene import BodyPrediction, StarPrediction, predict_body
 from opnav_workbench.session import inputs as input_values
 from opnav_workbench.session import storage
@@ -32,7 +32,7 @@ from opnav_workbench.session.decisions import Decisions, load_decisions, write_d
 from opnav_workbench.session.folder_lock import check_unlocked
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource
-from opnav_workbench.session.pointing import best_attitude
+from opnav_workbench.session.pointing import best_attitude, current_observables
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import result_dict
 from opnav_workbench.session.settings import Settings
@@ -244,6 +244,11 @@ class ImageSession:
     def camera_from_j2000(self) -> FloatArray:
         """Best known attitude (3, 3): solved, else where the analyst put the field, else a priori."""
         return best_attitude(self.inputs, self.state)
+
+    @property
+    def current_observables(self) -> tuple[Observable, ...]:
+        """Observables of all centers found so far, without a step: what `result` and `save` give out."""
+        return current_observables(self.context, self.inputs, self.state)
 
     @property
     def folder(self) -> Path | None:
@@ -650,7 +655,7 @@ class ImageSession:
             writer = self._autosave if self.folder == target.resolve() else None
             if writer is None:
                 check_unlocked(target)
-            storage.write_session(target, self.result(), self.state.observables, self._stored_values())
+            storage.write_session(target, self.result(), self.current_observables, self._stored_values())
             if writer is None:
                 (target / JOURNAL_FILE).unlink(missing_ok=True)  # session.json holds the whole journal
             else:

@@ -93,7 +93,7 @@ class ObservablesTab(Tab):
             actions=self.registry,
             folder=item.folder or self.out,
             files=self.exported.get(item.name, ()),
-            rows=[observable_row(observable) for observable in session.state.observables],
+            rows=[observable_row(observable) for observable in session.current_observables],
             messages=session.state.messages,
             notes=session.state.user_notes,
             journal=list(reversed(session.journal[-LISTED_ENTRIES:])),

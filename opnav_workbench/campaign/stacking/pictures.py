@@ -19,6 +19,7 @@ from opnav_workbench.mission import Mission
 from opnav_workbench.psf import Psf
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.body_models import picture_psf
+from opnav_workbench.session.pointing import pointing_doubt
 from opnav_workbench.targets import TargetState
 
 __all__ = [
@@ -65,6 +66,8 @@ class StackPicture:
         For the target's own shot noise; inf: none.
     neighbours : (k, 3) array
         Apparent directions of other bodies, J2000: bright ones beside a faint target.
+    pointing_doubt
+        Why its pointing is not ok, in words.
     """
 
     name: str
@@ -83,6 +86,7 @@ class StackPicture:
     excess_sigma_px: float = 0.0
     gain_e_per_dn: float = np.inf
     neighbours: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    pointing_doubt: str = ""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.signal_dn)
@@ -244,6 +248,7 @@ def picture_of_session(session: ImageSession, target: str | None = None) -> Stac
         excess_sigma_px=pointing.excess_sigma_px,
         gain_e_per_dn=np.inf if gain is None else gain,
         neighbours=_other_directions(session, target),
+        pointing_doubt=pointing_doubt(session.state),
     )
 
 

@@ -22,7 +22,6 @@ from opnav_workbench.files import atomic_path, make_folder, sha256_of
 from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.observables import Observable, observe
 from opnav_workbench.session.result import body_results, kernel_entries
-from opnav_workbench.session.state import SessionState
 from opnav_workbench.session.storage import RESULT_FILE, TABLE_FILE, write_data, write_table, write_together
 from opnav_workbench.version import __version__
 
@@ -66,7 +65,16 @@ def stack_observable(
         et=stacked.et,
         utc=utc,
         reference_body=reference_body,
+        pointing_doubt=_pointing_doubt(stacked.pictures),
     )
+
+
+def _pointing_doubt(pictures: Sequence[StackPicture]) -> str:
+    doubtful = [picture for picture in pictures if picture.pointing_doubt]
+    if not doubtful:
+        return ""
+    first = f"{doubtful[0].name}: {doubtful[0].pointing_doubt}"
+    return first if len(doubtful) == 1 else f"{first}; and {len(doubtful) - 1} more pictures"
 
 
 def stack_attitude_covariance(pictures: Sequence[StackPicture], weights: FloatArray) -> FloatArray:
@@ -136,12 +144,8 @@ def write_stack(
             stacked, center, image=picture.name, utc=utc, reference_body=reference_body
         )
     observables = () if observable is None else (observable,)
-    bodies = (
-        body_results(SessionState(bodies=(center,), observables=observables))
-        if center and observables
-        else []
-    )
-    result = _result(stacked, center, picture, utc, mission, left_out) | {"bodies": bodies}
+    bodies = body_results(observables, (center,)) if center and observables else []
+    result = _result(stacked, observable or center, picture, utc, mission, left_out) | {"bodies": bodies}
     write_together(
         {
             folder / RESULT_FILE: partial(write_data, result),
@@ -158,15 +162,15 @@ def _name(stacked: Stacked, center: BodyCenter | None) -> str:
 
 def _result(
     stacked: Stacked,
-    center: BodyCenter | None,
+    judged: Observable | BodyCenter | None,
     picture: Path,
     utc: str,
     mission: str,
     left_out: Sequence[tuple[str, str]],
 ) -> dict[str, Any]:
     messages = [*stacked.messages, *(f"{Path(run).name} left out: {reason}" for run, reason in left_out)]
-    if center is not None and center.status != "ok":
-        messages += [f"{center.name}: {message}" for message in center.messages]
+    if judged is not None and judged.status != "ok":
+        messages += [f"{judged.name}: {message}" for message in judged.messages]
     return {
         "image": picture.name,
         "sha256": sha256_of(picture),
@@ -175,7 +179,7 @@ def _result(
         "exposure_s": float(sum(one.exposure_s for one in stacked.pictures)),
         "mission": mission,
         "camera": stacked.grid.camera.name,
-        "status": "ok" if center is None or center.status == "ok" else "partial",
+        "status": "ok" if judged is None or judged.status == "ok" else "partial",
         "messages": messages,
         "pointing": None,
         "stars": [],

@@ -1,0 +1,162 @@
+"""What a target's center is worth with the pointing that it rests on, and what of it is given out."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import QTable
+
+from opnav_workbench.bodies import BodyFlag
+from opnav_workbench.session import ImageSession
+from opnav_workbench.session.pointing import with_observables
+from opnav_workbench.session.result import result_dict
+
+# With Pluto 47 px wide in the middle of 256 x 256 px, Charon is outside; the Sun stands behind the camera.
+BEHIND, OUTSIDE = "SUN", "CHARON"
+
+
+def _result(session, **changes):
+    """The result of a session with parts of its state changed."""
+    state = session.state.replace(**changes)
+    state = with_observables(session.context, session.inputs, state)
+    return result_dict(session.context, session.source, session.inputs, state)
+
+
+def _body(result, name="PLUTO"):
+    (found,) = [body for body in result["bodies"] if body["name"] == name]
+    return found
+
+
+@pytest.fixture
+def found(near):
+    near.find_body("PLUTO", "least_squares")
+    assert near.state.bodies[0].status == "ok"
+    return near
+
+
+# -- a target is never ok on a pointing that is not ----------------------------------------------------------------
+
+
+def test_a_target_on_a_sure_pointing_is_ok(found):
+    result = _result(found)
+    assert (result["status"], _body(result)["status"], _body(result)["messages"]) == ("ok", "ok", ())
+
+
+@pytest.mark.parametrize(
+    ("doubt", "said"),
+    [
+        (lambda s: {"pointing": None}, "the pointing is not solved"),
+        (lambda s: {"pointing": replace(s.pointing, twist_solved=False)}, "do not determine the twist"),
+        (
+            lambda s: {"star_field": replace(s.star_field, sure=False)},
+            "the star field is not identified for sure",
+        ),
+    ],
+)
+def test_a_target_on_an_unsure_pointing_is_uncertain_with_the_reason(found, doubt, said):
+    changes = doubt(found.state)
+    result, before = _result(found, **changes), found.state.bodies[0]
+    body = _body(result)
+    assert result["status"] in ("partial", "failed")
+    assert body["status"] == "uncertain"
+    assert any(said in message for message in body["messages"])
+    # On the detector it stays measured: its place and its covariance are the center's own.
+    np.testing.assert_array_equal(body["observed"], before.pixel_line)
+    np.testing.assert_array_equal(body["covariance_px2"], before.covariance_px2)
+    assert before.status == "ok"
+
+
+def test_a_field_that_the_analyst_confirmed_star_by_star_is_sure(found):
+    used = found.state.a_priori.id[found.state.mask("used")].tolist()
+    unsure = replace(found.state.star_field, sure=False)
+    found.accept_stars(used[1:], "seen")
+    assert _body(_result(found, star_field=unsure))["status"] == "uncertain"
+    found.accept_stars(used[:1], "seen")
+    result = _result(found, star_field=unsure)
+    assert (result["status"], _body(result)["status"]) == ("ok", "ok")
+    assert not result["identification"]["sure"]  # which says what the search made of it
+
+
+def test_files_say_the_same_as_the_result(found, tmp_path):
+    found.reject_stars(found.state.a_priori.id.tolist(), "clouds")
+    found.repoint()
+    found.save(tmp_path)
+    body = json.loads((tmp_path / "result.json").read_text())["bodies"][0]
+    table = QTable.read(tmp_path / "observables.ecsv", format="ascii.ecsv")
+    assert body["status"] == table["status"][0] == "uncertain"
+    assert body["messages"]
+    assert ImageSession.resume(tmp_path).result()["bodies"][0]["status"] == "uncertain"
+
+
+# -- a target outside the field ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [BEHIND, OUTSIDE])
+def test_a_target_outside_the_field_does_not_spoil_the_picture(found, name):
+    for method in ("auto", "ellipse"):
+        found.find_body(name, method)
+        result = found.result()
+        assert _body(result)["status"] == "ok"
+        assert [b["status"] for b in result["bodies"] if b["name"] == name][-1] == "off_detector"
+        assert result["status"] == "ok"
+        assert any(name in message for message in result["messages"])
+
+
+def test_a_target_in_the_field_that_was_not_found_spoils_it(found):
+    lost = replace(found.state.bodies[0], status="not_detected", pixel_line=None)
+    assert _result(found, bodies=(lost,))["status"] == "partial"
+
+
+def test_a_target_whose_limb_alone_lies_off_the_detector_is_in_the_field(found):
+    """Nearer than its disk fits into the picture: nobody measured what was asked for, and it is there."""
+    lost = replace(found.state.bodies[0], status="off_detector", pixel_line=None)
+    assert _result(found, bodies=(lost,))["status"] == "partial"
+
+
+# -- a center that was found is in the result ----------------------------------------------------------------------
+
+
+def test_a_center_is_in_result_and_files_without_asking_for_observables(found, tmp_path):
+    found.save(tmp_path)
+    body = json.loads((tmp_path / "result.json").read_text())["bodies"][0]
+    assert (body["name"], body["status"]) == ("PLUTO", "ok")
+    table = QTable.read(tmp_path / "observables.ecsv", format="ascii.ecsv")
+    assert table["body"].tolist() == ["PLUTO"]
+    before = found.to_json()
+    found.observables()
+    assert found.to_json() == before
+
+
+def test_a_center_that_is_in_doubt_makes_the_picture_partial_without_asking_for_observables(found):
+    doubtful = replace(found.state.bodies[0], status="uncertain", messages=("why",))
+    state = found.state.replace(bodies=(doubtful,))
+    assert not state.observables
+    assert result_dict(found.context, found.source, found.inputs, state)["status"] == "partial"
+
+
+def test_observables_follow_a_target_that_is_added_later(pair):
+    pair.find_body("PLUTO", "least_squares")
+    pair.observables()
+    pair.add_target("CHARON")
+    np.testing.assert_array_equal(pair.state.observables[0].observed_px, pair.state.bodies[0].pixel_line)
+
+
+# -- the range from a body's size ----------------------------------------------------------------------------------
+
+
+def test_a_range_is_given_out_by_a_center_that_is_ok_alone(near):
+    near.find_body("PLUTO", "ellipse")
+    center = near.state.bodies[0]
+    assert center.status == "ok"
+    body = _body(_result(near))
+    assert (body["measured_range_km"], body["range_sigma_km"]) == (center.range_km, center.range_sigma_km)
+    for worse in (
+        replace(center, status="uncertain"),
+        replace(center, range_sigma_km=np.nan),
+        replace(center, range_sigma_km=0.0),
+        replace(center, flags=center.flags | BodyFlag.SIZE_UNSOLVED),
+    ):
+        body = _body(_result(near, bodies=(worse,)))
+        assert np.isnan(body["measured_range_km"])
+        assert np.isnan(body["range_sigma_km"])
