@@ -52,12 +52,19 @@ def _fits(actual: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     )
 
 
-def freeze_arrays(instance: Any) -> None:
-    """Make every array field of a frozen dataclass read-only; call it from ``__post_init__``."""
+def freeze_arrays(instance: Any, *, in_file_order: bool = False) -> None:
+    """Make every array field of a frozen dataclass read-only; call it from ``__post_init__``.
+
+    Parameters
+    ----------
+    in_file_order
+        Copy transposed and strided arrays row by row, as they come back from a file: matrix products round by the layout
+        in memory, and what is read back should compute to the same bits.
+    """
     for field in fields(instance):
         value = getattr(instance, field.name)
         if isinstance(value, np.ndarray):
-            view = value.view()
+            view = np.ascontiguousarray(value).view() if in_file_order and value.ndim else value.view()
             view.setflags(write=False)
             object.__setattr__(instance, field.name, view)
 

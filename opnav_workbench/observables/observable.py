@@ -33,7 +33,7 @@ class Observable:
     et
         Mid-exposure, TDB seconds past J2000.
     name, method, status
-        Body, centerfinder and its verdict.
+        Body, centerfinder and its verdict; never ``ok`` on a pointing that is not.
     reference_body
         Body that the spacecraft's position in the partials refers to.
     a_priori_px, predicted_px : (2,) array
@@ -82,7 +82,8 @@ class Observable:
     diameter_partials_px_per_km : (3,) array or None
         d(diameter) / d(spacecraft position), for a sphere.
     range_km, measured_range_km, range_sigma_km
-        Predicted; and from the body's size, where the method solved it (the body's radius taken as known); else nan.
+        Predicted; and from the body's size, where the method solved it (the body's radius taken as known) and its center
+        is ``ok``; else nan.
     range_partials : (3,) array or None
         d(range) / d(spacecraft position), km/km.
     center_cross_px2 : mapping of str to (2, 2) array

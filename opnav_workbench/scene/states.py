@@ -43,7 +43,7 @@ class Observer:
     source: str
 
     def __post_init__(self) -> None:
-        freeze_arrays(self)
+        freeze_arrays(self, in_file_order=True)
 
 
 def observer_from_kernels(spacecraft: int, et: float) -> Observer:

@@ -77,7 +77,7 @@ class Inputs:
     shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
-        freeze_arrays(self)
+        freeze_arrays(self, in_file_order=True)
 
 
 # ---- From kernels, image header, catalog and target lists.

@@ -83,7 +83,7 @@ class TargetState:
             if value is not None:
                 object.__setattr__(self, field, _finite(self.name, field, value, shape))
         self._check_values()
-        freeze_arrays(self)
+        freeze_arrays(self, in_file_order=True)
 
     def _check_values(self) -> None:
         if not self.name:

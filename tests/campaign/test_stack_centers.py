@@ -177,6 +177,19 @@ def test_the_observable_is_that_of_the_mean_epoch(make_sky, exposed):
     assert observable.total_covariance_px2 == pytest.approx(center.covariance_px2 + by_attitude)
 
 
+def test_a_stack_is_no_surer_than_the_pointing_of_its_pictures(make_sky, exposed):
+    sky = make_sky(5, 100.0, seed=2)
+    pictures = exposed(sky, np.random.default_rng(2))
+    names = {"image": "stack.fits", "utc": "2015-04-09T12:00:00", "reference_body": "SUN"}
+    stacked = stack_pictures(pictures, "target", window_px=20)
+    center = find_in_stack(stacked, "FAINT")
+    assert stack_observable(stacked, center, **names).status == center.status == "ok"
+    doubtful = tuple(f.replace(pointing_doubt="which field?") for f in stacked.pictures[:2])
+    told = stack_observable(replace(stacked, pictures=(*doubtful, *stacked.pictures[2:])), center, **names)
+    assert told.status == "uncertain"
+    assert told.messages[-1] == "sky_0.fit: which field?; and 1 more picture"
+
+
 def test_shot_noise_of_a_bright_target_counts(make_sky, exposed):
     sky = make_sky(4, 3000.0, seed=1)
     pictures = exposed(sky, np.random.default_rng(1))

@@ -44,16 +44,11 @@ def approach_observables(cameras) -> tuple[Observable, ...]:
     velocity, covariance = np.array([3.1, -12.4, -6.0]), np.array([[0.01, 0.002], [0.002, 0.02]])
     made = []
     for k in range(3):
+        size = {"range_km": 6.01e6 - 1e6 * k, "range_sigma_km": 3e3}
         rows = [
-            ("PLUTO", "limb_scan", "ok", (500.0 + k, 520.0), {}),
+            ("PLUTO", "limb_scan", "ok", (500.0 + k, 520.0), size),
             ("CHARON", "limb_scan", "ok" if k < 2 else "not_detected", (700.0, 300.0 - k), {}),
-            (
-                "PLUTO",
-                "ellipse",
-                "uncertain",
-                (500.1 + k, 520.1),
-                {"range_km": 6.01e6 - 1e6 * k, "range_sigma_km": 3e3},
-            ),
+            ("PLUTO", "ellipse", "uncertain", (500.1 + k, 520.1), size),
         ]
         for name, method, status, place, size in rows:
             target = body_at(camera, attitude, place, 6e6 - 1e6 * k, velocity)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from opnav_workbench.campaign.run_folder import read_run
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.processing import Processing, process_image
@@ -61,6 +62,19 @@ def test_an_unknown_target_costs_no_pointing(picture, tmp_path):
     assert outcome.result["status"] == "partial"
     assert any("VULCAN" in message for message in outcome.result["messages"])
     assert [body["name"] for body in outcome.result["bodies"]] == ["PLUTO"]
+
+
+def test_a_target_outside_the_field_is_told_and_spoils_no_picture(picture, tmp_path):
+    """Toward Pluto, the Sun is behind the camera."""
+    with KernelSet(DEMO_KERNELS):
+        outcome = process_image(picture, HOW.changed(targets=("PLUTO", "SUN")).opened(), tmp_path)
+    assert outcome.result["status"] == "ok"
+    statuses = {body["name"]: body["status"] for body in outcome.result["bodies"]}
+    assert statuses == {"PLUTO": "ok", "SUN": "off_detector"}
+    assert any(message.startswith("SUN: ") for message in outcome.result["messages"])
+    run = read_run(outcome.folder)
+    assert run.image["attention"] == []
+    assert {row["body"]: row["status"] for row in run.parts["bodies"]} == statuses
 
 
 def _never_opened(*_, **__):

@@ -50,6 +50,17 @@ def test_resume_without_kernels_is_bit_identical(finished, folder):
     assert resumed.journal == finished.journal
 
 
+def test_resume_is_bit_identical_with_the_headers_attitude(resolved_truths, approach, tmp_path):
+    """The header's quaternion gives a transposed matrix; matrix products round by the layout in memory."""
+    session = ImageSession.open(resolved_truths[0].picture, "new_horizons", attitude="header")
+    session.predict()
+    session.find_stars()
+    session.repoint()
+    session.find_body("PLUTO", "least_squares")
+    session.save(tmp_path)
+    assert _without_kernels(ImageSession.resume(tmp_path)) == _without_kernels(session)
+
+
 def test_undo_works_after_resume(finished, folder):
     resumed = ImageSession.resume(folder)
     for name in ("observables", "find_body", "find_body", "repoint"):

@@ -17,7 +17,7 @@ from opnav_workbench.arrays import FloatArray, symmetric
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.campaign.stacking.combining import Stacked
 from opnav_workbench.campaign.stacking.pictures import StackPicture
-from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.errors import CenterfindingError, counted
 from opnav_workbench.files import atomic_path, make_folder, sha256_of
 from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.observables import Observable, observe
@@ -74,7 +74,7 @@ def _pointing_doubt(pictures: Sequence[StackPicture]) -> str:
     if not doubtful:
         return ""
     first = f"{doubtful[0].name}: {doubtful[0].pointing_doubt}"
-    return first if len(doubtful) == 1 else f"{first}; and {len(doubtful) - 1} more pictures"
+    return first if len(doubtful) == 1 else f"{first}; and {counted(len(doubtful) - 1, 'more picture')}"
 
 
 def stack_attitude_covariance(pictures: Sequence[StackPicture], weights: FloatArray) -> FloatArray:
