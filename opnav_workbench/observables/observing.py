@@ -177,7 +177,7 @@ def _judgement(center: BodyCenter, pointing_doubt: str) -> dict[str, Any]:
     return {"status": status, "messages": (*center.messages, pointing_doubt)}
 
 
-def _measured_range(center: BodyCenter) -> dict[str, float]:
+def _measured_range(center: BodyCenter) -> dict[str, Any]:
     """Range from the body's size; none where the size was not solved for, or the center itself is in doubt."""
     solved = not center.flags & BodyFlag.SIZE_UNSOLVED and 0.0 < center.range_sigma_km < np.inf
     known = center.status == "ok" and solved
