@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -11,6 +12,7 @@ from opnav_workbench.cli import app
 from opnav_workbench.files import json_text
 from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.session import BODY_METHODS
 
 
 def test_it_writes_what_the_command_writes(demo_truths, tmp_path):
@@ -65,6 +67,17 @@ def test_signature_and_docstring_name_every_field():
     section = opnav.process.__doc__.split("Parameters\n")[1].split("Returns\n")[0]
     documented = re.findall(r"^ {4}(\w+)(?: : .*)?\n {8}\S", section, re.MULTILINE)
     assert set(documented) == set(parameters)
+
+
+def test_what_is_read_of_methods_is_the_one_list():
+    """Program, files and workbench take their choices from it; docstrings and README repeat it in words."""
+    listed = "method : {" + ", ".join(f'"{method}"' for method in BODY_METHODS) + "}"
+    for documented in (opnav.process, opnav.ImageSession.find_body):
+        assert listed in documented.__doc__, documented
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    assert "body centers: " + ", ".join(f"`{method}`" for method in BODY_METHODS) in readme
+    for words in re.findall(r'find_body\("PLUTO", method="(\w+)"\)  # or (.*)', readme):
+        assert {words[0], *words[1].split(", ")} == set(BODY_METHODS)
 
 
 def test_settings_reach_the_session(demo_truths):
