@@ -14,6 +14,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, BodyPicture, displaced_model
+from opnav_workbench.constants import SUN_RADIUS_KM
 from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
 from opnav_workbench.mission import AlbedoMapFile, TargetSurface
 from opnav_workbench.photometry import SUN_B_V
@@ -184,7 +185,7 @@ def body_picture(
         One that is looked for cannot be drawn; others that cannot are left out.
     """
     models = [
-        body_model(context, inputs, name) if name in wanted else body_model_if_known(context, inputs, name)
+        body_model(context, inputs, name) if name in wanted else _scenery(context, inputs, name)
         for name in scene
     ]
     picture = _picture(context, inputs, state, tuple(model for model in models if model is not None))
@@ -192,6 +193,14 @@ def body_picture(
     if all(new is old for new, old in zip(moved, picture.models, strict=True)):
         return picture
     return _picture(context, inputs, state, tuple(moved))
+
+
+def _scenery(context: Context, inputs: Inputs, name: str) -> BodyModel | None:
+    """Return how a body that is not looked for looks; None where it cannot be drawn, as the Sun, which no Sun lights."""
+    model = body_model_if_known(context, inputs, name)
+    sun_km = None if model is None else model.target.sun_position_km
+    is_the_sun = sun_km is not None and float(np.linalg.norm(sun_km)) < SUN_RADIUS_KM
+    return None if is_the_sun else model
 
 
 def _picture(

@@ -103,6 +103,13 @@ def test_a_target_outside_the_field_does_not_spoil_the_picture(found, name):
         assert any(name in message for message in result["messages"])
 
 
+@pytest.mark.parametrize("method", ["limb_scan", "ellipse", "least_squares"])
+def test_the_sun_as_a_target_keeps_no_body_from_being_found(near, method):
+    near.add_target("SUN")
+    near.find_body("PLUTO", method)
+    assert near.state.bodies[0].status == "ok"
+
+
 def test_a_target_in_the_field_that_was_not_found_spoils_it(found):
     lost = replace(found.state.bodies[0], status="not_detected", pixel_line=None)
     assert _result(found, bodies=(lost,))["status"] == "partial"
