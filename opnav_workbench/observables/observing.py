@@ -26,7 +26,7 @@ from opnav_workbench.observables.partials import (
 )
 from opnav_workbench.targets import TargetState
 
-__all__ = ["center_cross", "diameter_partials", "observe"]
+__all__ = ["center_cross", "diameter_partials", "is_outside", "observe"]
 
 
 # ---- From a measured center to an observable: residuals, covariances and partials.
@@ -139,7 +139,7 @@ def observe(
         attitude_covariance_rad2=attitude_covariance_rad2,
         center_cross_px2=center_cross_px2 or {},
         **_measured_values(center),
-        **_judgement(center, pointing_doubt),
+        **_judgement(center, pointing_doubt, outside=is_outside(camera, predicted, diameter_px)),
         **_measured_range(center),
         **_directions(view, center),
         **_derivatives(view, center, np.asarray(attitude_covariance_rad2, float), diameter_px, predicted),
@@ -169,8 +169,16 @@ def _measured_values(center: BodyCenter) -> dict[str, Any]:
     }
 
 
-def _judgement(center: BodyCenter, pointing_doubt: str) -> dict[str, Any]:
-    """Status and messages of the center, and what the pointing makes of them."""
+def is_outside(camera: Camera, predicted_px: FloatArray, diameter_px: float) -> bool:
+    """Tell whether no part of a body is expected on the detector; nan: behind the camera, or a point."""
+    return not camera.on_detector(predicted_px, 0.5 * float(np.nan_to_num(diameter_px)))
+
+
+def _judgement(center: BodyCenter, pointing_doubt: str, *, outside: bool) -> dict[str, Any]:
+    """Status and messages of the center, and what pointing and prediction make of them."""
+    if center.status == "not_detected" and outside:  # it was searched beyond its ephemeris' error, in vain
+        messages = (*center.messages, "no part of it is expected on the detector")
+        return {"status": "off_detector", "messages": messages}
     if center.pixel_line is None or not pointing_doubt:
         return {"status": center.status, "messages": center.messages}
     status = "uncertain" if center.status == "ok" else center.status

@@ -16,6 +16,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.observables import Observable
+from opnav_workbench.observables.observing import is_outside
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs, InputSource
 from opnav_workbench.session.pointing import current_observables, pointing_doubt
@@ -112,13 +113,10 @@ def overall_status(camera: Camera, state: SessionState, observables: Sequence[Ob
 
 
 def _found_or_outside(camera: Camera, of_one: Sequence[Observable]) -> bool:
-    return any(o.status == "ok" for o in of_one) or all(_outside(camera, o) for o in of_one)
-
-
-def _outside(camera: Camera, o: Observable) -> bool:
-    """Whether a target was not found, and no part of it is expected on the detector."""
-    radius_px = 0.5 * float(np.nan_to_num(o.diameter_px))
-    return o.observed_px is None and not camera.on_detector(o.predicted_px, radius_px)
+    sure = any(o.status == "ok" for o in of_one)
+    return sure or all(
+        o.observed_px is None and is_outside(camera, o.predicted_px, o.diameter_px) for o in of_one
+    )
 
 
 def _identification(found: FieldFound | None) -> dict[str, Any] | None:

@@ -8,6 +8,7 @@ import pytest
 from astropy.table import QTable
 
 from opnav_workbench.bodies import BodyFlag
+from opnav_workbench.geometry import geometric_direction
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.pointing import with_observables
 from opnav_workbench.session.result import result_dict
@@ -108,6 +109,23 @@ def test_the_sun_as_a_target_keeps_no_body_from_being_found(near, method):
     near.add_target("SUN")
     near.find_body("PLUTO", method)
     assert near.state.bodies[0].status == "ok"
+
+
+def test_a_target_just_outside_that_was_searched_in_vain_is_off_the_detector(found):
+    """Its ephemeris might have been off by enough to bring it in."""
+    camera, sky = found.context.camera, found.inputs.observer.velocity_km_s
+    found.add_target("CHARON")
+    charon, lost = found.inputs.targets["CHARON"], replace(found.state.bodies[0], name="CHARON")
+    lost = replace(lost, status="not_detected", pixel_line=None)
+    for outside_px, told, status in ((5.0, "not_detected", "partial"), (20.0, "off_detector", "ok")):
+        apparent = camera.unproject(np.array([[-0.5 - outside_px, 100.0]]))[0] @ found.camera_from_j2000
+        place = charon.range_km * geometric_direction(apparent, sky)
+        targets = {**found.inputs.targets, "CHARON": replace(charon, position_km=place)}
+        state = found.state.replace(bodies=(*found.state.bodies, lost))
+        inputs = replace(found.inputs, targets=targets)
+        result = result_dict(found.context, found.source, inputs, state)
+        assert _body(result, "CHARON")["diameter_px"] == pytest.approx(24.2, abs=0.1)
+        assert (_body(result, "CHARON")["status"], result["status"]) == (told, status)
 
 
 def test_a_target_in_the_field_that_was_not_found_spoils_it(found):
