@@ -73,7 +73,8 @@ class Trial:
     """A picture and what it really shows.
 
     `limb_snr` is the median signal over noise of pixels 1 to 2.5 px inside the lit limb (nan: none in the frame),
-    `limb_share` the share of the lit limb that the frame shows.
+    `limb_share` the share of the lit limb that the frame shows. `body`, `core_px` and `wing_share` are what the light
+    was drawn with, `scale_dn` what it was multiplied by.
     """
 
     setup: TrialSetup
@@ -83,6 +84,10 @@ class Trial:
     limb_snr: float
     limb_share: float
     light_dn: np.ndarray
+    body: "TrueBody"
+    core_px: float
+    wing_share: float
+    scale_dn: float
 
 
 @cache
@@ -110,7 +115,7 @@ def make_trial(setup):
     true_axes = axes_km * (1.0 + setup.figure_error * np.array(setup.figure_pattern))
     core, share, psf = _optics(setup.psf, optics)
     body = TrueBody(
-        _toward(camera, truth) * distance,
+        toward_place(camera, truth) * distance,
         true_axes,
         body_from_j2000,
         sun,
@@ -119,12 +124,13 @@ def make_trial(setup):
         _topography(setup.topography, surfaces),
         np.radians(setup.phase_deg),
     )
-    light, ring, lit = _light(body, camera, truth, setup.diameter_px, core, share)
-    light *= setup.peak_dn / _bright(light, lit)
+    light, ring, lit = draw_light(body, camera, truth, setup.diameter_px, core, share)
+    scale = setup.peak_dn / _bright(light, lit)
+    light *= scale
     data, saturated = _exposed(light, setup, noises)
     target = TargetState(
         NAME,
-        _toward(camera, believed) * distance,
+        toward_place(camera, believed) * distance,
         radii_km=axes_km,
         body_from_j2000=body_from_j2000,
         sun_position_km=sun * SUN_AU * AU_KM,
@@ -134,9 +140,10 @@ def make_trial(setup):
         NoiseModel(READ_NOISE_DN, GAIN_E_PER_DN),
     )  # fmt: skip
     in_ring = light[ring]
-    snr = np.median(in_ring / _sigma(in_ring)) if in_ring.size else np.nan
-    expected = body.lit_limb_share(camera)
-    return Trial(setup, picture, NAME, truth, float(snr), expected, light)
+    snr = float(np.median(in_ring / noise_dn(in_ring))) if in_ring.size else np.nan
+    return Trial(
+        setup, picture, NAME, truth, snr, body.lit_limb_share(camera), light, body, core, share, scale
+    )
 
 
 # ---- Where it stands, and its optics.
@@ -157,13 +164,13 @@ def _place_near(truth, distance_px, camera, rng):
     return place
 
 
-def _toward(camera, place):
+def toward_place(camera, place):
     return geometric_direction(camera.unproject(np.array([place]))[0] @ ATTITUDE, VELOCITY_KM_S)
 
 
 def _sun(camera, truth, phase_deg, rng):
     """Unit vector from the body to the Sun, at a random position angle."""
-    toward, phase = _toward(camera, truth), np.radians(phase_deg)
+    toward, phase = toward_place(camera, truth), np.radians(phase_deg)
     side = unit(np.cross(toward, rng.normal(size=3)))
     return -toward * np.cos(phase) + side * np.sin(phase)
 
@@ -316,7 +323,7 @@ def _cells_per_px(diameter_px):
     return 8 if diameter_px < 25.0 else 4 if diameter_px < 100.0 else 3 if diameter_px < 250.0 else 2
 
 
-def _light(body, camera, truth, diameter_px, core, share):
+def draw_light(body, camera, truth, diameter_px, core, share):
     """Light of the frame, any unit; the pixels just inside the lit limb; and the lit ones (on the smooth ellipsoid)."""
     radius = 0.5 * diameter_px * body.axes_km.max() / RADIUS_KM * (1.0 if body.topography is None else 1.1)
     reach = radius + WING_REACH_PX + 3.0
@@ -395,7 +402,7 @@ def _bright(light, lit):
 # ---- What the detector makes of it.
 
 
-def _sigma(signal_dn):
+def noise_dn(signal_dn):
     return np.sqrt(READ_NOISE_DN**2 + np.maximum(signal_dn, 0.0) / GAIN_E_PER_DN)
 
 
