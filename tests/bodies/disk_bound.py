@@ -17,6 +17,7 @@ SIZE_SIGMA, AXES_SIGMA, LAW_SIGMA, WIDTH_SIGMA, WINGS_SIGMA = 0.10, 0.05, 0.5, 0
 STEP_PX, STEP = 0.1, 0.01
 FIELD_RAD = 0.25  # correlation length of `field_mid`: exp(-r^2 / 2 l^2), r the chord
 NODE_STEP = 0.7  # of it
+MAX_DIAMETER_PX = 150.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,11 @@ class Bump(Uniform):
 def correlation(a, b):
     """Correlation of the field between unit vectors."""
     return np.exp((a @ b.T - 1.0) / FIELD_RAD**2)
+
+
+def has_bound(setup):
+    """Whether all that is unknown of a surface is in the bound, and the picture is one that it takes a few seconds for."""
+    return setup.family in ("uniform", "field_mid") and setup.diameter_px < MAX_DIAMETER_PX
 
 
 def bound_px2(trial):

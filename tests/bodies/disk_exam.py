@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from disk_bound import bound_px2, has_bound
 from disk_surfaces import BLOB_SIZES, FIELDS, LAWS, MAPS
 from disk_truth import TrialSetup, data_folder, make_trial
 
@@ -126,8 +127,8 @@ def run_method(picture, name, method):
     return getattr(bodies, finder)(picture, name)
 
 
-def examine(index, seed, grid, method, find=run_method):
-    """Return the record of one trial: its setup, what was found, and how far that is from the truth."""
+def examine(index, seed, grid, method, find=run_method, bound=False):
+    """Return the record of one trial: its setup, what was found, how far that is from the truth, and from the bound."""
     setup = draw(seed, index, grid)
     start = time.process_time()
     trial = make_trial(setup)
@@ -144,6 +145,9 @@ def examine(index, seed, grid, method, find=run_method):
     except Exception as error:
         record |= {"status": "raised", "messages": [repr(error), traceback.format_exc(limit=-3)]}
     record |= {"cpu_s": time.process_time() - drawn, "drawing_s": drawn - start}
+    if bound and has_bound(setup) and "error_px" in record:
+        error = np.array(record["error_px"])
+        record["chi2_bound"] = float(error @ np.linalg.solve(bound_px2(trial), error))
     return record
 
 
@@ -161,10 +165,10 @@ def _said(center, truth_px):
     return said
 
 
-def run(trials, seed, method, grid="full", jobs=1, find=run_method):
+def run(trials, seed, method, grid="full", jobs=1, find=run_method, bound=False):
     """Return the records of trials 0 to `trials` - 1, or of those listed."""
     numbers = range(trials) if isinstance(trials, int) else trials
-    one = partial(examine, seed=seed, grid=grid, method=method, find=find)
+    one = partial(examine, seed=seed, grid=grid, method=method, find=find, bound=bound)
     if jobs == 1:
         return [one(index) for index in numbers]
     with ProcessPoolExecutor(jobs) as pool:
@@ -192,9 +196,9 @@ def is_false(record):
     return is_ok(record) and not (record["chi2"] <= FALSE_SIGMAS**2 or error_px(record) <= FALSE_PX)
 
 
-def error_over_sigma(records):
-    """Rms of the error over its sigma, an axis; nan for none."""
-    chi2 = [r["chi2"] for r in records if "chi2" in r]
+def error_over_sigma(records, key="chi2"):
+    """Rms of the error over its sigma (or the bound: ``chi2_bound``), an axis; nan for none."""
+    chi2 = [r[key] for r in records if key in r]
     return float(np.sqrt(0.5 * np.mean(chi2))) if chi2 else np.nan
 
 
@@ -207,6 +211,7 @@ def summary(records):
         "asked": len(asked),
         "ok_share": np.mean([is_ok(r) for r in asked]) if asked else np.nan,
         "ratio": error_over_sigma(ok),
+        "bound": error_over_sigma(ok, "chi2_bound"),
         "median_px": np.median(errors) if len(errors) else np.nan,
         "max_px": errors.max() if len(errors) else np.nan,
         "false": sum(is_false(r) for r in records),
@@ -255,7 +260,7 @@ TABLES = (
     ("family",),
     ("oddities",),
 )
-HEAD = f"{'':36s}   n asked   ok%  err/sig  (median)  median px    max px  false  cpu s"
+HEAD = f"{'':36s}   n asked   ok%  err/sig  (median)  err/bound  median px    max px  false  cpu s"
 
 
 def table(records, keys):
@@ -266,7 +271,8 @@ def table(records, keys):
         s = summary([r for r in records if names[r["index"]] == cell])
         lines.append(
             f"{'  '.join(cell):36s} {s['trials']:4d} {s['asked']:4d} {100.0 * s['ok_share']:6.1f} {s['ratio']:8.2f} "
-            f"{s['median_ratio']:8.2f} {s['median_px']:11.3f} {s['max_px']:9.3f} {s['false']:6d} {s['cpu_s']:6.2f}"
+            f"{s['median_ratio']:8.2f} {s['bound']:10.2f} {s['median_px']:10.3f} {s['max_px']:9.3f} "
+            f"{s['false']:6d} {s['cpu_s']:6.2f}"
         )
     return lines
 
@@ -305,6 +311,7 @@ def main():
     parser.add_argument("--method", default="auto")
     parser.add_argument("--grid", choices=sorted(GRIDS), default="full")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--bound", action="store_true", help="compute the bound too, some 10 s a field")
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--tables", type=Path)
@@ -312,7 +319,7 @@ def main():
     if a.tables:
         report(json.loads(a.tables.read_text(encoding="utf-8")))
         return
-    records = run(a.only or a.trials, a.seed, a.method, a.grid, a.jobs)
+    records = run(a.only or a.trials, a.seed, a.method, a.grid, a.jobs, bound=a.bound)
     if a.out:
         a.out.write_text(json.dumps(records, indent=1), encoding="utf-8")
     if a.only:
