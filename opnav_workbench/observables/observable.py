@@ -33,7 +33,7 @@ class Observable:
     et
         Mid-exposure, TDB seconds past J2000.
     name, method, status
-        Body, centerfinder and its verdict; never ``ok`` on a pointing that is not.
+        Body, centerfinder and its verdict; ``ok`` only on a pointing from stars in a sure field.
     reference_body
         Body that the spacecraft's position in the partials refers to.
     a_priori_px, predicted_px : (2,) array

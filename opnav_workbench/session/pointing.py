@@ -63,16 +63,15 @@ def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
 
 
 def pointing_doubt(state: SessionState) -> str:
-    """Return why the pointing is not ok, in words; empty where it is.
+    """Return why no target may rest on the pointing, in words; empty where it may.
 
     A star field that is no more than a proposal is sure once the analyst has accepted every star that the pointing uses.
+    A twist that the stars do not determine is no such doubt: it keeps its a priori sigma, which is in the covariance.
     """
     if state.pointing is None:
         return "the pointing is not solved from stars"
     if state.star_field is not None and not state.star_field.sure and not _confirmed(state):
         return "the star field is not identified for sure"
-    if not state.pointing.twist_solved:
-        return "the stars do not determine the twist of the pointing"
     return ""
 
 

@@ -102,14 +102,15 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
 def overall_status(camera: Camera, state: SessionState, observables: Sequence[Observable]) -> str:
     """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing.
 
-    ``ok`` is a sure pointing with every target that was looked for either found for sure by one method at least, or
-    outside the field, where there is nothing to find.
+    ``ok`` is a sure pointing, its twist solved, with every target that was looked for either found for sure by one method
+    at least, or outside the field, where there is nothing to find.
     """
     if state.pointing is None:
         return "failed"
     told = {o.name: [p for p in observables if p.name == o.name] for o in observables}
     found = not state.skipped_targets and all(_found_or_outside(camera, of_one) for of_one in told.values())
-    return "ok" if found and not pointing_doubt(state) else "partial"
+    complete = found and state.pointing.twist_solved and not pointing_doubt(state)
+    return "ok" if complete else "partial"
 
 
 def _found_or_outside(camera: Camera, of_one: Sequence[Observable]) -> bool:

@@ -36,7 +36,7 @@ def found(near):
     return near
 
 
-# -- a target is never ok on a pointing that is not ----------------------------------------------------------------
+# -- a target is never ok on a pointing that is unsolved or unsure -------------------------------------------------
 
 
 def test_a_target_on_a_sure_pointing_is_ok(found):
@@ -48,7 +48,6 @@ def test_a_target_on_a_sure_pointing_is_ok(found):
     ("doubt", "said"),
     [
         (lambda s: {"pointing": None}, "the pointing is not solved"),
-        (lambda s: {"pointing": replace(s.pointing, twist_solved=False)}, "do not determine the twist"),
         (
             lambda s: {"star_field": replace(s.star_field, sure=False)},
             "the star field is not identified for sure",
@@ -66,6 +65,11 @@ def test_a_target_on_an_unsure_pointing_is_uncertain_with_the_reason(found, doub
     np.testing.assert_array_equal(body["observed"], before.pixel_line)
     np.testing.assert_array_equal(body["covariance_px2"], before.covariance_px2)
     assert before.status == "ok"
+
+
+def test_a_twist_that_is_not_solved_is_in_the_covariance_and_no_doubt(found):
+    result = _result(found, pointing=replace(found.state.pointing, twist_solved=False))
+    assert (result["status"], _body(result)["status"]) == ("partial", "ok")
 
 
 def test_a_field_that_the_analyst_confirmed_star_by_star_is_sure(found):
