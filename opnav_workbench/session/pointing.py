@@ -32,6 +32,7 @@ __all__ = [
     "attitude_covariance",
     "best_attitude",
     "current_observables",
+    "field_is_sure",
     "pointing_doubt",
     "repoint",
     "with_observables",
@@ -65,19 +66,18 @@ def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
 def pointing_doubt(state: SessionState) -> str:
     """Return why no target may rest on the pointing, in words; empty where it may.
 
-    A star field that is no more than a proposal is sure once the analyst has accepted every star that the pointing uses.
     A twist that the stars do not determine is no such doubt: it keeps its a priori sigma, which is in the covariance.
     """
     if state.pointing is None:
         return "the pointing is not solved from stars"
-    if state.star_field is not None and not state.star_field.sure and not _confirmed(state):
-        return "the star field is not identified for sure"
-    return ""
+    return "" if field_is_sure(state) else "the star field is not identified for sure"
 
 
-def _confirmed(state: SessionState) -> bool:
-    assert state.a_priori is not None
-    used = state.a_priori.id[state.mask("used")].tolist()
+def field_is_sure(state: SessionState) -> bool:
+    """Tell whether the star field is what it was taken for: by its evidence, or as the analyst accepted all stars in use."""
+    if state.star_field is None or state.star_field.sure:
+        return True
+    used = [] if state.a_priori is None else state.a_priori.id[state.mask("used")].tolist()
     return bool(used) and all(state.decisions.get(star, ("", ""))[0] == ACCEPTED for star in used)
 
 

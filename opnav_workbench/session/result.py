@@ -19,8 +19,8 @@ from opnav_workbench.observables import Observable
 from opnav_workbench.observables.observing import is_outside
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs, InputSource
-from opnav_workbench.session.pointing import current_observables, pointing_doubt
-from opnav_workbench.session.state import MEASURED_STATUSES, FieldFound, SessionState, has_center
+from opnav_workbench.session.pointing import current_observables, field_is_sure, pointing_doubt
+from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, has_center
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
 
@@ -91,7 +91,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "camera": context.camera.name,
         "status": overall_status(context.camera, state, observables),
         "messages": list(state.messages),
-        "identification": _identification(state.star_field),
+        "identification": _identification(state),
         "pointing": _pointing(state.pointing),
         "stars": _star_results(context, state),
         "bodies": body_results(observables, state.bodies),
@@ -120,13 +120,14 @@ def _found_or_outside(camera: Camera, of_one: Sequence[Observable]) -> bool:
     )
 
 
-def _identification(found: FieldFound | None) -> dict[str, Any] | None:
+def _identification(state: SessionState) -> dict[str, Any] | None:
+    found = state.star_field
     if found is None:
         return None
     return {
         "search": found.search,
         "confidence": found.confidence,
-        "sure": found.sure,
+        "sure": field_is_sure(state),
         "shift_px": found.shift_px,
         "twist_deg": np.degrees(found.twist_rad),
     }

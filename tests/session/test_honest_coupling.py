@@ -80,7 +80,7 @@ def test_a_field_that_the_analyst_confirmed_star_by_star_is_sure(found):
     found.accept_stars(used[:1], "seen")
     result = _result(found, star_field=unsure)
     assert (result["status"], _body(result)["status"]) == ("ok", "ok")
-    assert not result["identification"]["sure"]  # which says what the search made of it
+    assert result["identification"]["sure"]  # a decision outranks what the search made of it
 
 
 def test_files_say_the_same_as_the_result(found, tmp_path):
