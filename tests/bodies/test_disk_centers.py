@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
-from disk_exam import draw
+from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, run
 from disk_truth import TrialSetup, make_trial
+
+from opnav_workbench import bodies
 
 
 def shift_between(light, other):
@@ -35,3 +37,36 @@ def test_same_setup_is_the_same_picture():
     first, second = make_trial(setup), make_trial(setup)
     np.testing.assert_array_equal(first.picture.signal_dn, second.picture.signal_dn)
     assert draw(4, 11, "small") == setup
+
+
+# ---- The automatic answer: its figures are those of the issue on centers that hold on real surfaces.
+
+needs_disk = pytest.mark.skipif(
+    not hasattr(bodies, "find_disk"), reason="the likelihood of a disk is not there"
+)
+
+
+@pytest.fixture(scope="module")
+def examined(sample):
+    """Trials of 5 to 150 px; `tests/bodies/disk_exam.py` holds many more, and larger ones."""
+    return run(sample.trials(90), 17, "auto", "small")
+
+
+@needs_disk
+def test_no_center_is_ok_and_wrong(examined):
+    assert [r["index"] for r in examined if is_false(r)] == []
+    assert [r["index"] for r in examined if r["status"] == "raised"] == []
+
+
+@needs_disk
+def test_bright_limbs_give_centers(examined, sample):
+    asked = [is_ok(r) for r in examined if fair(r)]
+    assert np.mean(asked) > 0.95 - sample.within(0.05)  # 2 sigma of 90 trials
+
+
+@needs_disk
+def test_errors_are_what_sigmas_say(examined, sample):
+    ok = [r for r in examined if is_ok(r)]
+    assert 1.0 - sample.within(0.1) < error_over_sigma(ok) < 1.0 + sample.within(0.2)
+    even = [error_px(r) for r in ok if r["contrast"] < 9.0]
+    assert np.median(even) < 0.05 + sample.within(0.01)
