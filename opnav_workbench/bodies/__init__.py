@@ -1,8 +1,9 @@
 """Centers of target bodies in a picture.
 
 Enter by a `BodyPicture` (or `picture_from_circle`, without kernels) and one of the centerfinders, which return a
-`BodyCenter`: `find_unresolved`, `find_unresolved_body`, `find_least_squares`, `find_jointly` (several bodies in one fit:
-`JointCenters`), `find_cross_correlation`, `find_ellipse`, `find_limb_scan`. `choose_method` says which suits a body.
+`BodyCenter`: `find_unresolved`, `find_unresolved_body`, `find_disk`, `find_least_squares`, `find_jointly` (several
+bodies in one fit: `JointCenters`), `find_cross_correlation`, `find_ellipse`, `find_limb_scan`. `choose_method` says
+which suits a body.
 
 ``results``
     Centers, status, flags, and the details of each method.
@@ -12,12 +13,16 @@ Enter by a `BodyPicture` (or `picture_from_circle`, without kernels) and one of 
     The window that a body is looked for in, and which of its pixels count.
 ``place_search``
     A body's rendered picture correlated with the data over the whole search area.
+``place``
+    Where a body stands, before anything is fitted: its silhouette against the sky, then its lit limb.
 ``detection``
     Which bodies the picture shows, roughly where, and which of them have to be measured together.
 ``silhouette``
     Outlines of ellipsoids and plate models in the picture.
 ``scene_fit``
     Rendered bodies fitted to pixels.
+``neighbours``
+    Other bodies near one, and the pixels that they light.
 ``residuals``
     What residuals say of a center: albedo patterns, another size.
 ``fit_report``
@@ -32,11 +37,14 @@ Enter by a `BodyPicture` (or `picture_from_circle`, without kernels) and one of 
     Which method "auto" means.
 ``ellipse``
     Limb method: sub-pixel limb points, and the outline of the body through them.
+``disk``
+    One likelihood of the pixels about the limb: albedo as a random field, size, figure, law and PSF uncertain.
 ``limb_scan``
     Limb method: brightness along lines that radiate across the limb.
 """
 
 from opnav_workbench.bodies.cross_correlation import find_cross_correlation
+from opnav_workbench.bodies.disk.centerfinder import find_disk
 from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
 from opnav_workbench.bodies.ellipse.point_fits import horizon_position
 from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
@@ -54,11 +62,13 @@ from opnav_workbench.bodies.results import (
     BodyCenter,
     BodyFlag,
     BodyResiduals,
+    DiskReading,
     FreeEllipse,
     JointCenters,
     LimbEllipse,
     LimbScans,
     ModelFit,
+    SecondReading,
     describe_body_flags,
 )
 from opnav_workbench.bodies.silhouette import Outline, body_outline
@@ -72,12 +82,14 @@ __all__ = [
     "BodyPicture",
     "BodyResiduals",
     "Circle",
+    "DiskReading",
     "FreeEllipse",
     "JointCenters",
     "LimbEllipse",
     "LimbScans",
     "ModelFit",
     "Outline",
+    "SecondReading",
     "SubArray",
     "body_outline",
     "choose_method",
@@ -85,6 +97,7 @@ __all__ = [
     "describe_body_flags",
     "displaced_model",
     "find_cross_correlation",
+    "find_disk",
     "find_ellipse",
     "find_jointly",
     "find_least_squares",

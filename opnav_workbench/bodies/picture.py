@@ -32,6 +32,7 @@ __all__ = [
     "displaced_model",
     "model_picture",
     "picture_from_circle",
+    "pixel_rays",
     "placed_models",
     "sized_target",
     "sunlight_electrons",
@@ -245,6 +246,12 @@ def displaced_model(
     if sun is not None:
         sun = sun + target.position_km - position
     return replace(model, target=replace(target, position_km=position, sun_position_km=sun))
+
+
+def pixel_rays(picture: BodyPicture, places_px: FloatArray) -> FloatArray:
+    """Return geometric J2000 rays (3, n) of points (n, 2) on the detector."""
+    apparent = picture.camera.unproject(places_px) @ picture.camera_from_j2000
+    return geometric_direction(apparent, picture.observer_velocity_km_s).T
 
 
 def placed_models(

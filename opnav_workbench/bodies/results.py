@@ -1,8 +1,8 @@
 """What the centerfinders say of a body: center, status, flags, and the details of each method; arrays are read-only.
 
 `BodyCenter` is what every method returns, with or without a center, and `JointCenters` are several with their joint
-covariance. Its `detail` is a `ModelFit` (full-disk methods), a `LimbEllipse` (method ``ellipse``) or `LimbScans` (method
-``limb_scan``).
+covariance. Its `detail` is a `DiskReading` (method ``disk``), a `ModelFit`
+(full-disk methods), a `LimbEllipse` (method ``ellipse``) or `LimbScans` (method ``limb_scan``).
 
 Frame  (pixel, line) on the detector
 Units  px, DN, km, rad
@@ -30,11 +30,13 @@ __all__ = [
     "BodyCenter",
     "BodyFlag",
     "BodyResiduals",
+    "DiskReading",
     "FreeEllipse",
     "JointCenters",
     "LimbEllipse",
     "LimbScans",
     "ModelFit",
+    "SecondReading",
     "describe_body_flags",
     "flag_messages",
     "flags_where",
@@ -213,6 +215,7 @@ class BodyFlag(IntFlag):
     HIT = 1024
     NOT_CONVERGED = 2048
     SIZE_UNSOLVED = 4096
+    UNCONFIRMED = 8192
 
 
 _MEANING = {
@@ -229,6 +232,7 @@ _MEANING = {
     BodyFlag.HIT: "pixels with light that is not the body's (cosmic rays, stars) were left out",
     BodyFlag.NOT_CONVERGED: "the solution did not converge",
     BodyFlag.SIZE_UNSOLVED: "its size could not be solved for",
+    BodyFlag.UNCONFIRMED: "a second reading of the picture does not confirm it",
 }
 
 
@@ -386,6 +390,71 @@ class LimbScans:
         return np.flatnonzero(self.status == USED)
 
 
+# ---- What the likelihood of a disk hands over beside the center.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SecondReading:
+    """The same center, read from the same pixels in another way.
+
+    Attributes
+    ----------
+    method
+        In words.
+    pixel_line : (2,) array
+    covariance_px2 : (2, 2) array
+    difference_sigmas
+        Mahalanobis length of the difference of both centers, as if their errors were independent.
+    """
+
+    method: str
+    pixel_line: FloatArray
+    covariance_px2: FloatArray
+    difference_sigmas: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiskReading:
+    """What a picture says of a disk beside its center.
+
+    Attributes
+    ----------
+    outline_px : (m, 2) array
+        At the solution, all around.
+    size_ratio, size_ratio_sigma
+        Of its image over that of its model.
+    strain : (2,) array
+        Relative change of the outline's radius as cos 2a and sin 2a, a from +pixel toward +line.
+    law_shares : (2,) array
+        Powers of 2 / (mu0 + mu) and of mu0 mu that its light has beside the model's law.
+    albedo_sigma, albedo_length_rad
+        Relative scatter of the albedo along the limb, and the arc over which it is correlated.
+    limb_roughness_px
+        Scatter of the limb about the outline.
+    steps_px : (n,) array
+        Lengths of the center's steps.
+    second
+        Another reading of the same pixels; None where there is none.
+    """
+
+    outline_px: FloatArray
+    size_ratio: float
+    size_ratio_sigma: float
+    strain: FloatArray
+    law_shares: FloatArray
+    albedo_sigma: float
+    albedo_length_rad: float
+    limb_roughness_px: float
+    steps_px: FloatArray
+    second: SecondReading | None
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
 # ---- What the horizon fit hands over beside the center.
 
 
@@ -496,6 +565,7 @@ DOUBTFUL_FLAGS = (
     | BodyFlag.EMPTY
     | BodyFlag.NOT_CONVERGED
     | BodyFlag.SIZE_UNSOLVED
+    | BodyFlag.UNCONFIRMED
 )
 
 

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies.picture import BodyPicture, displaced_model, placed_models
+from opnav_workbench.bodies.neighbours import edge_reach, near_bodies
+from opnav_workbench.bodies.picture import BodyPicture, displaced_model, pixel_rays, placed_models
 from opnav_workbench.bodies.silhouette import Silhouette
-from opnav_workbench.geometry import geometric_direction
 from opnav_workbench.render import Lambert
 from opnav_workbench.render.body import PlacedBody
 
@@ -29,10 +29,7 @@ __all__ = [
     "STEP_PX",
     "ScanFan",
     "ScanSampler",
-    "edge_reach",
     "lay_fan",
-    "near_bodies",
-    "pixel_rays",
 ]
 
 
@@ -114,31 +111,6 @@ def scan_angles(n_scans: int) -> FloatArray:
     [0.0, 90.0, 180.0, 270.0]
     """
     return np.asarray(np.arange(n_scans) * (2.0 * np.pi / n_scans))
-
-
-def pixel_rays(picture: BodyPicture, places_px: FloatArray) -> FloatArray:
-    """Return geometric J2000 rays (3, n) of points (n, 2) on the detector."""
-    apparent = picture.camera.unproject(places_px) @ picture.camera_from_j2000
-    return geometric_direction(apparent, picture.observer_velocity_km_s).T
-
-
-def edge_reach(picture: BodyPicture) -> float:
-    """Return how far to each side of an edge the picture shows it, px."""
-    return PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
-
-
-def near_bodies(picture: BodyPicture, name: str, center_px: FloatArray) -> dict[str, FloatArray]:
-    """Return the likely places (2,) of bodies close to one that stands at a place: their prediction has the same error."""
-    shift = center_px - picture.center_px(name)
-    reach = 0.5 * picture.diameter_px(name) + 2.0 * edge_reach(picture)
-    places = {}
-    for other in picture.models:
-        key = other.target.name
-        if key != name:
-            place = picture.center_px(key) + shift
-            if np.hypot(*(place - center_px)) < reach + 0.5 * picture.diameter_px(key):
-                places[key] = place
-    return places
 
 
 def lay_fan(

@@ -18,26 +18,24 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import binary_dilation, convolve1d, laplace
+from scipy.ndimage import convolve1d, laplace
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.limb_scan.fan import (
     STEP_PX,
     ScanFan,
     ScanSampler,
-    edge_reach,
-    near_bodies,
-    pixel_rays,
 )
 from opnav_workbench.bodies.limb_scan.matching import ScanSystem
+from opnav_workbench.bodies.neighbours import edge_reach, without_others
 from opnav_workbench.bodies.picture import (
     BodyPicture,
     Circle,
     displaced_model,
-    model_picture,
+    pixel_rays,
     sunlight_electrons,
 )
-from opnav_workbench.bodies.subarray import Cutout, choose_subarray, cut_out, find_hit_pixels
+from opnav_workbench.bodies.subarray import Cutout, choose_subarray, find_hit_pixels
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, ScatteringLaw, render_moving
 from opnav_workbench.render.body import PlacedBody
@@ -57,7 +55,6 @@ __all__ = [
     "usable_pixels",
     "view_scans",
     "with_law_share",
-    "without_others",
 ]
 
 
@@ -198,8 +195,6 @@ def _line_spread(psf: Psf, subsample: int) -> FloatArray:
 
 # ---- What the scans show: data and rendered model on the same points, their noise, and which points count.
 
-OTHERS_SHARE = 1.0  # light of other bodies, in units of the noise, from which on a pixel does not count
-OTHERS_ERROR_PX = 3  # of their places
 FAINTEST = 0.05  # of the mean brightness: the least that a scan is taken for
 POOLED = 5  # scans to each side whose mean brightness stands for a scan's own
 
@@ -282,19 +277,6 @@ def usable_pixels(picture: BodyPicture, name: str, center_px: FloatArray, body: 
     scale = float(np.sum(weight * cutout.data_dn * body.light_dn)) / under if under > 0.0 else 0.0
     hits = find_hit_pixels(cutout.data_dn - scale * body.light_dn, cutout.weight(scale * body.light_dn))
     return replace(cutout, use=cutout.use & ~hits)
-
-
-def without_others(
-    picture: BodyPicture, name: str, center_px: FloatArray, window: tuple[int, int, int, int]
-) -> Cutout:
-    """Return the data of a window, with pixels left out that other bodies light."""
-    cutout = cut_out(picture, window)
-    others = near_bodies(picture, name, center_px)
-    if not others:
-        return cutout
-    light = model_picture(picture, window, others, only=tuple(others))
-    lit = binary_dilation(light > OTHERS_SHARE * cutout.noise_dn, iterations=OTHERS_ERROR_PX)
-    return replace(cutout, use=cutout.use & ~lit)
 
 
 def view_scans(sampler: ScanSampler, cutout: Cutout, body: ModelLight) -> ScanView:

@@ -1,0 +1,15 @@
+"""Center of a disk by one likelihood of the pixels about its limb, whatever is painted on it.
+
+Enter by `find_disk`; `fit_disk` for those who have a place already.
+
+``centerfinder``
+    The method: place, fit, second reading, judgement.
+``limb_light``
+    The light of a disk about its limb, in tables of angle and depth.
+``limb_cells``
+    The pixels about a limb, and their means over cells.
+``marginal``
+    The likelihood, marginal over an albedo that is a random field and over a rough limb.
+``fit``
+    Outline, law, field and the rest, fitted.
+"""

@@ -1,0 +1,539 @@
+"""A disk fitted to the pixels about its limb: Gauss-Newton in its outline and law, linear in all else.
+
+Flow   place -> tables of light -> pixels of the strip about the outline -> cells -> marginal solution -> center, size, axes,
+       law moved -> ... -> field prior by marginal likelihood -> ... -> covariance
+
+Unknowns that all pieces of limb share, with the uncertainty that they have beforehand:
+
+brightness, background and its slopes   none
+center                                  none
+size, axes                              `BodyModel.figure` of the body
+law                                     powers of 2 / (mu0 + mu) and mu0 mu: `LAW_SIGMA`
+PSF                                     variance and wings: `PSF_SIGMA`, `WING_SIGMA`
+
+and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.disk.limb_cells import (
+    LimbPixels,
+    cell_of,
+    depth_edges,
+    gathered,
+    limb_pixels,
+)
+from opnav_workbench.bodies.disk.limb_light import LimbLight, limb_light
+from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
+from opnav_workbench.bodies.picture import BodyPicture
+from opnav_workbench.bodies.place import BodyPlace
+from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.render import FigureUncertainty, Lambert
+
+__all__ = ["DiskFit", "DiskPixels", "DiskShape", "Unknown", "fit_disk"]
+
+MOST_PIECES, LEAST_PIECES, PIECE_PX = 48, 24, 1.5
+NODES = 5
+DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
+    0.6,
+    40.0,
+    12.0,
+)  # what tells of the limb, and of the albedo beside it
+SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
+ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
+# Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
+# between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
+UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
+PSF_SIGMA, WING_SIGMA = 0.1, 0.03
+PIXEL_VARIANCE = 1.0 / 12.0
+MOST_TURNS = 16
+STILL_PX, STILL_SIGMAS = 0.003, 0.05
+NEAR_PX, NEAR_SIGMAS = 0.02, 0.3  # last step of a solution that counts as one
+LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
+TUNING = (
+    (1.2, 0.6),
+    (0.8, 0.4, 0.2),
+)  # steps in the logarithms, for the first look at the field and for the last
+LEAST_MOVE = 0.2  # of a step
+NEW_LAW, NEW_SIZE = 0.12, 0.002  # changes from which on the light is tabulated anew, and at the end:
+LAST_LAW, LAST_SIZE = 0.02, 0.0005
+LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
+GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
+
+
+class Unknown(IntEnum):
+    """What all pieces of limb share, in the order of `MarginalSolution.theta`."""
+
+    BRIGHTNESS = 0
+    PIXEL = 1
+    LINE = 2
+    SIZE = 3
+    AXIS_COS = 4
+    AXIS_SIN = 5
+    LAW = 6
+    LAW_2 = 7
+    BLUR = 8
+    WINGS = 9
+    LEVEL = 10
+    SLOPE_PIXEL = 11
+    SLOPE_LINE = 12
+
+
+SHARED = len(Unknown)
+CENTER = [Unknown.PIXEL, Unknown.LINE]
+FIGURE = [Unknown.SIZE, Unknown.AXIS_COS, Unknown.AXIS_SIN]
+SHARES = [Unknown.LAW, Unknown.LAW_2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiskPixels:
+    """Planes (n_line, n_pixel) of the picture: data, noise without shot noise, which pixels count; and the gain."""
+
+    data_dn: FloatArray
+    noise_dn: FloatArray
+    use: BoolArray
+    gain_e_per_dn: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiskShape:
+    """Outline of a disk, and the law that its light has.
+
+    Attributes
+    ----------
+    center_px : (2,) array
+    log_size
+        Logarithm of the size over the model's.
+    strain : (2,) array
+        Of the outline: relative change of its radius as cos 2a and sin 2a.
+    law : (2,) array
+        Powers of 2 / (mu0 + mu) and of mu0 mu.
+    rough_px : (j,) array
+        Height of the limb at each piece.
+    """
+
+    center_px: FloatArray
+    log_size: float
+    strain: FloatArray
+    law: FloatArray
+    rough_px: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def outline(self, silhouette: Silhouette, *, rough: bool = True) -> Outline:
+        """Return the outline of the disk, with the heights of its pieces or without."""
+        plain = silhouette.at(self.center_px)
+        angle, n = plain.angle_rad, len(self.rough_px)
+        height = np.interp(np.mod(angle, TURN), piece_angles(n), self.rough_px, period=TURN) if rough else 0.0
+        strain = self.strain[0] * np.cos(2.0 * angle) + self.strain[1] * np.sin(2.0 * angle)
+        return replace(plain, radius_px=plain.radius_px * np.exp(self.log_size) * (1.0 + strain) + height)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiskFit:
+    """A fitted disk.
+
+    Attributes
+    ----------
+    outline, smooth_outline
+        At the solution, with the heights of its pieces and without.
+    light
+        Tables that the solution rests on.
+    prior
+        Of the albedo and the limb, as the data speak for it.
+    columns : (p + 1 + k, n) array
+        At the pixels, relative: derivatives with respect to what is shared, to the place of the limb and to the albedo.
+    piece_albedo : (j,) array
+        Of each piece of limb, relative.
+    reach_px : (float, float)
+        Inward and outward of the pixels that were used.
+    lengths_px
+        Of the center's steps.
+    """
+
+    shape: DiskShape
+    outline: Outline
+    smooth_outline: Outline
+    light: LimbLight
+    brightness_dn: float
+    prior: FieldPrior
+    system: LimbSystem
+    solution: MarginalSolution
+    pixels: LimbPixels
+    columns: FloatArray
+    piece_albedo: FloatArray
+    figure: FigureUncertainty
+    reach_px: tuple[float, float]
+    lengths_px: tuple[float, ...]
+    converged: bool
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def center_px(self) -> FloatArray:
+        """Center of figure (2,)."""
+        return self.shape.center_px
+
+    @property
+    def covariance_px2(self) -> FloatArray:
+        """Covariance of the center (2, 2), marginal over all else."""
+        return self.solution.covariance[np.ix_(CENTER, CENTER)]
+
+    def light_dn(self) -> FloatArray:
+        """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo."""
+        return np.asarray(self.brightness_dn * self.columns[Unknown.BRIGHTNESS])
+
+    def model_dn(self) -> FloatArray:
+        """Return what the solution expects (n,) at its pixels, DN."""
+        theta = self.solution.theta.copy()
+        away = theta[SHARES] - self.shape.law
+        linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
+        model = theta[linear] @ self.columns[linear]
+        model += self.brightness_dn * (
+            away @ self.columns[SHARES] + theta[Unknown.WINGS] * self.columns[Unknown.WINGS]
+        )
+        j = len(self.piece_albedo)
+        place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
+        below = np.floor(place).astype(np.int64)
+        part = place - below
+        model += theta[Unknown.BLUR] * self.brightness_dn * self.columns[Unknown.BLUR]
+        for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
+            nodes = self.solution.nodes[index, :-1]
+            model += weight * np.einsum("nk,kn->n", nodes, self.columns[SHARED + 1 :])
+        return np.asarray(model)
+
+    @property
+    def lit_share(self) -> float:
+        """Share of a turn of limb that is lit and on the detector."""
+        limb = np.abs(self.system.light).max(axis=1)
+        seen = np.isfinite(self.system.variance).sum(axis=1) > 0.5 * self.system.variance.shape[1]
+        return float(np.mean((limb > LIT_LIMB * self.brightness_dn * self.piece_albedo) & seen))
+
+    def sigma(self, unknown: Unknown) -> float:
+        """Return the standard deviation of what is shared."""
+        return float(np.sqrt(self.solution.covariance[unknown, unknown]))
+
+
+def piece_angles(n: int) -> FloatArray:
+    """Return the middles (n,) of pieces of limb, rad."""
+    return np.asarray((np.arange(n) + 0.5) * (TURN / n))
+
+
+class _DiskProblem:
+    """What stays while a disk is fitted."""
+
+    def __init__(self, picture: BodyPicture, name: str, pixels: DiskPixels, radius_px: float) -> None:
+        self.picture, self.name, self.pixels = picture, name, pixels
+        self.silhouette = Silhouette(picture, name)
+        model = picture.model(name)
+        self.figure: FigureUncertainty = model.figure
+        self.law_prior = UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
+        self.psf_px = float(np.max(picture.psf.sigma_px))
+        inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
+        self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
+        self.edges = depth_edges(*self.reach, self.psf_px)
+        self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
+        deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
+        self.node_rad = np.linspace(0.0, deepest, NODES)
+        self.rough_px = self.figure.limb_roughness * radius_px
+        angle = piece_angles(self.pieces)
+        turn = np.abs(angle[:, None] - angle)
+        self.turn = np.minimum(turn, TURN - turn)
+        self.chord = _arcs(angle, self.node_rad)
+
+    def tables(self, shape: DiskShape, *, fine: bool = False) -> LimbLight:
+        """Return the light of a shape without its strain."""
+        scale = float(np.exp(-shape.log_size))
+        outline = self.silhouette.at(shape.center_px, scale)
+        inward, outward = self.reach
+        reach = (inward + 4.0, outward + 4.0)
+        return limb_light(self.picture, self.name, outline, scale, reach, self.node_rad, shape.law, fine=fine)
+
+    def prior_sigma(self) -> FloatArray:
+        """Return the uncertainty (p,) of what is shared."""
+        figure, free = self.figure, np.inf
+        blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE)
+        size, axes = figure.size_sigma, figure.axes_sigma
+        return np.array(
+            [
+                free,
+                free,
+                free,
+                size,
+                axes,
+                axes,
+                self.law_prior[1],
+                MINNAERT_SIGMA,
+                blur,
+                WING_SIGMA,
+                free,
+                free,
+                free,
+            ]
+        )
+
+    def prior_mean(self) -> FloatArray:
+        """Return what is expected (p,) of what is shared."""
+        mean = np.zeros(SHARED)
+        mean[Unknown.LAW] = self.law_prior[0]
+        return mean
+
+
+def _arcs(angle: FloatArray, node: FloatArray) -> FloatArray:
+    """Return the angles on a sphere (j k, j k) between nodes at arcs from the limb."""
+    cos_b, sin_b = np.cos(node), np.broadcast_to(np.sin(node), (len(angle), len(node)))
+    x, y = np.cos(angle)[:, None] * cos_b, np.sin(angle)[:, None] * cos_b
+    place = np.stack([x, y, sin_b], axis=-1).reshape(-1, 3)
+    return np.asarray(np.arccos(np.clip(place @ place.T, -1.0, 1.0)))
+
+
+def fit_disk(
+    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, start: DiskFit | None = None
+) -> DiskFit:
+    """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
+
+    Raises
+    ------
+    CenterfindingError
+        The body leaves what the camera model covers.
+    """
+    problem = _DiskProblem(picture, name, pixels, 0.5 * picture.diameter_px(name) * place.size_ratio)
+    none = np.zeros(problem.pieces)
+    law = np.array([problem.law_prior[0], 0.0])
+    shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), np.zeros(2), law, none)
+    return _Fitter(problem, shape, start).run()
+
+
+def _bounded(law: FloatArray) -> FloatArray:
+    return np.clip(law, [-0.4, -0.4], [1.6, 0.4])
+
+
+class _Fitter:
+    def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
+        self.problem, self.started = problem, start is not None
+        if start is not None:
+            self.shape, self.prior, self.light = start.shape, start.prior, start.light
+            self.made, self.brightness = start.shape, start.brightness_dn
+            self.piece_albedo = start.piece_albedo
+            return
+        self.shape = shape
+        self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
+        self.light = problem.tables(shape)
+        self.made = shape
+        self.brightness = _first_brightness(problem, shape, self.light)
+        self.piece_albedo = np.ones(problem.pieces)
+
+    def run(self) -> DiskFit:
+        lengths: list[float] = []
+        near = False
+        settled, fine, tunings = False, self.started, 2 if self.started else 0
+        system, pixels, solution = self._solved()
+        for turn in range(MOST_TURNS):
+            if (settled or turn in (0, 9)) and tunings < 2:
+                self.prior = tuned(system, self.prior, self.problem.rough_px, TUNING[tunings])
+                solution = system.solve(self.prior, self._held())
+                tunings += 1
+            elif settled:
+                break
+            before = self.shape, self.brightness, self.piece_albedo, self.light, self.made
+            for halving in range(4):
+                length = self._move(solution, 0.5**halving)
+                self._refresh()
+                system_, pixels_, solution_ = self._solved()
+                if solution_.held_chi2 < solution.held_chi2 + GROWTH or length < STILL_PX:
+                    break
+                if halving < 3:
+                    self.shape, self.brightness, self.piece_albedo, self.light, self.made = before
+            system, pixels, solution = system_, pixels_, solution_
+            lengths.append(length)
+            sigma = float(np.sqrt(solution.covariance[CENTER, CENTER].max()))
+            settled = length < max(STILL_PX, STILL_SIGMAS * sigma)
+            near = length < max(NEAR_PX, NEAR_SIGMAS * sigma)
+            if settled and tunings == 2 and (not fine or self._stale(solution)):
+                fine = True
+                self._tabulate(solution)
+                system, pixels, solution = self._solved()
+                settled = False
+        return DiskFit(
+            shape=self.shape,
+            outline=self.shape.outline(self.problem.silhouette),
+            smooth_outline=self.shape.outline(self.problem.silhouette, rough=False),
+            light=self.light,
+            brightness_dn=self.brightness,
+            prior=self.prior,
+            system=system,
+            solution=solution,
+            pixels=pixels[0],
+            columns=pixels[1],
+            piece_albedo=self.piece_albedo,
+            figure=self.problem.figure,
+            reach_px=self.problem.reach,
+            lengths_px=tuple(lengths),
+            converged=near,
+        )
+
+    def _solved(self) -> tuple[LimbSystem, tuple[LimbPixels, FloatArray], MarginalSolution]:
+        system, pixels = self.system()
+        return system, pixels, system.solve(self.prior, self._held())
+
+    def _held(self) -> dict[int, float]:
+        """Return the outline as it is, in terms of theta."""
+        shape = self.shape
+        figure = dict(zip(FIGURE, (shape.log_size, *shape.strain), strict=True))
+        return {**dict.fromkeys(CENTER, 0.0), **{k: float(v) for k, v in figure.items()}}
+
+    def _move(self, solution: MarginalSolution, most: float) -> float:
+        theta, shape = solution.theta, self.shape
+        center, size = theta[CENTER], theta[Unknown.SIZE] - shape.log_size
+        radius = 0.5 * self.problem.picture.diameter_px(self.problem.name)
+        length = max(float(np.hypot(*center)), radius * abs(float(size)))
+        part = most * min(1.0, LONGEST_PX / max(length, 1e-12))
+        law = _bounded(theta[SHARES])
+        self.shape = DiskShape(
+            shape.center_px + part * center,
+            float(shape.log_size + part * size),
+            shape.strain + part * (theta[FIGURE[1:]] - shape.strain),
+            shape.law + most * np.clip(law - shape.law, -0.4, 0.4),
+            shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
+        )
+        albedo = solution.nodes[:, :-1] @ np.exp(-self.problem.node_rad / 0.3)
+        albedo = albedo / np.exp(-self.problem.node_rad / 0.3).sum()
+        self.piece_albedo = np.maximum(1.0 + albedo / self.brightness, 0.1)
+        self.brightness = max(float(theta[Unknown.BRIGHTNESS]), 0.1 * self.brightness)
+        return part * float(np.hypot(*center))
+
+    def _stale(self, solution: MarginalSolution) -> bool:
+        """Whether the light was tabulated for a law or a size that are not those of the solution."""
+        law = float(np.abs(_bounded(solution.theta[SHARES]) - self.made.law).max())
+        return law > LAST_LAW or abs(self.shape.log_size - self.made.log_size) > LAST_SIZE
+
+    def _tabulate(self, solution: MarginalSolution) -> None:
+        self.shape = replace(self.shape, law=_bounded(solution.theta[SHARES]))
+        self.light, self.made = self.problem.tables(self.shape, fine=True), self.shape
+
+    def _refresh(self) -> None:
+        """Make the tables anew where law or size have left those that they were made with."""
+        moved = np.abs(self.shape.law - self.made.law).max() > NEW_LAW
+        if moved or abs(self.shape.log_size - self.made.log_size) > NEW_SIZE:
+            self.light, self.made = self.problem.tables(self.shape), self.shape
+        else:
+            self.shape = replace(self.shape, law=self.made.law)
+
+    def system(self) -> tuple[LimbSystem, tuple[LimbPixels, FloatArray]]:
+        """Return the linear system about the present shape."""
+        problem, shape, light = self.problem, self.shape, self.light
+        plane = problem.pixels
+        outline = shape.outline(problem.silhouette)
+        near = limb_pixels(outline, plane.data_dn.shape, *problem.reach)
+        here = (near.line, near.pixel)
+        tables = light.at(near.angle_rad, near.depth_px, np.concatenate([light.planes, light.parts]))
+        m0, slope, turn, law, law_2, blur, wings = tables[:7]
+        wave = 2.0 * near.angle_rad
+        size = -slope * near.limb_px
+        away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
+        columns = [
+            m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
+            blur, wings, np.ones_like(m0), *away, -slope,
+        ]  # fmt: skip
+        every = np.concatenate([np.stack(columns), tables[7:]])
+        variance = plane.noise_dn[here] ** 2 + np.maximum(self.brightness * m0, 0.0) / plane.gain_e_per_dn
+        weight = np.where(plane.use[here], 1.0 / variance, 0.0)
+        cell = cell_of(near, problem.pieces, problem.edges)
+        whole, data, means = gathered(
+            cell,
+            weight,
+            plane.data_dn[here],
+            every,
+            problem.pieces,
+            problem.edges,
+        )
+        lit = self.brightness * self.piece_albedo[:, None]
+        moving = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]
+        means[moving] *= lit
+        means[[*SHARES, Unknown.WINGS]] *= self.brightness
+        known = np.array([shape.log_size, *shape.strain, *shape.law])
+        data = (
+            data
+            + np.tensordot(known, means[[*FIGURE, *SHARES]], axes=1)
+            + means[SHARED] * shape.rough_px[:, None]
+        )
+        usable = whole > 0.0
+        system = LimbSystem(
+            data=data,
+            variance=np.where(usable, 1.0 / np.where(usable, whole, 1.0), np.inf),
+            light=np.where(usable, np.maximum(lit * means[0], 0.0), 0.0),
+            shared=means[:SHARED],
+            own=np.concatenate([means[SHARED + 1 :], means[SHARED : SHARED + 1]]),
+            prior_mean=problem.prior_mean(),
+            prior_precision=problem.prior_sigma() ** -2.0,
+            chord=problem.chord,
+            turn=problem.turn,
+            brightness_dn=self.brightness,
+            rough_length_rad=ROUGH_LENGTH_RAD,
+        )
+        return system, (near, every)
+
+
+# ---- Hyperparameters: what the data speak for, within what surfaces are like.
+
+USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
+VARIETY = np.array([1.5, 0.8, 1.5, 0.5])
+WIDEST = 3.0
+LEAST = np.log([0.01, 0.003])  # contrast and grain: no surface is more even than that, and no law of it
+
+
+def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> FieldPrior:
+    """Return the prior of greatest marginal likelihood."""
+    usual = np.append(USUAL, np.log(rough_px))
+
+    def cost(x: FloatArray) -> float:
+        away = (x - usual) / VARIETY
+        if np.any(np.abs(away) > WIDEST) or x[0] < LEAST[0] or x[2] < LEAST[1]:
+            return 1e12
+        return -system.solve(FieldPrior.from_logarithms(x)).log_likelihood + 0.5 * float(away @ away)
+
+    begin = np.clip(start.logarithms(), usual - 2.0 * VARIETY, usual + 2.0 * VARIETY)
+    begin[[0, 2]] = np.maximum(begin[[0, 2]], np.array(LEAST) + 0.1)
+    return FieldPrior.from_logarithms(_lowest(cost, begin, steps))
+
+
+def _lowest(cost: Callable[[FloatArray], float], begin: FloatArray, steps: tuple[float, ...]) -> FloatArray:
+    """Return where a function of few variables is lowest: parabolas along each of them, with steps that shrink."""
+    here, value = begin.copy(), cost(begin)
+    for step in steps:
+        for k in range(len(here)):
+            sides = []
+            for sign in (-1.0, 1.0):
+                there = here.copy()
+                there[k] += sign * step
+                sides.append(cost(there))
+            bend = sides[0] - 2.0 * value + sides[1]
+            tilt = 0.5 * (sides[1] - sides[0])
+            move = float(np.clip(-tilt / bend, -2.0, 2.0)) if bend > 0.0 else float(np.sign(-tilt))
+            trials = [(sides[0], -1.0), (sides[1], 1.0)]
+            if abs(move) > LEAST_MOVE:
+                there = here.copy()
+                there[k] += move * step
+                trials.append((cost(there), move))
+            lowest, by = min(trials)
+            if lowest < value:
+                value = lowest
+                here[k] += by * step
+    return here
+
+
+def _first_brightness(problem: _DiskProblem, shape: DiskShape, light: LimbLight) -> float:
+    plane = problem.pixels
+    near = limb_pixels(shape.outline(problem.silhouette), plane.data_dn.shape, *problem.reach)
+    here = (near.line, near.pixel)
+    model = light.at(near.angle_rad, near.depth_px, light.planes[:1])[0] * plane.use[here]
+    power = float(model @ model)
+    least = float(np.median(plane.noise_dn))
+    return max(float(model @ plane.data_dn[here]) / power, least) if power > 0.0 else least

@@ -1,0 +1,117 @@
+"""The pixels about a limb, gathered in cells of angle and depth: data, their weights, and the model's derivatives.
+
+Every pixel of the strip belongs to one cell; the model is taken at the pixel itself, so that a cell's mean of data is
+compared with the same mean of the model, and nothing is resampled.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.bodies.silhouette import TURN, Outline
+
+__all__ = ["LimbPixels", "cell_of", "depth_edges", "gathered", "limb_pixels"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimbPixels:
+    """The n pixels of the strip about an outline.
+
+    Attributes
+    ----------
+    pixel, line : (n,) arrays of int
+        On the detector.
+    angle_rad, depth_px : (n,) arrays
+    limb_px : (n,) array
+        Radius of the outline there.
+    shift, turn : (n, 2) arrays
+        Change of the depth (px) and of the angle (rad) per px that the center moves along pixel and along line.
+    """
+
+    pixel: IntArray
+    line: IntArray
+    angle_rad: FloatArray
+    depth_px: FloatArray
+    limb_px: FloatArray
+    shift: FloatArray
+    turn: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPixels:
+    """Return the pixels of a detector (lines, pixels) between two depths."""
+    reach = outline.reach_px + outward_px + 1.0
+    center = outline.center_px
+    first = np.clip(np.ceil(center - reach[:2]), 0, None).astype(int)
+    last = np.minimum(np.floor(center + reach[2:]), np.array(shape)[::-1] - 1).astype(int)
+    if np.any(last < first):
+        return LimbPixels(*(np.zeros(0, dtype=np.int64),) * 2, *(np.zeros(0),) * 3, *(np.zeros((0, 2)),) * 2)
+    x = np.arange(first[0], last[0] + 1) - center[0]
+    y = np.arange(first[1], last[1] + 1) - center[1]
+    radius = np.hypot(x, y[:, None])
+    limb = outline.radius_px
+    near = (radius > limb.min() - inward_px) & (radius < limb.max() + outward_px)
+    row, column = np.nonzero(near)
+    x, y, radius = x[column], y[row], radius[near]
+    angle = np.arctan2(y, x)
+    at, slope = _outline_at(outline, angle)
+    depth = radius - at
+    kept = (depth > -inward_px) & (depth < outward_px)
+    x, y, radius, at, slope = x[kept], y[kept], np.maximum(radius[kept], 1e-6), at[kept], slope[kept]
+    tilt = (slope / radius)[:, None]
+    along = np.stack([x, y], axis=-1) / radius[:, None]
+    turn = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.maximum(radius, 1.0)[:, None]
+    shift = -along - tilt * turn * radius[:, None]
+    return LimbPixels(
+        column[kept] + first[0], row[kept] + first[1], angle[kept], depth[kept], at, shift, turn
+    )
+
+
+def _outline_at(outline: Outline, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return radius and its slope (px/rad) at angles: the outline has an even grid."""
+    n = len(outline.angle_rad)
+    place = (angle - outline.angle_rad[0]) * (n / TURN)
+    below = np.floor(place).astype(np.int64)
+    part = place - below
+    low, high = outline.radius_px[below % n], outline.radius_px[(below + 1) % n]
+    return low + part * (high - low), (high - low) * (n / TURN)
+
+
+def depth_edges(inward_px: float, outward_px: float, sharp_px: float) -> FloatArray:
+    """Return edges of depths: 0.75 px about the limb, wider where nothing is sharp."""
+    fine = max(4.0 * sharp_px, 3.0)
+    near = np.arange(-min(fine, inward_px), min(fine, outward_px) + 0.375, 0.75)
+    inner, width = [near[0]], 1.0
+    while inner[-1] > -inward_px:
+        width *= 1.3
+        inner.append(max(inner[-1] - width, -inward_px))
+    outer, width = [near[-1]], 1.5
+    while outer[-1] < outward_px:
+        outer.append(min(outer[-1] + width, outward_px))
+    return np.concatenate([inner[:0:-1], near, outer[1:]])
+
+
+def cell_of(pixels: LimbPixels, pieces: int, edges: FloatArray) -> IntArray:
+    """Return the cell (n,) of each pixel."""
+    piece = np.floor(np.mod(pixels.angle_rad, TURN) * (pieces / TURN)).astype(np.int64) % pieces
+    depth = np.clip(np.searchsorted(edges, pixels.depth_px) - 1, 0, len(edges) - 2)
+    return np.asarray(piece * (len(edges) - 1) + depth)
+
+
+def gathered(
+    cell: IntArray, weight: FloatArray, data: FloatArray, columns: FloatArray, pieces: int, edges: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return weights and means of data (j, c) and of columns (p, j, c) over the cells of n pixels."""
+    c = len(edges) - 1
+    size = pieces * c
+
+    def total(values: FloatArray) -> FloatArray:
+        return np.bincount(cell, values, size).reshape(pieces, c)
+
+    whole = total(weight)
+    share = 1.0 / np.where(whole > 0.0, whole, np.inf)
+    means = np.stack([total(weight * column) * share for column in columns])
+    return whole, total(weight * data) * share, means

@@ -1,0 +1,326 @@
+"""The light of a disk about its limb, in tables of angle about the center and depth from the limb.
+
+Flow   body, outline, PSF -> radiance along rays from the center -> spread by the PSF, curved as the limb is -> tables ->
+       light and its derivatives at any pixel, wherever the outline lies
+Frame  depth positive outward, px; angles from +pixel toward +line
+Units  relative brightness; derivatives per px of depth, per rad, per unit of each share
+
+A limb is straight compared with the PSF, or nearly: across it the picture is that of one dimension, and tables of one
+dimension for some directions replace the rendering of the whole disk. The curvature enters through the spread function:
+a cell of the PSF at t along the limb sees the surface t^2 / 2R deeper than one that lies on the ray. Disks that are not
+much wider than the PSF are spread in two dimensions instead, and tabulated then.
+
+Law     Lommel-Seeliger's law is Lambert's times 2 / (mu0 + mu), Minnaert's has powers of mu0 and mu. Powers of 2 / (mu0 +
+        mu) and of mu0 mu times the body's own law make up for one that it does not have.
+Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies at the limb is foreshortened, and the
+        albedo of a body varies over arcs of its surface, not over pixels.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import map_coordinates
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies.picture import BodyPicture, displaced_model, pixel_rays
+from opnav_workbench.bodies.silhouette import TURN, Outline
+from opnav_workbench.psf import Psf
+from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger
+from opnav_workbench.render.body import PlacedBody
+
+__all__ = ["PLANES", "LimbLight", "limb_light"]
+
+PLANES = ("light", "by_depth", "by_angle", "law", "law_2", "blur", "wings")
+
+# Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
+# both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
+COARSE, FINE = (0.125, 96, 160, 2.0), (0.0625, 160, 400, 1.0)
+SPREADS = 24  # directions in which the spread function is taken
+PLANE_RADIUS_PX = 25.0  # smaller disks are spread in two dimensions
+PLANE_STEP_PX = 0.25  # an even number of cells a pixel keeps the pixel centered
+GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
+PIXEL_VARIANCE = 1.0 / 12.0
+KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
+DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
+WING_PX = 4.0  # scale of the light that a PSF may have in its wings beside what is known of it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimbLight:
+    """Tables (t directions, n depths) of a disk's light.
+
+    Attributes
+    ----------
+    first_px, step_px
+        Depth of the first column, and from each to the next.
+    planes : (7, t, n) array
+        As `PLANES`: light, its change with depth and with the angle, with the two shares of the law, with the PSF's
+        variance (px^2 along each axis), and with the share of light that goes to wings.
+    parts : (k, t, n) array
+        Light of each hat function of the albedo; their sum is the light.
+    node_rad : (k,) array
+        Arc from the limb of each hat function's peak.
+    """
+
+    first_px: float
+    step_px: float
+    planes: FloatArray
+    parts: FloatArray
+    node_rad: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def at(self, angle_rad: FloatArray, depth_px: FloatArray, tables: FloatArray) -> FloatArray:
+        """Return tables (p, t, n) at m places as (p, m)."""
+        count, t, n = tables.shape
+        row = np.mod(angle_rad, TURN) * (t / TURN)
+        column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
+        i, j = row.astype(np.int64), column.astype(np.int64)
+        along, flat = column - j, tables.reshape(count, -1)
+        out = np.zeros((count, len(row)))
+        for jump, weight in zip((-1, 0, 1, 2), cubic_weights(row - i), strict=True):
+            index = (i + jump) % t * n + j
+            out += weight * (1.0 - along) * np.take(flat, index, axis=1)
+            out += weight * along * np.take(flat, index + 1, axis=1)
+        return out
+
+
+def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the weights of the samples at -1, 0, 1, 2 for an interpolation between 0 and 1 (Keys 1981)."""
+    t = part
+    return (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+
+
+def limb_light(
+    picture: BodyPicture,
+    name: str,
+    outline: Outline,
+    range_scale: float,
+    reach_px: tuple[float, float],
+    node_rad: FloatArray,
+    law: FloatArray,
+    *,
+    fine: bool = False,
+) -> LimbLight:
+    """Tabulate the light of a body about its outline.
+
+    Parameters
+    ----------
+    range_scale
+        Range over the a priori one, which the outline was made with.
+    reach_px : (float, float)
+        Depths inward and outward that are needed.
+    node_rad : (k,) array
+        Arcs from the limb at which the albedo has nodes, from 0 upward.
+    law : (2,) array
+        Powers of 2 / (mu0 + mu) and of mu0 mu times the body's own law.
+    fine
+        As the last solution needs it.
+    """
+    step, fewest, most, apart = FINE if fine else COARSE
+    model = displaced_model(picture, name, outline.center_px, range_scale)
+    radius = 0.5 * outline.diameter_px
+    directions = int(np.clip(TURN * radius / apart, fewest, most))
+    angle = np.arange(directions) * (TURN / directions)
+    first = -step * np.ceil(reach_px[0] / step)
+    depth = np.arange(first, reach_px[1] + step, step)
+    build = _spread_in_plane if radius < PLANE_RADIUS_PX else _spread_along_rays
+    tables = build(picture, model, outline, angle, depth, node_rad, law)
+    tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
+    total = tables[0]
+    by_depth = np.gradient(total, step, axis=1)
+    by_angle = (np.roll(total, -1, axis=0) - np.roll(total, 1, axis=0)) * (0.5 * directions / TURN)
+    across = by_depth / np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
+    blur = 0.5 * (np.gradient(by_depth, step, axis=1) + across)
+    planes = np.stack([total, by_depth, by_angle, tables[1], tables[2], blur, _widened(total, step) - total])
+    return LimbLight(float(first), float(step), planes, tables[3:], node_rad)
+
+
+def _sources(
+    picture: BodyPicture,
+    model: BodyModel,
+    outline: Outline,
+    offset_px: FloatArray,
+    depth_px: FloatArray,
+    step_px: float,
+    node_rad: FloatArray,
+    law: FloatArray,
+) -> FloatArray:
+    """Return the light before the PSF (3 + k, ...) in cells of `step_px` at offsets (..., 2) from the center.
+
+    All of it, its change with the law, and that of each hat. A cell that the limb cuts has the light of the part inside.
+    """
+    shape = depth_px.shape
+    covered = np.clip(0.5 - depth_px.ravel() / step_px, 0.0, 1.0)
+    inside = covered > 0.0
+    offset, depth = offset_px.reshape(-1, 2)[inside], depth_px.ravel()[inside]
+    reach = np.hypot(offset[:, 0], offset[:, 1])
+    limb = reach - depth
+    share = np.minimum(reach / limb, 1.0 - GRAZE)
+    offset = offset * (share * limb / np.maximum(reach, 1e-9))[:, None]
+    rays = pixel_rays(picture, outline.center_px + offset)
+    each = []
+    for its_law in (model.law, Lambert(), LommelSeeliger()):
+        body = PlacedBody(replace(model, law=its_law, flux_e=None), picture.camera.pixel_scale_rad)
+        each.append(body.radiance(rays) / body.sunlight)
+    light, lambert, seeliger = each
+    white = model.albedo if isinstance(model.albedo, float | int) else float(lambert.max(initial=1.0))
+    factors = _law_factors(light, lambert / max(white, np.finfo(float).tiny), lambert, seeliger)
+    light = light * np.exp(np.tensordot(law, factors, axes=1))
+    found = np.concatenate([light[None], light * factors, light * _hats(share, node_rad)])
+    out = np.zeros((len(found), covered.size))
+    out[:, inside] = found * covered[inside]
+    return out.reshape(-1, *shape)
+
+
+def _law_factors(light: FloatArray, mu0: FloatArray, lambert: FloatArray, seeliger: FloatArray) -> FloatArray:
+    """Return logarithms (2, n) of 2 / (mu0 + mu) and of mu0 mu, less their means over the light."""
+    lit = (lambert > 0.0) & (seeliger > 0.0) & (light > 0.0)
+    ratio = np.where(lit, seeliger, 1.0) / np.where(lit, lambert, 1.0)
+    mu = np.clip(2.0 / ratio - mu0, DARKEST, 1.0)
+    both = np.stack([np.log(np.minimum(ratio, 1.0 / DARKEST)), np.log(np.maximum(mu0, DARKEST) * mu)])
+    weight = np.where(lit, light, 0.0)
+    mean = (both @ weight)[:, None] / max(float(weight.sum()), np.finfo(float).tiny)
+    return np.where(lit, both - mean, 0.0)
+
+
+def _hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
+    """Return hat functions (k, n) of the arc at shares of the limb's radius."""
+    arc = np.arccos(np.clip(share, 0.0, 1.0))
+    up = np.clip((arc - node_rad[:-1, None]) / np.diff(node_rad)[:, None], 0.0, 1.0)
+    hats = np.concatenate([np.ones((1, len(arc))), up])
+    hats[:-1] -= up
+    return np.asarray(hats)
+
+
+# ---- A limb that is nearly straight: spread along rays.
+
+
+def _spread_along_rays(
+    picture: BodyPicture,
+    model: BodyModel,
+    outline: Outline,
+    angle: FloatArray,
+    depth: FloatArray,
+    node_rad: FloatArray,
+    law: FloatArray,
+) -> FloatArray:
+    limb = outline.radius(angle)
+    slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
+    step = float(depth[1] - depth[0])
+    spreads, half = _spreads(picture.psf.at(outline.center_px), angle, slope, float(np.mean(limb)), step)
+    fine = depth[0] + step * np.arange(-half, len(depth) + half)
+    reach = limb[:, None] + fine
+    wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    depths = np.broadcast_to(fine, reach.shape)
+    sources = _sources(
+        picture, model, outline, reach[..., None] * wheel[:, None], depths, step, node_rad, law
+    )
+    # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
+    n, t = len(fine), len(angle)
+    good = fft.next_fast_len(n + 2 * half + 1, real=True)
+    spectrum = fft.rfft(sources, good) * fft.rfft(spreads[:, ::-1], good)
+    variance = (float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE) / float(np.mean(limb)) ** 2
+    wave = np.exp(-0.5 * variance * fft.fftfreq(t, 1.0 / t) ** 2)
+    spectrum = fft.ifft(fft.fft(spectrum, axis=1) * wave[:, None], axis=1)
+    return np.asarray(fft.irfft(spectrum, good)[..., 2 * half : n])
+
+
+def _spreads(
+    psf: Psf, angle: FloatArray, slope: FloatArray, radius: float, step: float
+) -> tuple[FloatArray, int]:
+    """Return spread functions (t, 2 half + 1) along rays; entry half + s is the light from s steps farther out."""
+    cells, per_px = _pixel_spread(psf)
+    line, pixel = np.nonzero(cells > KEPT_SHARE * cells.max())
+    middle = len(cells) // 2
+    x, y = (pixel - middle) / per_px, (line - middle) / per_px
+    reach = float(np.hypot(x, y).max())
+    half = int(np.ceil((reach + 0.5 * reach**2 / radius) * 1.2 / step)) + 2
+    share = cells[line, pixel]
+    normals = np.arange(SPREADS) * (TURN / SPREADS)
+    each = np.stack([_one_spread(x, y, share, a, radius, half, step) for a in normals])
+    along = np.mod(angle - np.arctan(slope), TURN) * (SPREADS / TURN)
+    before = along.astype(np.int64) % SPREADS
+    part = (along - np.floor(along))[:, None]
+    mixed = (1.0 - part) * each[before] + part * each[(before + 1) % SPREADS]
+    stretch = np.sqrt(1.0 + slope**2)  # a ray crosses a slanted limb over a longer way
+    steps = np.arange(-half, half + 1.0)
+    spread = np.stack([np.interp(steps / s, steps, row) for row, s in zip(mixed, stretch, strict=True)])
+    return spread / spread.sum(axis=1, keepdims=True), half
+
+
+def _pixel_spread(psf: Psf) -> tuple[FloatArray, int]:
+    """Return the PSF integrated over a pixel in cells (k, k), and the cells in a pixel."""
+    per_px = 8 if psf.half_size_px < 12.0 else 4
+    cells = psf.kernel(per_px)
+    box = np.ones(per_px + 1) / per_px
+    box[[0, -1]] *= 0.5
+    size = len(cells) + per_px
+    spectrum = fft.rfft2(cells, (size, size))
+    both = fft.rfft2(np.outer(box, box), (size, size))
+    return np.asarray(fft.irfft2(spectrum * both, (size, size))), per_px
+
+
+def _one_spread(
+    x: FloatArray, y: FloatArray, share: FloatArray, angle: float, radius: float, half: int, step: float
+) -> FloatArray:
+    across, along = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    seen = (np.hypot(radius - across, along) - radius) / step + half
+    below = np.clip(seen.astype(np.int64), 0, 2 * half - 1)
+    part = np.clip(seen - below, 0.0, 1.0)
+    n = 2 * half + 1
+    out = np.bincount(below, share * (1.0 - part), n) + np.bincount(below + 1, share * part, n)
+    return np.asarray(out / share.sum())
+
+
+# ---- A disk that is not much wider than the PSF: spread in two dimensions.
+
+
+def _spread_in_plane(
+    picture: BodyPicture,
+    model: BodyModel,
+    outline: Outline,
+    angle: FloatArray,
+    depth: FloatArray,
+    node_rad: FloatArray,
+    law: FloatArray,
+) -> FloatArray:
+    psf, step = picture.psf.at(outline.center_px), PLANE_STEP_PX
+    per_px = round(1.0 / step)
+    half = int(np.ceil((float(outline.radius_px.max()) + 2.0) / step))
+    offset = step * np.arange(-half, half + 1)
+    x, y = np.meshgrid(offset, offset)
+    depths = np.hypot(x, y) - outline.radius(np.arctan2(y, x))
+    sources = _sources(picture, model, outline, np.stack([x, y], axis=-1), depths, step, node_rad, law)
+    cells = psf.kernel(per_px)
+    box = np.ones(per_px + 1) / per_px
+    box[[0, -1]] *= 0.5
+    reach = float(outline.radius_px.max() + depth[-1]) / step
+    size = fft.next_fast_len(2 * max(half, int(reach)) + len(cells) + per_px + 2, real=True)
+    spread = fft.rfft2(cells, (size, size)) * fft.rfft2(np.outer(box, box), (size, size))
+    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread, (size, size))
+    middle = half + len(cells) // 2 + per_px // 2  # of the body in the spread plane
+    away = np.maximum(outline.radius(angle)[:, None] + depth, 0.0) / step
+    where = [
+        middle + away * np.sin(angle)[:, None],
+        middle + away * np.cos(angle)[:, None],
+    ]
+    return np.stack([map_coordinates(p, where, order=3, mode="grid-wrap") for p in plane])
+
+
+def _widened(total: FloatArray, step: float) -> FloatArray:
+    """Return the light spread by wings exp(-|s| / `WING_PX`)."""
+    n = total.shape[1]
+    pad = int(4.0 * WING_PX / step)
+    wings = np.exp(-np.abs(np.arange(-pad, pad + 1)) * step / WING_PX)
+    padded = np.pad(total, ((0, 0), (pad, pad)), mode="edge")
+    good = fft.next_fast_len(padded.shape[1] + 2 * pad, real=True)
+    out = fft.irfft(fft.rfft(padded, good) * fft.rfft(wings / wings.sum(), good), good)
+    return np.asarray(out[:, 2 * pad : 2 * pad + n])

@@ -1,0 +1,199 @@
+"""The likelihood of cells of a limb, marginal over an albedo that is a random field on the body and over a rough limb.
+
+    y = X theta + N w + e,    w ~ N(0, K),  theta ~ N(theta_0, 1 / Lambda),  e ~ N(0, D)
+
+y are the means of data in cells (j pieces of limb with c depths), X what all pieces share (center, size, axes, law, PSF,
+background), and N, block by block, what each piece has of its own: its albedo at k arcs from the limb, and the place of
+its limb. K is exponential in the distance on the body: the covariance of a surface that is patched by boundaries at
+random places. With R^T R = N^T D^-1 N, block by block, every quantity follows from one Cholesky decomposition of
+1 + R K R^T (Rasmussen & Williams 2006, "Gaussian Processes for Machine Learning", section 2.7 and equation A.9).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+
+RIDGE = 1e-11  # of a unit diagonal: keeps what nothing tells from becoming infinite
+
+__all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPrior:
+    """Hyperparameters of the random field.
+
+    Attributes
+    ----------
+    albedo
+        Relative standard deviation of the albedo.
+    length_rad
+        Over which it is correlated.
+    grain
+        Relative standard deviation of what differs from cell to cell.
+    rough_px
+        Standard deviation of the limb.
+    """
+
+    albedo: float
+    length_rad: float
+    grain: float
+    rough_px: float
+
+    def logarithms(self) -> FloatArray:
+        """Return the logarithms (4,)."""
+        return np.log([self.albedo, self.length_rad, self.grain, self.rough_px])
+
+    @classmethod
+    def from_logarithms(cls, values: FloatArray) -> "FieldPrior":
+        """Return the prior of logarithms (4,)."""
+        return cls(*(float(v) for v in np.exp(values)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarginalSolution:
+    """What the data say.
+
+    Attributes
+    ----------
+    log_likelihood
+        Marginal over everything.
+    theta : (p,) array
+    covariance : (p, p) array
+    nodes : (j, q) array
+        Mean of the random field.
+    chi2
+        y^T C^-1 y at the solution.
+    held_chi2
+        The same with those of theta that were to be held, at the values given.
+    """
+
+    log_likelihood: float
+    theta: FloatArray
+    covariance: FloatArray
+    nodes: FloatArray
+    chi2: float
+    held_chi2: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimbSystem:
+    """Cells with their model.
+
+    Attributes
+    ----------
+    data, variance : (j, c) arrays
+        Infinite variance without pixels.
+    light : (j, c) array
+        Of the model, DN; what `FieldPrior.grain` is relative to.
+    shared : (p, j, c) array
+        X.
+    own : (q, j, c) array
+        N; the last of q is the place of the limb.
+    prior_mean, prior_precision : (p,) arrays
+    chord : (j (q - 1), j (q - 1)) array
+        Distance of the albedo's nodes on the body, rad.
+    turn : (j, j) array
+        Angle between pieces of limb about the center, rad.
+    brightness_dn
+        Of the model: albedo is relative to it.
+    """
+
+    data: FloatArray
+    variance: FloatArray
+    light: FloatArray
+    shared: FloatArray
+    own: FloatArray
+    prior_mean: FloatArray
+    prior_precision: FloatArray
+    chord: FloatArray
+    turn: FloatArray
+    brightness_dn: float
+    rough_length_rad: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def prior_covariance(self, prior: FieldPrior) -> FloatArray:
+        """Return K in the order piece, node."""
+        j, q = self.data.shape[0], len(self.own)
+        albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
+        rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad)
+        whole = np.zeros((j, q, j, q))
+        whole[:, :-1, :, :-1] = albedo.reshape(j, q - 1, j, q - 1)
+        whole[:, -1, :, -1] = rough
+        return whole.reshape(j * q, j * q)
+
+    def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
+        """Solve for what all pieces share, marginal over the rest.
+
+        `held` are values of theta for which `MarginalSolution.held_chi2` is wanted, whatever the solution is.
+        """
+        j, q, p = self.data.shape[0], len(self.own), len(self.shared)
+        weight = 1.0 / (self.variance + (prior.grain * self.light) ** 2)
+        own = np.ascontiguousarray(self.own.transpose(1, 2, 0))
+        columns = np.concatenate([self.shared, self.data[None]]).transpose(1, 2, 0)
+        weighted = columns * weight[..., None]
+        inner = np.matmul(np.swapaxes(own * weight[..., None], 1, 2), own)
+        cross = np.matmul(np.swapaxes(own, 1, 2), weighted).reshape(j * q, p + 1)
+        plain = weighted.reshape(-1, p + 1).T @ columns.reshape(-1, p + 1)
+        root = _roots(inner)
+        field = self.prior_covariance(prior)
+        spread = np.matmul(root, field.reshape(j, q, j * q)).reshape(j * q, j * q)
+        both = np.matmul(spread.reshape(j * q, j, q).swapaxes(0, 1), np.swapaxes(root, 1, 2))
+        both = both.swapaxes(0, 1).reshape(j * q, j * q)
+        both[np.diag_indices(j * q)] += 1.0
+        factor = linalg.cholesky(both, lower=True, check_finite=False, overwrite_a=True)
+        carried = field @ cross
+        half = linalg.solve_triangular(factor, spread @ cross, lower=True, check_finite=False)
+        # (K^-1 + Q)^-1 = K - K R^T (1 + R K R^T)^-1 R K
+        information = plain - cross.T @ carried + half.T @ half
+        normal = information[:p, :p] + np.diag(self.prior_precision)
+        right = information[:p, p] + self.prior_precision * self.prior_mean
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled = normal * scale[:, None] * scale
+        scaled[np.diag_indices(p)] += RIDGE
+        value, vector = np.linalg.eigh(scaled)
+        value = np.maximum(value, RIDGE)
+        inverse = (vector / value) @ vector.T
+        theta = scale * (inverse @ (scale * right))
+        covariance = scale[:, None] * inverse * scale
+        chi2 = float(information[p, p] + self.prior_precision @ self.prior_mean**2 - right @ theta)
+        whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
+        held_chi2 = chi2 if held is None else _held(normal, right, whole, held)
+        used = weight > 0.0
+        log_determinants = (
+            2.0 * float(np.log(np.diag(factor)).sum())
+            - float(np.log(weight[used]).sum())
+            + float(np.log(value).sum())
+            - 2.0 * float(np.log(scale).sum())
+        )
+        rest = cross[:, p] - cross[:, :p] @ theta
+        nodes = field @ rest - spread.T @ linalg.cho_solve((factor, True), spread @ rest, check_finite=False)
+        return MarginalSolution(
+            -0.5 * (chi2 + log_determinants), theta, covariance, nodes.reshape(j, q), chi2, held_chi2
+        )
+
+
+def _held(normal: FloatArray, right: FloatArray, whole: float, held: Mapping[int, float]) -> float:
+    """Return the least of theta^T N theta - 2 theta^T r + whole with some of theta held."""
+    fixed = np.array(list(held), dtype=np.int64)
+    free = np.setdiff1d(np.arange(len(right)), fixed)
+    value = np.array(list(held.values()))
+    rest = right[free] - normal[np.ix_(free, fixed)] @ value
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal)[free], 1e-300))
+    inner = normal[np.ix_(free, free)] * scale[:, None] * scale + RIDGE * np.eye(len(free))
+    gained = (scale * rest) @ np.linalg.solve(inner, scale * rest)
+    return float(whole + value @ normal[np.ix_(fixed, fixed)] @ value - 2.0 * value @ right[fixed] - gained)
+
+
+def _roots(inner: FloatArray) -> FloatArray:
+    """Return R (j, q, q) with R^T R = inner, which may be singular."""
+    value, vector = np.linalg.eigh(inner)
+    return np.sqrt(np.maximum(value, 0.0))[..., None] * np.swapaxes(vector, 1, 2)

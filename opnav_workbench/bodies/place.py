@@ -1,0 +1,442 @@
+"""Where a body stands in the picture, before anything is fitted: its silhouette against the sky, then its lit limb.
+
+Flow   model -> which part of its outline is lit -> data above the sky, whatever their brightness -> correlation of the two
+       over the frame -> rays from there, each crossing the limb at half of the local brightness -> center and size that
+       the crossings agree with
+Frame  (pixel, line); distances along rays positive outward
+Units  px, DN
+
+A surface may be bright here and dark there, the Sun may light half of it, pixels may be saturated: against the sky all
+of that is the body. So the search sees one bit a pixel, and of the limb only where it is. What half of the brightness
+means for a limb that is darkened and blurred is asked of the model, whose limb is crossed in the same way.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import gaussian_filter1d, map_coordinates, maximum_filter
+from skimage.measure import block_reduce
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
+from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.bodies.subarray import search_radius
+from opnav_workbench.constants import MAD_TO_SIGMA
+from opnav_workbench.render import Lambert, LunarLambert
+from opnav_workbench.render.body import PlacedBody
+
+__all__ = ["BodyPlace", "CrossingFit", "LimbCrossings", "cross_limb", "find_place", "fit_crossings"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyPlace:
+    """Where a body was found.
+
+    Attributes
+    ----------
+    center_px : (2,) array
+    size_ratio
+        Of its image over that of its model.
+    score
+        Correlation, -1..1, of what is lit with the model's lit silhouette.
+    """
+
+    center_px: FloatArray
+    size_ratio: float
+    score: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+# ---- The silhouette over the frame.
+
+SEARCHED_RADIUS = 8.0  # of the body, in bins of the search
+SIZES = (0.87, 1.0, 1.15)
+LEVELS = (0.04, 0.12, 0.35)  # of the bright part of the body: what counts as lit
+SKY_SIGMAS = 5.0
+BRIGHT_RANK = 0.3  # of the lit pixels: as bright as this is bright
+LIT_SHARE = 0.02  # of the model's brightest part
+RING_SHARE = 0.35  # of the radius: sky about the body that must be dark
+LEAST_VISIBLE = 0.04  # of the lit silhouette that must lie on the detector
+
+
+NEAR_SCORE, NEAR_SHARE = (
+    0.75,
+    0.85,
+)  # a place near the expected one is taken if it is so good, itself and beside the best
+SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
+
+
+def find_place(
+    picture: BodyPicture, name: str, circle: Circle | None = None, search_px: float | None = None
+) -> BodyPlace | None:
+    """Find where a body stands, to about half a pixel; None where nothing of its kind stands out of the sky.
+
+    Parameters
+    ----------
+    circle
+        An analyst's; None: predicted place and size.
+    search_px
+        How far from the expected place to look; None: over the whole frame, nearer places first.
+    """
+    predicted = 0.5 * picture.diameter_px(name)
+    expected = picture.center_px(name) if circle is None else circle.center_px
+    ratio = 1.0 if circle is None else circle.radius_px / predicted
+    limit = search_px if circle is None or search_px is not None else search_radius(0.0, circle)
+    found = _silhouette_place(picture, name, ratio, expected, limit)
+    return None if found is None else _on_limb(picture, name, found)
+
+
+def _silhouette_place(
+    picture: BodyPicture, name: str, ratio: float, expected: FloatArray, limit: float | None
+) -> BodyPlace | None:
+    radius = 0.5 * picture.diameter_px(name) * ratio
+    bins = max(1, round(radius / SEARCHED_RADIUS))
+    bright, dark_sigma, known = _binned(picture, bins)
+    template = _lit_template(picture, name, ratio, bins)
+    ranked = np.sort(bright[known])[::-1]
+    if not len(ranked) or not template.any():
+        return None
+    top = float(ranked[min(int(BRIGHT_RANK * float(template.sum())), len(ranked) - 1)])
+    if top < SKY_SIGMAS * dark_sigma:
+        return None
+    best: BodyPlace | None = None
+    for level in LEVELS:
+        lit = known & (bright > max(level * top, SKY_SIGMAS * dark_sigma))
+        for size in SIZES if radius > SIZED_RADIUS_PX else (1.0,):
+            search = _FrameSearch(expected, limit, search_radius(radius, None), bins)
+            found = _correlated(lit, known, template, size, search)
+            if found is not None and (best is None or found.score > best.score):
+                best = replace(found, size_ratio=found.size_ratio * ratio)
+    return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FrameSearch:
+    expected_px: FloatArray
+    limit_px: float | None
+    near_px: float
+    bins: int
+
+
+def _binned(picture: BodyPicture, bins: int) -> tuple[FloatArray, float, BoolArray]:
+    """Return brightness in bins, the noise of sky in them, and which are known; saturated pixels count as they are."""
+    usable = np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)
+    data = np.where(usable, picture.signal_dn, 0.0)
+    count = block_reduce(usable.astype(np.float64), bins, np.sum)
+    total = block_reduce(data, bins, np.sum)
+    known = count > 0.5 * bins**2
+    noise = float(np.median(picture.noise_dn[usable])) if usable.any() else np.inf
+    return np.where(known, total / np.maximum(count, 1.0), 0.0), noise / bins, known
+
+
+def _lit_template(picture: BodyPicture, name: str, ratio: float, bins: int) -> FloatArray:
+    """Return how much of each bin (n, n), about the body's center in the middle one, is lit."""
+    radius = 0.5 * picture.diameter_px(name) * ratio
+    half = int(np.ceil(radius * max(SIZES) / bins)) + 1
+    fine = 4
+    steps = (np.arange(-half * fine, (half + 1) * fine) - 0.5 * (fine - 1)) * bins / fine
+    place = np.array([0.5 * (picture.camera.n_pixel - 1), 0.5 * (picture.camera.n_line - 1)])
+    x, y = np.meshgrid(steps, steps)
+    model = displaced_model(picture, name, place, 1.0 / ratio)
+    body = PlacedBody(model, picture.camera.pixel_scale_rad)
+    where = place + np.stack([x.ravel(), y.ravel()], axis=-1)
+    rays = pixel_rays(picture, where)
+    good = np.isfinite(rays).all(axis=0)
+    light = np.zeros(rays.shape[1])
+    light[good] = body.radiance(rays[:, good])
+    lit = (light > LIT_SHARE * light.max(initial=0.0)).reshape(x.shape)
+    return np.asarray(block_reduce(lit.astype(np.float64), fine, np.mean))
+
+
+def _resized(template: FloatArray, size: float) -> FloatArray:
+    middle = len(template) // 2
+    index = (np.arange(len(template)) - middle) / size + middle
+    grid = np.meshgrid(index, index, indexing="ij")
+    return np.asarray(map_coordinates(template, grid, order=1, mode="constant"))
+
+
+def _correlated(
+    lit: BoolArray,
+    known: BoolArray,
+    template: FloatArray,
+    size: float,
+    search: _FrameSearch,
+) -> BodyPlace | None:
+    shape = _resized(template, size)
+    pad = int(np.ceil(RING_SHARE * len(shape) / 2)) + 1
+    inside = np.pad(shape, pad)
+    about = maximum_filter(inside, footprint=_disk(pad)) > 0.5
+    about |= _full_disk(inside, len(shape))
+    support = about.astype(np.float64)
+    good = [fft.next_fast_len(n + len(inside), real=True) for n in lit.shape]
+
+    def spectrum(plane: FloatArray) -> FloatArray:
+        return np.asarray(fft.rfft2(plane, good))
+
+    def lagged(plane: FloatArray, kernel: FloatArray) -> FloatArray:
+        return np.asarray(fft.irfft2(plane * np.conj(kernel), good))
+
+    of_lit, of_known, of_in, of_about = (
+        spectrum(p.astype(np.float64)) for p in (lit, known, inside, support)
+    )
+    n = np.maximum(lagged(of_known, of_about), 1e-9)
+    n_in, lit_about, lit_in = lagged(of_known, of_in), lagged(of_lit, of_about), lagged(of_lit, of_in)
+    of_square = spectrum(inside**2)
+    square_in = lagged(of_known, of_square)
+    cov = lit_in - n_in * lit_about / n
+    var_in, var_lit = square_in - n_in**2 / n, lit_about - lit_about**2 / n
+    valid = (n_in > LEAST_VISIBLE * inside.sum()) & (var_in > 0.02 * inside.sum()) & (var_lit > 0.5)
+    score = np.where(valid, cov / np.sqrt(np.maximum(var_in * var_lit, 1e-9)), -1.0)
+    # A larger part in sight is better evidence than a small one.
+    seen = np.sqrt(np.clip(n_in / max(float(inside.sum()), 1.0), 0.0, 1.0))
+    score = score * seen**0.25
+    middle, bins = len(inside) // 2, search.bins
+    line, pixel = (_lag_index(k, len(inside)) + middle for k in good)
+    y, x = (line + 0.5) * bins - 0.5, (pixel + 0.5) * bins - 0.5
+    away = np.hypot(x - search.expected_px[0], y[:, None] - search.expected_px[1])
+    if search.limit_px is not None:
+        score = np.where(away <= search.limit_px + bins, score, -1.0)
+    peak = float(score.max())
+    if peak <= 0.0:
+        return None
+    close = np.where(away <= search.near_px + bins, score, -1.0)
+    if close.max() >= max(NEAR_SCORE, NEAR_SHARE * peak):
+        score = close
+    i, j = np.unravel_index(int(score.argmax()), score.shape)
+    return BodyPlace(np.array([x[j], y[i]]), size, float(score[i, j]))
+
+
+def _lag_index(n: int, width: int) -> FloatArray:
+    index = np.arange(n, dtype=np.float64)
+    return np.where(index >= n - width, index - n, index)
+
+
+def _disk(radius: int) -> BoolArray:
+    y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
+    return np.asarray(x * x + y * y <= radius * radius + 0.5)
+
+
+def _full_disk(inside: FloatArray, width: int) -> BoolArray:
+    y, x = np.indices(inside.shape) - len(inside) // 2
+    return np.asarray(np.hypot(x, y) < 0.5 * width)
+
+
+# ---- The limb along rays: where half of the local brightness is.
+
+RAYS = 180
+RAY_STEP_PX = 0.25
+FAINT_SHARE = 0.04  # of the body's bright part: a limb fainter than that is sky
+LEVEL_FROM, LEVEL_TO = 1.5, 4.0  # widths of the PSF inside of the limb that tell the local brightness
+FAINT_SIGMAS = 4.0
+LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
+PIXEL_SIGMA = 0.29
+NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
+LEAST_SPREAD_PX = 0.02
+FEWEST_CROSSINGS = 8
+PLACE_TURNS, PLACED_PX, LEAST_NEAR_PX = 6, 0.1, 1.5
+LARGEST_GROWTH = 0.3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimbCrossings:
+    """Crossings of n rays: distance from the limb that was expected, and which rays have one."""
+
+    angle_rad: FloatArray
+    depth_px: FloatArray
+    known: BoolArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, faint: float) -> FloatArray:
+    """Return where profiles (n, m) over depths (m,) first exceed, from outside, half of what lies behind; nan without."""
+    step = float(depth_px[1] - depth_px[0])
+    n, m = profile.shape
+    run = max(2, round(1.5 * width_px / step))
+    above = profile > faint
+    lasting = np.cumsum(above, axis=1)
+    lasting = np.concatenate([lasting[:, :run], lasting[:, run:] - lasting[:, :-run]], axis=1) >= run
+    has = lasting.any(axis=1)
+    last = m - 1 - lasting[:, ::-1].argmax(axis=1)
+    a, b = round(LEVEL_FROM * width_px / step), round(LEVEL_TO * width_px / step)
+    sums = np.concatenate([np.zeros((n, 1)), np.cumsum(profile, axis=1)], axis=1)
+    rows = np.arange(n)
+    high, low = np.clip(last - a, 1, m), np.clip(last - b, 0, m - 1)
+    level = (sums[rows, high] - sums[rows, low]) / np.maximum(high - low, 1)
+    half = np.maximum(0.5 * level, faint)
+    inside = np.arange(m) < np.minimum(last + run, m)[:, None]
+    over = inside & (profile > half[:, None])
+    k = m - 1 - over[:, ::-1].argmax(axis=1)
+    k = np.clip(k, 0, m - 2)
+    top, below = profile[rows, k], profile[rows, k + 1]
+    part = np.clip((top - half) / np.maximum(top - below, 1e-12), 0.0, 1.0)
+    found = has & over.any(axis=1) & (high > low)
+    return np.where(found, depth_px[k] + part * step, np.nan)
+
+
+Profiles = Callable[[Outline, FloatArray, FloatArray], FloatArray]
+
+
+def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles) -> LimbCrossings:
+    """Cross the limb along rays, as far as `reach_px` from the outline, and compare with the model's crossings.
+
+    Parameters
+    ----------
+    profiles
+        Returns the model's light (n, m) at angles (n,) and depths (m,) of an outline, any unit.
+    """
+    angle = (np.arange(RAYS) + 0.5) * (TURN / RAYS)
+    limb = outline.radius(angle)
+    depth = np.arange(-min(reach_px + 8.0, float(limb.min())), reach_px + 4.0, RAY_STEP_PX)
+    wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    data, valid = _sampled(picture, outline.center_px + (limb[:, None] + depth)[..., None] * wheel[:, None])
+    model = profiles(outline, angle, depth)
+    width = max(1.0, 1.2 * float(np.max(picture.psf.sigma_px)))
+    lit = valid & (model > LIT_MODEL * model.max(initial=0.0))
+    bright = float(np.median(data[lit])) if lit.any() else float(np.max(data))
+    faint = max(FAINT_SHARE * bright, FAINT_SIGMAS * float(np.median(picture.noise_dn)))
+    observed = crossing_depths(np.where(valid, data, 0.0), depth, width, faint)
+    middle = float(np.median(model[lit])) if lit.any() else 1.0
+    expected = crossing_depths(model, depth, width, FAINT_SHARE * middle)
+    index = np.clip(np.searchsorted(depth, np.nan_to_num(observed)), 1, len(depth) - 2)
+    rows = np.arange(RAYS)
+    whole = valid[rows, index] & valid[rows, index + 1] & valid[rows, index - 1]
+    at_limb = np.isfinite(expected) & (np.abs(expected) < 2.0 * width)
+    known = np.isfinite(observed) & at_limb & whole & (observed < depth[-8])
+    return LimbCrossings(angle, observed - np.where(at_limb, expected, 0.0), known)
+
+
+def _radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
+    """Return profiles of the body's radiance, spread along the rays as by the PSF: good to a tenth of a pixel."""
+
+    def profiles(outline: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
+        seen = displaced_model(picture, name, outline.center_px, 1.0 / size_ratio)
+        if isinstance(seen.law, Lambert):  # which is what an unknown law is called
+            seen = replace(seen, law=LunarLambert(0.5))
+        wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        reach = outline.radius(angle)[:, None] + depth
+        places = outline.center_px + reach[..., None] * wheel[:, None]
+        light = PlacedBody(seen, picture.camera.pixel_scale_rad).radiance(
+            pixel_rays(picture, places.reshape(-1, 2))
+        )
+        sigma = float(np.hypot(np.max(picture.psf.sigma_px), PIXEL_SIGMA)) / RAY_STEP_PX
+        return np.asarray(gaussian_filter1d(light.reshape(reach.shape), sigma, axis=1, mode="nearest"))
+
+    return profiles
+
+
+def _sampled(picture: BodyPicture, places: FloatArray) -> tuple[FloatArray, BoolArray]:
+    usable = np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)
+    where = [places[..., 1], places[..., 0]]
+    data = map_coordinates(np.where(usable, picture.signal_dn, 0.0), where, order=1, mode="nearest")
+    n_line, n_pixel = usable.shape
+    inside = (
+        (places[..., 0] >= 0)
+        & (places[..., 0] <= n_pixel - 1)
+        & (places[..., 1] >= 0)
+        & (places[..., 1] <= n_line - 1)
+    )
+    if not usable.all():
+        share = map_coordinates(usable.astype(np.float64), where, order=1, mode="nearest")
+        inside &= share > 0.95
+    return data, inside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossingFit:
+    """What most crossings agree with.
+
+    Attributes
+    ----------
+    step_px : (2,) array
+        Of the center from that of the outline.
+    log_size
+        Change of the outline's size.
+    strain : (2,) array
+        Change of its radius as cos 2a and sin 2a.
+    covariance : (5, 5) array
+        Of all five, from the scatter of the crossings and its correlation along the limb.
+    residual_px : (n,) array
+        nan where there is no crossing.
+    """
+
+    step_px: FloatArray
+    log_size: float
+    strain: FloatArray
+    covariance: FloatArray
+    residual_px: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def fit_crossings(
+    crossings: LimbCrossings, outline: Outline, sigma: FloatArray, mean: FloatArray, near_px: float
+) -> CrossingFit:
+    """Fit center, size and strain to crossings, with weights that narrow from `near_px` on.
+
+    Parameters
+    ----------
+    sigma, mean : (3,) arrays
+        Prior of log size and strain, as changes of the outline.
+    """
+    columns = _crossing_columns(crossings.angle_rad, outline)[crossings.known]
+    offset = crossings.depth_px[crossings.known]
+    precision = np.append([1e-9, 1e-9], sigma**-2.0)
+    expected = np.append([0.0, 0.0], mean)
+    solution, near = expected, near_px
+    for _ in range(NARROWINGS):
+        weight = (1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0 / near**2
+        normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
+        solution = np.linalg.solve(normal, columns.T @ (weight * offset) + precision * expected)
+        near = max(0.5 * near, NEAREST_PX)
+    residual = np.full(len(crossings.angle_rad), np.nan)
+    residual[crossings.known] = offset - columns @ solution
+    covariance = _crossing_covariance(columns, residual, precision)
+    return CrossingFit(solution[:2], float(solution[2]), solution[3:], covariance, residual)
+
+
+def _crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
+    limb = outline.radius(angle)
+    slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
+    u = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    across = np.stack([-u[:, 1], u[:, 0]], axis=-1)
+    wave = limb[:, None] * np.stack([np.ones_like(limb), np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=-1)
+    return np.concatenate([u - slope[:, None] * across, wave], axis=1)
+
+
+def _crossing_covariance(columns: FloatArray, residual: FloatArray, precision: FloatArray) -> FloatArray:
+    known = residual[np.isfinite(residual)]
+    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(known))), LEAST_SPREAD_PX) if len(known) else np.inf
+    even = np.clip(np.nan_to_num(residual) / spread, -3.0, 3.0)
+    both = np.isfinite(residual) & np.isfinite(np.roll(residual, 1))
+    alike = float(np.sum(even[both] * np.roll(even, 1)[both]) / max(float(np.sum(even[both] ** 2)), 1e-9))
+    alike = float(np.clip(alike, 0.0, 0.95))
+    variance = spread**2 * (1.0 + alike) / (1.0 - alike)  # of crossings that share what scatters them
+    return np.linalg.inv(columns.T @ columns / variance + np.diag(precision))
+
+
+def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
+    """Move a place onto the limb; what was found stays where the limb is not seen."""
+    silhouette, figure = Silhouette(picture, name), picture.model(name).figure
+    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
+    center, size = place.center_px, place.size_ratio
+    near = max(0.1 * picture.diameter_px(name) * size, 3.0)
+    for _ in range(PLACE_TURNS):
+        outline = silhouette.at(center, 1.0 / size)
+        crossings = cross_limb(picture, outline, 1.5 * near + 3.0, _radiance_profiles(picture, name, size))
+        if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
+            break
+        moved = fit_crossings(crossings, outline, sigma, np.array([-np.log(size), 0.0, 0.0]), near)
+        center = center + moved.step_px
+        size = size * float(np.exp(np.clip(moved.log_size, -LARGEST_GROWTH, LARGEST_GROWTH)))
+        length = float(np.hypot(*moved.step_px)) + abs(moved.log_size) * 0.5 * outline.diameter_px
+        if length < PLACED_PX:
+            break
+        near = max(0.5 * near, min(near, 2.0 * length), LEAST_NEAR_PX)
+    return BodyPlace(center, size, place.score)
