@@ -5,8 +5,6 @@ import pytest
 from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, run
 from disk_truth import TrialSetup, make_trial
 
-from opnav_workbench import bodies
-
 
 def shift_between(light, other):
     """Displacement (pixel, line) of one picture against another that is alike, from all pixels."""
@@ -41,10 +39,6 @@ def test_same_setup_is_the_same_picture():
 
 # ---- The automatic answer: its figures are those of the issue on centers that hold on real surfaces.
 
-needs_disk = pytest.mark.skipif(
-    not hasattr(bodies, "find_disk"), reason="the likelihood of a disk is not there"
-)
-
 
 @pytest.fixture(scope="module")
 def examined(sample):
@@ -52,19 +46,19 @@ def examined(sample):
     return run(sample.trials(90), 17, "auto", "small")
 
 
-@needs_disk
+@pytest.mark.slow
 def test_no_center_is_ok_and_wrong(examined):
     assert [r["index"] for r in examined if is_false(r)] == []
     assert [r["index"] for r in examined if r["status"] == "raised"] == []
 
 
-@needs_disk
+@pytest.mark.slow
 def test_bright_limbs_give_centers(examined, sample):
     asked = [is_ok(r) for r in examined if fair(r)]
     assert np.mean(asked) > 0.95 - sample.within(0.05)  # 2 sigma of 90 trials
 
 
-@needs_disk
+@pytest.mark.slow
 def test_errors_are_what_sigmas_say(examined, sample):
     ok = [r for r in examined if is_ok(r)]
     assert 1.0 - sample.within(0.1) < error_over_sigma(ok) < 1.0 + sample.within(0.2)
