@@ -39,6 +39,8 @@ which suits a body.
     Limb method: sub-pixel limb points, and the outline of the body through them.
 ``disk``
     One likelihood of the pixels about the limb: albedo as a random field, size, figure, law and PSF uncertain.
+``judgement``
+    Flags, status and messages of a center that was read off a disk, the same for all methods of that kind.
 ``limb_scan``
     Limb method: brightness along lines that radiate across the limb.
 """

@@ -1,9 +1,11 @@
 """Center of a disk by one likelihood of the pixels about its limb, whatever is painted on it.
 
-Enter by `find_disk`; `fit_disk` for those who have a place already.
+Enter by `find_disk`; `measure_disk` for methods that read a disk in another way.
 
 ``centerfinder``
-    The method: place, fit, second reading, judgement.
+    The method: second reading, judgement.
+``measurement``
+    Place, fit, hits: what all methods of a limb begin from.
 ``limb_light``
     The light of a disk about its limb, in tables of angle and depth.
 ``limb_cells``

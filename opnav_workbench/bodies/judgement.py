@@ -1,0 +1,219 @@
+"""From a center that a method read off a disk to a `BodyCenter`: one set of flags and one judgement for all such methods.
+
+Flow   measured disk, center, a second reading of the same pixels -> flags -> status and messages -> `BodyCenter`
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
+from opnav_workbench.bodies.disk.marginal import FieldPrior
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk
+from opnav_workbench.bodies.picture import Circle
+from opnav_workbench.bodies.results import (
+    DOUBTFUL_FLAGS,
+    BodyCenter,
+    BodyFlag,
+    BodyResiduals,
+    SecondReading,
+    flag_messages,
+    flags_where,
+)
+from opnav_workbench.bodies.subarray import choose_subarray, search_radius
+
+__all__ = ["CenterReading", "disk_reading", "judged_center", "second_reading"]
+
+CONFIRMED_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
+CONFIRMED_PX = 0.1  # readings that lie so close are the same, whatever their sigmas
+MISFIT_SIGMAS = 3.0  # of the size, beyond what its model says of itself
+POOR_CHI2 = 2.0
+WEAK_PX, WEAK_SHARE = 1.0, 0.02  # of the radius: a center that is known no better
+THIN_PX = 1.0
+BRIGHT_SHARE = 0.1
+LEAST_LIT = 0.1  # of a turn of limb that the picture must show
+NOISE_ALONE = FieldPrior(1e-4, 0.4, 1e-5, 1e-4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CenterReading:
+    """A center that a method read off a disk.
+
+    Attributes
+    ----------
+    center_px : (2,) array
+    covariance_px2, noise_covariance_px2 : (2, 2) arrays
+        Marginal over all else; from the noise of the pixels alone.
+    log_size, log_size_sigma
+        Logarithm of the size over the model's.
+    second
+        Another reading of the same pixels; None where there is none.
+    conditions, notes
+        Flags that only this method can know, and what it adds to their messages.
+    """
+
+    method: str
+    center_px: FloatArray
+    covariance_px2: FloatArray
+    noise_covariance_px2: FloatArray
+    log_size: float
+    log_size_sigma: float
+    chi2_reduced: float
+    converged: bool
+    second: SecondReading | None
+    conditions: Mapping[BodyFlag, bool] = field(default_factory=dict)
+    notes: Mapping[BodyFlag, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def second_reading(
+    method: str,
+    center_px: FloatArray,
+    covariance_px2: FloatArray,
+    first_px: FloatArray,
+    first_covariance_px2: FloatArray,
+) -> SecondReading:
+    """Return a reading with its distance from a first one."""
+    away = center_px - first_px
+    both = covariance_px2 + first_covariance_px2
+    return SecondReading(
+        method, center_px, covariance_px2, float(np.sqrt(away @ np.linalg.solve(both, away)))
+    )
+
+
+def disk_reading(disk: MeasuredDisk, method: str, second: SecondReading | None) -> CenterReading:
+    """Return the likelihood's own center."""
+    fit = disk.fit
+    noise = fit.system.solve(NOISE_ALONE).covariance[np.ix_(CENTER, CENTER)]
+    chi2 = fit.solution.chi2 / _degrees(fit)
+    log_size, sigma = fit.shape.log_size, fit.sigma(Unknown.SIZE)
+    return CenterReading(
+        method, fit.center_px, fit.covariance_px2, noise, log_size, sigma, chi2, fit.converged, second
+    )
+
+
+def judged_center(
+    disk: MeasuredDisk, reading: CenterReading, detail: object, *, solve_range: bool
+) -> BodyCenter:
+    """Return the body's center with everything that is known of it."""
+    fit, flags = disk.fit, _flags(disk, reading)
+    excess = disk.picture.excess_sigma_px**2 * np.eye(2)
+    diameter = fit.outline.diameter_px * float(np.exp(reading.log_size - fit.shape.log_size))
+    center = BodyCenter(
+        name=disk.name,
+        method=reading.method,
+        status="uncertain" if flags & DOUBTFUL_FLAGS else "ok",
+        pixel_line=reading.center_px,
+        covariance_px2=symmetric(reading.covariance_px2 + excess),
+        flux_dn=float(fit.light_dn().sum()),
+        snr=fit.brightness_dn / max(fit.sigma(Unknown.BRIGHTNESS), 1e-12),
+        diameter_px=diameter,
+        diameter_sigma_px=diameter * reading.log_size_sigma,
+        messages=tuple(flag_messages(flags, _notes(disk, reading))),
+        flags=int(flags),
+        noise_covariance_px2=symmetric(reading.noise_covariance_px2 + excess),
+        chi2_reduced=reading.chi2_reduced,
+        brightness_scale=fit.brightness_dn,
+        brightness_scale_sigma=fit.sigma(Unknown.BRIGHTNESS),
+        background_dn=float(fit.solution.theta[Unknown.LEVEL]),
+        background_sigma_dn=fit.sigma(Unknown.LEVEL),
+        pictures=_pictures(disk),
+        detail=detail,
+    )
+    return _with_range(center, disk, reading) if solve_range else center
+
+
+def _with_range(center: BodyCenter, disk: MeasuredDisk, reading: CenterReading) -> BodyCenter:
+    """Return the center with the range of a body of the model's size, as uncertain as that is."""
+    range_km = disk.picture.model(disk.name).target.range_km * float(np.exp(-reading.log_size))
+    sigma = float(np.hypot(reading.log_size_sigma, disk.fit.figure.size_sigma))
+    return replace(center, range_km=range_km, range_sigma_km=range_km * sigma)
+
+
+def _degrees(fit: DiskFit) -> int:
+    return max(int(np.count_nonzero(np.isfinite(fit.system.variance))) - len(Unknown), 1)
+
+
+def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
+    picture, fit = disk.picture, disk.fit
+    outline = fit.outline.points(fit.outline.angle_rad)
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(reading.covariance_px2), 0.0))
+    limit = (
+        disk.search_px if disk.circle is None else search_radius(disk.radius_px, disk.circle, disk.search_px)
+    )
+    away = float(np.hypot(*(reading.center_px - disk.expected_px)))
+    size_sigma = float(np.hypot(fit.figure.size_sigma, reading.log_size_sigma))
+    conditions = {
+        BodyFlag.CUT_BY_EDGE: bool(np.any(outline < -0.5) or np.any(outline > size - 0.5)),
+        BodyFlag.THIN_CRESCENT: disk.radius_px * (1.0 + np.cos(picture.phase_rad(disk.name))) < THIN_PX,
+        BodyFlag.CIRCLE_MISFIT: abs(reading.log_size) > MISFIT_SIGMAS * size_sigma,
+        BodyFlag.POOR_FIT: fit.solution.chi2 > POOR_CHI2 * _degrees(fit),
+        BodyFlag.AT_LIMIT: limit is not None and away > limit + 1.0,
+        BodyFlag.WEAK_GEOMETRY: not sigma[1] < max(WEAK_PX, WEAK_SHARE * disk.radius_px),
+        BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
+        BodyFlag.NOT_CONVERGED: not reading.converged,
+        BodyFlag.UNCONFIRMED: not _confirmed(reading),
+    }
+    return flags_where({**conditions, **_lost_pixels(disk), **reading.conditions})
+
+
+def _lost_pixels(disk: MeasuredDisk) -> dict[BodyFlag, bool]:
+    """Tell why pixels that the body lights were left out."""
+    picture, fit = disk.picture, disk.fit
+    here = (fit.pixels.line, fit.pixels.pixel)
+    lit = fit.light_dn() > BRIGHT_SHARE * max(fit.brightness_dn, 0.0)
+    saturated, hit = lit & picture.saturated[here], lit & disk.hits[here]
+    unsound = picture.bad[here] | ~np.isfinite(picture.signal_dn[here])
+    bad = lit & ~disk.pixels.use[here] & unsound & ~saturated
+    others = lit & ~disk.pixels.use[here] & ~(saturated | hit | bad)
+    return {
+        BodyFlag.OVEREXPOSED: bool(saturated.any()),
+        BodyFlag.OCCULTED: bool(others.any()),
+        BodyFlag.BAD_PIXELS: bool(bad.any()),
+        BodyFlag.HIT: bool(hit.any()),
+    }
+
+
+def _confirmed(reading: CenterReading) -> bool:
+    second = reading.second
+    if second is None:
+        return False
+    apart = float(np.hypot(*(second.pixel_line - reading.center_px)))
+    return apart < CONFIRMED_PX or second.difference_sigmas < CONFIRMED_SIGMAS
+
+
+def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:
+    second = reading.second
+    apart = "no second reading: too little of its limb can be crossed"
+    if second is not None:
+        away = second.pixel_line - reading.center_px
+        apart = f"{second.method} put it ({away[0]:+.2f}, {away[1]:+.2f}) px beside, {second.difference_sigmas:.1f} sigma"
+    ratio = 100.0 * (np.exp(reading.log_size) - 1.0)
+    return {
+        BodyFlag.CIRCLE_MISFIT: f"{ratio:+.0f} %: check its radii, its range, or the circle",
+        BodyFlag.UNCONFIRMED: apart,
+        BodyFlag.EMPTY: f"{100.0 * disk.fit.lit_share:.0f} % of its limb is lit and in sight",
+        BodyFlag.OVEREXPOSED: "take a shorter exposure",
+        **reading.notes,
+    }
+
+
+def _pictures(disk: MeasuredDisk) -> BodyResiduals:
+    fit, picture, pixels = disk.fit, disk.picture, disk.pixels
+    about = Circle(fit.center_px, disk.radius_px)
+    window = choose_subarray(picture, disk.name, about, fit.reach_px[1]).window
+    near, here = fit.pixels, (fit.pixels.line, fit.pixels.pixel)
+    model, mask = np.zeros(pixels.use.shape), np.zeros(pixels.use.shape, dtype=bool)
+    level = float(fit.solution.theta[Unknown.LEVEL])
+    model[here] = fit.model_dn() - level
+    mask[near.line, near.pixel] = pixels.use[here]
+    pixel, line, n_pixel, n_line = window
+    part = np.s_[line : line + n_line, pixel : pixel + n_pixel]
+    data = np.nan_to_num(picture.signal_dn[part]) - level
+    shown = np.where(mask[part], model[part], 0.0)
+    return BodyResiduals(window, data, shown, np.where(mask[part], data - shown, 0.0), mask[part])
