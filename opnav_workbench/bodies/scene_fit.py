@@ -25,7 +25,6 @@ from scipy import fft
 from scipy.ndimage import correlate1d
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies.limb_scan.view import AdjustedLaw
 from opnav_workbench.bodies.picture import BodyPicture, displaced_model, sunlight_electrons
 from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
 from opnav_workbench.render import (
@@ -37,6 +36,7 @@ from opnav_workbench.render import (
     RenderedBody,
     render_moving,
 )
+from opnav_workbench.render.scattering import AdjustedLaw
 
 __all__ = ["PARAMETERS", "Pattern", "SceneFit", "SceneState", "fit_scene"]
 

@@ -32,6 +32,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import MissionError
 
 __all__ = [
+    "AdjustedLaw",
     "Hapke",
     "Lambert",
     "LommelSeeliger",
@@ -365,3 +366,28 @@ def law_from_mapping(values: Mapping[str, Any] | str) -> ScatteringLaw:
         raise MissionError(
             f"scattering law {name}: {chosen} is not all numbers; check its values."
         ) from error
+
+
+# ---- A law made to fit: darkened toward the limb by more or less.
+
+DARKEST_SUM = 0.02  # of mu0 + mu: bounds the factor near the cusps
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustedLaw(ScatteringLaw):
+    """A law times ``(2 / (mu0 + mu))^share``.
+
+    Examples
+    --------
+    >>> law = AdjustedLaw(Lambert(), 1.0)
+    >>> law.reflectance(0.5, 0.3, 0.2) == LommelSeeliger().reflectance(0.5, 0.3, 0.2)
+    np.True_
+    """
+
+    law: ScatteringLaw
+    share: float
+    uses_phase: ClassVar[bool] = True
+
+    def _lit(self, mu0: FloatArray, mu: FloatArray, phase_rad: FloatArray) -> FloatArray:
+        factor = 2.0 / np.maximum(mu0 + mu, DARKEST_SUM)
+        return np.asarray(self.law.reflectance(mu0, mu, phase_rad) * factor**self.share)

@@ -5,6 +5,8 @@ import pytest
 from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, run
 from disk_truth import TrialSetup, make_trial
 
+from opnav_workbench.bodies import BodyFlag, find_disk
+
 
 def shift_between(light, other):
     """Displacement (pixel, line) of one picture against another that is alike, from all pixels."""
@@ -64,3 +66,15 @@ def test_errors_are_what_sigmas_say(examined, sample):
     assert 1.0 - sample.within(0.1) < error_over_sigma(ok) < 1.0 + sample.within(0.2)
     even = [error_px(r) for r in ok if r["contrast"] < 9.0]
     assert np.median(even) < 0.05 + sample.within(0.01)
+
+
+def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):
+    """The camera's response is unknown, and so is how bright the nearer body is: its pixels do not count."""
+    place = np.array([500.3, 480.7])
+    far = body_stage.body(80.0, 20.0, place)
+    near = body_stage.body(30.0, 20.0, [*place, 30.0, 26.0], name="MOON", range_share=0.5)
+    picture = body_stage.picture(body_stage.light(far, near), [far, near], np.random.default_rng(1))
+    center = find_disk(picture, "BODY")
+    assert center.status == "ok", center.messages
+    assert center.flags & BodyFlag.OCCULTED
+    assert np.abs(center.pixel_line - place).max() < 0.05

@@ -9,9 +9,9 @@ from opnav_workbench.bodies import BodyFlag, Circle, displaced_model
 from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
 from opnav_workbench.bodies.limb_scan.fan import ScanSampler
 from opnav_workbench.bodies.limb_scan.matching import correlation_peaks
-from opnav_workbench.bodies.limb_scan.view import AdjustedLaw
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import AlbedoMap, Lambert, LommelSeeliger, LunarLambert
+from opnav_workbench.render.scattering import AdjustedLaw
 from opnav_workbench.simulation.surfaces import mottled_map
 
 PLACE = (500.3, 480.7)

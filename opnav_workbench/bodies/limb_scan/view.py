@@ -15,7 +15,6 @@ Law     Lommel-Seeliger's law is Lambert's times 2 / (mu0 + mu), mu0 and mu the 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import convolve1d, laplace
@@ -39,10 +38,10 @@ from opnav_workbench.bodies.subarray import Cutout, choose_subarray, find_hit_pi
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, ScatteringLaw, render_moving
 from opnav_workbench.render.body import PlacedBody
+from opnav_workbench.render.scattering import AdjustedLaw
 
 __all__ = [
     "CORRELATION_RAD",
-    "AdjustedLaw",
     "ModelLight",
     "ScanProfiles",
     "ScanView",
@@ -61,28 +60,6 @@ __all__ = [
 # ---- A scattering law made to fit: the body's own, darkened toward the limb by more or less.
 
 LARGEST_LAW_SHARE = 1.2  # a little beyond from one law to the other
-DARKEST = 0.02  # mu0 + mu that the factor is bounded at, near the cusps
-
-
-@dataclass(frozen=True, slots=True)
-class AdjustedLaw(ScatteringLaw):
-    """A law times ``(2 / (mu0 + mu))^share``.
-
-    Examples
-    --------
-    >>> from opnav_workbench.render import Lambert, LommelSeeliger
-    >>> law = AdjustedLaw(Lambert(), 1.0)
-    >>> law.reflectance(0.5, 0.3, 0.2) == LommelSeeliger().reflectance(0.5, 0.3, 0.2)
-    np.True_
-    """
-
-    law: ScatteringLaw
-    share: float
-    uses_phase: ClassVar[bool] = True
-
-    def _lit(self, mu0: FloatArray, mu: FloatArray, phase_rad: FloatArray) -> FloatArray:
-        factor = 2.0 / np.maximum(mu0 + mu, DARKEST)
-        return np.asarray(self.law.reflectance(mu0, mu, phase_rad) * factor**self.share)
 
 
 def law_share(picture: BodyPicture, name: str) -> float:
