@@ -5,10 +5,8 @@ import numpy as np
 __all__ = ["UNRESOLVED_TO_PX", "choose_method"]
 
 UNRESOLVED_TO_PX = 1.0  # AAS 13-443: unresolved below one pixel
-LIMB_SCAN_FROM_PX = (
-    40.0  # a limb long enough for scans; below, its pattern is a small part of a pixel's error
-)
-THIN_PHASE_RAD = np.radians(150.0)  # beyond, limb scans cross nothing but a thread
+DISK_FROM_PX = 4.0  # a limb that is a line of pixels, not a blur
+THIN_PHASE_RAD = np.radians(160.0)  # beyond, a limb is a thread
 
 
 def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surface: bool = False) -> str:
@@ -26,20 +24,20 @@ def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surfac
     Returns
     -------
     str
-        ``unresolved``, ``least_squares`` or ``limb_scan``.
+        ``unresolved``, ``least_squares`` or ``disk``.
 
     Notes
     -----
     Below 1 px a body is a star with its light beside its center of figure; above, the rendered model is that very light,
-    so that nothing jumps between the two. From 40 px on the limb carries the center, and albedo features do not.
+    so that nothing jumps between the two. From 4 px on the pixels about the limb carry the center, with whatever albedo.
 
     Examples
     --------
     >>> [choose_method(size, 0.3) for size in (0.2, 3.0, 190.0)]
-    ['unresolved', 'least_squares', 'limb_scan']
+    ['unresolved', 'least_squares', 'disk']
     """
     if not diameter_px >= UNRESOLVED_TO_PX:
         return "unresolved"
-    if diameter_px < LIMB_SCAN_FROM_PX or known_surface or phase_rad > THIN_PHASE_RAD:
+    if diameter_px < DISK_FROM_PX or known_surface or phase_rad > THIN_PHASE_RAD:
         return "least_squares"
-    return "limb_scan"
+    return "disk"

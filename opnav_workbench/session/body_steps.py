@@ -19,6 +19,7 @@ from opnav_workbench.bodies import (
     JointCenters,
     choose_method,
     find_cross_correlation,
+    find_disk,
     find_ellipse,
     find_jointly,
     find_least_squares,
@@ -67,7 +68,7 @@ __all__ = [
 ]
 
 
-BodyMethod = Literal["auto", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"]
+BodyMethod = Literal["auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"]
 BODY_METHODS: tuple[BodyMethod, ...] = get_args(BodyMethod)
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
 MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour, not the body
@@ -93,6 +94,11 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
     except (MissionError, KernelError, CameraError) as error:
         return BodyCenter.without_center(name, method, "failed", f"it cannot be drawn: {error}")
     options = search_options(context, inputs, state, request, prediction)
+    if method == "disk":
+        center = find_disk(picture, name, **options)
+        if request.method == "auto" and center.pixel_line is None:
+            return _otherwise(center, find_least_squares(picture, name, **options))
+        return center
     if method == "limb_scan":
         return find_limb_scan(picture, name, scans=scan_numbers(state, request), **options)
     if method == "ellipse":
@@ -100,6 +106,14 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
     if method == "cross_correlation":
         return find_cross_correlation(picture, name, **options)
     return find_least_squares(picture, name, solve_range=request.solve_range, **options)
+
+
+def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:
+    """Return the center that full-disk light gives where the limb gave none: a body too faint or too much hidden for it."""
+    if other.pixel_line is None:
+        return first
+    why = "; ".join(first.messages)
+    return replace(other, messages=(*other.messages, f"its limb gives no center: {why}"))
 
 
 def find_joint_centers(

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.limb_scan.fan import STEP_PX, ScanFan, ScanSampler, edge_reach, lay_fan
+from opnav_workbench.bodies.limb_scan.fan import STEP_PX, ScanFan, ScanSampler, lay_fan
 from opnav_workbench.bodies.limb_scan.matching import ScanSystem, correlate_scans, correlation_peaks
-from opnav_workbench.bodies.limb_scan.view import ScanProfiles, scan_profiles, without_others
+from opnav_workbench.bodies.limb_scan.view import ScanProfiles, scan_profiles
+from opnav_workbench.bodies.neighbours import edge_reach, without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.silhouette import Silhouette
 from opnav_workbench.bodies.subarray import choose_subarray
