@@ -33,6 +33,7 @@ __all__ = [
     "model_picture",
     "picture_from_circle",
     "pixel_rays",
+    "picture_axes",
     "placed_models",
     "sized_target",
     "sunlight_electrons",
@@ -404,7 +405,7 @@ def picture_from_circle(
         raise CenterfindingError(
             f"a circle about {circle.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
         )
-    axes = _picture_axes(camera, circle.center_px, toward)
+    axes = picture_axes(camera, circle.center_px, toward)
     distance = _range(camera, circle, toward, extent) if range_km is None else range_km
     position = toward * distance
     sideways = np.cos(sun_angle_rad) * axes[0] + np.sin(sun_angle_rad) * axes[1]
@@ -443,14 +444,14 @@ def _extent(radii_km: ArrayLike | None, shape: ShapeModel | None) -> float:
     return float(np.cbrt(radii.prod()))
 
 
-def _picture_axes(camera: Camera, place: FloatArray, toward: FloatArray) -> FloatArray:
+def picture_axes(camera: Camera, place: FloatArray, toward: FloatArray) -> FloatArray:
     """Return directions (2, 3) across the line of sight along which pixel and line increase, rad/px."""
     slopes = camera.unproject_jacobian(place[None])[0].T
     return np.asarray(slopes - np.outer(slopes @ toward, toward))
 
 
 def _range(camera: Camera, circle: Circle, toward: FloatArray, radius_km: float) -> float:
-    axes = _picture_axes(camera, circle.center_px, toward)
+    axes = picture_axes(camera, circle.center_px, toward)
     rad_per_px = float(np.sqrt(np.linalg.norm(np.cross(axes[0], axes[1]))))
     return radius_km / float(np.sin(min(circle.radius_px * rad_per_px, 0.5 * np.pi)))
 

@@ -170,6 +170,12 @@ class PlacedBody:
         """Angular radius of the sphere that holds the body."""
         return float(np.arcsin(self.surface.bounding_km / np.linalg.norm(self.camera_km)))
 
+    @property
+    def phase_rad(self) -> float:
+        """Angle Sun - body - camera, at the body's center."""
+        cosine = self.camera_km @ self.sun_km / (np.linalg.norm(self.camera_km) * np.linalg.norm(self.sun_km))
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
     def to_body(self, rays: FloatArray) -> FloatArray:
         """Return J2000 rays (3, n) in the body-fixed frame."""
         return np.asarray(self.body_from_j2000 @ rays)

@@ -68,7 +68,9 @@ __all__ = [
 ]
 
 
-BodyMethod = Literal["auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"]
+BodyMethod = Literal[
+    "auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"
+]
 BODY_METHODS: tuple[BodyMethod, ...] = get_args(BodyMethod)
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
 MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour, not the body

@@ -28,7 +28,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
     gathered,
     limb_pixels,
 )
-from opnav_workbench.bodies.disk.limb_light import LimbLight, limb_light
+from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
@@ -77,17 +77,22 @@ class Unknown(IntEnum):
     AXIS_SIN = 5
     LAW = 6
     LAW_2 = 7
-    BLUR = 8
-    WINGS = 9
-    LEVEL = 10
-    SLOPE_PIXEL = 11
-    SLOPE_LINE = 12
+    STRAIN_ZZ = 8
+    STRAIN_XZ = 9
+    STRAIN_YZ = 10
+    BLUR = 11
+    WINGS = 12
+    LEVEL = 13
+    SLOPE_PIXEL = 14
+    SLOPE_LINE = 15
 
 
 SHARED = len(Unknown)
 CENTER = [Unknown.PIXEL, Unknown.LINE]
 FIGURE = [Unknown.SIZE, Unknown.AXIS_COS, Unknown.AXIS_SIN]
 SHARES = [Unknown.LAW, Unknown.LAW_2]
+SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
+TABLES = len(PLANES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,8 +152,9 @@ class DiskFit:
         Tables that the solution rests on.
     prior
         Of the albedo and the limb, as the data speak for it.
-    columns : (p + 1 + k, n) array
-        At the pixels, relative: derivatives with respect to what is shared, to the place of the limb and to the albedo.
+    columns : (p + 1 + k + 2, n) array
+        At the pixels, relative: derivatives with respect to what is shared, to the place of the limb, to the albedo, and
+        the shading that goes with the two strains of the outline.
     piece_albedo : (j,) array
         Of each piece of limb, relative.
     reach_px : (float, float)
@@ -197,7 +203,10 @@ class DiskFit:
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
         model = theta[linear] @ self.columns[linear]
         model += self.brightness_dn * (
-            away @ self.columns[SHARES] + theta[Unknown.WINGS] * self.columns[Unknown.WINGS]
+            theta[FIGURE[1:]] @ self.columns[-2:]
+            + theta[SHADING] @ self.columns[SHADING]
+            + away @ self.columns[SHARES]
+            + theta[Unknown.WINGS] * self.columns[Unknown.WINGS]
         )
         j = len(self.piece_albedo)
         place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
@@ -206,7 +215,7 @@ class DiskFit:
         model += theta[Unknown.BLUR] * self.brightness_dn * self.columns[Unknown.BLUR]
         for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
             nodes = self.solution.nodes[index, :-1]
-            model += weight * np.einsum("nk,kn->n", nodes, self.columns[SHARED + 1 :])
+            model += weight * np.einsum("nk,kn->n", nodes, self.columns[SHARED + 1 : -2])
         return np.asarray(model)
 
     @property
@@ -261,23 +270,12 @@ class _DiskProblem:
         figure, free = self.figure, np.inf
         blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE)
         size, axes = figure.size_sigma, figure.axes_sigma
-        return np.array(
-            [
-                free,
-                free,
-                free,
-                size,
-                axes,
-                axes,
-                self.law_prior[1],
-                MINNAERT_SIGMA,
-                blur,
-                WING_SIGMA,
-                free,
-                free,
-                free,
-            ]
-        )
+        out = np.full(SHARED, free)
+        out[FIGURE] = size, axes, axes
+        out[SHADING] = axes
+        out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
+        out[[Unknown.BLUR, Unknown.WINGS]] = blur, WING_SIGMA
+        return out
 
     def prior_mean(self) -> FloatArray:
         """Return what is expected (p,) of what is shared."""
@@ -434,15 +432,15 @@ class _Fitter:
         near = limb_pixels(outline, plane.data_dn.shape, *problem.reach)
         here = (near.line, near.pixel)
         tables = light.at(near.angle_rad, near.depth_px, np.concatenate([light.planes, light.parts]))
-        m0, slope, turn, law, law_2, blur, wings = tables[:7]
+        m0, slope, turn, blur, wings, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
         wave = 2.0 * near.angle_rad
         size = -slope * near.limb_px
         away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
         columns = [
             m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
-            blur, wings, np.ones_like(m0), *away, -slope,
+            *shading, blur, wings, np.ones_like(m0), *away, -slope,
         ]  # fmt: skip
-        every = np.concatenate([np.stack(columns), tables[7:]])
+        every = np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
         variance = plane.noise_dn[here] ** 2 + np.maximum(self.brightness * m0, 0.0) / plane.gain_e_per_dn
         weight = np.where(plane.use[here], 1.0 / variance, 0.0)
         cell = cell_of(near, problem.pieces, problem.edges)
@@ -457,20 +455,22 @@ class _Fitter:
         lit = self.brightness * self.piece_albedo[:, None]
         moving = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]
         means[moving] *= lit
-        means[[*SHARES, Unknown.WINGS]] *= self.brightness
+        means[[*SHARES, *SHADING, Unknown.WINGS]] *= self.brightness
         known = np.array([shape.log_size, *shape.strain, *shape.law])
+        shaded, parts = means[-2:] * self.brightness, means[SHARED + 1 : -2]
         data = (
             data
             + np.tensordot(known, means[[*FIGURE, *SHARES]], axes=1)
             + means[SHARED] * shape.rough_px[:, None]
         )
+        means[FIGURE[1:]] += shaded  # the outline is strained already, the shading of the tables is not
         usable = whole > 0.0
         system = LimbSystem(
             data=data,
             variance=np.where(usable, 1.0 / np.where(usable, whole, 1.0), np.inf),
             light=np.where(usable, np.maximum(lit * means[0], 0.0), 0.0),
             shared=means[:SHARED],
-            own=np.concatenate([means[SHARED + 1 :], means[SHARED : SHARED + 1]]),
+            own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
             prior_mean=problem.prior_mean(),
             prior_precision=problem.prior_sigma() ** -2.0,
             chord=problem.chord,
@@ -486,7 +486,8 @@ class _Fitter:
 USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
 VARIETY = np.array([1.5, 0.8, 1.5, 0.5])
 WIDEST = 3.0
-LEAST = np.log([0.01, 0.003])  # contrast and grain: no surface is more even than that, and no law of it
+# No surface is more even than the least of contrast and grain, and no law of it truer; none is wilder than the most.
+LEAST, MOST = np.log([0.01, 0.08, 0.003]), np.log([0.9, 6.0, 0.25])
 
 
 def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> FieldPrior:
@@ -495,12 +496,12 @@ def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[f
 
     def cost(x: FloatArray) -> float:
         away = (x - usual) / VARIETY
-        if np.any(np.abs(away) > WIDEST) or x[0] < LEAST[0] or x[2] < LEAST[1]:
+        if np.any(np.abs(away) > WIDEST) or np.any(x[:3] < LEAST) or np.any(x[:3] > MOST):
             return 1e12
         return -system.solve(FieldPrior.from_logarithms(x)).log_likelihood + 0.5 * float(away @ away)
 
     begin = np.clip(start.logarithms(), usual - 2.0 * VARIETY, usual + 2.0 * VARIETY)
-    begin[[0, 2]] = np.maximum(begin[[0, 2]], np.array(LEAST) + 0.1)
+    begin[:3] = np.clip(begin[:3], LEAST + 0.1, MOST - 0.1)
     return FieldPrior.from_logarithms(_lowest(cost, begin, steps))
 
 

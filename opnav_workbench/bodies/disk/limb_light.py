@@ -23,26 +23,32 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies.picture import BodyPicture, displaced_model, pixel_rays
+from opnav_workbench.bodies.picture import BodyPicture, displaced_model, picture_axes, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
+from opnav_workbench.geometry import unit
 from opnav_workbench.psf import Psf
-from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger
+from opnav_workbench.render import BodyModel
 from opnav_workbench.render.body import PlacedBody
 
 __all__ = ["PLANES", "LimbLight", "limb_light"]
 
-PLANES = ("light", "by_depth", "by_angle", "law", "law_2", "blur", "wings")
+PLANES = (
+    "light", "by_depth", "by_angle", "blur", "wings",
+    "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz",
+)  # fmt: skip
+LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
 
 # Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
 # both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
 COARSE, FINE = (0.125, 96, 160, 2.0), (0.0625, 160, 400, 1.0)
 SPREADS = 24  # directions in which the spread function is taken
-PLANE_RADIUS_PX = 25.0  # smaller disks are spread in two dimensions
+PLANE_RADIUS_PX = (15.0, 50.0)  # smaller disks are spread in two dimensions, coarse and fine
 PLANE_STEP_PX = 0.25  # an even number of cells a pixel keeps the pixel centered
 GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
 PIXEL_VARIANCE = 1.0 / 12.0
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
+COSINE_STEP = 1e-3
 WING_PX = 4.0  # scale of the light that a PSF may have in its wings beside what is known of it
 
 
@@ -54,9 +60,10 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    planes : (7, t, n) array
-        As `PLANES`: light, its change with depth and with the angle, with the two shares of the law, with the PSF's
-        variance (px^2 along each axis), and with the share of light that goes to wings.
+    planes : (12, t, n) array
+        As `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each axis), with
+        the share of light that goes to wings, with the two shares of the law, and with the shading of a strained body:
+        x along pixel, y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy and xy.
     parts : (k, t, n) array
         Light of each hat function of the albedo; their sum is the light.
     node_rad : (k,) array
@@ -131,16 +138,19 @@ def limb_light(
     angle = np.arange(directions) * (TURN / directions)
     first = -step * np.ceil(reach_px[0] / step)
     depth = np.arange(first, reach_px[1] + step, step)
-    build = _spread_in_plane if radius < PLANE_RADIUS_PX else _spread_along_rays
+    small = radius < PLANE_RADIUS_PX[int(fine)]
+    build = _spread_in_plane if small else _spread_along_rays
     tables = build(picture, model, outline, angle, depth, node_rad, law)
     tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
     total = tables[0]
     by_depth = np.gradient(total, step, axis=1)
     by_angle = (np.roll(total, -1, axis=0) - np.roll(total, 1, axis=0)) * (0.5 * directions / TURN)
-    across = by_depth / np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
-    blur = 0.5 * (np.gradient(by_depth, step, axis=1) + across)
-    planes = np.stack([total, by_depth, by_angle, tables[1], tables[2], blur, _widened(total, step) - total])
-    return LimbLight(float(first), float(step), planes, tables[3:], node_rad)
+    reach = np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
+    bend = (np.roll(total, 1, axis=0) + np.roll(total, -1, axis=0) - 2.0 * total) * (directions / TURN) ** 2
+    blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
+    own = tables[1 : 1 + LINEAR]
+    planes = np.concatenate([np.stack([total, by_depth, by_angle, blur, _widened(total, step) - total]), own])
+    return LimbLight(float(first), float(step), planes, tables[1 + LINEAR :], node_rad)
 
 
 def _sources(
@@ -153,7 +163,7 @@ def _sources(
     node_rad: FloatArray,
     law: FloatArray,
 ) -> FloatArray:
-    """Return the light before the PSF (3 + k, ...) in cells of `step_px` at offsets (..., 2) from the center.
+    """Return the light before the PSF (1 + `LINEAR` + k, ...) in cells of `step_px` at offsets (..., 2) from the center.
 
     All of it, its change with the law, and that of each hat. A cell that the limb cuts has the light of the part inside.
     """
@@ -166,29 +176,80 @@ def _sources(
     share = np.minimum(reach / limb, 1.0 - GRAZE)
     offset = offset * (share * limb / np.maximum(reach, 1e-9))[:, None]
     rays = pixel_rays(picture, outline.center_px + offset)
-    each = []
-    for its_law in (model.law, Lambert(), LommelSeeliger()):
-        body = PlacedBody(replace(model, law=its_law, flux_e=None), picture.camera.pixel_scale_rad)
-        each.append(body.radiance(rays) / body.sunlight)
-    light, lambert, seeliger = each
-    white = model.albedo if isinstance(model.albedo, float | int) else float(lambert.max(initial=1.0))
-    factors = _law_factors(light, lambert / max(white, np.finfo(float).tiny), lambert, seeliger)
-    light = light * np.exp(np.tensordot(law, factors, axes=1))
-    found = np.concatenate([light[None], light * factors, light * _hats(share, node_rad)])
+    body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
+    changes = _light_changes(picture, body, outline.center_px, rays, law)
+    found = np.concatenate([changes, changes[:1] * _hats(share, node_rad)])
     out = np.zeros((len(found), covered.size))
     out[:, inside] = found * covered[inside]
     return out.reshape(-1, *shape)
 
 
-def _law_factors(light: FloatArray, mu0: FloatArray, lambert: FloatArray, seeliger: FloatArray) -> FloatArray:
-    """Return logarithms (2, n) of 2 / (mu0 + mu) and of mu0 mu, less their means over the light."""
-    lit = (lambert > 0.0) & (seeliger > 0.0) & (light > 0.0)
-    ratio = np.where(lit, seeliger, 1.0) / np.where(lit, lambert, 1.0)
-    mu = np.clip(2.0 / ratio - mu0, DARKEST, 1.0)
-    both = np.stack([np.log(np.minimum(ratio, 1.0 / DARKEST)), np.log(np.maximum(mu0, DARKEST) * mu)])
-    weight = np.where(lit, light, 0.0)
-    mean = (both @ weight)[:, None] / max(float(weight.sum()), np.finfo(float).tiny)
-    return np.where(lit, both - mean, 0.0)
+def _light_changes(
+    picture: BodyPicture, body: PlacedBody, center_px: FloatArray, rays: FloatArray, law: FloatArray
+) -> FloatArray:
+    """Return along rays (3, n) the light, and its changes with the shares of the law and the strains (1 + `LINEAR`, n)."""
+    met = body.surface.first_hits(body.to_body(rays))
+    shine = body.radiance(rays)[met.ray]
+    normal = met.normal
+    camera, sun = (_toward(place, met.point) for place in (body.camera_km, body.sun_km))
+    mu0, mu = (np.einsum("in,in->n", normal, side) for side in (sun, camera))
+    lit = (shine > 0.0) & (mu0 > 0.0) & (mu > 0.0)
+    low = np.maximum(np.stack([mu0, mu]), DARKEST)
+    logs = np.stack([np.log(2.0 / np.maximum(mu0 + mu, DARKEST)), np.log(low[0] * low[1])])
+    weight = np.where(lit, shine, 0.0)
+    logs -= (logs @ weight)[:, None] / max(float(weight.sum()), np.finfo(float).tiny)
+    light = np.where(lit, shine * np.exp(law @ logs), 0.0)
+    rows = [light, *(light * logs)]
+    # A strained body's normals lean by -E n + (n E n) n; what that does to the cosines changes its light.
+    along = np.stack([*unit(picture_axes(picture.camera, center_px, _line_of_sight(picture, center_px)))])
+    axes = (along @ picture.camera_from_j2000) @ body.body_from_j2000.T
+    x, y, z = axes[0] @ normal, axes[1] @ normal, np.einsum("in,in->n", normal, camera)
+    axis_z = camera
+    by_mu0, by_mu = _slopes(body, mu0, mu, law)
+    scale = np.where(lit, light / np.maximum(_law_value(body, mu0, mu, law), 1e-9), 0.0)
+    sides = [(axes[0] @ side, axes[1] @ side, np.einsum("in,in->n", axis_z, side)) for side in (sun, camera)]
+    for bent in _strained(x, y, z):
+        square = bent[0] * x + bent[1] * y + bent[2] * z
+        leans = [
+            square * cosine - (bent[0] * side[0] + bent[1] * side[1] + bent[2] * side[2])
+            for cosine, side in zip((mu0, mu), sides, strict=True)
+        ]
+        rows.append(scale * (by_mu0 * leans[0] + by_mu * leans[1]))
+    out = np.zeros((len(rows), rays.shape[1]))
+    out[:, met.ray] = np.stack(rows)
+    return out
+
+
+def _toward(place: FloatArray, point: FloatArray) -> FloatArray:
+    away = place[:, None] - point
+    return np.asarray(away / np.sqrt(np.einsum("in,in->n", away, away)))
+
+
+def _line_of_sight(picture: BodyPicture, center_px: FloatArray) -> FloatArray:
+    return np.asarray(picture.camera.unproject(center_px[None])[0])
+
+
+def _strained(x: FloatArray, y: FloatArray, z: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return E n for the strains of `PLANES`, in their order."""
+    none = np.zeros_like(x)
+    return [(x, -y, none), (y, x, none), (none, none, z), (z, none, x), (none, z, y)]
+
+
+def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
+    low, high = np.maximum(mu0, DARKEST), np.maximum(mu, DARKEST)
+    phase = np.full_like(mu0, body.phase_rad)
+    value = body.model.law.reflectance(np.maximum(mu0, 0.0), np.maximum(mu, 1e-6), phase)
+    return np.asarray(value * (2.0 / (low + high)) ** law[0] * (low * high) ** law[1])
+
+
+def _slopes(
+    body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the changes (n,) of a law with both cosines."""
+    here = _law_value(body, mu0, mu, law)
+    by_mu0 = (_law_value(body, mu0 + COSINE_STEP, mu, law) - here) / COSINE_STEP
+    by_mu = (_law_value(body, mu0, mu + COSINE_STEP, law) - here) / COSINE_STEP
+    return by_mu0, by_mu
 
 
 def _hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
