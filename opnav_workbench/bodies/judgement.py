@@ -11,7 +11,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
 from opnav_workbench.bodies.disk.marginal import FieldPrior
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk
+from opnav_workbench.bodies.disk.measurement import ALIKE_PX, ALIKE_SIGMAS, MeasuredDisk
 from opnav_workbench.bodies.picture import Circle
 from opnav_workbench.bodies.results import (
     DOUBTFUL_FLAGS,
@@ -26,8 +26,6 @@ from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 
 __all__ = ["CenterReading", "disk_reading", "judged_center", "second_reading"]
 
-CONFIRMED_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
-CONFIRMED_PX = 0.1  # readings that lie so close are the same, whatever their sigmas
 MISFIT_SIGMAS = 3.0  # of the size, beyond what its model says of itself
 POOR_CHI2 = 2.0
 WEAK_PX, WEAK_SHARE = 1.0, 0.02  # of the radius: a center that is known no better
@@ -184,7 +182,7 @@ def _confirmed(reading: CenterReading) -> bool:
     if second is None:
         return False
     apart = float(np.hypot(*(second.pixel_line - reading.center_px)))
-    return apart < CONFIRMED_PX or second.difference_sigmas < CONFIRMED_SIGMAS
+    return apart < ALIKE_PX or second.difference_sigmas < ALIKE_SIGMAS
 
 
 def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:

@@ -6,19 +6,15 @@ Flow   measured disk -> crossings of the limb at half of the local brightness: a
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
-from opnav_workbench.bodies.disk.measurement import measure_disk
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
 from opnav_workbench.bodies.judgement import disk_reading, judged_center, second_reading
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.place import cross_limb, fit_crossings
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
-from opnav_workbench.bodies.silhouette import Outline
 
 __all__ = ["METHOD", "find_disk"]
 
 METHOD = "disk"
-FEWEST_CROSSINGS = 12
 
 
 def find_disk(
@@ -61,27 +57,16 @@ def find_disk(
     disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
     if isinstance(disk, BodyCenter):
         return disk
-    second = _second_reading(picture, disk.fit)
+    second = _second_reading(disk)
     reading = disk_reading(disk, METHOD, second)
     return judged_center(disk, reading, _detail(disk.fit, second), solve_range=solve_range)
 
 
-def _second_reading(picture: BodyPicture, fit: DiskFit) -> SecondReading | None:
-    """Read the center from where rays cross the limb; None where too few do."""
-
-    def profiles(_: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
-        places = np.broadcast_arrays(angle[:, None], depth)
-        table = fit.light.at(places[0].ravel(), places[1].ravel(), fit.light.planes[:1])
-        return np.asarray(table[0].reshape(places[0].shape))
-
-    figure = fit.figure
-    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
-    expected = -np.array([fit.shape.log_size, *fit.shape.strain])
-    reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
-    crossings = cross_limb(picture, fit.smooth_outline, reach, profiles)
-    if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
+def _second_reading(disk: MeasuredDisk) -> SecondReading | None:
+    """Return what the crossings of the limb say of the center; None where too few rays cross it."""
+    fit, read = disk.fit, disk.crossing
+    if read is None:
         return None
-    read = fit_crossings(crossings, fit.smooth_outline, sigma, expected, 1.0)
     place = fit.center_px + read.step_px
     return second_reading("limb crossings", place, read.covariance[:2, :2], fit.center_px, fit.covariance_px2)
 

@@ -33,6 +33,7 @@ from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, Margina
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import FigureUncertainty, Lambert
 
 __all__ = ["DiskFit", "DiskPixels", "DiskShape", "Unknown", "fit_disk"]
@@ -49,7 +50,7 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
-PSF_SIGMA, WING_SIGMA = 0.1, 0.03
+PSF_SIGMA, WING_SIGMA = 0.1, 0.05
 PIXEL_VARIANCE = 1.0 / 12.0
 MOST_TURNS = 16
 STILL_PX, STILL_SIGMAS = 0.003, 0.05
@@ -82,15 +83,17 @@ class Unknown(IntEnum):
     STRAIN_YZ = 10
     BLUR = 11
     WINGS = 12
-    LEVEL = 13
-    SLOPE_PIXEL = 14
-    SLOPE_LINE = 15
+    HALO = 13
+    LEVEL = 14
+    SLOPE_PIXEL = 15
+    SLOPE_LINE = 16
 
 
 SHARED = len(Unknown)
 CENTER = [Unknown.PIXEL, Unknown.LINE]
 FIGURE = [Unknown.SIZE, Unknown.AXIS_COS, Unknown.AXIS_SIN]
 SHARES = [Unknown.LAW, Unknown.LAW_2]
+STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 TABLES = len(PLANES)
 
@@ -206,7 +209,7 @@ class DiskFit:
             theta[FIGURE[1:]] @ self.columns[-2:]
             + theta[SHADING] @ self.columns[SHADING]
             + away @ self.columns[SHARES]
-            + theta[Unknown.WINGS] * self.columns[Unknown.WINGS]
+            + theta[STRAY] @ self.columns[STRAY]
         )
         j = len(self.piece_albedo)
         place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
@@ -274,7 +277,8 @@ class _DiskProblem:
         out[FIGURE] = size, axes, axes
         out[SHADING] = axes
         out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
-        out[[Unknown.BLUR, Unknown.WINGS]] = blur, WING_SIGMA
+        out[Unknown.BLUR] = blur
+        out[STRAY] = WING_SIGMA
         return out
 
     def prior_mean(self) -> FloatArray:
@@ -389,6 +393,8 @@ class _Fitter:
 
     def _move(self, solution: MarginalSolution, most: float) -> float:
         theta, shape = solution.theta, self.shape
+        if not np.isfinite(theta).all():
+            raise CenterfindingError(f"{self.problem.name}: its limb tells nothing of its place here.")
         center, size = theta[CENTER], theta[Unknown.SIZE] - shape.log_size
         radius = 0.5 * self.problem.picture.diameter_px(self.problem.name)
         length = max(float(np.hypot(*center)), radius * abs(float(size)))
@@ -432,13 +438,13 @@ class _Fitter:
         near = limb_pixels(outline, plane.data_dn.shape, *problem.reach)
         here = (near.line, near.pixel)
         tables = light.at(near.angle_rad, near.depth_px, np.concatenate([light.planes, light.parts]))
-        m0, slope, turn, blur, wings, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
+        m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
         wave = 2.0 * near.angle_rad
         size = -slope * near.limb_px
         away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
         columns = [
             m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
-            *shading, blur, wings, np.ones_like(m0), *away, -slope,
+            *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
         ]  # fmt: skip
         every = np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
         variance = plane.noise_dn[here] ** 2 + np.maximum(self.brightness * m0, 0.0) / plane.gain_e_per_dn
@@ -455,7 +461,7 @@ class _Fitter:
         lit = self.brightness * self.piece_albedo[:, None]
         moving = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]
         means[moving] *= lit
-        means[[*SHARES, *SHADING, Unknown.WINGS]] *= self.brightness
+        means[[*SHARES, *SHADING, *STRAY]] *= self.brightness
         known = np.array([shape.log_size, *shape.strain, *shape.law])
         shaded, parts = means[-2:] * self.brightness, means[SHARED + 1 : -2]
         data = (
@@ -468,7 +474,13 @@ class _Fitter:
         system = LimbSystem(
             data=data,
             variance=np.where(usable, 1.0 / np.where(usable, whole, 1.0), np.inf),
-            light=np.where(usable, np.maximum(lit * means[0], 0.0), 0.0),
+            light=np.where(
+                usable,
+                np.maximum(
+                    lit * np.maximum(means[0], means[0] + means[Unknown.WINGS] / self.brightness), 0.0
+                ),
+                0.0,
+            ),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
             prior_mean=problem.prior_mean(),
@@ -486,8 +498,8 @@ class _Fitter:
 USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
 VARIETY = np.array([1.5, 0.8, 1.5, 0.5])
 WIDEST = 3.0
-# No surface is more even than the least of contrast and grain, and no law of it truer; none is wilder than the most.
-LEAST, MOST = np.log([0.01, 0.08, 0.003]), np.log([0.9, 6.0, 0.25])
+# No surface is more even than the least of contrast and grain, and no law of it truer over half a radian; none is wilder.
+LEAST, MOST = np.log([0.01, 0.08, 0.003]), np.log([0.9, 0.7, 0.25])
 
 
 def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> FieldPrior:

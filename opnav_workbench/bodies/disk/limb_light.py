@@ -33,7 +33,7 @@ from opnav_workbench.render.body import PlacedBody
 __all__ = ["PLANES", "LimbLight", "limb_light"]
 
 PLANES = (
-    "light", "by_depth", "by_angle", "blur", "wings",
+    "light", "by_depth", "by_angle", "blur", "wings", "halo",
     "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz",
 )  # fmt: skip
 LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
@@ -49,7 +49,7 @@ PIXEL_VARIANCE = 1.0 / 12.0
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
 COSINE_STEP = 1e-3
-WING_PX = 4.0  # scale of the light that a PSF may have in its wings beside what is known of it
+WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,9 +60,9 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    planes : (12, t, n) array
+    planes : (13, t, n) array
         As `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each axis), with
-        the share of light that goes to wings, with the two shares of the law, and with the shading of a strained body:
+        the shares of light that go to wings and to a halo, with the two shares of the law, and with the shading of a strained body:
         x along pixel, y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy and xy.
     parts : (k, t, n) array
         Light of each hat function of the albedo; their sum is the light.
@@ -149,7 +149,8 @@ def limb_light(
     bend = (np.roll(total, 1, axis=0) + np.roll(total, -1, axis=0) - 2.0 * total) * (directions / TURN) ** 2
     blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
     own = tables[1 : 1 + LINEAR]
-    planes = np.concatenate([np.stack([total, by_depth, by_angle, blur, _widened(total, step) - total]), own])
+    wide = [_widened(total, step, scale) - total for scale in WING_PX]
+    planes = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), own])
     return LimbLight(float(first), float(step), planes, tables[1 + LINEAR :], node_rad)
 
 
@@ -376,11 +377,11 @@ def _spread_in_plane(
     return np.stack([map_coordinates(p, where, order=3, mode="grid-wrap") for p in plane])
 
 
-def _widened(total: FloatArray, step: float) -> FloatArray:
-    """Return the light spread by wings exp(-|s| / `WING_PX`)."""
+def _widened(total: FloatArray, step: float, scale_px: float) -> FloatArray:
+    """Return the light spread by wings exp(-|s| / scale)."""
     n = total.shape[1]
-    pad = int(4.0 * WING_PX / step)
-    wings = np.exp(-np.abs(np.arange(-pad, pad + 1)) * step / WING_PX)
+    pad = int(4.0 * scale_px / step)
+    wings = np.exp(-np.abs(np.arange(-pad, pad + 1)) * step / scale_px)
     padded = np.pad(total, ((0, 0), (pad, pad)), mode="edge")
     good = fft.next_fast_len(padded.shape[1] + 2 * pad, real=True)
     out = fft.irfft(fft.rfft(padded, good) * fft.rfft(wings / wings.sum(), good), good)

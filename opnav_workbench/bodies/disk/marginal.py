@@ -19,6 +19,8 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 
 RIDGE = 1e-11  # of a unit diagonal: keeps what nothing tells from becoming infinite
 
+LARGEST_SCALE = 1e9
+
 __all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
 
 
@@ -162,6 +164,7 @@ class LimbSystem:
         value, vector = np.linalg.eigh(scaled)
         value = np.maximum(value, RIDGE)
         inverse = (vector / value) @ vector.T
+        scale = np.minimum(scale, LARGEST_SCALE)  # of what no pixel depends on
         theta = scale * (inverse @ (scale * right))
         covariance = scale[:, None] * inverse * scale
         chi2 = float(information[p, p] + self.prior_precision @ self.prior_mean**2 - right @ theta)

@@ -1,22 +1,26 @@
 """A disk in the picture, measured: what every method that reads a limb begins from.
 
-Flow   place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays and stars out, fit again
+Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays
+       and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.fit import DiskFit, DiskPixels, Unknown, fit_disk
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.place import BodyPlace, find_place
+from opnav_workbench.bodies.place import BodyPlace, CrossingFit, cross_limb, find_place, fit_crossings
 from opnav_workbench.bodies.results import BodyCenter
+from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import find_hit_pixels
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CenterfindingError
 
-__all__ = ["MeasuredDisk", "measure_disk"]
+__all__ = ["ALIKE_PX", "ALIKE_SIGMAS", "MeasuredDisk", "measure_disk"]
 
 LEAST_DIAMETER_PX = 3.0
 
@@ -33,6 +37,8 @@ class MeasuredDisk:
         How far from the expected place to look; None: anywhere.
     hits : (n_line, n_pixel) array of bool
         Pixels whose light is not the body's.
+    crossing
+        Step, size and strain from the fit to where rays cross the limb; None where too few do.
     """
 
     picture: BodyPicture
@@ -42,6 +48,7 @@ class MeasuredDisk:
     fit: DiskFit
     pixels: DiskPixels
     hits: BoolArray
+    crossing: CrossingFit | None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -69,6 +76,7 @@ def measure_disk(
     """
     if (why := _unsuitable(picture, name)) is not None:
         return BodyCenter.without_center(name, method, "failed", why)
+    picture = with_true_sky(picture)
     try:
         place = find_place(picture, name, circle, search_px)
         if place is None:
@@ -80,9 +88,12 @@ def measure_disk(
         if hits.any():
             pixels = replace(pixels, use=pixels.use & ~hits)
             fit = fit_disk(picture, name, place, pixels, fit)
+        crossing = read_crossings(picture, fit)
+        if crossing is not None and not (fit.converged and _alike(fit, crossing)):
+            fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
-    return MeasuredDisk(picture, name, circle, search_px, fit, pixels, hits)
+    return MeasuredDisk(picture, name, circle, search_px, fit, pixels, hits, crossing)
 
 
 def _unsuitable(picture: BodyPicture, name: str) -> str | None:
@@ -117,3 +128,103 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
     out = np.zeros(pixels.use.shape, dtype=bool)
     out[part] = find_hit_pixels(residual[part], weight[part])
     return out
+
+
+# ---- Where rays cross the limb, with the light that was fitted: a reading that knows neither weights nor albedo.
+
+FEWEST_CROSSINGS = 12
+ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
+ALIKE_PX = 0.1  # readings that lie so close are the same, whatever their sigmas
+START_SIZES = (0.7, 1.4)
+
+
+def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
+    """Fit center and outline to where rays cross the limb; None where too few do."""
+
+    def profiles(_: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
+        places = np.broadcast_arrays(angle[:, None], depth)
+        table = fit.light.at(places[0].ravel(), places[1].ravel(), fit.light.planes[:1])
+        return np.asarray(table[0].reshape(places[0].shape))
+
+    figure = fit.figure
+    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
+    expected = -np.array([fit.shape.log_size, *fit.shape.strain])
+    reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
+    crossings = cross_limb(picture, fit.smooth_outline, reach, profiles)
+    if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
+        return None
+    return fit_crossings(crossings, fit.smooth_outline, sigma, expected, 1.0)
+
+
+def _alike(fit: DiskFit, crossing: CrossingFit) -> bool:
+    both = crossing.covariance[:2, :2] + fit.covariance_px2
+    away = float(np.sqrt(crossing.step_px @ np.linalg.solve(both, crossing.step_px)))
+    return away < ALIKE_SIGMAS or float(np.hypot(*crossing.step_px)) < ALIKE_PX
+
+
+def _from_crossings(
+    picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit, crossing: CrossingFit
+) -> tuple[DiskFit, CrossingFit | None]:
+    """Return the likelier of a fit and of another that begins where the crossings put the body."""
+    size = fit.smooth_outline.diameter_px * np.exp(crossing.log_size) / picture.diameter_px(name)
+    place = BodyPlace(fit.center_px + crossing.step_px, float(np.clip(size, *START_SIZES)), 1.0)
+    try:
+        other = fit_disk(picture, name, place, pixels)
+    except CenterfindingError:
+        return fit, crossing
+    if other.solution.log_likelihood < fit.solution.log_likelihood:
+        return fit, crossing
+    return other, read_crossings(picture, other)
+
+
+# ---- What a background or a converter may have done to the picture of a large or bright body.
+
+BLOCK_PX = 16
+LEAST_NOISE = 0.01
+DARKEST = 0.02  # of the blocks: sky, if there is any
+SUNK_SIGMAS = 3.0  # a sky this far below zero was none: the body itself was taken for background
+FLAT_SHARE = 0.6  # of a pixel's noise: nine pixels of one surface that differ by less are clipped
+TOP_SHARE = 0.5
+FEWEST_CLIPPED = 20
+
+
+def with_true_sky(picture: BodyPicture) -> BodyPicture:
+    """Return the picture with its sky at zero, and pixels that a converter has clipped named as saturated."""
+    usable = np.isfinite(picture.signal_dn) & ~picture.bad
+    if not usable.any():
+        return picture
+    signal, noise = picture.signal_dn, picture.noise_dn
+    middle = float(np.median(noise[usable]))
+    n_line, n_pixel = (n // BLOCK_PX * BLOCK_PX for n in signal.shape)
+    if min(n_line, n_pixel) > BLOCK_PX:
+        blocks = np.where(usable, signal, np.nan)[:n_line, :n_pixel]
+        blocks = blocks.reshape(n_line // BLOCK_PX, BLOCK_PX, n_pixel // BLOCK_PX, BLOCK_PX).swapaxes(1, 2)
+        flat = blocks.reshape(*blocks.shape[:2], -1)
+        known = np.isfinite(flat).mean(axis=2) > 0.5
+        level = np.median(np.nan_to_num(flat[known]), axis=1) if known.any() else np.zeros(1)
+        dark = float(np.quantile(level, DARKEST))
+        if dark < -SUNK_SIGMAS * middle:
+            sky = np.nan_to_num(flat[known])[level <= dark]
+            spread = MAD_TO_SIGMA * float(np.median(np.abs(sky - np.median(sky, axis=1, keepdims=True))))
+            signal, noise = signal - dark, np.full_like(noise, max(spread, LEAST_NOISE * middle))
+    clipped = _clipped(signal, noise, picture.gain_e_per_dn, usable & ~picture.saturated)
+    return replace(picture, signal_dn=signal, noise_dn=noise, saturated=picture.saturated | clipped)
+
+
+def _clipped(signal: FloatArray, noise: FloatArray, gain: float, usable: BoolArray) -> BoolArray:
+    """Return the pixels (n_line, n_pixel) of a plateau at the top of the picture that has no noise."""
+    known = np.where(usable, signal, -np.inf)
+    top = float(known.max())
+    bright = known > TOP_SHARE * top
+    if not top > 0.0 or np.count_nonzero(bright) < FEWEST_CLIPPED:
+        return np.zeros(signal.shape, dtype=bool)
+    filled = np.where(usable, signal, 0.0)
+    extent = maximum_filter(filled, 3) - minimum_filter(filled, 3)
+    sigma = np.sqrt(noise**2 + np.maximum(filled, 0.0) / gain)
+    flat = bright & (extent < FLAT_SHARE * sigma)
+    if np.count_nonzero(flat) < FEWEST_CLIPPED:
+        return np.zeros(signal.shape, dtype=bool)
+    low, high = np.quantile(filled[flat], [0.05, 0.95])
+    if high - low > float(np.median(sigma[flat])):
+        return np.zeros(signal.shape, dtype=bool)  # an even surface, not a plateau
+    return np.asarray(usable & (filled >= low))
