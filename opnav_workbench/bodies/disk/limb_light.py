@@ -62,8 +62,9 @@ class LimbLight:
         Depth of the first column, and from each to the next.
     planes : (13, t, n) array
         As `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each axis), with
-        the shares of light that go to wings and to a halo, with the two shares of the law, and with the shading of a strained body:
-        x along pixel, y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy and xy.
+        the shares of light that go to wings and to a halo, with the two shares of the law, and with the shading of a
+        strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy
+        and xy.
     parts : (k, t, n) array
         Light of each hat function of the albedo; their sum is the light.
     node_rad : (k,) array
