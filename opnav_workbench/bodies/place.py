@@ -41,11 +41,15 @@ class BodyPlace:
         Of its image over that of its model.
     score
         Correlation, -1..1, of what is lit with the model's lit silhouette.
+    center_sigma_px, size_sigma
+        As the scatter of the limb's crossings has them, size relative; infinite where the limb was not seen.
     """
 
     center_px: FloatArray
     size_ratio: float
     score: float
+    center_sigma_px: float = np.inf
+    size_sigma: float = np.inf
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -427,16 +431,18 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
     center, size = place.center_px, place.size_ratio
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
+    spread = np.inf, np.inf
     for _ in range(PLACE_TURNS):
         outline = silhouette.at(center, 1.0 / size)
         crossings = cross_limb(picture, outline, 1.5 * near + 3.0, _radiance_profiles(picture, name, size))
         if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
             break
         moved = fit_crossings(crossings, outline, sigma, np.array([-np.log(size), 0.0, 0.0]), near)
+        spread = float(np.sqrt(np.trace(moved.covariance[:2, :2]))), float(np.sqrt(moved.covariance[2, 2]))
         center = center + moved.step_px
         size = size * float(np.exp(np.clip(moved.log_size, -LARGEST_GROWTH, LARGEST_GROWTH)))
         length = float(np.hypot(*moved.step_px)) + abs(moved.log_size) * 0.5 * outline.diameter_px
         if length < PLACED_PX:
             break
         near = max(0.5 * near, min(near, 2.0 * length), LEAST_NEAR_PX)
-    return BodyPlace(center, size, place.score)
+    return BodyPlace(center, size, place.score, *spread)

@@ -56,6 +56,9 @@ MOST_TURNS = 16
 STILL_PX, STILL_SIGMAS = 0.003, 0.05
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.3  # last step of a solution that counts as one
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
+# The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
+SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
+PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
 TUNING = (
     (1.2, 0.6),
     (0.8, 0.4, 0.2),
@@ -241,8 +244,10 @@ def piece_angles(n: int) -> FloatArray:
 class _DiskProblem:
     """What stays while a disk is fitted."""
 
-    def __init__(self, picture: BodyPicture, name: str, pixels: DiskPixels, radius_px: float) -> None:
-        self.picture, self.name, self.pixels = picture, name, pixels
+    def __init__(self, picture: BodyPicture, name: str, pixels: DiskPixels, place: BodyPlace) -> None:
+        self.picture, self.name, self.pixels, self.place = picture, name, pixels, place
+        radius_px = 0.5 * picture.diameter_px(name) * place.size_ratio
+        self.radius_px = radius_px
         self.silhouette = Silhouette(picture, name)
         model = picture.model(name)
         self.figure: FigureUncertainty = model.figure
@@ -274,16 +279,21 @@ class _DiskProblem:
         blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE)
         size, axes = figure.size_sigma, figure.axes_sigma
         out = np.full(SHARED, free)
-        out[FIGURE] = size, axes, axes
+        seen = float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))
+        out[FIGURE] = min(size, seen), axes, axes
+        out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHADING] = axes
         out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
         out[Unknown.BLUR] = blur
         out[STRAY] = WING_SIGMA
         return out
 
-    def prior_mean(self) -> FloatArray:
-        """Return what is expected (p,) of what is shared."""
+    def prior_mean(self, center_px: FloatArray) -> FloatArray:
+        """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
+        if self.place.size_sigma < self.figure.size_sigma:
+            mean[Unknown.SIZE] = np.log(self.place.size_ratio)
+        mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
 
@@ -306,7 +316,7 @@ def fit_disk(
     CenterfindingError
         The body leaves what the camera model covers.
     """
-    problem = _DiskProblem(picture, name, pixels, 0.5 * picture.diameter_px(name) * place.size_ratio)
+    problem = _DiskProblem(picture, name, pixels, place)
     none = np.zeros(problem.pieces)
     law = np.array([problem.law_prior[0], 0.0])
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), np.zeros(2), law, none)
@@ -483,7 +493,7 @@ class _Fitter:
             ),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
-            prior_mean=problem.prior_mean(),
+            prior_mean=problem.prior_mean(shape.center_px),
             prior_precision=problem.prior_sigma() ** -2.0,
             chord=problem.chord,
             turn=problem.turn,
