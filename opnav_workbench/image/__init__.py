@@ -20,7 +20,13 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
     What paths, folders and patterns stand for, and how each picture's folder of results is named.
 """
 
-from opnav_workbench.image.background import Background, column_level, estimate_background, pixel_noise
+from opnav_workbench.image.background import (
+    Background,
+    column_level,
+    darkest_sky,
+    estimate_background,
+    pixel_noise,
+)
 from opnav_workbench.image.extended import extended_light, sky_and_bodies
 from opnav_workbench.image.header import (
     Header,
@@ -44,6 +50,7 @@ __all__ = [
     "QualityTable",
     "barycentric_from_heliocentric",
     "column_level",
+    "darkest_sky",
     "estimate_background",
     "extended_light",
     "pixel_noise",

@@ -27,7 +27,47 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.constants import MAD_TO_SIGMA, PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import ImageError
 
-__all__ = ["Background", "column_level", "estimate_background", "pixel_noise"]
+__all__ = ["Background", "column_level", "darkest_sky", "estimate_background", "pixel_noise"]
+
+
+# ---- The sky of a picture that a body fills: where it is darkest.
+
+BLOCK_PX = 16
+DARKEST_SHARE = 0.02  # of the blocks: sky, if there is any
+FLATTEST = 0.01  # of the noise expected: blocks that scatter less have been painted over
+
+
+def darkest_sky(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> tuple[float, float]:
+    """Return level and noise of the darkest part of a picture, which is sky if anything is.
+
+    For pictures of a body so large that a mesh takes its disk for background.
+
+    Parameters
+    ----------
+    image_dn, bad : (n_line, n_pixel) arrays
+    noise_dn
+        Expected: the least that is believed is a hundredth of it.
+
+    Examples
+    --------
+    >>> image = np.full((64, 64), 200.0)
+    >>> image[:16] = np.random.default_rng(1).normal(7.0, 2.0, (16, 64))
+    >>> level, noise = darkest_sky(image, np.zeros((64, 64), dtype=bool), 3.0)
+    >>> round(level), round(noise)
+    (7, 2)
+    """
+    usable = np.isfinite(image_dn) & ~bad
+    side = max(1, min(BLOCK_PX, *(n // 2 for n in image_dn.shape)))
+    n_line, n_pixel = (n // side for n in image_dn.shape)
+    blocks = np.where(usable, image_dn, np.nan)[: n_line * side, : n_pixel * side]
+    blocks = blocks.reshape(n_line, side, n_pixel, side).swapaxes(1, 2).reshape(n_line * n_pixel, -1)
+    blocks = np.nan_to_num(blocks[np.isfinite(blocks).mean(axis=1) > 0.5])
+    if not len(blocks):
+        return 0.0, noise_dn
+    level = np.median(blocks, axis=1)
+    dark = float(np.quantile(level, DARKEST_SHARE))
+    sky = blocks[level <= dark] - level[level <= dark, None]
+    return dark, max(MAD_TO_SIGMA * float(np.median(np.abs(sky))), FLATTEST * noise_dn)
 
 
 # ---- A coarse mesh over a picture: tiles, their clipped statistics, and the way back to every pixel.

@@ -16,6 +16,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, BodyPicture, displaced_model
 from opnav_workbench.constants import SUN_RADIUS_KM
 from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
+from opnav_workbench.image import darkest_sky
 from opnav_workbench.mission import AlbedoMapFile, TargetSurface
 from opnav_workbench.photometry import SUN_B_V
 from opnav_workbench.psf import GaussianPsf, Psf
@@ -206,9 +207,10 @@ def _scenery(context: Context, inputs: Inputs, name: str) -> BodyModel | None:
 def _picture(
     context: Context, inputs: Inputs, state: SessionState, models: tuple[BodyModel, ...]
 ) -> BodyPicture:
+    signal, noise = _above_sky(context)
     return BodyPicture(
-        signal_dn=context.signal_dn,
-        noise_dn=context.noise_dn,
+        signal_dn=signal,
+        noise_dn=noise,
         bad=context.bad,
         saturated=context.picture.saturated,
         camera=context.camera,
@@ -220,6 +222,25 @@ def _picture(
         noise_model=context.noise_model,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
     )
+
+
+SPARSE = 4  # pixels between those of the sky that are looked at
+SUNK_SIGMAS = 3.0
+SWALLOWED_SIGMAS = 10.0  # a sky that differs by more from place to place is not one
+
+
+def _above_sky(context: Context) -> tuple[FloatArray, FloatArray]:
+    """Return the light above the sky, and its noise; above its darkest part where a body was taken for sky."""
+    level = context.background.level_dn
+    usual = float(np.median(context.noise_dn))
+    image, bad = context.picture.image_dn, context.bad | ~np.isfinite(context.picture.image_dn)
+    low, high = np.quantile(level[::SPARSE, ::SPARSE], [0.02, 0.98])
+    if high - low < SWALLOWED_SIGMAS * usual:
+        return context.signal_dn, context.noise_dn
+    dark, noise = darkest_sky(image, bad, usual)
+    if low - dark < SUNK_SIGMAS * noise and high - low < SWALLOWED_SIGMAS * noise:
+        return context.signal_dn, context.noise_dn
+    return np.where(bad, 0.0, image - dark), np.full_like(context.noise_dn, noise)
 
 
 def _model_where_found(

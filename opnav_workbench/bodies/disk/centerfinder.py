@@ -4,17 +4,20 @@ Flow   measured disk -> crossings of the limb at half of the local brightness: a
        nor albedo -> judgement (`opnav_workbench.bodies.judgement`) -> `BodyCenter`
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
-from opnav_workbench.bodies.judgement import disk_reading, judged_center, second_reading
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, measure_disk
+from opnav_workbench.bodies.judgement import CenterReading, disk_reading, judged_center, second_reading
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
 
 __all__ = ["METHOD", "find_disk"]
 
 METHOD = "disk"
+DIFFERENCE_SHARE = 0.5
 
 
 def find_disk(
@@ -59,7 +62,23 @@ def find_disk(
         return disk
     second = _second_reading(disk)
     reading = disk_reading(disk, METHOD, second)
-    return judged_center(disk, reading, _detail(disk.fit, second), solve_range=solve_range)
+    if second is not None and not alike(disk.fit, disk.crossing):
+        reading = _crossings_instead(reading, second)
+    return judged_center(disk, reading, _detail(disk.fit, reading.second), solve_range=solve_range)
+
+
+def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterReading:
+    """Return the crossings' center where both readings differ.
+
+    A likelihood that is wrong has found a model that explains the pixels in a way of its own; half of the local
+    brightness is never far from the limb. That they differ is in the covariance.
+    """
+    away = second.pixel_line - reading.center_px
+    covariance = second.covariance_px2 + DIFFERENCE_SHARE**2 * np.outer(away, away)
+    other = SecondReading(
+        "the likelihood of the disk", reading.center_px, reading.covariance_px2, second.difference_sigmas
+    )
+    return replace(reading, center_px=second.pixel_line, covariance_px2=covariance, second=other)
 
 
 def _second_reading(disk: MeasuredDisk) -> SecondReading | None:

@@ -6,8 +6,9 @@ Flow   place -> tables of light -> pixels of the strip about the outline -> cell
 Unknowns that all pieces of limb share, with the uncertainty that they have beforehand:
 
 brightness, background and its slopes   none
-center                                  none
-size, axes                              `BodyModel.figure` of the body
+center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
+size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
+axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
 law                                     powers of 2 / (mu0 + mu) and mu0 mu: `LAW_SIGMA`
 PSF                                     variance and wings: `PSF_SIGMA`, `WING_SIGMA`
 
@@ -50,11 +51,12 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
-PSF_SIGMA, WING_SIGMA = 0.1, 0.05
+PSF_SIGMA, WING_SIGMA = 0.15, 0.15
 PIXEL_VARIANCE = 1.0 / 12.0
 MOST_TURNS = 16
 STILL_PX, STILL_SIGMAS = 0.003, 0.05
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.3  # last step of a solution that counts as one
+LARGEST_LOG = 0.5  # of the size over the model's
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
@@ -412,7 +414,7 @@ class _Fitter:
         law = _bounded(theta[SHARES])
         self.shape = DiskShape(
             shape.center_px + part * center,
-            float(shape.log_size + part * size),
+            float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
             shape.strain + part * (theta[FIGURE[1:]] - shape.strain),
             shape.law + most * np.clip(law - shape.law, -0.4, 0.4),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),

@@ -17,10 +17,10 @@ from opnav_workbench.bodies.place import BodyPlace, CrossingFit, cross_limb, fin
 from opnav_workbench.bodies.results import BodyCenter
 from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import find_hit_pixels
-from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.image import darkest_sky
 
-__all__ = ["ALIKE_PX", "ALIKE_SIGMAS", "MeasuredDisk", "measure_disk"]
+__all__ = ["ALIKE_PX", "ALIKE_SIGMAS", "MeasuredDisk", "alike", "measure_disk"]
 
 LEAST_DIAMETER_PX = 3.0
 
@@ -89,7 +89,7 @@ def measure_disk(
             pixels = replace(pixels, use=pixels.use & ~hits)
             fit = fit_disk(picture, name, place, pixels, fit)
         crossing = read_crossings(picture, fit)
-        if crossing is not None and not (fit.converged and _alike(fit, crossing)):
+        if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
@@ -156,7 +156,10 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     return fit_crossings(crossings, fit.smooth_outline, sigma, expected, 1.0)
 
 
-def _alike(fit: DiskFit, crossing: CrossingFit) -> bool:
+def alike(fit: DiskFit, crossing: CrossingFit | None) -> bool:
+    """Tell whether two readings of a center are the same; a missing one is not."""
+    if crossing is None:
+        return False
     both = crossing.covariance[:2, :2] + fit.covariance_px2
     away = float(np.sqrt(crossing.step_px @ np.linalg.solve(both, crossing.step_px)))
     return away < ALIKE_SIGMAS or float(np.hypot(*crossing.step_px)) < ALIKE_PX
@@ -179,9 +182,6 @@ def _from_crossings(
 
 # ---- What a background or a converter may have done to the picture of a large or bright body.
 
-BLOCK_PX = 16
-LEAST_NOISE = 0.01
-DARKEST = 0.02  # of the blocks: sky, if there is any
 SUNK_SIGMAS = 3.0  # a sky this far below zero was none: the body itself was taken for background
 FLAT_SHARE = 0.6  # of a pixel's noise: nine pixels of one surface that differ by less are clipped
 TOP_SHARE = 0.5
@@ -195,18 +195,9 @@ def with_true_sky(picture: BodyPicture) -> BodyPicture:
         return picture
     signal, noise = picture.signal_dn, picture.noise_dn
     middle = float(np.median(noise[usable]))
-    n_line, n_pixel = (n // BLOCK_PX * BLOCK_PX for n in signal.shape)
-    if min(n_line, n_pixel) > BLOCK_PX:
-        blocks = np.where(usable, signal, np.nan)[:n_line, :n_pixel]
-        blocks = blocks.reshape(n_line // BLOCK_PX, BLOCK_PX, n_pixel // BLOCK_PX, BLOCK_PX).swapaxes(1, 2)
-        flat = blocks.reshape(*blocks.shape[:2], -1)
-        known = np.isfinite(flat).mean(axis=2) > 0.5
-        level = np.median(np.nan_to_num(flat[known]), axis=1) if known.any() else np.zeros(1)
-        dark = float(np.quantile(level, DARKEST))
-        if dark < -SUNK_SIGMAS * middle:
-            sky = np.nan_to_num(flat[known])[level <= dark]
-            spread = MAD_TO_SIGMA * float(np.median(np.abs(sky - np.median(sky, axis=1, keepdims=True))))
-            signal, noise = signal - dark, np.full_like(noise, max(spread, LEAST_NOISE * middle))
+    dark, spread = darkest_sky(signal, ~usable, middle)
+    if dark < -SUNK_SIGMAS * middle:
+        signal, noise = signal - dark, np.full_like(noise, spread)
     clipped = _clipped(signal, noise, picture.gain_e_per_dn, usable & ~picture.saturated)
     return replace(picture, signal_dn=signal, noise_dn=noise, saturated=picture.saturated | clipped)
 
