@@ -78,7 +78,7 @@ def process(
     targets : str or sequence of str, optional
         Names, each with its method if wanted (``"PLUTO:limb_scan,CHARON"``); empty or ``"none"``: no targets; default the
         mission's own, where kernels are open.
-    method : {"auto", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"}
+    method : {"auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"}
         How the centers of targets are found.
     methods : mapping of str to str, optional
         The same for single targets, by name.

@@ -88,7 +88,7 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
         context.camera,
         best_attitude(inputs, state),
     )
-    method = chosen_method(context, request, prediction)
+    method = chosen_method(context, state, request, prediction)
     if method == "unresolved":
         return _unresolved(context, inputs, state, prediction, request)
     try:
@@ -143,10 +143,14 @@ def target_with_shape(context: Context, inputs: Inputs, name: str) -> TargetStat
     return inputs.targets[name] if model is None else sized_target(model)
 
 
-def chosen_method(context: Context, request: BodyRequest, prediction: BodyPrediction) -> str:
+def chosen_method(
+    context: Context, state: SessionState, request: BodyRequest, prediction: BodyPrediction
+) -> str:
     """Return the method that a request means."""
     if request.method != "auto":
         return request.method
+    if scan_numbers(state, request) is not None:
+        return "limb_scan"  # whose scans an analyst has chosen
     known = has_albedo_map(context, request.name)
     return choose_method(prediction.diameter_px, prediction.phase_rad, known_surface=known)
 

@@ -548,7 +548,7 @@ class ImageSession:
         ----------
         name
             SPICE body name, or a star of the target list.
-        method : {"auto", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"}
+        method : {"auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"}
             ``auto`` takes what suits the body's size and what is known of its surface.
         search_radius_px
             How far from its expected place it may be; default from the predicted uncertainty and its size.

@@ -34,7 +34,7 @@ def _error(session, truth, name, method=None):
 def test_a_large_disk_of_unknown_albedo_is_found_by_its_limb(near, resolved_truths):
     near.find_body("PLUTO")
     center = _center(near, "PLUTO")
-    assert (center.method, center.status) == ("limb_scan", "ok")
+    assert (center.method, center.status) == ("disk", "ok")
     assert near.journal[-1].parameters["method"] == "auto"
     assert _error(near, resolved_truths[0], "PLUTO") < RIGHT_PX
 

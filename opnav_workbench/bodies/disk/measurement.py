@@ -16,7 +16,7 @@ from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import BodyPlace, CrossingFit, cross_limb, find_place, fit_crossings
 from opnav_workbench.bodies.results import BodyCenter
 from opnav_workbench.bodies.silhouette import Outline
-from opnav_workbench.bodies.subarray import find_hit_pixels
+from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 
@@ -76,6 +76,9 @@ def measure_disk(
     """
     if (why := _unsuitable(picture, name)) is not None:
         return BodyCenter.without_center(name, method, "failed", why)
+    if circle is None and _beside_the_detector(picture, name, search_px):
+        away = "it is predicted beside the detector, farther than it is looked for"
+        return BodyCenter.without_center(name, method, "off_detector", away)
     picture = with_true_sky(picture)
     try:
         place = find_place(picture, name, circle, search_px)
@@ -103,6 +106,15 @@ def _unsuitable(picture: BodyPicture, name: str) -> str | None:
     if 0.0 < diameter < LEAST_DIAMETER_PX:
         return f"it is {diameter:.1f} px wide, too small for a limb (at least {LEAST_DIAMETER_PX:g} px); use 'least_squares'"
     return None
+
+
+def _beside_the_detector(picture: BodyPicture, name: str, search_px: float | None) -> bool:
+    radius = 0.5 * picture.diameter_px(name)
+    center, size = picture.center_px(name), np.array([picture.camera.n_pixel, picture.camera.n_line])
+    if not np.isfinite(center).all():
+        return True
+    reach = radius + search_radius(radius, None, search_px)
+    return bool(np.any(center < -0.5 - reach) or np.any(center > size - 0.5 + reach))
 
 
 def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> DiskPixels:
