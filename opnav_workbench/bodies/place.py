@@ -294,7 +294,7 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     profiles
         Returns the model's light (n, m) at angles (n,) and depths (m,) of an outline, any unit.
     """
-    angle = (np.arange(RAYS) + 0.5) * (TURN / RAYS)
+    angle = np.asarray((np.arange(RAYS) + 0.5) * (TURN / RAYS))
     limb = outline.radius(angle)
     depth = np.arange(-min(reach_px + 8.0, float(limb.min())), reach_px + 4.0, RAY_STEP_PX)
     wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -422,7 +422,7 @@ def _crossing_covariance(columns: FloatArray, residual: FloatArray, precision: F
     alike = float(np.sum(even[both] * np.roll(even, 1)[both]) / max(float(np.sum(even[both] ** 2)), 1e-9))
     alike = float(np.clip(alike, 0.0, 0.95))
     variance = spread**2 * (1.0 + alike) / (1.0 - alike)  # of crossings that share what scatters them
-    return np.linalg.inv(columns.T @ columns / variance + np.diag(precision))
+    return np.asarray(np.linalg.inv(columns.T @ columns / variance + np.diag(precision)))
 
 
 def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:

@@ -124,7 +124,9 @@ def _east_north(session: ImageSession, direction: FloatArray) -> FloatArray:
 
 
 def _limb_of(center: BodyCenter) -> FloatArray:
-    return center.detail.outline_px if isinstance(center.detail, LimbEllipse) else np.empty((0, 2))
+    return (
+        center.detail.outline_px if isinstance(center.detail, LimbEllipse | DiskReading) else np.empty((0, 2))
+    )
 
 
 def pictures_around(shown: ShownBody) -> BodyResiduals:

@@ -11,7 +11,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, describe_body_flags
-from opnav_workbench.bodies.results import LimbScans
+from opnav_workbench.bodies.results import DiskReading, LimbScans
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
@@ -62,10 +62,24 @@ def _body_result(o: Observable, center: BodyCenter) -> dict[str, Any]:
         "residual_arcsec": o.residual_arcsec,
         "snr": o.snr,
         "chi2_reduced": center.chi2_reduced,
+        "second_reading": _second_reading(center),
         "scans_used": len(center.detail.used) if isinstance(center.detail, LimbScans) else None,
         "flags": describe_body_flags(center.flags) if center.flags else "",
         "status": o.status,
         "messages": o.messages,
+    }
+
+
+def _second_reading(center: BodyCenter) -> dict[str, Any] | None:
+    """Return the same center read in another way, and how far it lies from it; None where there is none."""
+    second = center.detail.second if isinstance(center.detail, DiskReading) else None
+    if second is None:
+        return None
+    return {
+        "method": second.method,
+        "observed": second.pixel_line,
+        "covariance_px2": second.covariance_px2,
+        "difference_sigmas": second.difference_sigmas,
     }
 
 

@@ -369,7 +369,7 @@ class _Fitter:
             lengths.append(length)
             sigma = float(np.sqrt(solution.covariance[CENTER, CENTER].max()))
             settled = length < max(STILL_PX, STILL_SIGMAS * sigma)
-            near = length < max(NEAR_PX, NEAR_SIGMAS * sigma)
+            near = length < max(NEAR_PX, NEAR_SIGMAS * sigma) and solution.theta[Unknown.BRIGHTNESS] > 0.0
             if settled and tunings == 2 and (not fine or self._stale(solution)):
                 fine = True
                 self._tabulate(solution)

@@ -109,7 +109,7 @@ def gathered(
     size = pieces * c
 
     def total(values: FloatArray) -> FloatArray:
-        return np.bincount(cell, values, size).reshape(pieces, c)
+        return np.asarray(np.bincount(cell, values, size).reshape(pieces, c), dtype=np.float64)
 
     whole = total(weight)
     share = 1.0 / np.where(whole > 0.0, whole, np.inf)

@@ -136,7 +136,7 @@ def limb_light(
     model = displaced_model(picture, name, outline.center_px, range_scale)
     radius = 0.5 * outline.diameter_px
     directions = int(np.clip(TURN * radius / apart, fewest, most))
-    angle = np.arange(directions) * (TURN / directions)
+    angle = np.asarray(np.arange(directions) * (TURN / directions))
     first = -step * np.ceil(reach_px[0] / step)
     depth = np.arange(first, reach_px[1] + step, step)
     small = radius < PLANE_RADIUS_PX[int(fine)]

@@ -158,7 +158,9 @@ class LimbSystem:
         information = plain - cross.T @ carried + half.T @ half
         normal = information[:p, :p] + np.diag(self.prior_precision)
         right = information[:p, p] + self.prior_precision * self.prior_mean
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        # What the field takes leaves rounding errors, of either sign, where nothing is left.
+        least = np.maximum(self.prior_precision, RIDGE * np.diag(plain)[:p])
+        scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.diag(normal), least), 1e-300))
         scaled = normal * scale[:, None] * scale
         scaled[np.diag_indices(p)] += RIDGE
         value, vector = np.linalg.eigh(scaled)
@@ -199,4 +201,4 @@ def _held(normal: FloatArray, right: FloatArray, whole: float, held: Mapping[int
 def _roots(inner: FloatArray) -> FloatArray:
     """Return R (j, q, q) with R^T R = inner, which may be singular."""
     value, vector = np.linalg.eigh(inner)
-    return np.sqrt(np.maximum(value, 0.0))[..., None] * np.swapaxes(vector, 1, 2)
+    return np.asarray(np.sqrt(np.maximum(value, 0.0))[..., None] * np.swapaxes(vector, 1, 2))
