@@ -18,7 +18,7 @@ from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies import BodyCenter, BodyResiduals, Circle, describe_body_flags
-from opnav_workbench.bodies.results import LimbEllipse
+from opnav_workbench.bodies.results import DiskReading, LimbEllipse
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.report.drawing import BODY_COLOR, GREEN, OBSERVED_COLOR, PREDICTED_COLOR

@@ -53,9 +53,10 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
 PSF_SIGMA, WING_SIGMA = 0.15, 0.15
 PIXEL_VARIANCE = 1.0 / 12.0
-MOST_TURNS = 16
-STILL_PX, STILL_SIGMAS = 0.003, 0.05
-NEAR_PX, NEAR_SIGMAS = 0.02, 0.3  # last step of a solution that counts as one
+MOST_TURNS, MOST_FINE = 12, 2  # turns in all; times that the fine light is tabulated
+LAST_TUNING, LAST_COARSE = 5, 7  # turns at which field and fine light are made sure of at the latest
+STILL_PX, STILL_SIGMAS = 0.005, 0.1
+NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
 LARGEST_LOG = 0.5  # of the size over the model's
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
@@ -347,10 +348,10 @@ class _Fitter:
     def run(self) -> DiskFit:
         lengths: list[float] = []
         near = False
-        settled, fine, tunings = False, self.started, 2 if self.started else 0
+        settled, fine, tunings = False, int(self.started), 2 if self.started else 0
         system, pixels, solution = self._solved()
         for turn in range(MOST_TURNS):
-            if (settled or turn in (0, 9)) and tunings < 2:
+            if (settled or turn in (0, LAST_TUNING)) and tunings < 2:
                 self.prior = tuned(system, self.prior, self.problem.rough_px, TUNING[tunings])
                 solution = system.solve(self.prior, self._held())
                 tunings += 1
@@ -370,8 +371,12 @@ class _Fitter:
             sigma = float(np.sqrt(solution.covariance[CENTER, CENTER].max()))
             settled = length < max(STILL_PX, STILL_SIGMAS * sigma)
             near = length < max(NEAR_PX, NEAR_SIGMAS * sigma) and solution.theta[Unknown.BRIGHTNESS] > 0.0
-            if settled and tunings == 2 and (not fine or self._stale(solution)):
-                fine = True
+            if (
+                (settled or turn >= LAST_COARSE)
+                and tunings == 2
+                and (fine == 0 or (fine < MOST_FINE and self._stale(solution)))
+            ):
+                fine += 1
                 self._tabulate(solution)
                 system, pixels, solution = self._solved()
                 settled = False

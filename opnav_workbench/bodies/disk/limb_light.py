@@ -69,6 +69,8 @@ class LimbLight:
         Light of each hat function of the albedo; their sum is the light.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
+    fine
+        Whether the directions are close enough, and worth, cubic interpolation.
     """
 
     first_px: float
@@ -76,6 +78,7 @@ class LimbLight:
     planes: FloatArray
     parts: FloatArray
     node_rad: FloatArray
+    fine: bool
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -88,7 +91,9 @@ class LimbLight:
         i, j = row.astype(np.int64), column.astype(np.int64)
         along, flat = column - j, tables.reshape(count, -1)
         out = np.zeros((count, len(row)))
-        for jump, weight in zip((-1, 0, 1, 2), cubic_weights(row - i), strict=True):
+        part = row - i
+        rows = zip((-1, 0, 1, 2), cubic_weights(part), strict=True)
+        for jump, weight in rows if self.fine else ((0, 1.0 - part), (1, part)):
             index = (i + jump) % t * n + j
             out += weight * (1.0 - along) * np.take(flat, index, axis=1)
             out += weight * along * np.take(flat, index + 1, axis=1)
@@ -152,7 +157,7 @@ def limb_light(
     own = tables[1 : 1 + LINEAR]
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
     planes = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), own])
-    return LimbLight(float(first), float(step), planes, tables[1 + LINEAR :], node_rad)
+    return LimbLight(float(first), float(step), planes, tables[1 + LINEAR :], node_rad, fine)
 
 
 def _sources(
