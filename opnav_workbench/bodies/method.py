@@ -5,8 +5,10 @@ import numpy as np
 __all__ = ["UNRESOLVED_TO_PX", "choose_method"]
 
 UNRESOLVED_TO_PX = 1.0  # AAS 13-443: unresolved below one pixel
-DISK_FROM_PX = 4.0  # a limb that is a line of pixels, not a blur
-THIN_PHASE_RAD = np.radians(160.0)  # beyond, a limb is a thread
+DISK_FROM_PX, CRESCENT_FROM_PX = (
+    6.0,
+    1.5,
+)  # a limb that is a line of pixels, not a blur, and lit light that has a width
 
 
 def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surface: bool = False) -> str:
@@ -29,7 +31,7 @@ def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surfac
     Notes
     -----
     Below 1 px a body is a star with its light beside its center of figure; above, the rendered model is that very light,
-    so that nothing jumps between the two. From 4 px on the pixels about the limb carry the center, with whatever albedo.
+    so that nothing jumps between the two. From 6 px on the pixels about the limb carry the center, with whatever albedo.
 
     Examples
     --------
@@ -38,6 +40,7 @@ def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surfac
     """
     if not diameter_px >= UNRESOLVED_TO_PX:
         return "unresolved"
-    if diameter_px < DISK_FROM_PX or known_surface or phase_rad > THIN_PHASE_RAD:
+    width = 0.5 * diameter_px * (1.0 + np.cos(phase_rad)) if np.isfinite(phase_rad) else diameter_px
+    if diameter_px < DISK_FROM_PX or width < CRESCENT_FROM_PX or known_surface:
         return "least_squares"
     return "disk"

