@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, measure_disk
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, crossing_covariance, measure_disk
 from opnav_workbench.bodies.judgement import CenterReading, disk_reading, judged_center, second_reading
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
@@ -64,11 +64,11 @@ def find_disk(
     reading = disk_reading(disk, METHOD, second)
     if second is not None:
         same = alike(disk.fit, disk.crossing)
-        reading = _with_difference(reading, second) if same else _crossings_instead(reading, second)
+        reading = _with_difference(reading, second, disk) if same else _crossings_instead(reading, second)
     return judged_center(disk, reading, _detail(disk.fit, reading.second), solve_range=solve_range)
 
 
-def _with_difference(reading: CenterReading, second: SecondReading) -> CenterReading:
+def _with_difference(reading: CenterReading, second: SecondReading, disk: MeasuredDisk) -> CenterReading:
     """Return the center with what two readings of the same pixels say of each other in its covariance.
 
     What a likelihood knows rests on its model; half of the difference from a reading without one, and a share of what that
@@ -76,7 +76,9 @@ def _with_difference(reading: CenterReading, second: SecondReading) -> CenterRea
     over sigma was 2.4 without, is 1.4 with them, and 1 center of 38 lies beyond 5 sigma instead of 7.
     """
     away = second.pixel_line - reading.center_px
-    more = DIFFERENCE_SHARE**2 * np.outer(away, away) + CROSSING_SHARE * second.covariance_px2
+    assert disk.crossing is not None
+    own = disk.crossing.covariance[:2, :2]
+    more = DIFFERENCE_SHARE**2 * np.outer(away, away) + CROSSING_SHARE * own
     return replace(reading, covariance_px2=reading.covariance_px2 + more)
 
 
@@ -100,7 +102,9 @@ def _second_reading(disk: MeasuredDisk) -> SecondReading | None:
     if read is None:
         return None
     place = fit.center_px + read.step_px
-    return second_reading("limb crossings", place, read.covariance[:2, :2], fit.center_px, fit.covariance_px2)
+    return second_reading(
+        "limb crossings", place, crossing_covariance(read), fit.center_px, fit.covariance_px2
+    )
 
 
 def _detail(fit: DiskFit, second: SecondReading | None) -> DiskReading:

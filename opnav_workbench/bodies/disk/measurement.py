@@ -20,7 +20,7 @@ from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 
-__all__ = ["ALIKE_PX", "ALIKE_SIGMAS", "MeasuredDisk", "alike", "measure_disk"]
+__all__ = ["ALIKE_PX", "ALIKE_SIGMAS", "MeasuredDisk", "alike", "crossing_covariance", "measure_disk"]
 
 LEAST_DIAMETER_PX = 3.0
 
@@ -146,7 +146,8 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
 
 FEWEST_CROSSINGS = 12
 ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
-ALIKE_PX = 0.1  # readings that lie so close are the same, whatever their sigmas
+HALF_PX = 0.15  # where pattern or law are steep at the limb
+ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
 START_SIZES = (0.7, 1.4)
 
 
@@ -168,11 +169,16 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     return fit_crossings(crossings, fit.smooth_outline, sigma, expected, 1.0)
 
 
+def crossing_covariance(crossing: CrossingFit) -> FloatArray:
+    """Return the covariance (2, 2) px^2 of a center by crossings, with what half of the brightness may be beside a limb."""
+    return np.asarray(crossing.covariance[:2, :2] + HALF_PX**2 * np.eye(2))
+
+
 def alike(fit: DiskFit, crossing: CrossingFit | None) -> bool:
     """Tell whether two readings of a center are the same; a missing one is not."""
     if crossing is None:
         return False
-    both = crossing.covariance[:2, :2] + fit.covariance_px2
+    both = crossing_covariance(crossing) + fit.covariance_px2
     away = float(np.sqrt(crossing.step_px @ np.linalg.solve(both, crossing.step_px)))
     return away < ALIKE_SIGMAS or float(np.hypot(*crossing.step_px)) < ALIKE_PX
 
