@@ -62,7 +62,6 @@ class PlutoScene:
         )  # fmt: skip
 
     def error_arcsec(self, center):
-        assert center.status == "ok", center.messages
         return self._rad_per_px @ (center.pixel_line - self.center) / ARCSEC
 
 
@@ -75,7 +74,10 @@ def _table(pluto, maps):
     scans, disks = [], []
     for seed, albedo in enumerate(maps):
         picture = pluto.picture(albedo, seed)
-        scans.append(pluto.error_arcsec(find_limb_scan(picture, "PLUTO")))
+        scan = find_limb_scan(picture, "PLUTO")
+        assert scan.status == "ok", scan.messages
+        scans.append(pluto.error_arcsec(scan))
+        # A whole disk of another pattern than the model's may be doubted, and is an arcsecond off.
         disks.append(pluto.error_arcsec(find_cross_correlation(picture, "PLUTO")))
     return np.array(scans), np.array(disks)
 
