@@ -20,11 +20,13 @@ which suits a body.
 ``silhouette``
     Outlines of ellipsoids and plate models in the picture.
 ``scene_fit``
-    Rendered bodies fitted to pixels, with what is uncertain of them.
+    Rendered bodies fitted to pixels.
 ``neighbours``
     Other bodies near one, and the pixels that they light.
+``residuals``
+    What residuals say of a center: albedo patterns, another size.
 ``fit_report``
-    How the full-disk methods search, fit and report: covariance, flags, status and messages.
+    From such a fit to centers with covariance, flags, status and messages.
 ``cross_correlation``
     Full-disk method: the peak of the correlation with the rendered body.
 ``least_squares``

@@ -1,33 +1,38 @@
 """Center of a body by cross-correlation of its rendered picture with the data.
 
-Flow   search over the whole area (FFT) -> the model fitted: size, figure, law, PSF and a first center (`fit_scene`) -> its
-       correlation with the data at 3 x 3 lags -> paraboloid's peak, against that of the model with itself
+Flow   search over the whole area (FFT) -> render at the place -> 3 x 3 lags about it -> paraboloid's peak, against that of
+       the model with itself -> render there -> ... until the peak stands still
 
 A paraboloid through 3 x 3 samples is not the correlation's peak: it is off by up to 0.1 px, and by an amount that depends
 on where between the pixels the body lies. The model correlated with itself, with the same weights and the same missing
-pixels, is off just as much; the difference of the two has no bias.
-
-The peak weighs the limb less sharply than least squares do. It is least squares plus a linear function of their residuals,
-with whose noise their own is not correlated: its covariance is theirs plus that of the function.
+pixels, is off just as much; the difference of the two has no bias, and vanishes at the solution.
 
 Reference: Jackman & Dumont (2013), AAS 13-443, "Cross-Correlation Target Centerfinding".
 """
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.detection import SearchRequest
-from opnav_workbench.bodies.fit_report import measure_bodies
+from opnav_workbench.arrays import BoolArray, FloatArray, symmetric
+from opnav_workbench.bodies.detection import DetectedScene, SearchRequest, detect_bodies, fit_pixels
+from opnav_workbench.bodies.fit_report import report_fitted_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.results import BodyCenter
-from opnav_workbench.bodies.scene_fit import SceneFit
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag
+from opnav_workbench.bodies.scene_fit import SceneFit, SceneLight, SceneState, light_scene, solve_brightness
+from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
 from opnav_workbench.stars.peaks import paraboloid_peak
 
 __all__ = ["find_cross_correlation"]
 
 METHOD = "cross_correlation"
+CONVERGED_PX = 0.01  # the step is calibrated: what is left after it is of second order
+MAX_RENDERINGS = 10
 PROBE_PX = 0.01  # of numeric derivatives of the peak
+FRESH_SLOPES_PX = 0.3  # derivatives rendered farther away than this are rendered anew
 MIN_RESPONSE = 0.05  # of the peak to a shift, as a determinant: below, the paraboloid says nothing
+MIN_PIXELS = 10
+NO_PIXELS = "no usable pixels about its place"
 LAGS = [(line, pixel) for line in (-1, 0, 1) for pixel in (-1, 0, 1)]
 
 
@@ -36,7 +41,6 @@ def find_cross_correlation(
     name: str,
     *,
     circle: Circle | None = None,
-    solve_range: bool = False,
     search_radius_px: float | None = None,
 ) -> BodyCenter:
     """Find a body's center of figure by correlation with its model over the whole search area.
@@ -47,57 +51,161 @@ def find_cross_correlation(
     ----------
     circle
         Where an analyst sees the body.
-    solve_range
-        Solve for its range from the size of its image, which the fit of the model gives.
     search_radius_px
         How far from its prediction (or circle) the body may be; see `find_jointly`.
 
     Returns
     -------
     BodyCenter
-        `detail` is a `ModelFit`; covariance as in `find_least_squares`, of this estimator.
+        `detail` is a `ModelFit`; covariance as in `find_least_squares`, of this estimator: it weighs the limb less sharply
+        than least squares do.
 
     Raises
     ------
     CenterfindingError
         The body is not in the scene.
     """
+    picture.model(name)
     circles = {} if circle is None else {name: circle}
-    search = SearchRequest(METHOD, circles, solve_range, search_radius_px)
-    return measure_bodies(picture, (name,), search, _correlated).centers[0]
+    detected = detect_bodies(
+        picture, (name,), SearchRequest(METHOD, circles, search_radius_px=search_radius_px)
+    )
+    if name in detected.missed:
+        return detected.missed[name]
+    cutout = fit_pixels(picture, detected)
+    if cutout is None or np.count_nonzero(cutout.use) < MIN_PIXELS:
+        return BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
+    fit = _iterate(picture, cutout, detected)
+    centers, _ = report_fitted_bodies(
+        picture, cutout, detected, fit, METHOD, np.zeros(len(fit.state.names), bool)
+    )
+    return centers[name]
 
 
-def _correlated(fit: SceneFit) -> SceneFit:
-    """Return a fit whose first center is that of the correlation's peak."""
-    own, weight = fit.light[0], fit.noise_weight
-    lags = _correlator(own, weight)
-    samples = np.tensordot(lags, own, axes=2)
-    steps = np.tensordot(lags, fit.columns[:2], axes=((1, 2), (1, 2)))
-    response = _slope(samples, PROBE_PX * steps) / PROBE_PX
-    if not abs(np.linalg.det(response)) > MIN_RESPONSE:
-        return fit
-    offset = _offset(samples + np.tensordot(lags, fit.residual_dn, axes=2)) - _offset(samples)
-    probe = 1e-4 * float(np.abs(samples).max())
-    gain = np.tensordot(np.linalg.solve(response, _slope(samples, probe * np.eye(9)) / probe), lags, axes=1)
-    return fit.corrected(np.asarray(np.linalg.solve(response, offset), dtype=np.float64), gain)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Correlation:
+    """The model about its place, and its correlation with pictures at the 3 x 3 lags."""
 
+    weight: FloatArray
+    centered: FloatArray  # (9, n_line, n_pixel) weighted model at each lag, its weighted mean taken out, of unit power
 
-def _correlator(light: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return (9, n_line, n_pixel), whose products with data are its correlations with the light at the lags."""
-    padded = np.pad(light, 1, mode="edge")
-    n_line, n_pixel = light.shape
-    # The model moved by a lag shows at x what it had at x - lag.
-    moved = np.stack([padded[1 - a : 1 - a + n_line, 1 - b : 1 - b + n_pixel] for a, b in LAGS])
-    moved -= (np.tensordot(moved, weight, axes=2) / weight.sum())[:, None, None]
-    power = np.einsum("klm,lm,klm->k", moved, weight, moved)
-    return np.asarray(moved * (weight / np.sqrt(np.maximum(power, 1e-300))[:, None, None]))
+    @classmethod
+    def of(cls, light: FloatArray, weight: FloatArray) -> "_Correlation":
+        padded = np.pad(light, 1, mode="edge")
+        n_line, n_pixel = light.shape
+        # The model moved by a lag shows at x what it had at x - lag.
+        moved = np.stack([padded[1 - a : 1 - a + n_line, 1 - b : 1 - b + n_pixel] for a, b in LAGS])
+        moved -= (np.tensordot(moved, weight, axes=2) / weight.sum())[:, None, None]
+        power = np.einsum("klm,lm,klm->k", moved, weight, moved)
+        moved *= weight / np.sqrt(np.maximum(power, 1e-300))[:, None, None]
+        return cls(weight, moved)
+
+    def peak(self, data: FloatArray) -> FloatArray:
+        """Return the offset (2,) of the paraboloid's peak from lag zero."""
+        return _offset(np.tensordot(self.centered, data, axes=2))
+
+    def response(self, light: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return by how much (2, 2) the peak moves as the model's picture does."""
+        own = np.tensordot(self.centered, light, axes=2)
+        steps = [np.tensordot(self.centered, slope, axes=2) for slope in slopes]
+        columns = [
+            (_offset(own + PROBE_PX * step) - _offset(own - PROBE_PX * step)) / (2.0 * PROBE_PX)
+            for step in steps
+        ]
+        return np.stack(columns, axis=1)
+
+    def gain(self, light: FloatArray) -> FloatArray:
+        """Return the change (2, n_line, n_pixel) of the peak per DN in each pixel, for data like `light`."""
+        own = np.tensordot(self.centered, light, axes=2)
+        probe = 1e-4 * float(np.abs(own).max())
+        change = [
+            (_offset(own + probe * unit) - _offset(own - probe * unit)) / (2.0 * probe) for unit in np.eye(9)
+        ]
+        return np.tensordot(np.stack(change, axis=1), self.centered, axes=1)
 
 
 def _offset(samples: FloatArray) -> FloatArray:
-    """Return the offset (2,) of the paraboloid's peak from lag zero."""
     return np.asarray(paraboloid_peak(samples.reshape(1, 3, 3))[0][0])
 
 
-def _slope(samples: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the change (2, k) of the peak with steps (9, k) of the samples."""
-    return np.stack([0.5 * (_offset(samples + step) - _offset(samples - step)) for step in steps.T], axis=1)
+def _iterate(picture: BodyPicture, cutout: Cutout, detected: DetectedScene) -> SceneFit:
+    """Render and correlate until the peak stands still; look for hits once it does."""
+    (body,) = detected.found.values()
+    names = (*detected.found, *detected.overlapping)
+    places = np.array([body.place.center_px, *detected.overlapping.values()])
+    state = SceneState(names, places, np.zeros(len(names)), np.ones(len(names)))
+    hits = np.zeros(cutout.use.shape, dtype=bool)
+    slopes = np.empty((0, *cutout.use.shape))
+    steps: list[FloatArray] = []
+    searched = False
+    for _ in range(MAX_RENDERINGS):
+        fresh = not steps or float(np.abs(steps[-1][0]).max()) > FRESH_SLOPES_PX
+        light = light_scene(
+            picture, cutout.window, replace(state, scales=np.ones(len(names))), derivatives=fresh
+        )
+        slopes = light.d_center if fresh else slopes
+        state, weight = solve_brightness(cutout, state, light.each, hits)
+        step, correlation, response = _peak_step(cutout, state, light, slopes[:2], weight)
+        change = np.tile(step, (len(names), 1))  # bodies that touch it move along
+        steps.append(change)
+        still = float(np.abs(step).max()) < CONVERGED_PX
+        fit = _as_fit(cutout, state, light, slopes, weight, hits, change, correlation, response)
+        state = state.moved(change, np.zeros(len(names)))
+        if still and searched:
+            break
+        if still:
+            hits, searched = find_hit_pixels(fit.residual_dn, weight), True
+            if not hits.any():
+                break
+    return replace(fit, steps_px=tuple(steps), converged=still)
+
+
+def _peak_step(
+    cutout: Cutout, state: SceneState, light: SceneLight, slopes: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, _Correlation, FloatArray]:
+    """Return how far (2,) the body lies from where its model was rendered."""
+    own = light.each[0]
+    others = np.tensordot(state.scales[1:], light.each[1:], axes=1) if len(light.each) > 1 else 0.0
+    correlation = _Correlation.of(own, weight)
+    response = correlation.response(own, slopes)
+    if not abs(np.linalg.det(response)) > MIN_RESPONSE:
+        response = np.eye(2)
+    offset = correlation.peak(cutout.data_dn - others) - correlation.peak(own)
+    step = np.asarray(np.linalg.solve(response, offset), dtype=np.float64)
+    return np.asarray(step / max(1.0, float(np.abs(step).max()))), correlation, response
+
+
+def _as_fit(
+    cutout: Cutout,
+    state: SceneState,
+    light: SceneLight,
+    slopes: FloatArray,
+    weight: FloatArray,
+    hits: BoolArray,
+    change: FloatArray,
+    correlation: _Correlation,
+    response: FloatArray,
+) -> SceneFit:
+    """Return the solution in the form of a fit, with this estimator's own gain."""
+    moving = slopes * np.repeat(state.scales, 2)[:, None, None]
+    columns = np.concatenate([moving, light.each, np.ones((1, *weight.shape))])
+    model = light.total(state.scales) + np.tensordot(change.ravel(), moving, axes=1)
+    residual = cutout.data_dn - model - state.level_dn
+    flat = columns.reshape(len(columns), -1)
+    own = np.linalg.solve(response, correlation.gain(light.each[0]).reshape(2, -1)) / state.scales[0]
+    gain = np.zeros((2 * len(state.names), *weight.shape))
+    gain[:2] = own.reshape(2, *weight.shape)
+    return SceneFit(
+        state=state.moved(change, np.zeros(len(state.names))),
+        light=light,
+        model_dn=model,
+        residual_dn=residual,
+        weight=weight,
+        columns=columns,
+        information=symmetric((flat * weight.ravel()) @ flat.T),
+        hits=hits,
+        steps_px=(),
+        converged=False,
+        chi2=float(np.sum(weight * residual**2)),
+        own_gain=gain,
+    )

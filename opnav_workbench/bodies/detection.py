@@ -7,14 +7,14 @@ A body counts as detected where it stands out of its whole search area by more t
 areas, and where its model explains what is seen there.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
 from opnav_workbench.bodies.place_search import CorrelationPeak, search_place
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
@@ -30,6 +30,7 @@ __all__ = [
     "detect_body",
     "detection_snr",
     "expect_body",
+    "fit_pixels",
 ]
 
 
@@ -158,27 +159,12 @@ def detect_body(
     method: str,
     *,
     solve_range: bool = False,
-    beside: Sequence[DetectedBody] = (),
+    subtract_dn: FloatArray | None = None,
     other_sizes: bool = True,
 ) -> DetectedBody | BodyCenter:
-    """Search for a body, or say why it is not seen; also with other sizes where its own explains little.
-
-    The light of bodies `beside` it, which were found already, is taken out.
-    """
+    """Search for a body, or say why it is not seen; also with other sizes where its own explains little."""
     scale = expected.range_scale if solve_range else 1.0
-
-    def searched(range_scale: float) -> CorrelationPeak:
-        return search_place(
-            picture,
-            expected.name,
-            expected.center_px,
-            expected.radius_px / range_scale,
-            expected.search_px,
-            range_scale=range_scale,
-            light_beside=lambda window: _light_of(picture, beside, window),
-        )
-
-    place = searched(scale)
+    place = _searched(picture, expected, scale, subtract_dn)
     name, search = expected.name, expected.search_px
     if not np.isfinite(place.center_px).all() or place.usable < MIN_USABLE:
         message = f"no usable pixels within {search:.1f} px of its expected place"
@@ -189,7 +175,7 @@ def detect_body(
         return BodyCenter.without_center(name, method, "saturated", message, flags=int(BodyFlag.OVEREXPOSED))
     ratio, sized = 1.0, place
     if other_sizes:
-        ratio, sized = _other_size(searched, expected, scale, place)
+        ratio, sized = _other_size(picture, expected, scale, place, subtract_dn)
     needed = detection_snr(search, max(float(np.max(picture.psf.sigma_px)), 0.5 * expected.radius_px))
     if sized.snr < needed or sized.explained < MIN_EXPLAINED:
         seen = f"SNR {place.snr:.1f}, {needed:.1f} needed"
@@ -202,36 +188,37 @@ def detect_body(
     return DetectedBody(expected, place, ratio / scale, sized)
 
 
+def _searched(
+    picture: BodyPicture, expected: ExpectedBody, range_scale: float, subtract_dn: FloatArray | None
+) -> CorrelationPeak:
+    return search_place(
+        picture,
+        expected.name,
+        expected.center_px,
+        expected.radius_px / range_scale,
+        expected.search_px,
+        range_scale=range_scale,
+        subtract_dn=subtract_dn,
+    )
+
+
 def _other_size(
-    searched: Callable[[float], CorrelationPeak],
+    picture: BodyPicture,
     expected: ExpectedBody,
     range_scale: float,
     place: CorrelationPeak,
+    subtract_dn: FloatArray | None,
 ) -> tuple[float, CorrelationPeak]:
     """Return the size, over that of the search, with which the model explains much more, and the place found with it."""
     best = 1.0, place
     if place.explained > WELL_EXPLAINED or expected.radius_px < MIN_SIZED_RADIUS_PX:
         return best
     for ratio in OTHER_SIZES:
-        other = searched(range_scale / ratio)
+        other = _searched(picture, expected, range_scale / ratio, subtract_dn)
         if other.explained > best[1].explained and other.snr > 0.9 * best[1].snr:
             best = ratio, other
     left = 1.0 - place.explained
     return best if 1.0 - best[1].explained < MUCH_BETTER * left else (1.0, place)
-
-
-def _light_of(
-    picture: BodyPicture, found: Sequence[DetectedBody], window: tuple[int, int, int, int]
-) -> FloatArray:
-    """Return the light of bodies in a window; those that do not reach it are not drawn."""
-    light = np.zeros((window[3], window[2]))
-    first, size = np.array(window[:2]), np.array(window[2:])
-    for body in found:
-        name, center = body.expectation.name, body.place.center_px
-        reach = _measured_radius_px(body) + 2.0 * _psf_reach_px(picture)
-        if np.all(center > first - reach) and np.all(center < first + size + reach):
-            light += body.place.scale * model_picture(picture, window, {name: center}, only=(name,))
-    return light
 
 
 def _saturated_share(picture: BodyPicture, expected: ExpectedBody, place: CorrelationPeak) -> float:
@@ -270,52 +257,16 @@ class DetectedScene:
     ----------
     missed
         Those without a center, and why.
-    places : mapping of str to (2,) array
-        Of all bodies of the scene that are not `missed`: where they were found, else where they are likely to be.
-    radii_px : mapping of str to float
-        Of circles that hold their images.
+    overlapping : mapping of str to (2,) array
+        Bodies that were not asked for and touch one that was found, at their likely places.
+    apart : mapping of str to (2,) array
+        Others in the scene, at their likely places.
     """
 
     found: Mapping[str, DetectedBody]
     missed: Mapping[str, BodyCenter]
-    places: Mapping[str, FloatArray]
-    radii_px: Mapping[str, float]
-
-    def groups(self, picture: BodyPicture) -> list[tuple[str, ...]]:
-        """Return which bodies hide each other or mix their light, those that were found first; one of each group was."""
-        groups: list[tuple[str, ...]] = []
-        for name in self.places:
-            touched = [group for group in groups if any(self._touch(picture, name, other) for other in group)]
-            groups = [group for group in groups if group not in touched]
-            groups.append((*(other for group in touched for other in group), name))
-        ordered = (tuple(sorted(group, key=lambda name: name not in self.found)) for group in groups)
-        return [group for group in ordered if group[0] in self.found]
-
-    def _touch(self, picture: BodyPicture, one: str, other: str) -> bool:
-        apart = float(np.hypot(*(self.places[one] - self.places[other])))
-        reach = self.radii_px[one] + self.radii_px[other] + 2.0 * _psf_reach_px(picture)
-        return apart < reach + NEIGHBOUR_ERROR_PX
-
-    def pixels(self, picture: BodyPicture, group: Sequence[str]) -> Cutout | None:
-        """Return the pixels about the bodies of a group, without those of other bodies; None: there are none."""
-        spread = _psf_reach_px(picture)
-        places = np.stack([self.places[name] for name in group])
-        reach = np.array([self.radii_px[name] + spread + RIM_PX for name in group])
-        size = np.array([picture.camera.n_pixel, picture.camera.n_line])
-        first = np.clip(np.floor((places - reach[:, None]).min(axis=0)), 0, size).astype(int)
-        last = np.clip(np.ceil((places + reach[:, None]).max(axis=0)), -1, size - 1).astype(int)
-        n_pixel, n_line = (int(n) for n in last - first + 1)
-        if min(n_pixel, n_line) < 1:
-            return None
-        cutout = cut_out(picture, (int(first[0]), int(first[1]), n_pixel, n_line))
-        line, pixel = np.ogrid[first[1] : last[1] + 1, first[0] : last[0] + 1]
-        near = np.zeros((n_line, n_pixel), dtype=bool)
-        for (x, y), half in zip(places, reach, strict=True):
-            near |= np.maximum(np.abs(pixel - x), np.abs(line - y)) <= half
-        for name in self.places.keys() - set(group):
-            (x, y), half = self.places[name], self.radii_px[name] + spread + NEIGHBOUR_ERROR_PX
-            near &= np.hypot(pixel - x, line - y) > half
-        return replace(cutout, use=cutout.use & near)
+    overlapping: Mapping[str, FloatArray]
+    apart: Mapping[str, FloatArray]
 
 
 def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequest) -> DetectedScene:
@@ -334,8 +285,9 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
         expectation = expected[name]
         if found and name not in search.circles:
             expectation = replace(expectation, center_px=expectation.center_px + shift)
+        light = _light_of(picture, found.values()) if found else None
         result = detect_body(
-            picture, expectation, search.method, solve_range=search.solve_range, beside=tuple(found.values())
+            picture, expectation, search.method, solve_range=search.solve_range, subtract_dn=light
         )
         if isinstance(result, BodyCenter):
             missed[name] = result
@@ -343,17 +295,83 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
         if not found:
             shift = result.place.center_px - picture.center_px(name)
         found[name] = result
-    places = {name: body.sized_place.center_px for name, body in found.items()}
-    radii = {name: _measured_radius_px(body) for name, body in found.items()}
-    for name in (model.target.name for model in picture.models):
-        place = picture.center_px(name) + shift
-        if name not in names and np.isfinite(place).all():
-            places[name], radii[name] = place, outline_radius_px(picture, name)
-    return DetectedScene(found, missed, places, radii)
+    others = {
+        model.target.name: picture.center_px(model.target.name) + shift
+        for model in picture.models
+        if model.target.name not in names
+    }
+    touching = _in_contact(picture, found, others)
+    return DetectedScene(
+        found,
+        missed,
+        {name: place for name, place in others.items() if name in touching},
+        {name: place for name, place in others.items() if name not in touching},
+    )
+
+
+def _light_of(picture: BodyPicture, found: Iterable[DetectedBody]) -> FloatArray:
+    window = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
+    light = np.zeros((window[3], window[2]))
+    for body in found:
+        name = body.expectation.name
+        scale = body.place.scale
+        light += scale * model_picture(picture, window, {name: body.place.center_px}, only=(name,))
+    return light
 
 
 def _psf_reach_px(picture: BodyPicture) -> float:
     return PSF_REACH * float(np.max(picture.psf.sigma_px))
+
+
+def _in_contact(
+    picture: BodyPicture, found: Mapping[str, DetectedBody], others: Mapping[str, FloatArray]
+) -> set[str]:
+    """Return which of the others hide a body that was found, or mix their light with it."""
+    touching = set()
+    for name, place in others.items():
+        for body in found.values():
+            apart = float(np.hypot(*(place - body.place.center_px)))
+            reach = (
+                outline_radius_px(picture, name) + body.expectation.radius_px + 2.0 * _psf_reach_px(picture)
+            )
+            if apart < reach + NEIGHBOUR_ERROR_PX:
+                touching.add(name)
+    return touching
+
+
+def fit_pixels(picture: BodyPicture, detected: DetectedScene) -> Cutout | None:
+    """Return the pixels about the bodies that are fitted together, without those of other bodies; None: there are none."""
+    spread = _psf_reach_px(picture)
+    circles = [
+        (body.place.center_px, _measured_radius_px(body) + spread + RIM_PX)
+        for body in detected.found.values()
+    ]
+    circles += [
+        (place, outline_radius_px(picture, name) + spread + RIM_PX)
+        for name, place in detected.overlapping.items()
+    ]
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    low = np.stack([center - reach for center, reach in circles]).min(axis=0)
+    high = np.stack([center + reach for center, reach in circles]).max(axis=0)
+    first = np.clip(np.floor(low), 0, size).astype(int)
+    last = np.clip(np.ceil(high), -1, size - 1).astype(int)
+    count = np.maximum(last - first + 1, 0)
+    if np.min(count) < 1:
+        return None
+    cutout = cut_out(picture, (int(first[0]), int(first[1]), int(count[0]), int(count[1])))
+    line, pixel = np.ogrid[: cutout.use.shape[0], : cutout.use.shape[1]]
+
+    def near(center: FloatArray, reach: float, *, square: bool) -> BoolArray:
+        across, down = np.abs(pixel + first[0] - center[0]), np.abs(line + first[1] - center[1])
+        return np.asarray(np.maximum(across, down) <= reach if square else np.hypot(across, down) <= reach)
+
+    use = np.zeros(cutout.use.shape, dtype=bool)
+    for center, reach in circles:
+        use |= near(center, reach, square=True)
+    for name, place in detected.apart.items():
+        if np.isfinite(place).all():
+            use &= ~near(place, outline_radius_px(picture, name) + spread + NEIGHBOUR_ERROR_PX, square=False)
+    return replace(cutout, use=cutout.use & use)
 
 
 def _measured_radius_px(body: DetectedBody) -> float:

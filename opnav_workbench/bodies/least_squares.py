@@ -1,25 +1,33 @@
 """Centers of one or several bodies in a picture by non-linear least squares of their rendered light to the data.
 
-Flow   search (correlation) -> bodies that touch each other fitted together (`fit_scene`) -> `JointCenters`
+Flow   search (correlation) -> one fit of all bodies, their brightness and a level -> patterns -> `JointCenters`
 
-Bodies that hide each other or mix their light are rendered together, as their places demand. What ties their errors to each
-other is in the normal matrix: light that overlaps, an edge that one cuts into the other, the level under both. Bodies apart
-are fits of their own, with a level of their own, and their errors are independent.
+The bodies are rendered together, so that they hide and shade each other as their places demand. What ties their errors
+to each other is in the normal matrix: light that overlaps, an edge that one cuts into the other, the level under both.
 
 Reference: Jackman & Dumont (2013), AAS 13-443, "Non-linear Least Squares Target Centerfinding".
 """
 
 from collections.abc import Mapping, Sequence
 
-from opnav_workbench.bodies.detection import SearchRequest
-from opnav_workbench.bodies.fit_report import measure_bodies
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.detection import DetectedScene, SearchRequest, detect_bodies, fit_pixels
+from opnav_workbench.bodies.fit_report import report_fitted_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.results import BodyCenter, JointCenters
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag, JointCenters
+from opnav_workbench.bodies.scene_fit import SceneState, fit_scene
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["find_jointly", "find_least_squares"]
 
+
+# ---- Centers of several bodies in one picture, found together by least squares, and their joint covariance.
+
 METHOD = "least_squares"
+NO_PIXELS = "no usable pixels about its place"
+MIN_PIXELS_PER_PARAMETER = 2
 
 
 def find_jointly(
@@ -52,14 +60,63 @@ def find_jointly(
     CenterfindingError
         No names, a name twice, or one that is not in the scene.
     """
+    _check(picture, names)
+    search = SearchRequest(METHOD, circles or {}, solve_range, search_radius_px)
+    detected = detect_bodies(picture, names, search)
+    if not detected.found:
+        return _collected(names, detected.missed, {}, np.empty((0, 0)))
+    cutout = fit_pixels(picture, detected)
+    fitted = (*detected.found, *detected.overlapping)
+    enough = MIN_PIXELS_PER_PARAMETER * (4 * len(fitted) + 1)
+    if cutout is None or np.count_nonzero(cutout.use) < enough:
+        return _collected(names, {**detected.missed, **_empty(detected)}, {}, np.empty((0, 0)))
+    wanted = np.array([solve_range and name in detected.found for name in fitted])
+    fit = fit_scene(picture, cutout, _start(detected, solve_range=solve_range), solve_range=wanted)
+    centers, covariance = report_fitted_bodies(picture, cutout, detected, fit, METHOD, wanted)
+    return _collected(names, detected.missed, centers, covariance)
+
+
+def _check(picture: BodyPicture, names: Sequence[str]) -> None:
     if isinstance(names, str) or not names or len(set(names)) != len(names):
         raise CenterfindingError(f"names of bodies are {names!r}; give a list of different names.")
-    return measure_bodies(
-        picture,
-        names,
-        SearchRequest(METHOD, circles or {}, solve_range, search_radius_px),
-        lambda fit: fit,
-    )
+    for name in names:
+        picture.model(name)
+
+
+def _start(detected: DetectedScene, *, solve_range: bool) -> SceneState:
+    names = (*detected.found, *detected.overlapping)
+    found = detected.found.values()
+    places = [(body.sized_place if solve_range else body.place).center_px for body in found]
+    log_range = [-np.log(body.size_ratio) if solve_range else 0.0 for body in found]
+    places += list(detected.overlapping.values())
+    log_range += [0.0] * len(detected.overlapping)
+    return SceneState(names, np.array(places), np.array(log_range), np.ones(len(names)))
+
+
+def _empty(detected: DetectedScene) -> dict[str, BodyCenter]:
+    return {
+        name: BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
+        for name in detected.found
+    }
+
+
+def _collected(
+    names: Sequence[str],
+    missed: Mapping[str, BodyCenter],
+    centers: Mapping[str, BodyCenter],
+    covariance: FloatArray,
+) -> JointCenters:
+    """Put centers and covariances in the order of the names; `covariance` is in that of `centers`."""
+    joint = np.full((2 * len(names), 2 * len(names)), np.nan)
+    known = [name for name in centers if centers[name].pixel_line is not None]
+    at = np.ravel([[2 * names.index(name), 2 * names.index(name) + 1] for name in known]).astype(int)
+    order = list(centers)
+    rows = np.ravel([[2 * order.index(name), 2 * order.index(name) + 1] for name in known]).astype(int)
+    joint[np.ix_(at, at)] = covariance[np.ix_(rows, rows)]
+    return JointCenters(tuple({**missed, **centers}[name] for name in names), joint)
+
+
+# ---- Center of a body by non-linear least squares of its rendered picture to the data.
 
 
 def find_least_squares(
@@ -86,8 +143,8 @@ def find_least_squares(
     Returns
     -------
     BodyCenter
-        `detail` is a `ModelFit`. The covariance holds the noise, what size, figure, law and PSF are uncertain by, and a
-        pattern that the model lacks (`opnav_workbench.bodies.scene_fit`).
+        `detail` is a `ModelFit`. The covariance holds the noise and what the residuals say of a pattern that the model
+        lacks (`opnav_workbench.bodies.residuals`).
 
     Raises
     ------

@@ -8,8 +8,7 @@ are correlated in bins of several pixels.
 Reference: Jackman & Dumont (2013), AAS 13-443, "Cross-Correlation Target Centerfinding".
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from opnav_workbench.stars.peaks import refine_peaks
 __all__ = ["CorrelationPeak", "search_place"]
 
 ComplexArray = NDArray[np.complex128]
-Window = tuple[int, int, int, int]
 
 BINNED_RADIUS_PX = 40.0  # larger bodies are searched in bins: their centers are good to a fraction of a bin
 MIN_INFORMATION = 0.02  # part of the body's light (squared) that must lie on usable pixels
@@ -72,7 +70,7 @@ def search_place(
     search_px: float,
     *,
     range_scale: float = 1.0,
-    light_beside: Callable[[Window], FloatArray] | None = None,
+    subtract_dn: FloatArray | None = None,
 ) -> CorrelationPeak:
     """Search for a body within `search_px` of a place.
 
@@ -84,8 +82,8 @@ def search_place(
         Of the circle that holds its outline.
     range_scale
         Range over the a priori one.
-    light_beside
-        Returns the light of other bodies in a window, DN.
+    subtract_dn : (n_line, n_pixel) array, optional
+        Light of other bodies, of the size of the detector.
     """
     nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, 0.0)
     reach = radius_px + PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
@@ -93,8 +91,11 @@ def search_place(
     if min(window[2:]) < 3:
         return nowhere
     data = cut_out(picture, window, keep_saturated=True)
-    if light_beside is not None:
-        data = replace(data, data_dn=np.where(data.use, data.data_dn - light_beside(window), 0.0))
+    if subtract_dn is not None:
+        pixel, line, n_pixel, n_line = window
+        light = subtract_dn[line : line + n_line, pixel : pixel + n_pixel]
+        data = Cutout(window, np.where(data.use, data.data_dn - light, 0.0), data.noise_dn, data.use,
+                      data.saturated, data.gain_e_per_dn)  # fmt: skip
     template = _template(picture, name, center_px, reach, range_scale)
     bins = max(1, int(radius_px // BINNED_RADIUS_PX))
     return _highest_peak(data, template, bins, center_px, search_px) if data.use.any() else nowhere

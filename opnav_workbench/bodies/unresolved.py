@@ -11,7 +11,7 @@ crescent (its light is beside its center of figure, and it is no Gaussian) is ta
 between the pixels.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -19,12 +19,10 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies.detection import detection_snr
-from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture, sunlight_electrons
+from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag, BodyResiduals
-from opnav_workbench.bodies.scene_fit import LAW, SIZE, SceneState, prior_sigmas, strained_model
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import render_bodies
 from opnav_workbench.stars import (
     NoiseModel,
     PsfShape,
@@ -432,11 +430,7 @@ def find_unresolved_body(
         before, found = found.pixel_line, _corrected(request, found, expected)
         if found.pixel_line is not None and np.abs(found.pixel_line - before).max() < STILL_PX:
             break
-    if found.pixel_line is None:
-        return found
-    return replace(
-        found, covariance_px2=found.covariance_px2 + figure_covariance(picture, name, found.pixel_line)
-    )
+    return found
 
 
 def psf_prior(picture: BodyPicture) -> ShapePrior:
@@ -456,31 +450,6 @@ def law_covariance(picture: BodyPicture, name: str, law_sigma: float) -> FloatAr
     length = float(np.hypot(*sunward))
     along = sunward / length if length > 0.0 else np.zeros(2)
     return np.asarray((law_sigma * sigma * 0.5 * picture.diameter_px(name)) ** 2 * np.outer(along, along))
-
-
-def figure_covariance(picture: BodyPicture, name: str, center_px: FloatArray) -> FloatArray:
-    """Return what the uncertainty of size and figure does to the place of a body's light (2, 2), px^2."""
-    at = SceneState.at((name,), center_px[None], np.ones(1)).bodies[0]
-    sigmas = prior_sigmas(picture, (name,), np.zeros(1, dtype=bool))
-
-    def light_offset(body: FloatArray) -> FloatArray:
-        rendering = render_bodies(
-            [strained_model(picture, name, body)],
-            picture.camera,
-            picture.camera_from_j2000,
-            picture.observer_velocity_km_s,
-            psf=picture.psf,
-            sunlight_e=sunlight_electrons(picture),
-            window=(0, 0, 1, 1),
-        )
-        return rendering.bodies[0].light_px - rendering.bodies[0].center_px
-
-    plain = light_offset(at)
-    changes = [
-        light_offset(at + sigma * np.eye(len(at))[k]) - plain
-        for k, sigma in enumerate(sigmas[SIZE:LAW], SIZE)
-    ]
-    return np.asarray(np.einsum("ki,kj->ij", changes, changes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,5 @@
 """Speed of the body centerfinders, as ratios against rendering and a general least-squares solver in the same run."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -12,7 +10,6 @@ from opnav_workbench.bodies import (
     choose_subarray,
     displaced_model,
     find_cross_correlation,
-    find_jointly,
     find_least_squares,
     find_unresolved_body,
     model_picture,
@@ -30,7 +27,6 @@ RADIUS_KM = 1188.3
 # A center costs a search and few renderings: these bounds hold on a busy machine, and fail where a fit renders for every
 # parameter and step (a general solver: 25 and more).
 MAX_RENDERINGS = 15.0
-MAX_JOINT_GROWTH = 1.5  # of ten bodies over ten times one
 MAX_LARGE_RENDERINGS = 5.0  # of a large disk, for an unresolved one
 
 
@@ -63,33 +59,6 @@ def picture_of(diameter_px):
 
     true = picture((model,))
     return picture((displaced_model(true, "PLUTO", np.add(TRUE_PX, OFF_PX)),))
-
-
-def pictures_of_moons(places):
-    """Bodies of 60 px in one picture, each expected a few px beside its place."""
-    camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/lorri_1x1.yaml")
-    sun = 4.9e9 * np.array([np.sin(0.7), 0.0, np.cos(0.7)])
-    psf, distance = GaussianPsf(0.8, 0.8), 2.0 * RADIUS_KM / (60.0 * camera.pixel_scale_rad)
-    models = [
-        BodyModel(
-            TargetState(
-                f"M{k}",
-                camera.unproject(place[None])[0] * distance,
-                radii_km=[RADIUS_KM] * 3,
-                sun_position_km=sun,
-            )
-        )
-        for k, place in enumerate(places)
-    ]
-    light = render_bodies(models, camera, np.eye(3), np.zeros(3), psf=psf, sunlight_e=1e15).electrons
-    signal = PEAK_DN * light / light.max()
-    data = signal + np.random.default_rng(60).normal(size=signal.shape) * np.sqrt(NOISE_DN**2 + signal / GAIN)
-    noise_model = NoiseModel(NOISE_DN, GAIN)
-    picture = BodyPicture(
-        data, NOISE_DN, False, False, camera, np.eye(3), np.zeros(3), tuple(models), psf, 1e15, noise_model
-    )
-    moved = (displaced_model(picture, f"M{k}", place + OFF_PX) for k, place in enumerate(places))
-    return replace(picture, models=tuple(moved))
 
 
 @pytest.fixture(scope="module", params=[200.0, 600.0], ids=["200px", "600px"])
@@ -144,29 +113,8 @@ def test_least_squares_against_a_general_solver(benchmark, fastest):
     )
     found = benchmark.pedantic(lambda: find_least_squares(picture, "PLUTO"), rounds=3)
     benchmark.extra_info.update(seconds=own_s, times_faster=peer_s / own_s)
-    # The peer takes size, figure, law and PSF for known: it may differ by what these leave open.
-    sigma = float(np.sqrt(np.diag(found.covariance_px2).max()))
-    np.testing.assert_allclose(found.pixel_line, peer.x[:2], atol=max(0.01, 3.0 * sigma))
+    np.testing.assert_allclose(found.pixel_line, peer.x[:2], atol=0.01)
     assert own_s < peer_s
-
-
-def test_joint_fits_are_linear_in_the_number_of_bodies(benchmark, fastest):
-    """Ten bodies of 60 px cost ten times one: each is searched, drawn and fitted in its own pixels."""
-    places = [
-        np.array([150.0 + 180.0 * column, 200.0 + 300.0 * row]) for row in (0, 1) for column in range(5)
-    ]
-    one, ten = pictures_of_moons(places[:1]), pictures_of_moons(places)
-    (one_s, _), (ten_s, _) = fastest(
-        lambda: find_jointly(one, ["M0"]),
-        lambda: find_jointly(ten, [f"M{k}" for k in range(10)]),
-        enough=lambda one_s, ten_s: ten_s < MAX_JOINT_GROWTH * 10.0 * one_s,
-        times=(3, 1),
-    )
-    joint = benchmark.pedantic(lambda: find_jointly(ten, [f"M{k}" for k in range(10)]), rounds=1)
-    benchmark.extra_info.update(seconds_of_one=one_s, seconds_of_ten=ten_s, growth=ten_s / one_s / 10.0)
-    for center, place in zip(joint.centers, places, strict=True):
-        np.testing.assert_allclose(center.pixel_line, place, atol=0.05)
-    assert ten_s < MAX_JOINT_GROWTH * 10.0 * one_s
 
 
 def test_unresolved_body(benchmark, fastest):
