@@ -130,9 +130,9 @@ def test_a_solved_range_and_its_diameter_stand_in_result_and_table(near):
 def test_the_same_request_replaces_its_older_answer(near):
     near.find_body("PLUTO", "ellipse")
     near.find_body("PLUTO")
-    near.find_body("PLUTO", "limb_scan")
+    near.find_body("PLUTO", "disk")
     near.find_body("PLUTO", search_radius_px=20.0)
-    assert [b.method for b in near.state.bodies] == ["ellipse", "limb_scan"]
+    assert [b.method for b in near.state.bodies] == ["ellipse", "disk"]
     assert len(near.state.requests) == 2
 
 
@@ -225,7 +225,7 @@ def test_a_circle_for_one_search_decides_nothing(near, resolved_truths):
 
 @pytest.mark.slow
 def test_chosen_scans_make_the_standing_center_anew(near, resolved_truths):
-    near.find_body("PLUTO")
+    near.find_body("PLUTO", "limb_scan")
     near.observables()
     automatic = _center(near, "PLUTO")
     used = automatic.detail.used.tolist()
@@ -401,7 +401,7 @@ def test_a_star_behind_a_body_is_said_to_be_there(near):
 @pytest.mark.slow
 def test_everything_with_bodies_resumes_to_the_same_bits(near, tmp_path):
     near.set_circle("PLUTO", (121.0, 134.0), 23.0)
-    near.find_body("PLUTO")
+    near.find_body("PLUTO", "limb_scan")
     near.choose_scans("PLUTO", _center(near, "PLUTO").detail.used.tolist()[::2], "fewer")
     near.find_body("CHARON")
     near.find_body("PLUTO", "ellipse")
