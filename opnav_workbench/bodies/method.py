@@ -5,10 +5,8 @@ import numpy as np
 __all__ = ["UNRESOLVED_TO_PX", "choose_method"]
 
 UNRESOLVED_TO_PX = 1.0  # AAS 13-443: unresolved below one pixel
-DISK_FROM_PX, CRESCENT_FROM_PX = (
-    6.0,
-    1.5,
-)  # a limb that is a line of pixels, not a blur, and lit light that has a width
+DISK_FROM_PX = 6.0  # a limb that is a line of pixels, not a blur
+CRESCENT_FROM_PX = 2.5  # width of the lit part: narrower, size and figure cannot be told from the place
 
 
 def choose_method(diameter_px: float, phase_rad: float = np.nan, *, known_surface: bool = False) -> str:
