@@ -11,7 +11,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
 from opnav_workbench.bodies.disk.marginal import FieldPrior
-from opnav_workbench.bodies.disk.measurement import ALIKE_PX, ALIKE_SIGMAS, MeasuredDisk
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, same_center, sigmas_apart
 from opnav_workbench.bodies.picture import Circle
 from opnav_workbench.bodies.results import (
     DOUBTFUL_FLAGS,
@@ -77,9 +77,8 @@ def second_reading(
 ) -> SecondReading:
     """Return a reading with its distance from a first one."""
     away = center_px - first_px
-    both = covariance_px2 + first_covariance_px2
     return SecondReading(
-        method, center_px, covariance_px2, float(np.sqrt(away @ np.linalg.solve(both, away)))
+        method, center_px, covariance_px2, sigmas_apart(away, covariance_px2 + first_covariance_px2)
     )
 
 
@@ -181,8 +180,7 @@ def _confirmed(reading: CenterReading) -> bool:
     second = reading.second
     if second is None:
         return False
-    apart = float(np.hypot(*(second.pixel_line - reading.center_px)))
-    return apart < ALIKE_PX or second.difference_sigmas < ALIKE_SIGMAS
+    return same_center(second.pixel_line - reading.center_px, second.difference_sigmas)
 
 
 def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:

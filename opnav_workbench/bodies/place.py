@@ -108,11 +108,14 @@ def _silhouette_place(
     if top < SKY_SIGMAS * dark_sigma:
         return None
     best: BodyPlace | None = None
+    search = _FrameSearch(expected, limit, search_radius(radius, None), bins)
+    sizes = SIZES if radius > SIZED_RADIUS_PX else (1.0,)
+    sized = [_SizedTemplate(template, size, known) for size in sizes]
     for level in LEVELS:
         lit = known & (bright > max(level * top, SKY_SIGMAS * dark_sigma))
-        for size in SIZES if radius > SIZED_RADIUS_PX else (1.0,):
-            search = _FrameSearch(expected, limit, search_radius(radius, None), bins)
-            found = _correlated(lit, known, template, size, search)
+        of_lit = sized[0].spectrum(lit.astype(np.float64))
+        for one in sized:
+            found = _correlated(of_lit, one, search)
             if found is not None and (best is None or found.score > best.score):
                 best = replace(found, size_ratio=found.size_ratio * ratio)
     return best
@@ -163,36 +166,37 @@ def _resized(template: FloatArray, size: float) -> FloatArray:
     return np.asarray(map_coordinates(template, grid, order=1, mode="constant"))
 
 
-def _correlated(
-    lit: BoolArray,
-    known: BoolArray,
-    template: FloatArray,
-    size: float,
-    search: _FrameSearch,
-) -> BodyPlace | None:
-    shape = _resized(template, size)
-    pad = int(np.ceil(RING_SHARE * len(shape) / 2)) + 1
-    inside = np.pad(shape, pad)
-    about = maximum_filter(inside, footprint=_disk(pad)) > 0.5
-    about |= _full_disk(inside, len(shape))
-    support = about.astype(np.float64)
-    good = [fft.next_fast_len(n + len(inside), real=True) for n in lit.shape]
+class _SizedTemplate:
+    """A lit silhouette of one size with the sky about it, and how much of both the frame shows at every lag."""
 
-    def spectrum(plane: FloatArray) -> FloatArray:
-        return np.asarray(fft.rfft2(plane, good))
+    def __init__(self, template: FloatArray, size: float, known: BoolArray) -> None:
+        self.size = size
+        shape = _resized(template, size)
+        pad = int(np.ceil(RING_SHARE * len(shape) / 2)) + 1
+        self.inside = np.pad(shape, pad)
+        about = maximum_filter(self.inside, footprint=_disk(pad)) > 0.5
+        about |= _full_disk(self.inside, len(shape))
+        self.good = [fft.next_fast_len(n + len(self.inside), real=True) for n in known.shape]
+        of_known = self.spectrum(known.astype(np.float64))
+        self.of_in, self.of_about = self.spectrum(self.inside), self.spectrum(about.astype(np.float64))
+        self.n = np.maximum(self.lagged(of_known, self.of_about), 1e-9)
+        self.n_in = self.lagged(of_known, self.of_in)
+        self.square_in = self.lagged(of_known, self.spectrum(self.inside**2))
 
-    def lagged(plane: FloatArray, kernel: FloatArray) -> FloatArray:
-        return np.asarray(fft.irfft2(plane * np.conj(kernel), good))
+    def spectrum(self, plane: FloatArray) -> FloatArray:
+        """Return the spectrum of a frame or a template, padded to hold every lag."""
+        return np.asarray(fft.rfft2(plane, self.good))
 
-    of_lit, of_known, of_in, of_about = (
-        spectrum(p.astype(np.float64)) for p in (lit, known, inside, support)
-    )
-    n = np.maximum(lagged(of_known, of_about), 1e-9)
-    n_in, lit_about, lit_in = lagged(of_known, of_in), lagged(of_lit, of_about), lagged(of_lit, of_in)
-    of_square = spectrum(inside**2)
-    square_in = lagged(of_known, of_square)
+    def lagged(self, plane: FloatArray, kernel: FloatArray) -> FloatArray:
+        """Return the correlation of two spectra at every lag."""
+        return np.asarray(fft.irfft2(plane * np.conj(kernel), self.good))
+
+
+def _correlated(of_lit: FloatArray, template: _SizedTemplate, search: _FrameSearch) -> BodyPlace | None:
+    inside, good, n, n_in = template.inside, template.good, template.n, template.n_in
+    lit_about, lit_in = (template.lagged(of_lit, kernel) for kernel in (template.of_about, template.of_in))
     cov = lit_in - n_in * lit_about / n
-    var_in, var_lit = square_in - n_in**2 / n, lit_about - lit_about**2 / n
+    var_in, var_lit = template.square_in - n_in**2 / n, lit_about - lit_about**2 / n
     valid = (n_in > LEAST_VISIBLE * inside.sum()) & (var_in > 0.02 * inside.sum()) & (var_lit > 0.5)
     score = np.where(valid, cov / np.sqrt(np.maximum(var_in * var_lit, 1e-9)), -1.0)
     # A larger part in sight is better evidence than a small one.
@@ -211,7 +215,7 @@ def _correlated(
     if close.max() >= max(NEAR_SCORE, NEAR_SHARE * peak):
         score = close
     i, j = np.unravel_index(int(score.argmax()), score.shape)
-    return BodyPlace(np.array([x[j], y[i]]), size, float(score[i, j]))
+    return BodyPlace(np.array([x[j], y[i]]), template.size, float(score[i, j]))
 
 
 def _lag_index(n: int, width: int) -> FloatArray:

@@ -9,7 +9,7 @@ brightness, background and its slopes   none
 center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
 size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
 axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
-law                                     powers of 2 / (mu0 + mu) and mu0 mu: `LAW_SIGMA`
+law                                     powers of 2 / (mu0 + mu) and mu0 mu: `UNKNOWN_LAW` or `GIVEN_LAW`, `MINNAERT_SIGMA`
 PSF                                     variance and wings: `PSF_SIGMA`, `WING_SIGMA`
 
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
@@ -34,6 +34,7 @@ from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, Margina
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import FigureUncertainty, Lambert
 
@@ -52,7 +53,6 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
 PSF_SIGMA, WING_SIGMA = 0.15, 0.15
-PIXEL_VARIANCE = 1.0 / 12.0
 MOST_TURNS, MOST_FINE = 12, 2  # turns in all; times that the fine light is tabulated
 LAST_TUNING, LAST_COARSE = 5, 7  # turns at which field and fine light are made sure of at the latest
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
@@ -279,7 +279,7 @@ class _DiskProblem:
     def prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared."""
         figure, free = self.figure, np.inf
-        blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE)
+        blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE_PX2)
         size, axes = figure.size_sigma, figure.axes_sigma
         out = np.full(SHARED, free)
         seen = float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))

@@ -19,12 +19,14 @@ Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, displaced_model, picture_axes, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.geometry import unit
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel
@@ -45,7 +47,6 @@ SPREADS = 24  # directions in which the spread function is taken
 PLANE_RADIUS_PX = (15.0, 50.0)  # smaller disks are spread in two dimensions, coarse and fine
 PLANE_STEP_PX = 0.25  # an even number of cells a pixel keeps the pixel centered
 GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
-PIXEL_VARIANCE = 1.0 / 12.0
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
 COSINE_STEP = 1e-3
@@ -295,7 +296,7 @@ def _spread_along_rays(
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
     spectrum = fft.rfft(sources, good) * fft.rfft(spreads[:, ::-1], good)
-    variance = (float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE) / float(np.mean(limb)) ** 2
+    variance = (float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2) / float(np.mean(limb)) ** 2
     wave = np.exp(-0.5 * variance * fft.fftfreq(t, 1.0 / t) ** 2)
     spectrum = fft.ifft(fft.fft(spectrum, axis=1) * wave[:, None], axis=1)
     return np.asarray(fft.irfft(spectrum, good)[..., 2 * half : n])
@@ -328,12 +329,15 @@ def _pixel_spread(psf: Psf) -> tuple[FloatArray, int]:
     """Return the PSF integrated over a pixel in cells (k, k), and the cells in a pixel."""
     per_px = 8 if psf.half_size_px < 12.0 else 4
     cells = psf.kernel(per_px)
+    size = len(cells) + per_px
+    return np.asarray(fft.irfft2(_over_pixel(cells, per_px, size), (size, size))), per_px
+
+
+def _over_pixel(cells: FloatArray, per_px: int, size: int) -> NDArray[np.complex128]:
+    """Return the spectrum, padded to `size`, of a PSF's cells (k, k) integrated over a pixel of `per_px` cells."""
     box = np.ones(per_px + 1) / per_px
     box[[0, -1]] *= 0.5
-    size = len(cells) + per_px
-    spectrum = fft.rfft2(cells, (size, size))
-    both = fft.rfft2(np.outer(box, box), (size, size))
-    return np.asarray(fft.irfft2(spectrum * both, (size, size))), per_px
+    return np.asarray(fft.rfft2(cells, (size, size)) * fft.rfft2(np.outer(box, box), (size, size)))
 
 
 def _one_spread(
@@ -368,12 +372,9 @@ def _spread_in_plane(
     depths = np.hypot(x, y) - outline.radius(np.arctan2(y, x))
     sources = _sources(picture, model, outline, np.stack([x, y], axis=-1), depths, step, node_rad, law)
     cells = psf.kernel(per_px)
-    box = np.ones(per_px + 1) / per_px
-    box[[0, -1]] *= 0.5
     reach = float(outline.radius_px.max() + depth[-1]) / step
     size = fft.next_fast_len(2 * max(half, int(reach)) + len(cells) + per_px + 2, real=True)
-    spread = fft.rfft2(cells, (size, size)) * fft.rfft2(np.outer(box, box), (size, size))
-    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread, (size, size))
+    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * _over_pixel(cells, per_px, size), (size, size))
     middle = half + len(cells) // 2 + per_px // 2  # of the body in the spread plane
     away = np.maximum(outline.radius(angle)[:, None] + depth, 0.0) / step
     where = [

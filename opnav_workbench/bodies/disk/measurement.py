@@ -20,7 +20,7 @@ from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 
-__all__ = ["ALIKE_PX", "ALIKE_SIGMAS", "MeasuredDisk", "alike", "crossing_covariance", "measure_disk"]
+__all__ = ["MeasuredDisk", "alike", "crossing_covariance", "measure_disk", "same_center", "sigmas_apart"]
 
 LEAST_DIAMETER_PX = 3.0
 
@@ -178,9 +178,18 @@ def alike(fit: DiskFit, crossing: CrossingFit | None) -> bool:
     """Tell whether two readings of a center are the same; a missing one is not."""
     if crossing is None:
         return False
-    both = crossing_covariance(crossing) + fit.covariance_px2
-    away = float(np.sqrt(crossing.step_px @ np.linalg.solve(both, crossing.step_px)))
-    return away < ALIKE_SIGMAS or float(np.hypot(*crossing.step_px)) < ALIKE_PX
+    step = crossing.step_px
+    return same_center(step, sigmas_apart(step, crossing_covariance(crossing) + fit.covariance_px2))
+
+
+def sigmas_apart(step_px: FloatArray, covariance_px2: FloatArray) -> float:
+    """Return the Mahalanobis length of a difference (2,) of two centers with the sum of their covariances."""
+    return float(np.sqrt(step_px @ np.linalg.solve(covariance_px2, step_px)))
+
+
+def same_center(step_px: FloatArray, sigmas: float) -> bool:
+    """Tell whether two readings that differ by so many px and sigmas are of one center."""
+    return sigmas < ALIKE_SIGMAS or float(np.hypot(*step_px)) < ALIKE_PX
 
 
 def _from_crossings(
