@@ -1,8 +1,10 @@
 """Shared fixtures: which tests run, where flight data is found, what is made once a run, and a cache of the run's own."""
 
+import gc
 import os
 import pickle
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -31,6 +33,17 @@ def pytest_configure() -> None:
     """One thread of linear algebra in each of xdist's processes, which inherit this: there is one a core already."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    # jsonschema, which papermill loads, builds parsers of Internet names for a second if it finds this; nothing here uses them
+    sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
+    gc.disable()  # till all is collected
+
+
+def pytest_collection_finish() -> None:
+    """What collection loaded stays to the end: the garbage collector need not look through it again and again."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000, 10, 10)
+    gc.enable()
 
 
 # ---- The short run and the whole: `slow` marks what the short run leaves out
