@@ -8,9 +8,8 @@ A star's light falls off so steeply that what has a tenth of its peak is a few p
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
-from skimage.measure import label, regionprops
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.image.background import Background, estimate_background
 
@@ -132,15 +131,26 @@ def extended_light(
         return covered
     filled = ndimage.binary_closing(light | (np.asarray(bad, dtype=bool) & _surrounded(light)))
     bright, rim = np.asarray(saturated, dtype=bool), RIM_SIGMAS * psf_sigma_px + RIM_PX
-    areas = label(filled, connectivity=1)
-    for region in regionprops(areas):
-        if min(part.stop - part.start for part in region.slice) < radius_px:
+    areas = _large_areas(filled, radius_px)
+    for number, box in enumerate(ndimage.find_objects(areas), start=1):
+        if min(part.stop - part.start for part in box) < radius_px:
             continue
-        around = _widened(region.slice, int(rim) + 2, signal.shape)
-        area = areas[around] == region.label
+        around = _widened(box, int(rim) + 2, signal.shape)
+        area = areas[around] == number
         if _is_body(signal[around], area, bright[around], radius_px):
             covered[around] |= ndimage.distance_transform_edt(~area) <= rim
     return covered
+
+
+def _large_areas(light: BoolArray, radius_px: float) -> IntArray:
+    """Number the connected areas from 1, without those of too few pixels to reach `radius_px` both ways.
+
+    Noise above the sky makes tens of thousands of areas; what is done for each of them would be most of opening a picture.
+    """
+    areas, _ = ndimage.label(light)
+    large = np.bincount(areas.ravel()) >= 2 * radius_px - 1  # a connected area has width + height - 1 pixels or more
+    large[0] = False
+    return np.asarray(np.where(large, np.cumsum(large), 0)[areas])
 
 
 def _widened(box: tuple[slice, ...], by: int, shape: tuple[int, ...]) -> tuple[slice, ...]:
