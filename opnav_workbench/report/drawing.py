@@ -106,7 +106,9 @@ DPI = 110
 def png_bytes(figure: Figure) -> bytes:
     """Return a figure as a PNG."""
     stream = io.BytesIO()
-    figure.savefig(stream, dpi=DPI, format="png")
+    figure.set_dpi(DPI)
+    canvas = figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
+    canvas.print_png(stream)  # draws once: savefig draws all a second time for the layout, to the same pixels
     return stream.getvalue()
 
 
