@@ -43,7 +43,7 @@ Location = tuple[int | str, ...]
 class StrictModel(BaseModel):
     """What a file may say: unknown fields are errors, for they are misspelt ones; values are frozen and finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True, allow_inf_nan=False)
 
 
 # ---- Types of fields that several kinds of file have.

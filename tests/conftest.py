@@ -33,9 +33,12 @@ def pytest_configure() -> None:
     """One thread of linear algebra in each of xdist's processes, which inherit this: there is one a core already."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    # jsonschema, which papermill loads, builds parsers of Internet names for a second if it finds this; nothing here uses them
+    # jsonschema, which papermill loads, builds parsers of Internet names for a second if it finds this; nobody asks them
     sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
     gc.disable()  # till all is collected
+    # Notebooks' kernels and programs that tests start would each compile the whole package where nothing keeps it compiled.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
 
 
 def pytest_collection_finish() -> None:

@@ -233,7 +233,7 @@ def _texts(values: NDArray[Any]) -> NDArray[np.str_]:
 class _Star(BaseModel):
     """One star as written in the file; motions include cos(dec) as catalogs give them."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     name: str
     ra_deg: float = Field(ge=0.0, lt=360.0)
@@ -252,7 +252,7 @@ class _Star(BaseModel):
 
 
 class _StarList(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     stars: list[_Star] = Field(min_length=1)
 

@@ -157,7 +157,9 @@ class Processing(BaseModel):
     opnav_workbench.errors.SessionError: processing: model: unknown pointing model 'eulr'; choose one of euler, image_plane
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, defer_build=True, protected_namespaces=(), allow_inf_nan=False
+    )
     path_fields: ClassVar[tuple[str, ...]] = ("target_stars", "decisions")
 
     mission: str = Field(description="Mission name or mission YAML.")

@@ -411,7 +411,7 @@ BEFORE_STARS, AFTER_STARS = ("two_stars", "nudge"), ("place", "reject", "accept"
 class Decisions(BaseModel):
     """Recorded decisions by picture."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     images: dict[str, PictureDecisions] = {}
     _path: Path | None = PrivateAttr(None)
