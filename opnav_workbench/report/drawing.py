@@ -108,7 +108,8 @@ def png_bytes(figure: Figure) -> bytes:
     stream = io.BytesIO()
     figure.set_dpi(DPI)
     canvas = figure.canvas if isinstance(figure.canvas, FigureCanvasAgg) else FigureCanvasAgg(figure)
-    canvas.print_png(stream)  # draws once: savefig draws all a second time for the layout, to the same pixels
+    # savefig would draw all a second time for the layout, to the same pixels
+    canvas.print_png(stream)  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 
