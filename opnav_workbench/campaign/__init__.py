@@ -25,14 +25,17 @@ run folders; then `trends` over it, `export_observables` from it, and ``stacking
     Many pictures of a faint target as one.
 """
 
-from opnav_workbench.campaign.archive import ARCHIVE_FILE, Campaign, ImageEntry, export_observables
+from opnav_workbench.campaign.archive import Campaign, ImageEntry, export_observables
+from opnav_workbench.campaign.database import ARCHIVE_FILE, ArchiveDamaged
 from opnav_workbench.campaign.detection_curve import Completeness, completeness
 from opnav_workbench.campaign.ingest import Ingested, IngestReport
 from opnav_workbench.campaign.outliers import screen
+from opnav_workbench.campaign.run_folder import find_runs
 from opnav_workbench.campaign.trend_series import Series, Trends, trends
 
 __all__ = [
     "ARCHIVE_FILE",
+    "ArchiveDamaged",
     "Campaign",
     "Completeness",
     "ImageEntry",
@@ -42,6 +45,7 @@ __all__ = [
     "Trends",
     "completeness",
     "export_observables",
+    "find_runs",
     "screen",
     "trends",
 ]

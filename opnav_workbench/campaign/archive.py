@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 from astropy.table import QTable, Table
 
-from opnav_workbench.campaign.database import Database
+from opnav_workbench.campaign.database import ARCHIVE_FILE, Database
 from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
 from opnav_workbench.campaign.queries import query_observables, query_plain, query_table
 from opnav_workbench.campaign.run_folder import find_runs, read_run, without_times
@@ -68,8 +68,6 @@ def _rows(connection: sa.Connection, query: "sa.Select[Any]") -> list[dict[str, 
 
 
 # ---- The archive itself.
-
-ARCHIVE_FILE = "campaign.sqlite"
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.campaign.schema import APPLICATION_ID, SCHEMA_VERSION, metadata, tables
 from opnav_workbench.errors import SessionError
 
-__all__ = ["Database"]
+__all__ = ["ARCHIVE_FILE", "ArchiveDamaged", "Database"]
 
 
 # ---- From any older schema to the present one, step by step, in the transaction that opens the archive.
@@ -84,6 +84,7 @@ MIGRATIONS: dict[int, Callable[[sa.Connection], None]] = {1: _from_1}
 
 # ---- The archive's file: opened by many processes at once, brought to the present schema, never half-written.
 
+ARCHIVE_FILE = "campaign.sqlite"  # in the folder of its runs
 BUSY_TIMEOUT_S = 60.0  # a picture is ingested in milliseconds: a minute is a queue of thousands
 ATTEMPTS = 20  # of a transaction that SQLite refuses at once (lock of a recovery, change of journal mode)
 PAUSE_S = 0.05
@@ -92,6 +93,10 @@ WRITE = {"opnav_write": True}
 
 Answer = TypeVar("Answer")
 DatabaseError: TypeAlias = sa.exc.DBAPIError | sqlite3.Error
+
+
+class ArchiveDamaged(SessionError):  # noqa: N818  what it is, not that it is an error
+    """The archive's file is no whole SQLite file any more; it can be made anew from the run folders."""
 
 
 class Database:
@@ -165,7 +170,12 @@ class Database:
             connection.cursor().execute("PRAGMA journal_mode=WAL")  # outside any transaction
 
     def _named(self, error: DatabaseError) -> SessionError:
-        return SessionError(
+        kind = (
+            ArchiveDamaged
+            if _code(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+            else SessionError
+        )
+        return kind(
             f"campaign archive {self.path}: {getattr(error, 'orig', error)}. Check the file, its folder's permissions "
             "and free space; `opnav campaign ingest` makes a new one from the run folders."
         )
@@ -187,12 +197,17 @@ def _check_file(path: Path, create: bool) -> None:
     except OSError as error:
         raise SessionError(f"cannot read {path}: {error.strerror or error}.") from error
     if head and head != SQLITE_MAGIC:
-        raise SessionError(f"{path} is not a campaign archive (no SQLite file); give another name.")
+        # Of our own name it is ours, with a damaged head; of another it may be anything.
+        kind = ArchiveDamaged if path.name == ARCHIVE_FILE else SessionError
+        raise kind(f"{path} is not a campaign archive (no SQLite file); give another name.")
 
 
 def _busy(error: DatabaseError) -> bool:
-    code = getattr(getattr(error, "orig", error), "sqlite_errorcode", 0) & 0xFF
-    return code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+    return _code(error) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+
+
+def _code(error: DatabaseError) -> int:
+    return int(getattr(getattr(error, "orig", error), "sqlite_errorcode", 0)) & 0xFF
 
 
 def _on_connect(connection: Any, _record: Any) -> None:

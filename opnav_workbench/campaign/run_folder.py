@@ -9,7 +9,9 @@ its header, and reading that (YAML) takes longer than all else: it is read once 
 
 import csv
 import re
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -118,6 +120,7 @@ def observables_from_rows(columns: Sequence[ObservableColumn], cells: Sequence[M
 
 # ---- The folder.
 
+READINGS, PAUSE_S = 8, 0.05  # of a folder that changes while it is read
 IMAGE_STATUSES = ("ok", "partial", "failed")
 # Keys whose values tell when something was done, not what came out: two runs that differ in them alone are one.
 TIMES = frozenset(
@@ -165,7 +168,7 @@ class RunRows:
 
 
 def find_runs(path: str | Path) -> Iterator[Path]:
-    """Yield the run folders at or below `path`, in the order of their names.
+    """Yield the run folders at or below `path`, in the order of their names; hidden ones below it are the nights' own.
 
     Raises
     ------
@@ -177,7 +180,8 @@ def find_runs(path: str | Path) -> Iterator[Path]:
         raise SessionError(
             f"there is no folder {top}; give run folders (with {RESULT_FILE}) or folders of them."
         )
-    found = sorted({file.parent for name in (RESULT_FILE, SESSION_FILE) for file in top.rglob(name)})
+    files = {file.parent for name in (RESULT_FILE, SESSION_FILE) for file in top.rglob(name)}
+    found = sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(top).parts))
     if not found:
         raise SessionError(f"{top} holds no run: no {RESULT_FILE} in it or below; process pictures first.")
     yield from found
@@ -186,12 +190,39 @@ def find_runs(path: str | Path) -> Iterator[Path]:
 def read_run(folder: str | Path) -> RunRows:
     """Read a run folder.
 
+    A night or a session that writes into the folder meanwhile is waited for: what is read is one moment's.
+
     Raises
     ------
     SessionError
         A file is missing or damaged, or they do not belong together.
     """
     place = Path(folder).resolve()
+    for left in reversed(range(READINGS)):
+        before = _moment(place)
+        try:
+            run = _read(place)
+        except SessionError:
+            if left == 0 or _moment(place) == before:
+                raise
+        else:
+            if _moment(place) == before:
+                return run
+        time.sleep(PAUSE_S)
+    raise SessionError("it is being written; take it in again when that is done")
+
+
+def _moment(place: Path) -> tuple[tuple[int, ...], ...]:
+    """Return what changes whenever one of a run's files does, or the folder itself."""
+    found = []
+    for path in (place, *(place / name for name in (RESULT_FILE, TABLE_FILE, SESSION_FILE))):
+        with suppress(OSError):
+            status = path.stat()
+            found.append((status.st_ino, status.st_size, 0 if path == place else status.st_mtime_ns))
+    return tuple(found)
+
+
+def _read(place: Path) -> RunRows:
     result = _read_mapping(place / RESULT_FILE)
     # A picture that failed early has a result only; a session beside it is that of an earlier run.
     with_session = "provenance" in result and (place / SESSION_FILE).is_file()

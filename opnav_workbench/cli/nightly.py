@@ -1,5 +1,6 @@
 """``opnav nightly``: the notebook of a picture for hundreds of them, each on its own, stopped and continued at will."""
 
+import difflib
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,16 +19,23 @@ from rich.progress import (
 )
 
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
-from opnav_workbench.cli.terminal import EXIT_PARTLY
+from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night
 from opnav_workbench.headless.night_summary import SUMMARY_PAGE, write_night_summary
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
+from opnav_workbench.headless.watching import NightWatch
 
 __all__ = ["nightly"]
 
 YAML_SUFFIXES = (".yaml", ".yml")
+STATE_WORDS = {
+    "new": "to be processed",
+    "done": "done, nothing has changed",
+    "older": "done with other inputs, left alone (--only-new)",
+    "kept": "left to its analyst",
+}
 SHOWN = 20  # reasons printed; the page has all
 
 
@@ -54,9 +62,20 @@ def nightly(
     only_new: Annotated[
         bool, typer.Option("--only-new", help="Leave pictures alone that were processed before.")
     ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Process again what failed, whatever the reason.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Process all again; analysts' sessions are left alone.")
+    ] = False,
+    why: Annotated[
+        str | None,
+        typer.Option(help="Only tell why this picture would be processed, or not.", show_default=False),
+    ] = None,
     archive: Annotated[
         Path | None, typer.Option(help="Campaign archive; default OUT/campaign.sqlite.", show_default=False)
     ] = None,
+    log: Annotated[Path | None, typer.Option(help="Log; default OUT/night.log.", show_default=False)] = None,
 ) -> None:
     """Process many pictures headless: the notebook of each, an archive, and a page that tells what came out.
 
@@ -69,21 +88,32 @@ def nightly(
     Each picture has its folder in OUT, as of opnav process, with the executed notebook beside it; OUT has summary.html,
     summary.json, queue.json and campaign.sqlite.
 
-    Run again, it goes on where it stopped: what is done is not done twice, and an analyst's session is left alone.
+    Run again, it goes on where it stopped: what is done is not done twice, what the machine failed is tried again, and
+    an analyst's session is left alone. A picture is done again when its file, its options, its catalog or a kernel that
+    covers it has other content.
 
-    Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
+    While it runs, OUT has night.log, status.json and night.prom (Prometheus); without a terminal a line a minute tells
+    how it goes.
+
+    Exit status: 0 all pictures processed now are solved, 2 bad input, 3 some of them failed (the others are kept), 130 or
+    143 stopped by Ctrl-C or SIGTERM (what is finished is kept, and in the summary).
     """
     spec = _night_spec(sources, given)
     console = Console(stderr=True, soft_wrap=True)
-    plan = plan_night(spec, out, only_new=only_new)
+    plan = plan_night(spec, out, only_new=only_new, force=force, retry_failed=retry_failed)
+    if why is not None:
+        _print_why(Console(soft_wrap=True), plan, why)
+        return
     _print_plan(console, plan)
     pool: NightPool = (
-        ClusterPool(scheduler) if scheduler else LocalPool(os.cpu_count() or 1 if jobs is None else jobs)
+        ClusterPool(scheduler, lambda words: console.print(escape(words), highlight=False))
+        if scheduler
+        else LocalPool(os.cpu_count() or 1 if jobs is None else jobs)
     )
-    summary = _run_plan(console, plan, pool, archive)
+    summary, status = _run_plan(console, plan, pool, archive, log)
     _print_summary(Console(soft_wrap=True), summary, out)
-    if summary["counts"].get("failed"):
-        raise typer.Exit(EXIT_PARTLY)
+    if status or summary["failed_now"]:
+        raise typer.Exit(status or EXIT_PARTLY)
 
 
 def _night_spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:
@@ -112,8 +142,25 @@ def _print_plan(console: Console, plan: NightPlan) -> None:
     console.print(f"{len(plan.todo)} of {len(plan.pictures)} pictures to process{aside}.", highlight=False)
 
 
-def _run_plan(console: Console, plan: NightPlan, pool: NightPool, archive: Path | None) -> dict[str, Any]:
-    """Process with progress; the summary is written whatever ends it."""
+def _print_why(console: Console, plan: NightPlan, wanted: str) -> None:
+    """Tell what would be done with a picture, named by its folder, file or path, and why."""
+    found = [
+        p for p in plan.pictures if wanted in (p.name, p.image.name, str(p.image)) or p.image == Path(wanted)
+    ]
+    if not found:
+        names = [picture.name for picture in plan.pictures]
+        close = difflib.get_close_matches(wanted, names, n=3) or names[:3]
+        raise SessionError(f"no picture {wanted} in this night; there are {', '.join(close)}, ...")
+    for picture in found:
+        console.print(f"{escape(picture.name)}: {STATE_WORDS[picture.state]}", highlight=False)
+        for reason in picture.why:
+            console.print(f"  {escape(reason)}", highlight=False)
+
+
+def _run_plan(
+    console: Console, plan: NightPlan, pool: NightPool, archive: Path | None, log: Path | None
+) -> tuple[dict[str, Any], int]:
+    """Process with progress; the summary is written whatever ends it. Returns it, and the exit status of a stop."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -121,22 +168,32 @@ def _run_plan(console: Console, plan: NightPlan, pool: NightPool, archive: Path 
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    night = Night(plan)
+    night, status = Night(plan), 0
+    heartbeat = None if console.is_terminal else lambda words: console.print(escape(words), highlight=False)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pictures", total=len(plan.todo))
 
         def say(verdict: NotebookOutcome) -> None:
             progress.advance(task)
+            watch.said(verdict)
             if verdict.fault:
                 console.print(
                     f"[bold red]failed:[/] {escape(f'{verdict.name}: {verdict.reason}')}", highlight=False
                 )
 
-        try:
-            run_night(night, pool, archive=archive, say=say)
-        finally:
-            summary = write_night_summary(night)
-    return summary
+        with ended_by_signals() as pass_over:
+            try:
+                with NightWatch(plan, log, heartbeat) as watch:
+                    run_night(night, pool, archive=archive, say=say)
+            except KeyboardInterrupt as stop:
+                status = getattr(stop, "status", EXIT_STOPPED)
+                console.print(
+                    f"stopped ({str(stop) or 'Ctrl-C'}); what is finished is kept.", highlight=False
+                )
+            finally:
+                pass_over()
+                summary = write_night_summary(night)
+    return summary, status
 
 
 def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> None:
@@ -151,6 +208,8 @@ def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> N
         console.print(f"[yellow]needs an analyst[/] {escape(said)}", highlight=False)
     if len(waiting) > SHOWN:
         console.print(f"... and {len(waiting) - SHOWN} more, on the page.", highlight=False)
+    for note in summary["notes"]:
+        console.print(f"[yellow]note[/] {escape(note)}", highlight=False)
     for reason in summary["not_archived"]:
         console.print(f"[yellow]not in the archive[/] {escape(reason)}", highlight=False)
     console.print(f"Page: {escape(str(out / SUMMARY_PAGE))}", highlight=False)

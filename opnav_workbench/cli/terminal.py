@@ -3,8 +3,11 @@
 Results go to standard output, progress and complaints to standard error; a bar is shown on terminals only.
 """
 
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 
 from rich.console import Console
 from rich.markup import escape
@@ -22,6 +25,8 @@ __all__ = [
     "EXIT_BAD_INPUT",
     "EXIT_PARTLY",
     "EXIT_STOPPED",
+    "Terminated",
+    "ended_by_signals",
     "error_console",
     "folding_table",
     "named_progress",
@@ -37,6 +42,52 @@ EXIT_PARTLY = (
     3  # done, but not all of it: pictures failed, runs skipped, kernels with a gap, a rehearsal not passed
 )
 EXIT_STOPPED = 130  # by the keyboard; as shells say it: 128 and the number of SIGINT
+
+
+# ---- Signals that end a command.
+
+
+class Terminated(KeyboardInterrupt):
+    """The machine or its operator ends this program; what is done is to be kept, as after Ctrl-C.
+
+    Attributes
+    ----------
+    status
+        What to exit with.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.status = 128 + number
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[Callable[[], None]]:
+    """Raise `Terminated` in the block when the process is told to end (SIGTERM, SIGHUP), once.
+
+    Yields
+    ------
+    callable
+        From its call on the signals are passed over: what is done is being written down.
+    """
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
+        numbers = []
+
+    def pass_over() -> None:
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        pass_over()
+        raise Terminated(number)
+
+    before = {number: signal.signal(number, end) for number in numbers}
+    try:
+        yield pass_over
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 # ---- Consoles, progress and tables.

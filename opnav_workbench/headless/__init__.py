@@ -5,8 +5,20 @@ is said and done in ``processing``.
 
 ``night_spec``
     The YAML file of a night.
+``faults``
+    What went wrong with a picture, and whether another try may come to another result.
+``records``
+    What a night leaves beside a picture's results.
+``inputs``
+    What a result depends on, by content; what of it has changed.
+``settling``
+    A new folder put into its place; the attic.
+``night_archive``
+    The archive that a night fills, made anew where it is damaged.
 ``night``
     A night planned, run, recorded and archived.
+``watching``
+    Log, status, metrics and heartbeat of a night.
 ``night_workers``
     One process per picture with its limits; the pools of this machine and of a Dask cluster.
 ``night_summary``

@@ -3,127 +3,55 @@
 Flow   pictures -> what is left to do -> notebooks in processes of their own -> moved into place one by one -> archive ->
        summary, queue
 Files  OUT/<picture>/ {result.json, observables.ecsv, session.json, notebook.ipynb, notebook.html, summary.png, night.json},
-       OUT/{campaign.sqlite, summary.html, summary.json, queue.json}; OUT/.work is the night's own
+       OUT/{campaign.sqlite, summary.html, summary.json, queue.json}; OUT/.work is the night's own, OUT/.attic what it found
+       in a place that it needed, or could not put into its own
 
 Killed anywhere, the same command goes on: a picture's folder is whole or not there, and the archive takes whole pictures.
 ``night.json`` says what was done, so that it is done once; it moves into place together with the results, in one rename.
 """
 
-import hashlib
-import json
 import shutil
-import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench.campaign import Campaign
-from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.files import inside, json_text, make_folder, sha256_of, write_json
+from opnav_workbench.errors import SessionError
+from opnav_workbench.files import inside, make_folder, sha256_of, write_json
+from opnav_workbench.headless.faults import FAULTS, is_raised
+from opnav_workbench.headless.inputs import NightInputs, changes, night_inputs, picture_et
+from opnav_workbench.headless.night_archive import NightArchive
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
-from opnav_workbench.image.picture_files import picture_names
+from opnav_workbench.headless.records import (
+    NightRecord,
+    is_of_an_analyst,
+    read_record,
+    result_status,
+    session_digest,
+)
+from opnav_workbench.headless.settling import settle, tidy_attic
+from opnav_workbench.image.picture_files import FolderOwner, picture_names
+from opnav_workbench.mission import Mission
 from opnav_workbench.processing import notebook_parameters
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE
-from opnav_workbench.session.folder_lock import FolderLock
-from opnav_workbench.session.history import JOURNAL_FILE
-from opnav_workbench.session.storage import SESSION_FILE
-from opnav_workbench.version import __version__
+from opnav_workbench.session.folder_lock import FolderLock, check_unlocked
+from opnav_workbench.session.storage import session_owner
 
-__all__ = ["Night", "NightPicture", "NightPlan", "fingerprint", "plan_night", "read_record", "run_night"]
+__all__ = ["Night", "NightChoice", "NightPicture", "NightPlan", "plan_night", "run_night"]
 
-
-# ---- What a night leaves beside a picture's results: what was done, so that it is done once (``night.json``).
-
-RECORD_FILE = "night.json"
-SCHEMA = 1
-
-
-@dataclass(frozen=True, slots=True)
-class NightRecord:
-    """How a picture was processed.
-
-    Attributes
-    ----------
-    fingerprint
-        Of everything that the result depends on; empty where another try may come to another result.
-    session
-        Digest of the session as the night left it; another one tells of an analyst's work since.
-    fault, reason
-        As in `night_workers.NotebookOutcome`.
-    """
-
-    image: str
-    fingerprint: str
-    session: str
-    fault: str = ""
-    reason: str = ""
-    seconds: float = 0.0
-    peak_mb: float = 0.0
-    tries: int = 1
-
-
-def fingerprint(image: Path, inputs: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a picture and of what it is processed with."""
-    text = json_text({"image": sha256_of(image), **inputs})
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def session_digest(folder: Path) -> str:
-    """Return the SHA-256 of a folder's session and journal; empty where there is none."""
-    found = [folder / name for name in (SESSION_FILE, JOURNAL_FILE) if (folder / name).is_file()]
-    if not found:
-        return ""
-    return hashlib.sha256("".join(sha256_of(path) for path in found).encode()).hexdigest()
-
-
-def read_record(folder: Path) -> NightRecord | None:
-    """Return the record of a picture's folder; None where there is none that can be read."""
-    try:
-        data = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
-        return NightRecord(**data["record"]) if data["schema"] == SCHEMA else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def move_into_place(work: Path, final: Path, record: NightRecord, attic: Path) -> None:
-    """Move a working folder to its place, with its record; what stood there goes.
-
-    Parameters
-    ----------
-    attic
-        Folder on the same file system for what is about to be deleted.
-
-    Raises
-    ------
-    SessionError
-        The folder cannot be written.
-    """
-    write_json(work / RECORD_FILE, {"schema": SCHEMA, "record": asdict(record)})
-    attic.mkdir(parents=True, exist_ok=True)
-    old = attic / f"{final.name}-{uuid.uuid4().hex[:8]}"
-    try:
-        if final.exists():
-            final.rename(old)
-        work.rename(final)
-    except OSError as error:
-        raise SessionError(
-            f"cannot move results to {final}: {error.strerror}; what is finished is kept, run the same command again."
-        ) from error
-    shutil.rmtree(old, ignore_errors=True)
-
-
-# ---- A night: the same notebook for many pictures, each on its own, nothing done twice and nothing lost.
 
 NOTEBOOK = "process_image.ipynb"
 # It belongs to the version: this is the digest that it had when nights were first recorded, so that another word in one of
 # its cells does no night over again.
 PACKAGED_NOTEBOOK = "6c55442aa9e39dd68f2aed0463bc6772c7fb5b152b95e730ccd53a1e24ec4e6d"
 WORK_FOLDER = ".work"
+
+
+# ---- What there is to do.
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,15 +62,42 @@ class NightPicture:
     ----------
     name
         Of its folder.
+    fingerprint
+        Of all that its result depends on; empty for a picture that cannot be read.
     state : {"new", "done", "kept", "older"}
-        To be processed; done before in the same way; worked on by an analyst since, and left alone; done before in another
-        way, and left alone because only new pictures were asked for.
+        To be processed; done before in the same way; an analyst's, and left alone; done before in another way, and left
+        alone because only new pictures were asked for.
+    why
+        What made it so, in words.
+    basis
+        A record with what is known of the picture and of what it is processed with.
     """
 
     image: Path
     name: str
     fingerprint: str
     state: str
+    why: tuple[str, ...] = ()
+    basis: NightRecord = field(default_factory=lambda: NightRecord("", "", ""))
+
+
+@dataclass(frozen=True, slots=True)
+class NightChoice:
+    """Which pictures to process beside those that are new or have other inputs.
+
+    Attributes
+    ----------
+    only_new
+        Leave pictures alone that have been processed before, even if with other inputs.
+    force
+        Process again what is done; an analyst's sessions are left alone all the same.
+    retry_failed
+        Process again what failed, whatever its fault.
+    """
+
+    only_new: bool = False
+    force: bool = False
+    retry_failed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +129,133 @@ class NightPlan:
         )
 
 
+def plan_night(
+    spec: NightSpec,
+    out: str | Path,
+    *,
+    only_new: bool = False,
+    force: bool = False,
+    retry_failed: bool = False,
+) -> NightPlan:
+    """Find out what there is to do, and refuse at once what would fail for every picture.
+
+    Parameters
+    ----------
+    out
+        Folder of the results.
+    only_new, force, retry_failed
+        As in `NightChoice`.
+
+    Raises
+    ------
+    OpNavError
+        A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures.
+    """
+    mission = (
+        spec.changed("night").opened().mission
+    )  # fields that were set unchecked; mission, catalog, decisions
+    folder = make_folder(out).resolve()
+    _check_notebook(_notebook(spec), _parameters(spec, Path("picture")))
+    choice = NightChoice(only_new, force, retry_failed)
+    with spec.kernel_set():
+        notebook = sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK
+        inputs = night_inputs(spec, mission, _parameters(spec, Path("picture")), notebook)
+        names = picture_names(pictures_of_night(spec), lambda name: _folder_owner(inside(folder, name)))
+        pictures = [
+            _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
+            for image, name in names.items()
+        ]
+    return NightPlan(spec, folder, tuple(pictures))
+
+
+def _folder_owner(folder: Path) -> FolderOwner | None:
+    record = read_record(folder)
+    if record is not None:
+        return FolderOwner(Path(record.image), record.image_sha256)
+    return session_owner(folder)
+
+
+def _planned(
+    image: Path,
+    name: str,
+    folder: Path,
+    spec: NightSpec,
+    mission: Mission,
+    inputs: NightInputs,
+    choice: NightChoice,
+) -> NightPicture:
+    record = read_record(folder)
+    basis = _basis(image, record, mission, spec)
+    mark = inputs.fingerprint(basis.image_sha256, basis.et) if basis.image_sha256 else ""
+    used = {"picture": basis.image_sha256, **inputs.of(basis.et)}
+    basis = replace(basis, fingerprint=mark, inputs=used)
+    state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
+    return NightPicture(image, name, mark, state, why, basis)
+
+
+def _basis(image: Path, record: NightRecord | None, mission: Mission, spec: NightSpec) -> NightRecord:
+    """What is known of a picture; a file that has not been touched since is not read again."""
+    limits = {"time_limit_s": spec.time_limit_s, "memory_limit_mb": spec.memory_limit_mb}
+    try:
+        status = image.stat()
+        stamp = (status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        if record is not None and record.stamp == stamp:
+            return NightRecord(
+                str(image), "", "", image_sha256=record.image_sha256, stamp=stamp, et=record.et, limits=limits
+            )
+        sha256 = sha256_of(image)
+    except OSError:  # gone, or unreadable for now: processing will say it
+        return NightRecord(str(image), "", "", limits=limits)
+    et = picture_et(image, mission)
+    return NightRecord(str(image), "", "", image_sha256=sha256, stamp=stamp, et=et, limits=limits)
+
+
+def _in_use(folder: Path) -> str:
+    """Return who has a folder open; empty: nobody."""
+    try:
+        check_unlocked(folder)
+    except SessionError as error:
+        return str(error)
+    return ""
+
+
+def state_of(
+    record: NightRecord | None, now: NightRecord, session: str, choice: NightChoice, in_use: str = ""
+) -> tuple[str, tuple[str, ...]]:
+    """Return what is to be done about a picture, and why, in words.
+
+    Parameters
+    ----------
+    record
+        What stands in its folder.
+    now
+        Fingerprint, inputs and limits of the night that is planned.
+    session
+        Digest of the session in the folder.
+    in_use
+        Who has it open.
+    """
+    if in_use:
+        return "kept", (in_use,)
+    if is_of_an_analyst(record, session):
+        return "kept", ("an analyst has worked on it",)
+    if record is None:
+        return "new", ("not processed yet",)
+    again = FAULTS[record.fault].again_next_night if record.fault in FAULTS else "always"
+    if again == "always" or not record.fingerprint:
+        return "new", (f"the machine failed it: {record.reason}",)
+    if again == "raised" and is_raised(record.limits, now.limits):
+        return "new", (f"a limit is higher now than when it failed: {record.reason}",)
+    if choice.retry_failed and (record.fault or record.status == "failed"):
+        return "new", (f"failed before: {record.reason or 'no pointing'}",)
+    if record.fingerprint == now.fingerprint:
+        return ("new", ("asked for by force",)) if choice.force else ("done", ())
+    return ("older" if choice.only_new else "new"), changes(record.inputs, now.inputs)
+
+
+# ---- What is done.
+
+
 @dataclass(slots=True)
 class Night:
     """What came of a night so far.
@@ -184,47 +266,20 @@ class Night:
         Of the pictures processed now.
     unarchived
         Why a picture could not be taken into the archive.
+    unplaced
+        Pictures whose place is an analyst's, each with why, and where the night's own result is.
+    outlived
+        Pictures that the machine failed and whose older results stand, each with why.
+    notes
+        What else somebody must know.
     """
 
     plan: NightPlan
     verdicts: list[NotebookOutcome] = field(default_factory=list)
     unarchived: list[str] = field(default_factory=list)
-
-
-def plan_night(spec: NightSpec, out: str | Path, *, only_new: bool = False) -> NightPlan:
-    """Find out what there is to do, and refuse at once what would fail for every picture.
-
-    Parameters
-    ----------
-    out
-        Folder of the results.
-    only_new
-        Leave pictures alone that have been processed before, even if with other inputs.
-
-    Raises
-    ------
-    OpNavError
-        A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures.
-    """
-    _check_spec(spec)
-    folder = make_folder(out).resolve()
-    inputs = _processing_inputs(spec)
-    pictures = []
-    for image, name in picture_names(pictures_of_night(spec)).items():
-        mark = fingerprint(image, inputs)
-        pictures.append(NightPicture(image, name, mark, _state_of(inside(folder, name), mark, only_new)))
-    return NightPlan(spec, folder, tuple(pictures))
-
-
-def _state_of(folder: Path, mark: str, only_new: bool) -> str:
-    record = read_record(folder)
-    if record is None:
-        return "kept" if session_digest(folder) else "new"  # a session of its own: an analyst's
-    if record.session != session_digest(folder):
-        return "kept"
-    if record.fingerprint == mark:
-        return "done"
-    return "older" if only_new and record.fingerprint else "new"
+    unplaced: dict[str, str] = field(default_factory=dict)
+    outlived: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 def run_night(
@@ -251,15 +306,17 @@ def run_night(
         Another night writes into the folder, or it cannot be written any more; what is finished is kept.
     """
     plan = night.plan
-    with _night_lock(plan.out), Campaign(archive or plan.out / "campaign.sqlite") as campaign:
+    with _night_lock(plan.out), NightArchive(plan.out, archive, night.notes.append) as taken:
+        night.notes.extend(tidy_attic(plan.out))
         for picture in plan.pictures:
             if picture.state != "new":
-                _archive(night, campaign, picture.name)
+                _archive(night, taken, picture.name)
         by_name = {picture.name: picture for picture in plan.todo}
         with closing(pool.run([plan.job(picture) for picture in plan.todo])) as verdicts:
             for verdict in verdicts:
-                _move_results(plan, by_name[verdict.name], verdict)
-                _archive(night, campaign, verdict.name)
+                _put_results(night, by_name[verdict.name], verdict)
+                if FAULTS[verdict.fault].is_result and verdict.name not in night.unplaced:
+                    _archive(night, taken, verdict.name)
                 night.verdicts.append(verdict)
                 say(verdict)
 
@@ -274,48 +331,71 @@ def _night_lock(out: Path) -> Iterator[None]:
             f"another night writes into {out}; wait for it, or choose another folder ({error})"
         ) from error
     try:
-        for path in work.iterdir():  # what a night that was killed has left
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
+        _empty(work)  # what a night that was killed has left
         yield
     finally:
+        _empty(work)  # while it is ours: the next night may begin as soon as it is not
         lock.release()
-        shutil.rmtree(work, ignore_errors=True)
+        with suppress(OSError):  # not empty: the next night has begun
+            work.rmdir()
 
 
-def _move_results(plan: NightPlan, picture: NightPicture, verdict: NotebookOutcome) -> None:
+def _empty(work: Path) -> None:
+    for path in work.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) -> None:
+    """Put what a picture's process left into its place.
+
+    A fault of the machine tells nothing of the picture: an older result stays, and none is made up.
+    """
+    plan, policy = night.plan, FAULTS[verdict.fault]
     work = Path(verdict.folder) if verdict.folder else make_folder(plan.out / WORK_FOLDER / picture.name)
-    if not (work / RESULT_FILE).is_file():
+    final = inside(plan.out, picture.name)
+    if not policy.is_result:
+        (work / RESULT_FILE).unlink(missing_ok=True)
+        if (final / RESULT_FILE).is_file():
+            night.outlived[picture.name] = f"the machine failed it, its older result stands: {verdict.reason}"
+            return
+    elif not (work / RESULT_FILE).is_file():
         reason = verdict.reason or "the notebook wrote no result"
         write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, reason))
-    record = NightRecord(
-        image=str(picture.image),
-        fingerprint="" if verdict.fault == "machine" else picture.fingerprint,
+    settled = settle(work, final, _record(picture, verdict, work))
+    if not settled.placed:
+        night.unplaced[picture.name] = settled.note
+    elif settled.note:
+        night.notes.append(f"{picture.name}: {settled.note}")
+
+
+def _record(picture: NightPicture, verdict: NotebookOutcome, work: Path) -> NightRecord:
+    passing = not FAULTS[verdict.fault].is_result or (verdict.fault and not _is_as_planned(picture))
+    return replace(
+        picture.basis,
+        fingerprint="" if passing else picture.fingerprint,
         session=session_digest(work),
         fault=verdict.fault,
         reason=verdict.reason,
         seconds=verdict.seconds,
         peak_mb=verdict.peak_mb,
         tries=verdict.tries,
+        status=result_status(work),
     )
-    move_into_place(work, inside(plan.out, picture.name), record, plan.out / WORK_FOLDER / "old")
 
 
-def _archive(night: Night, campaign: Campaign, name: str) -> None:
+def _is_as_planned(picture: NightPicture) -> bool:
+    """Tell whether the file of a picture that failed is still the one that the night was planned with."""
     try:
-        taken = campaign.ingest_run(night.plan.out / name)
-    except OpNavError as error:
-        night.unarchived.append(f"{name}: {error}")
-        return
-    if taken.result == "skipped":
-        night.unarchived.append(f"{name}: {taken.reason}")
+        return sha256_of(picture.image) == picture.basis.image_sha256
+    except OSError:
+        return False
 
 
-def _check_spec(spec: NightSpec) -> None:
-    spec.changed("night").opened()  # fields that were set unchecked; mission, catalog, decisions
-    with spec.kernel_set():
-        pass
-    _check_notebook(_notebook(spec), _parameters(spec, Path("picture")))
+def _archive(night: Night, archive: NightArchive, name: str) -> None:
+    reason = archive.take(night.plan.out / name)
+    if reason:
+        night.unarchived.append(f"{name}: {reason}")
 
 
 def _notebook(spec: NightSpec) -> Path:
@@ -340,19 +420,3 @@ def _check_notebook(path: Path, parameters: Mapping[str, Any]) -> None:
 def _parameters(spec: NightSpec, image: Path) -> dict[str, Any]:
     """Return the notebook's parameters, but for the folder of the results."""
     return {"image": str(image), **notebook_parameters(spec), "mode": "headless"}
-
-
-def _processing_inputs(spec: NightSpec) -> dict[str, Any]:
-    """What a result depends on, besides the picture: contents of files, not their places."""
-    files = {
-        name: sha256_of(value)
-        for name in ("kernels", "decisions", "target_stars", "mission")
-        if (value := getattr(spec, name)) is not None and Path(value).is_file()
-    }
-    parameters = {k: v for k, v in _parameters(spec, Path("picture")).items() if k not in {*files, "image"}}
-    return {
-        "version": __version__,
-        "parameters": parameters,
-        "files": files,
-        "notebook": sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK,
-    }

@@ -10,8 +10,9 @@ from typing import Any
 from opnav_workbench import report
 from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.files import inside, write_json, write_text
-from opnav_workbench.headless.night import Night, NightPicture, read_record
+from opnav_workbench.headless.night import Night, NightPicture
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
+from opnav_workbench.headless.records import NightRecord, read_record
 from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, write_queue
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
@@ -59,12 +60,16 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``version, written_utc, mission, kernels, catalog, targets, counts, images``; an image has ``name, path, state,
-        status, utc, messages, attention, pointing, bodies, seconds, peak_mb, tries`` and the names of its files.
+        ``version, written_utc, mission, kernels, catalog, targets, counts, processed_now, failed_now, not_archived, notes,
+        images``; an image has ``name, path, state, status, utc, messages, attention, pointing, bodies, seconds, peak_mb,
+        tries`` and the names of its files. ``failed_now`` counts the pictures of this night that failed, whether an older
+        result of theirs stands or not.
     """
     spec = night.plan.spec
-    now = {verdict.name for verdict in night.verdicts}
-    images = [_image_row(night.plan.out, picture, picture.name in now) for picture in night.plan.pictures]
+    now = {verdict.name: verdict for verdict in night.verdicts}
+    images = [_image_row(night, picture, picture.name in now) for picture in night.plan.pictures]
+    failed = {row["name"] for row in images if row["name"] in now and row["status"] == "failed"}
+    failed |= {name for name, verdict in now.items() if verdict.fault}
     images.sort(key=lambda row: (row["utc"] is None, row["utc"] or "", row["name"]))
     return {
         "version": __version__,
@@ -75,15 +80,19 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
         "targets": spec.targets,
         "counts": dict(Counter(row["status"] for row in images)),
         "processed_now": len(now),
+        "failed_now": len(failed),
         "not_archived": list(night.unarchived),
+        "notes": [*night.notes, *(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items())],
         "images": images,
     }
 
 
-def _image_row(out: Path, picture: NightPicture, processed_now: bool) -> dict[str, Any]:
-    folder = inside(out, picture.name)
-    result, record = _read_result(folder), read_record(folder)
-    if not processed_now and picture.state == "new":
+def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict[str, Any]:
+    folder = inside(night.plan.out, picture.name)
+    record = read_record(folder)
+    result = _read_result(folder, record)
+    state = _state_word(night, picture, processed_now)
+    if state == "waiting":
         result = {"status": "waiting", "messages": [NOT_PROCESSED]}
     bodies = result.get("bodies") or []
     pointing = result.get("pointing")
@@ -93,7 +102,7 @@ def _image_row(out: Path, picture: NightPicture, processed_now: bool) -> dict[st
     return {
         "name": picture.name,
         "path": str(picture.image),
-        "state": "waiting" if result["status"] == "waiting" else "now" if processed_now else picture.state,
+        "state": state,
         "status": result["status"],
         "utc": result.get("utc"),
         "messages": result["messages"],
@@ -107,6 +116,17 @@ def _image_row(out: Path, picture: NightPicture, processed_now: bool) -> dict[st
     }
 
 
+def _state_word(night: Night, picture: NightPicture, processed_now: bool) -> str:
+    """Return whose the result is that stands in a picture's folder; "waiting" where there is none yet."""
+    if picture.name in night.unplaced:
+        return "kept"
+    if picture.name in night.outlived:
+        return "older"
+    if picture.state == "new":
+        return "now" if processed_now else "waiting"
+    return picture.state
+
+
 def _body_row(body: Mapping[str, Any]) -> dict[str, Any]:
     covariance = body.get("covariance_with_pointing_px2")
     known = covariance is not None and None not in (covariance[0][0], covariance[1][1])
@@ -114,7 +134,10 @@ def _body_row(body: Mapping[str, Any]) -> dict[str, Any]:
     return {key: body.get(key) for key in BODY_KEYS} | {"sigma_px": sigma, "observed": body.get("observed")}
 
 
-def _read_result(folder: Path) -> dict[str, Any]:
+def _read_result(folder: Path, record: NightRecord | None) -> dict[str, Any]:
+    """Return what came out; where the machine failed a picture there is no result, but a record that says why."""
+    if record is not None and record.reason and not (folder / RESULT_FILE).exists():
+        return {"status": "failed", "messages": [record.reason]}
     try:
         result: dict[str, Any] = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
         return {"status": result["status"], "messages": list(result["messages"])} | result

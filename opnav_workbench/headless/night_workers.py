@@ -6,7 +6,6 @@ and writes into the picture's working folder only; the night moves that to its p
 """
 
 import contextlib
-import errno
 import importlib
 import json
 import os
@@ -15,7 +14,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ import psutil
 from opnav_workbench import errors
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import write_json
+from opnav_workbench.headless.faults import FAULTS, fault_of_report
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.session import RESULT_FILE
 
@@ -46,7 +46,6 @@ EXECUTED_FILE, HTML_FILE, LOG_FILE = "notebook.ipynb", "notebook.html", "noteboo
 JOB_FILE, REPORT_FILE = ".job.json", ".report.json"
 RUNNER = Path(__file__).with_name("notebook_run.py")
 WATCH_INTERVAL_S = 0.2
-DISK_FULL = os.strerror(errno.ENOSPC)
 MB = 1 << 20
 # One picture runs in one thread: that is fastest for many at once, and sums do not depend on the number of cores.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -94,8 +93,8 @@ class NotebookOutcome:
     folder
         Working folder with what it wrote.
     fault : {"", "picture", "notebook", "limit", "machine"}
-        What went wrong: nothing; the picture or its inputs; a cell of the notebook; time or memory; the machine (another try
-        may succeed).
+        What went wrong: nothing; the picture or its inputs; a cell of the notebook; time or memory; the machine. What is
+        done about it: `opnav_workbench.headless.faults`.
     reason
         One line.
     seconds, peak_mb
@@ -124,12 +123,12 @@ def process_picture(values: Mapping[str, Any], stop: threading.Event | None = No
     Returns
     -------
     dict
-        A `NotebookOutcome` as plain values. A picture that failed, with any fault, has a ``result.json`` that says why.
+        A `NotebookOutcome` as plain values. A picture that failed by its own fault has a ``result.json`` that says why.
     """
     job, stop = NotebookRequest(**values), stop or threading.Event()
     for count in range(1, job.retries + 2):
         verdict = replace(_one_try(job, stop), tries=count)
-        if verdict.fault != "machine" or stop.is_set():
+        if not FAULTS[verdict.fault].again_at_once or stop.is_set():
             break
     return asdict(verdict)
 
@@ -142,7 +141,7 @@ def _one_try(job: NotebookRequest, stop: threading.Event) -> NotebookOutcome:
         fault, reason, peak = _watch(child, job, stop)
     if not fault:
         fault, reason = _read_report(folder, child.returncode)
-    if fault:
+    if fault and FAULTS[fault].is_result:
         _write_failure(job, folder, reason)
     seconds = round(time.monotonic() - started, 2)
     return NotebookOutcome(job.name, str(folder), fault, reason, seconds, round(peak, 1))
@@ -237,16 +236,7 @@ def _read_report(folder: Path, code: int) -> tuple[str, str]:
             "machine",
             f"the notebook's process ended with status {code} before it was done (see {LOG_FILE})",
         )
-    if report["ok"]:
-        return "", ""
-    said = " ".join(str(report["evalue"]).split())
-    if report["kind"] == "machine":
-        return "machine", f"{report['ename']}: {said}"
-    known = getattr(errors, report["ename"], None)
-    if isinstance(known, type) and issubclass(known, errors.OpNavError):
-        # A full disk is no fault of the picture's; once there is room, the night goes on with it.
-        return ("machine" if DISK_FULL in said else "picture"), said
-    return "notebook", f"a cell raised {report['ename']}: {said} (see {EXECUTED_FILE})"
+    return fault_of_report(report, EXECUTED_FILE)
 
 
 def _write_failure(job: NotebookRequest, folder: Path, reason: str) -> None:
@@ -259,6 +249,7 @@ def _write_failure(job: NotebookRequest, folder: Path, reason: str) -> None:
 # ---- Where the pictures of a night are processed: on this machine, or on a Dask cluster that stands already.
 
 CONNECT_S = 10
+WORKER_CHECK_S = 5.0
 
 
 class NightPool(Protocol):
@@ -304,6 +295,8 @@ class ClusterPool:
     ----------
     address
         Of the scheduler.
+    notice
+        Told when no worker is there: pictures wait for one.
 
     Raises
     ------
@@ -311,7 +304,8 @@ class ClusterPool:
         Dask is not installed, or the scheduler does not answer.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, notice: Callable[[str], None] = lambda _: None) -> None:
+        self._address, self._notice = address, notice
         try:
             distributed: Any = importlib.import_module("distributed")  # an optional part
         except ImportError as error:
@@ -330,6 +324,8 @@ class ClusterPool:
             self._client.submit(process_picture, job.to_dict(), pure=False, retries=job.retries): job
             for job in jobs
         }
+        done = threading.Event()
+        threading.Thread(target=self._watch_workers, args=(done,), daemon=True).start()
         try:
             for future in self._as_completed(list(futures)):
                 error = future.exception()
@@ -346,5 +342,20 @@ class ClusterPool:
                         0.0,
                     )
         finally:
+            done.set()
             self._client.cancel(list(futures))
             self._client.close()
+
+    def _watch_workers(self, done: threading.Event) -> None:
+        """Say when the cluster loses its last worker, or never had one, and when it has one again."""
+        idle, waited = False, 0.0
+        while not done.wait(waited):
+            waited = WORKER_CHECK_S
+            with contextlib.suppress(Exception):  # the client is being closed
+                if idle != (not self._client.nthreads()):
+                    idle = not idle
+                    self._notice(
+                        f"no worker is connected to {self._address}: pictures wait; start one: dask worker {self._address}"
+                        if idle
+                        else f"a worker is connected to {self._address}"
+                    )

@@ -2,12 +2,14 @@
 
 import glob
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import sha256_of
 
-__all__ = ["picture_files", "picture_names"]
+__all__ = ["FolderOwner", "picture_files", "picture_names"]
 
 PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vic", ".imq")
 WILDCARDS = "*?["
@@ -58,8 +60,40 @@ def _nothing(message: str) -> list[Path]:
     raise SessionError(message)
 
 
-def picture_names(pictures: Sequence[Path]) -> dict[Path, str]:
-    """Return the name of each picture's folder: its stem, with the folder it lies in where stems are not unique.
+@dataclass(frozen=True, slots=True)
+class FolderOwner:
+    """The picture that a folder of results belongs to.
+
+    Attributes
+    ----------
+    path
+        Where the picture was.
+    sha256
+        Of its file; empty where that is not known.
+    """
+
+    path: Path
+    sha256: str = ""
+
+
+def nobody(_name: str) -> FolderOwner | None:
+    """Say that no folder belongs to a picture yet."""
+    return None
+
+
+def picture_names(
+    pictures: Sequence[Path], owner: Callable[[str], FolderOwner | None] = nobody
+) -> dict[Path, str]:
+    """Return the name of each picture's folder: its stem, with the folder it lies in where that is another's.
+
+    A picture keeps the folder that it has, whatever others come later; one that was moved takes its folder along.
+
+    Parameters
+    ----------
+    pictures
+        In full, each once.
+    owner
+        Tells whose a folder of this name is; None: nobody's.
 
     Raises
     ------
@@ -70,16 +104,59 @@ def picture_names(pictures: Sequence[Path]) -> dict[Path, str]:
     --------
     >>> list(picture_names((Path("a/x.fit"), Path("b/x.fit"), Path("b/y.fit"))).values())
     ['a_x', 'b_x', 'y']
+    >>> known = {"x": FolderOwner(Path("a/x.fit"))}
+    >>> list(picture_names((Path("a/x.fit"), Path("b/x.fit")), known.get).values())
+    ['x', 'b_x']
     """
-    stems = Counter(path.stem for path in pictures)
-    names = {p: p.stem if stems[p.stem] == 1 else f"{p.parent.name}_{p.stem}" for p in pictures}
-    twice = [name for name, count in Counter(names.values()).items() if count > 1]
-    if twice:
-        raise SessionError(
-            f"more than one picture is named {', '.join(sorted(twice))}; give each its own folder of results, "
-            "in a call of its own."
-        )
-    bad = [str(path) for path, name in names.items() if name.strip(".") == "" or name.startswith(".")]
+    bad = [str(path) for path in pictures if path.stem.strip(".") == "" or path.stem.startswith(".")]
     if bad:
         raise SessionError(f"{', '.join(bad)} gives no name for a folder; rename the picture.")
+    owners = {name: owner(name) for path in pictures for name in _candidates(path)}
+    names = _kept_names(pictures, owners)
+    new = [path for path in pictures if path not in names]
+    stems = Counter(path.stem for path in new)
+    for path in new:
+        stem, longer = _candidates(path)
+        names[path] = stem if owners[stem] is None and stems[stem] == 1 else longer
+    _check_names(names, [path for path in new if owners[names[path]] is not None])
+    return {path: names[path] for path in pictures}
+
+
+def _kept_names(pictures: Sequence[Path], owners: Mapping[str, FolderOwner | None]) -> dict[Path, str]:
+    """Return the names of pictures that have a folder: first those that are where they were, then those that were moved."""
+    present, taken = set(pictures), set[str]()
+    names: dict[Path, str] = {}
+    for same in (_is_at, _was_moved_from):
+        for path in pictures:
+            for name in () if path in names else _candidates(path):
+                whose = owners[name]
+                if whose is not None and name not in taken and same(path, whose, present):
+                    names[path] = name
+                    taken.add(name)
+                    break
     return names
+
+
+def _candidates(path: Path) -> tuple[str, str]:
+    return path.stem, f"{path.parent.name}_{path.stem}"
+
+
+def _is_at(path: Path, owner: FolderOwner, _present: Collection[Path]) -> bool:
+    return owner.path == path
+
+
+def _was_moved_from(path: Path, owner: FolderOwner, present: Collection[Path]) -> bool:
+    """Tell whether a folder's picture now lies elsewhere: of the same content, or unknown and not where it was."""
+    if owner.path in present:
+        return False
+    return owner.sha256 == sha256_of(path) if owner.sha256 else not owner.path.exists()
+
+
+def _check_names(names: Mapping[Path, str], of_others: Iterable[Path]) -> None:
+    twice = [name for name, count in Counter(names.values()).items() if count > 1]
+    twice += [names[path] for path in of_others]
+    if twice:
+        raise SessionError(
+            f"more than one picture is named {', '.join(sorted(set(twice)))}; give each its own folder of results, "
+            "in a call of its own."
+        )

@@ -22,6 +22,8 @@ functions below only, one thread at a time, and every failure is one `KernelErro
     Attitudes, rates, frames and instrument values of cameras.
 ``loading``
     Kernel files, metakernels and folders in loading order, loaded for a block.
+``digests``
+    What kernels say of a time, as digests (`kernel_parts`).
 ``contents``
     What a single kernel holds (`brief`).
 ``text_kernels``
@@ -56,6 +58,7 @@ from opnav_workbench.kernels.cameras import (
 from opnav_workbench.kernels.check import CoverageRow, KernelCheck, KindCheck, check_kernels
 from opnav_workbench.kernels.contents import BriefRow, BriefVariable, KernelBrief, brief
 from opnav_workbench.kernels.coverage import Coverage
+from opnav_workbench.kernels.digests import KernelPart, kernel_parts
 from opnav_workbench.kernels.fetch import FetchedKernel, FetchedKernels, fetch_kernels
 from opnav_workbench.kernels.files import KernelFile
 from opnav_workbench.kernels.kernel_set import KernelSet, KernelSetInfo, kernel_sets, known_names
@@ -105,6 +108,7 @@ __all__ = [
     "KernelCheck",
     "KernelFile",
     "KernelKind",
+    "KernelPart",
     "KernelSet",
     "KernelSetInfo",
     "KindCheck",
@@ -128,6 +132,7 @@ __all__ = [
     "et_from_utc",
     "fetch_kernels",
     "instrument_values",
+    "kernel_parts",
     "kernel_sets",
     "kernels_folder",
     "known_names",

@@ -3,7 +3,9 @@
 Papermill, and an analyst in a parameters cell, give plain values; empty text means "not given".
 """
 
-from collections.abc import Callable, Mapping
+import ast
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
@@ -32,7 +34,7 @@ ALWAYS_GIVEN = (
     "model",
     "centers",
 )
-# What a fresh notebook's namespace holds besides its parameters.
+# What a notebook's namespace holds besides its parameters.
 NOTEBOOK_NAMES = frozenset({"In", "Out"})
 
 Job = TypeVar("Job", bound=Processing)
@@ -55,7 +57,9 @@ def notebook_parameters(how: Processing) -> dict[str, Any]:
 
 
 def checked_parameters(namespace: Mapping[str, Any], model: type[Job]) -> Job:
-    """Check a notebook's parameters; a cell that is run again may find what later cells have made.
+    """Check a notebook's parameters: what its cells have assigned so far, not what a start-up file of IPython left there.
+
+    A cell that is run again may find what later cells have made.
 
     Parameters
     ----------
@@ -70,11 +74,31 @@ def checked_parameters(namespace: Mapping[str, Any], model: type[Job]) -> Job:
         A parameter is unknown, missing or of the wrong kind; papermill alone would only warn.
     """
     again = any(isinstance(value, model) for value in namespace.values())
-    known = model.model_fields.keys() if again else namespace.keys()
+    known = model.model_fields.keys() if again else _assigned(namespace)
     values = {
         name: value for name, value in namespace.items() if name in known and _is_parameter(name, value)
     }
     return model.checked(values, "notebook parameters")
+
+
+def _assigned(namespace: Mapping[str, Any]) -> Collection[str]:
+    """Return the names that the cells so far assign; outside a notebook all names."""
+    cells = namespace.get("In")
+    if not isinstance(cells, list):
+        return namespace.keys()
+    names: set[str] = set()
+    for cell in cells:
+        with suppress(SyntaxError, ValueError, TypeError):  # a cell for the shell assigns no parameter
+            names |= {target.id for target in _targets(ast.parse(cell)) if isinstance(target, ast.Name)}
+    return names
+
+
+def _targets(cell: ast.Module) -> Iterator[ast.expr]:
+    for statement in cell.body:
+        if isinstance(statement, ast.Assign):
+            yield from statement.targets
+        elif isinstance(statement, ast.AnnAssign):
+            yield statement.target
 
 
 def _is_parameter(name: str, value: Any) -> bool:

@@ -3,17 +3,23 @@
 `filelock` takes it.  Ours is what filelock has not: the lock file says who holds it, and where the file system knows no
 locks, that word is taken for it instead of the file's mere existence: a process of this machine that no longer runs has
 left a stale lock, which is taken over.
+
+The lock file stands in the folder, and folders move: a night puts a new one into the place of an old one. So a lock counts
+only while its file still stands at its path, which is looked at once it is taken; what was opened just before the move is
+given back and taken anew. For the same reason a lock file that is given up can be deleted.
 """
 
 import errno
 import json
 import os
 import socket
+import time
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from filelock import FileLock, Timeout
 
@@ -22,11 +28,18 @@ from opnav_workbench.errors import SessionError
 __all__ = ["FolderLock", "check_unlocked"]
 
 LOCK_FILE = ".session.lock"
+# A night holds the lock while it moves a folder, a reader while it asks for it: less than this, and not worth a refusal.
+PATIENCE_S, PAUSE_S = 0.25, 0.02
 NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)  # of a file system that knows none
 
 
 class FolderLock:
-    """The right to write into a session's folder, until `release`, its own end or that of the process.
+    """The right to write into a session's folder, until `release`, the end of a ``with`` block or that of the process.
+
+    Parameters
+    ----------
+    folder
+        Must be there.
 
     Raises
     ------
@@ -58,10 +71,25 @@ class FolderLock:
         """Let others write."""
         if not self._held:
             return
-        with suppress(OSError):
-            os.truncate(self._path, 0)
+        with suppress(OSError):  # what cannot be deleted (an open file in Windows) stays, and says nothing
+            if _stands(self._lock, self._path):
+                os.truncate(self._path, 0)
+                if self._lock.is_locked:
+                    self._path.unlink()
         self._lock.release()
         self._held = False
+
+    def moved(self, folder: Path) -> None:
+        """Say where the folder is after whoever holds the lock has renamed it."""
+        self._path = folder / LOCK_FILE
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
 
 
 def check_unlocked(folder: Path) -> None:
@@ -79,7 +107,7 @@ def check_unlocked(folder: Path) -> None:
 
 
 def _taken(path: Path) -> FileLock:
-    """Return the lock, taken; one of a file system without locks is not, but nobody else says that he has it.
+    """Return the lock, taken, its file where it belongs; waits a moment for one who holds it for a moment.
 
     Raises
     ------
@@ -88,6 +116,21 @@ def _taken(path: Path) -> FileLock:
     OSError
         The file cannot be written.
     """
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            lock = _asked(path)
+            if _stands(lock, path):
+                return lock
+            lock.release()  # of a folder that was moved away since its file was opened
+        except SessionError:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(PAUSE_S)
+
+
+def _asked(path: Path) -> FileLock:
+    """Return the lock, taken; one of a file system without locks is not, but nobody else says that he has it."""
     lock = FileLock(path, blocking=False, thread_local=False, fallback_to_soft=False)
     try:
         lock.acquire()
@@ -100,6 +143,17 @@ def _taken(path: Path) -> FileLock:
         if _runs_here(holder) or holder.get("host") not in (None, socket.gethostname()):
             raise SessionError(_refusal(path, holder)) from error
     return lock
+
+
+def _stands(lock: FileLock, path: Path) -> bool:
+    """Tell whether the file that is locked is the one at its path."""
+    descriptor = lock._context.lock_file_fd  # noqa: SLF001  filelock gives no other way to its file
+    if descriptor is None:  # a file system without locks
+        return True
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def _holder(path: Path) -> Mapping[str, Any]:

@@ -19,7 +19,7 @@ from astropy.table import QTable
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
-from opnav_workbench.files import json_text, sha256_of
+from opnav_workbench.files import json_text, make_folder, sha256_of
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.scene import BodyPrediction, StarPrediction, predict_body
@@ -29,7 +29,7 @@ from opnav_workbench.session.autosave import Autosave, read_state, start_autosav
 from opnav_workbench.session.body_steps import target_with_shape
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
-from opnav_workbench.session.folder_lock import check_unlocked
+from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource
 from opnav_workbench.session.pointing import best_attitude, current_observables
@@ -652,15 +652,17 @@ class ImageSession:
         """
         target = Path(folder)
         with self.lock:
-            writer = self._autosave if self.folder == target.resolve() else None
-            if writer is None:
-                check_unlocked(target)
-            storage.write_session(target, self.result(), self.current_observables, self._stored_values())
-            if writer is None:
-                (target / JOURNAL_FILE).unlink(missing_ok=True)  # session.json holds the whole journal
+            if self._autosave is not None and self.folder == target.resolve():
+                self._write(target)
+                self._autosave.start(self._history, len(self.journal), 0)
             else:
-                writer.start(self._history, len(self.journal), 0)
+                with FolderLock(make_folder(target)):
+                    self._write(target)
+                    (target / JOURNAL_FILE).unlink(missing_ok=True)  # session.json holds the whole journal
         return target
+
+    def _write(self, target: Path) -> None:
+        storage.write_session(target, self.result(), self.current_observables, self._stored_values())
 
     def write_decisions(self, path: str | Path, who: str = "") -> Path:
         """Write the decisions of this session, made by `who`, as a file that headless runs carry out (`decisions`).

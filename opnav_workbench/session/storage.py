@@ -14,6 +14,7 @@ from typing import Any
 
 from opnav_workbench.errors import CatalogError, KernelError, SessionError
 from opnav_workbench.files import atomic_path, json_text, read_json
+from opnav_workbench.image.picture_files import FolderOwner
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.session.context import Context, open_context
@@ -29,6 +30,7 @@ __all__ = [
     "load_session",
     "session_dict",
     "session_on_disk",
+    "session_owner",
     "write_data",
     "write_session",
     "write_table",
@@ -207,6 +209,15 @@ def session_on_disk(folder: Path) -> SessionOnDisk | None:
         raise SessionError(
             f"{folder / SESSION_FILE} is damaged ({error!r}); choose another folder."
         ) from error
+
+
+def session_owner(folder: Path) -> FolderOwner | None:
+    """Return the picture that a folder's session is of; None where there is none that can be read."""
+    try:
+        data = _session_file(folder / SESSION_FILE)
+        return FolderOwner(Path(data["image"]), str(data["sha256"]))
+    except (SessionError, KeyError, TypeError):
+        return None
 
 
 def _session_file(path: Path) -> dict[str, Any]:

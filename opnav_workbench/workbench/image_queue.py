@@ -14,6 +14,7 @@ from opnav_workbench.files import inside
 from opnav_workbench.image.picture_files import picture_files, picture_names
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.storage import session_owner
 
 __all__ = ["ImageQueue", "QueueItem"]
 
@@ -213,7 +214,8 @@ class ImageQueue:
                 f"{len(folders)} folders were given for {len(paths)} pictures; give one each, or none."
             )
         items = []
-        for path, name in zip(paths, folders or picture_names(paths).values(), strict=True):
+        names = folders or picture_names(paths, lambda name: session_owner(inside(out, name))).values()
+        for path, name in zip(paths, names, strict=True):
             folder = inside(out, name)
             items.append(QueueItem(path.name, opener(path, folder), folder))
         return cls(items)

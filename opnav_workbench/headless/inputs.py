@@ -1,0 +1,158 @@
+"""What a picture's result depends on besides the picture: by content, wherever the files are and whatever they are called.
+
+Kernels count for a picture by what they hold of its time (`opnav_workbench.kernels.kernel_parts`), so that a new one
+reprocesses the pictures that it touches and no others.  The same values say in words what has changed.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from opnav_workbench.catalog import catalog_contents
+from opnav_workbench.errors import OpNavError
+from opnav_workbench.files import json_text, plain_values, sha256_of
+from opnav_workbench.headless.night_spec import NightSpec
+from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.kernels import KernelPart, KernelSet, et_from_sclk, et_from_utc, kernel_parts
+from opnav_workbench.mission import Mission
+from opnav_workbench.version import __version__
+
+__all__ = ["NightInputs", "changes", "fingerprint", "night_inputs", "picture_et"]
+
+# Parameters that name files, which count by their contents.
+FILES = ("decisions", "target_stars")
+SHOWN_DIGITS = 12
+YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+@dataclass(frozen=True, slots=True)
+class NightInputs:
+    """What the pictures of a night are processed with.
+
+    Attributes
+    ----------
+    common
+        For all of them: what, and its value or digest.
+    kernels
+        In loading order.
+    """
+
+    common: Mapping[str, str]
+    kernels: tuple[KernelPart, ...] = ()
+
+    def of(self, et: float | None) -> dict[str, str]:
+        """Return what counts for a picture of this time (None: unknown), kernels by the names of their files."""
+        return dict(self.common) | _by_file([part for part in self.kernels if part.matters_at(et)])
+
+    def fingerprint(self, image_sha256: str, et: float | None) -> str:
+        """Return the digest of a picture and of all that counts for it; names of kernels do not."""
+        parts = [part.sha256 for part in self.kernels if part.matters_at(et)]
+        return fingerprint({"image": image_sha256, "common": dict(self.common), "kernels": parts})
+
+
+def _by_file(parts: list[KernelPart]) -> dict[str, str]:
+    held: dict[str, list[str]] = {}
+    for part in parts:
+        held.setdefault(f"kernel {part.name}", []).append(part.sha256)
+    return {name: fingerprint({"parts": sums}) for name, sums in held.items()}
+
+
+def fingerprint(values: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of plain values."""
+    return hashlib.sha256(json_text(values).encode()).hexdigest()
+
+
+def changes(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """Return in words what differs.
+
+    Examples
+    --------
+    >>> changes({"version": "0.2", "kernel a.bsp": "1f"}, {"version": "0.3", "kernel b.bsp": "2e"})
+    ('version: 0.2, now 0.3', 'kernel a.bsp: no longer there', 'kernel b.bsp: new')
+    """
+    if not before:
+        return ("processed by a version that did not record what with",)
+    said = []
+    for name in dict.fromkeys((*before, *now)):
+        if name not in now:
+            said.append(f"{name}: no longer there")
+        elif name not in before:
+            said.append(f"{name}: new")
+        elif before[name] != now[name]:
+            said.append(f"{name}: {_shown(before[name])}, now {_shown(now[name])}")
+    return tuple(said) or ("the order of the kernels",)
+
+
+def _shown(value: str) -> str:
+    is_digest = len(value) == hashlib.sha256().digest_size * 2 and value.isalnum()
+    return f"content {value[:SHOWN_DIGITS]}" if is_digest else value or "nothing"
+
+
+# ---- Collected for a night.
+
+
+def night_inputs(
+    spec: NightSpec, mission: Mission, parameters: Mapping[str, Any], notebook: str
+) -> NightInputs:
+    """Collect what the pictures of a night are processed with; its kernels must be open.
+
+    Parameters
+    ----------
+    parameters
+        Of the notebook, but the picture.
+    notebook
+        Its digest.
+
+    Raises
+    ------
+    OpNavError
+        A file cannot be read.
+    """
+    files = {name: value for name in FILES if (value := getattr(spec, name)) is not None}
+    named = {*files, "kernels", "catalog", "mission", "image"}
+    common = {"version": __version__, "notebook": notebook}
+    common |= {
+        n: json.dumps(plain_values(v), sort_keys=True) for n, v in parameters.items() if n not in named
+    }
+    common |= {name: sha256_of(value) for name, value in files.items()}
+    common |= {f"catalog {name}": value for name, value in catalog_contents(spec.catalog)}
+    common |= {f"mission {p.name}": sha256_of(p) for p in dict.fromkeys(_with_named_files(mission.path))}
+    opened = KernelSet.active()
+    return NightInputs(common, () if opened is None else kernel_parts(opened))
+
+
+def _with_named_files(path: Path) -> Iterator[Path]:
+    """Yield a YAML file and all files that it names beside itself, and so on."""
+    yield path
+    if path.suffix not in (".yaml", ".yml"):
+        return
+    for text in _texts(yaml.load(path.read_text(encoding="utf-8"), YAML_LOADER)):  # noqa: S506  a safe one
+        named = path.parent / text
+        if len(text) < 256 and "\n" not in text and named.is_file() and named != path:  # a file's name
+            yield from _with_named_files(named)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list):
+        for item in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(item)
+
+
+def picture_et(image: Path, mission: Mission) -> float | None:
+    """Return a picture's time, TDB s past J2000, as its session will have it; None where it cannot be told."""
+    try:
+        picture = read_image(image, KeywordMap(**mission.keywords))
+        if picture.et is None and KernelSet.active() is not None:
+            if picture.utc is not None:
+                return et_from_utc(picture.utc)
+            return et_from_sclk(mission.clock_id, picture.sclk) if picture.sclk is not None else None
+    except OpNavError:  # processing will say what is wrong
+        return None
+    return picture.et

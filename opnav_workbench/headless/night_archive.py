@@ -1,0 +1,84 @@
+"""A night's campaign archive: a damaged one is put aside and made anew from the folders of the pictures."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+
+from opnav_workbench.campaign import ARCHIVE_FILE, ArchiveDamaged, Campaign, find_runs
+from opnav_workbench.errors import OpNavError, SessionError
+
+__all__ = ["NightArchive"]
+
+BESIDE = ("", "-wal", "-shm", "-journal")  # an SQLite file, and what belongs to it
+
+
+class NightArchive:
+    """The archive that a night fills, open as long as the block.
+
+    Parameters
+    ----------
+    out
+        Folder of the pictures' folders.
+    path
+        Default ``OUT/campaign.sqlite``.
+    say
+        Told what was put aside.
+
+    Raises
+    ------
+    SessionError
+        It is another program's or a newer version's, or cannot be written.
+    """
+
+    def __init__(self, out: Path, path: Path | None, say: Callable[[str], None]) -> None:
+        self._out, self._path, self._say = out, path or out / ARCHIVE_FILE, say
+        if self._path.is_dir():
+            self._path /= ARCHIVE_FILE
+        self._campaign = self._opened()
+
+    def _opened(self) -> Campaign:
+        try:
+            return Campaign(self._path)
+        except ArchiveDamaged as error:
+            return self._made_anew(error)
+
+    def _made_anew(self, error: OpNavError) -> Campaign:
+        ending = f".damaged-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        for end in BESIDE:
+            file = self._path.with_name(self._path.name + end)
+            if file.exists():
+                file.rename(file.with_name(file.name + ending))
+        campaign = Campaign(self._path)
+        count = 0
+        try:
+            for folder in find_runs(self._out):
+                count += campaign.ingest_run(folder).result != "skipped"
+        except SessionError:  # no run in it yet
+            pass
+        self._say(
+            f"the archive was damaged ({error}); it is kept as {self._path.name}{ending}, and {self._path.name} was made "
+            f"anew from {count} folders in {self._out}. Runs elsewhere: opnav campaign ingest them."
+        )
+        return campaign
+
+    def take(self, folder: Path) -> str:
+        """Take a picture's folder in; return why not, empty where it was."""
+        try:
+            try:
+                taken = self._campaign.ingest_run(folder)
+            except ArchiveDamaged as error:
+                self._campaign.close()
+                self._campaign = self._made_anew(error)
+                taken = self._campaign.ingest_run(folder)
+        except OpNavError as error:
+            return str(error)
+        return taken.reason if taken.result == "skipped" else ""
+
+    def __enter__(self) -> "NightArchive":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._campaign.close()

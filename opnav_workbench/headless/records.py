@@ -1,0 +1,122 @@
+"""What a night leaves beside a picture's results (``night.json``): what was done, with what, and what it wrote.
+
+By it a picture is done once, a folder that an analyst worked on since is known, and files that no night wrote are told
+from those that one did.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from opnav_workbench.files import sha256_of, write_json
+from opnav_workbench.session.history import JOURNAL_FILE
+from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE
+
+__all__ = [
+    "RECORD_FILE",
+    "NightRecord",
+    "files_in",
+    "is_of_an_analyst",
+    "read_record",
+    "result_status",
+    "session_digest",
+    "write_record",
+]
+
+RECORD_FILE = "night.json"
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class NightRecord:
+    """How a picture was processed.
+
+    Attributes
+    ----------
+    fingerprint
+        Of everything that the result depends on; empty where another try may come to another result.
+    session
+        Digest of the session as the night left it; another one tells of an analyst's work since.
+    fault, reason
+        As in `night_workers.NotebookOutcome`.
+    status
+        Of the result; empty where there is none.
+    inputs
+        What the fingerprint was made of, for people: what, and which.
+    image_sha256, stamp, et
+        Of the picture: its content, the file's size and times of change, and its time where its header could be read; known
+        again as long as the stamp is the same.
+    limits
+        Under which it was processed.
+    files
+        What the night wrote: name and SHA-256.
+    """
+
+    image: str
+    fingerprint: str
+    session: str
+    fault: str = ""
+    reason: str = ""
+    seconds: float = 0.0
+    peak_mb: float = 0.0
+    tries: int = 1
+    status: str = ""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    image_sha256: str = ""
+    stamp: tuple[int, ...] = ()
+    et: float | None = None
+    limits: Mapping[str, float] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_record(folder: Path) -> NightRecord | None:
+    """Return the record of a picture's folder; None where there is none that can be read."""
+    try:
+        data = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
+        values = data["record"] | {"stamp": tuple(data["record"].get("stamp", ()))}
+        return NightRecord(**values) if data["schema"] == SCHEMA else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def write_record(folder: Path, record: NightRecord) -> None:
+    """Write the record of a picture's folder.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written.
+    """
+    write_json(folder / RECORD_FILE, {"schema": SCHEMA, "record": asdict(record)})
+
+
+def session_digest(folder: Path) -> str:
+    """Return the SHA-256 of a folder's session and journal; empty where there is none."""
+    found = [folder / name for name in (SESSION_FILE, JOURNAL_FILE) if (folder / name).is_file()]
+    if not found:
+        return ""
+    return hashlib.sha256("".join(sha256_of(path) for path in found).encode()).hexdigest()
+
+
+def is_of_an_analyst(record: NightRecord | None, session: str) -> bool:
+    """Tell whether a folder's session (its digest) is another than the one that a night left there."""
+    return bool(session) if record is None else record.session != session
+
+
+def result_status(folder: Path) -> str:
+    """Return the status of a folder's result; empty where there is none that can be read."""
+    try:
+        return str(json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))["status"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def files_in(folder: Path) -> dict[str, str]:
+    """Return name and SHA-256 of every file in and below a folder."""
+    return {
+        path.relative_to(folder).as_posix(): sha256_of(path)
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }

@@ -1,0 +1,284 @@
+"""A night that takes nothing from an analyst, notices what has changed, and tells a passing fault from a lasting one."""
+
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from opnav_workbench.campaign import Campaign
+from opnav_workbench.cli import app, nightly
+from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.session.folder_lock import FolderLock
+
+sys.path.insert(0, str(Path(__file__).parent))
+from stub_night import Analyst, StubPool, decisions_below, night, result_of, states
+
+OTHER = {"model": "image_plane"}
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "a.fit").write_text("picture a")
+    return folder
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "out"
+
+
+def made_by(out: Path, name: str = "a") -> str:
+    return json.loads((out / name / "result.json").read_text())["made_by"]
+
+
+# ---- An analyst who comes between plan and end of a night
+
+
+@pytest.mark.parametrize("still_there", [True, False], ids=["still at work", "gone home"])
+def test_decisions_made_while_a_night_runs_are_kept(images, out, still_there):
+    night(images, out)
+
+    def meanwhile(job, folder):
+        result_of(job, folder)
+        analyst = Analyst(out / "a")
+        analyst.decide("cosmic ray")
+        if still_there:
+            at_work.append(analyst)
+        else:
+            analyst.leave()
+
+    at_work: list[Analyst] = []
+    made = night(images, out, StubPool(meanwhile), how=OTHER)
+    assert decisions_below(out / "a") == {"cosmic ray"}
+    assert made_by(out) == "euler"
+    for analyst in at_work:
+        analyst.decide("double star")
+        analyst.leave()
+    assert decisions_below(out / "a") >= {"cosmic ray"}
+    assert states(images, out, **OTHER) == {"a": "kept"}
+    # The night's own work is named, and where it is.
+    (note,) = write_night_summary(made)["notes"]
+    place = Path(note.rpartition(" ")[2])
+    assert note.startswith("a: left as it is")
+    assert json.loads((place / "result.json").read_text())["made_by"] == "image_plane"
+    with Campaign(out) as campaign:
+        assert [row["content_sha256"] for row in campaign.history()] == []
+
+
+def test_a_picture_that_is_open_is_left_to_its_analyst(images, out):
+    night(images, out)
+    analyst = Analyst(out / "a")
+    assert states(images, out, **OTHER) == {"a": "kept"}
+    analyst.leave()
+    assert states(images, out, **OTHER) == {"a": "new"}
+
+
+def test_files_that_no_night_wrote_go_to_the_attic(images, out):
+    night(images, out)
+    (out / "a" / "notes.txt").write_text("ask the instrument team")
+    made = night(images, out, how=OTHER)
+    assert made_by(out) == "image_plane"
+    assert [p.read_text() for p in out.rglob("notes.txt")] == ["ask the instrument team"]
+    assert "notes.txt" in made.notes[0]
+    assert len(list(out.rglob("result.json"))) == 1
+    # What a night wrote and nobody touched is replaced without a word.
+    (out / "a" / "result.json").touch()
+    assert night(images, out).notes == []
+
+
+# ---- What has changed
+
+
+def test_a_catalog_of_other_content_under_the_old_name_is_noticed(images, out, tmp_path):
+    def write(mag):
+        np.savez(tmp_path / "stars.npz", ra_deg=[1.0], dec_deg=[2.0], mag=[mag])
+
+    write(5.0)
+    how = {"catalog": f"npz:{tmp_path / 'stars.npz'}"}
+    night(images, out, how=how)
+    assert states(images, out, **how) == {"a": "done"}
+    write(6.0)
+    assert states(images, out, **how) == {"a": "new"}
+
+
+# ---- Passing faults
+
+
+@pytest.mark.parametrize("fault", ["machine", "limit"])
+def test_what_may_pass_is_tried_again(images, out, fault):
+    night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
+    assert states(images, out, time_limit_s=20.0) == {"a": "new"}
+    with Campaign(out) as campaign:  # a machine's fault is no picture's
+        assert [entry.status for entry in campaign.entries()] == ([] if fault == "machine" else ["failed"])
+    if fault == "limit":
+        assert states(images, out, time_limit_s=10.0) == {"a": "done"}
+
+
+def test_a_picture_that_was_missing_for_a_moment_is_tried_again(images, out):
+    def away(job, folder):
+        Path(job.image).rename(images / "a.away")
+        return "picture", "a.fit: no such file"
+
+    night(images, out, StubPool(away))
+    (images / "a.away").rename(images / "a.fit")
+    assert states(images, out) == {"a": "new"}
+
+
+def test_a_fault_of_the_machine_leaves_an_older_result_where_it_is(images, out):
+    night(images, out)
+    made = night(images, out, StubPool(lambda job, folder: ("machine", "a worker was lost")), how=OTHER)
+    assert made_by(out) == "euler"
+    summary = write_night_summary(made)
+    assert summary["failed_now"] == 1
+    assert "a worker was lost" in summary["notes"][0]
+    assert states(images, out, **OTHER) == {"a": "new"}
+
+
+def test_what_failed_can_be_asked_for_again_and_all_by_force(images, out):
+    (images / "b.fit").write_text("picture b")
+    pool = StubPool(lambda job, folder: result_of(job, folder, "failed" if job.name == "a" else "ok"))
+    night(images, out, pool)
+    assert states(images, out) == {"a": "done", "b": "done"}
+    assert states(images, out, {"retry_failed": True}) == {"a": "new", "b": "done"}
+    assert states(images, out, {"force": True}) == {"a": "new", "b": "new"}
+    Analyst(out / "b").decide("mine")
+    assert states(images, out, {"force": True}) == {"a": "new", "b": "kept"}
+
+
+# ---- Names, lock, archive
+
+
+def test_a_picture_keeps_its_folder_when_another_of_its_name_comes(images, out, tmp_path):
+    night(images, out)
+    later = tmp_path / "later"
+    later.mkdir()
+    (later / "a.fit").write_text("another picture a")
+    stars = {"catalog": f"npz:{tmp_path / 'one_star.npz'}"}
+    assert states(tmp_path / "*" / "a.fit", out, **stars) == {"a": "done", "later_a": "new"}
+    # One that was moved takes its folder along.
+    moved = tmp_path / "elsewhere"
+    images.rename(moved)
+    assert states(moved / "a.fit", out, **stars) == {"a": "done"}
+
+
+def test_a_night_that_starts_as_another_ends_loses_nothing(images, out, monkeypatch):
+    released = FolderLock.release
+    begun = []
+
+    def release_then_begin(self):
+        path = self._path
+        released(self)
+        if path.parent.name == ".work" and not begun:
+            begun.append(True)
+            begun.append(night(images, out, StubPool(), how=OTHER))
+
+    monkeypatch.setattr(FolderLock, "release", release_then_begin)
+    night(images, out)
+    assert made_by(out) == "image_plane"
+    monkeypatch.undo()
+
+    # And one that runs on while the first tidies up keeps its working folder.
+    def slow(job, folder):
+        assert folder.is_dir()
+        result_of(job, folder)
+
+    other = night(images, out, StubPool(slow))
+    assert [verdict.fault for verdict in other.verdicts] == [""]
+
+
+@pytest.mark.parametrize("damage", ["head", "pages"])
+def test_a_damaged_archive_is_made_anew(images, out, damage):
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    file = out / "campaign.sqlite"
+    with Campaign(out) as campaign:
+        whole = campaign.digest()
+    content = bytearray(file.read_bytes())
+    start, end = (0, 16) if damage == "head" else (100, len(content))
+    content[start:end] = b"\x55" * (end - start)
+    file.write_bytes(content)
+    made = night(images, out)
+    with Campaign(out) as campaign:
+        assert campaign.digest() == whole
+    (kept,) = out.glob("campaign.sqlite.damaged-*")
+    assert kept.read_bytes() == content
+    assert kept.name in made.notes[0]
+
+
+# ---- The command
+
+
+def run(images, out, monkeypatch, work, *words):
+    pool = StubPool(work)
+    monkeypatch.setattr(nightly, "LocalPool", lambda _: pool)
+    stars = f"npz:{images.parent / 'one_star.npz'}"
+    np.savez(images.parent / "one_star.npz", ra_deg=[1.0], dec_deg=[2.0], mag=[3.0])
+    words = (
+        "nightly",
+        str(images),
+        "--mission",
+        "new_horizons",
+        "--catalog",
+        stars,
+        "--out",
+        str(out),
+        *words,
+    )
+    answer = CliRunner().invoke(app, words, env={"COLUMNS": "160"})
+    assert answer.exception is None or isinstance(answer.exception, SystemExit), answer.exception
+    return answer.exit_code, answer.output
+
+
+def test_exit_status_speaks_of_this_night(images, out, monkeypatch):
+    failed = lambda job, folder: result_of(job, folder, "failed")  # noqa: E731
+    assert run(images, out, monkeypatch, failed)[0] == 3
+    status, said = run(images, out, monkeypatch, failed)
+    assert (status, "0 of 1 pictures to process (1 done before)" in said) == (0, True)
+    assert "1 failed" in said
+
+
+def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
+    (images / "b.fit").write_text("picture b")
+
+    def work(job, folder):
+        if job.name == "b":
+            os.kill(os.getpid(), signal.SIGTERM)
+        result_of(job, folder)
+
+    before = signal.getsignal(signal.SIGTERM)
+    status, said = run(images, out, monkeypatch, work)
+    assert (status, "stopped (SIGTERM)" in said) == (143, True)
+    summary = json.loads((out / "summary.json").read_text())
+    assert {row["name"]: row["status"] for row in summary["images"]} == {"a": "ok", "b": "waiting"}
+    assert signal.getsignal(signal.SIGTERM) is before
+    how = json.loads((out / "status.json").read_text())
+    assert (how["state"], how["pictures"]["left"]) == ("stopped", 1)
+    log = (out / "night.log").read_text()
+    assert "a ok (1.0 s, 10 MB, try 1)" in log
+    assert "stopped: Terminated SIGTERM" in log
+    assert all(line[4] == "-" and line[19] == "Z" for line in log.splitlines())
+    assert "opnav_night_pictures_processed 1\n" in (out / "night.prom").read_text()
+
+
+def test_why_tells_what_has_changed(images, out, monkeypatch):
+    work = result_of
+    assert "a: to be processed\n  not processed yet" in run(images, out, monkeypatch, work, "--why", "a")[1]
+    run(images, out, monkeypatch, work)
+    assert run(images, out, monkeypatch, work, "--why", "a.fit")[1] == "a: done, nothing has changed\n"
+    (images / "a.fit").write_text("calibrated anew")
+    words = ("--model", "image_plane", "--why", str(images / "a.fit"))
+    _, said = run(images, out, monkeypatch, work, *words)
+    assert 'model: "euler", now "image_plane"' in said
+    assert "picture: content" in said
+    assert len(said.splitlines()) == 3
+    Analyst(out / "a").decide("mine")
+    assert (
+        "left to its analyst\n  an analyst has worked on it" in run(images, out, monkeypatch, work, *words)[1]
+    )
