@@ -56,6 +56,12 @@ MethodsOption = Annotated[
 AberrationOption = Annotated[str, typer.Option(help="TDM: stellar aberration of the angles, removed | kept.")]
 FrameOption = Annotated[str, typer.Option(help="TDM: name of the reference frame, ICRF | EME2000.")]
 OriginatorOption = Annotated[str, typer.Option(help="TDM: agency, as registered with SANA.")]
+ValidatedOption = Annotated[
+    str,
+    typer.Option(
+        help="TDM: who has looked at the observables; they are VALIDATED then, else RAW.", show_default=False
+    ),
+]
 SpacecraftOption = Annotated[
     str | None, typer.Option(help="Its name, where the results do not tell it.", show_default=False)
 ]
@@ -71,6 +77,7 @@ def export(
     frame: FrameOption = "ICRF",
     originator: OriginatorOption = "OPNAV_WORKBENCH",
     spacecraft: SpacecraftOption = None,
+    validated_by: ValidatedOption = "",
 ) -> None:
     """Export observables of many pictures to one file.
 
@@ -90,7 +97,9 @@ def export(
     chosen = sorted(_select(found, targets, methods), key=lambda o: (o.et, o.image))
     if spacecraft is not None:
         chosen = [replace(o, observer=spacecraft) for o in chosen]
-    options = TdmOptions(aberration=aberration, frame=frame, originator=originator)
+    options = TdmOptions(
+        aberration=aberration, frame=frame, originator=originator, validated_by=validated_by.strip()
+    )
     writers: dict[str, Callable[[Sequence[Observable], Path], None]] = {
         "tdm": partial(write_tdm, options=options),
         "csv": write_csv,

@@ -120,7 +120,9 @@ def night_inputs(
         n: json.dumps(plain_values(v), sort_keys=True) for n, v in parameters.items() if n not in named
     }
     common |= {name: sha256_of(value) for name, value in files.items()}
-    common |= {f"catalog {name}": value for name, value in catalog_contents(spec.catalog)}
+    stars = catalog_contents(spec.catalog)
+    common["catalog"] = ", ".join(name for name, _ in stars)  # in order: the first names the stars
+    common |= {f"catalog {name}": value for name, value in stars}
     common |= {f"mission {p.name}": sha256_of(p) for p in dict.fromkeys(_with_named_files(mission.path))}
     opened = KernelSet.active()
     return NightInputs(common, () if opened is None else kernel_parts(opened))

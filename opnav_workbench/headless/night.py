@@ -151,9 +151,8 @@ def plan_night(
     OpNavError
         A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures.
     """
-    mission = (
-        spec.changed("night").opened().mission
-    )  # fields that were set unchecked; mission, catalog, decisions
+    # Fields may have been set unchecked; mission, catalog and decisions are read.
+    mission = spec.changed("night").opened().mission
     folder = make_folder(out).resolve()
     _check_notebook(_notebook(spec), _parameters(spec, Path("picture")))
     choice = NightChoice(only_new, force, retry_failed)

@@ -42,7 +42,8 @@ ANGLE_DECIMALS = 13  # with three digits before the point the standard's sixteen
 TDM_LINE_LENGTH = 254  # 4.2.1
 TDM_FRAMES = ("ICRF", "EME2000")
 TDM_ABERRATIONS = ("removed", "kept")
-TDM_QUALITY = {"ok": "VALIDATED", "uncertain": "DEGRADED"}  # other statuses have no center
+TDM_QUALITY = {"ok": "RAW", "uncertain": "DEGRADED"}  # other statuses have no center
+VALIDATED = "VALIDATED"  # said by a person, of what is "ok"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,9 @@ class TdmOptions:
         Left out when empty.
     comments
         For the header.
+    validated_by
+        Who has looked at the observables: what is "ok" is then ``VALIDATED``. Without a name it is ``RAW``, for no program
+        can vouch for itself; what is "uncertain" is ``DEGRADED`` in either case.
     """
 
     observer: str = ""
@@ -74,6 +78,7 @@ class TdmOptions:
     creation_date: str = ""
     message_id: str = ""
     comments: tuple[str, ...] = ()
+    validated_by: str = ""
 
     def __post_init__(self) -> None:
         for name, allowed in (("aberration", TDM_ABERRATIONS), ("frame", TDM_FRAMES)):
@@ -152,13 +157,17 @@ def _segment_lines(group: Sequence[Observable], options: TdmOptions) -> Iterable
         yield "RANGE_UNITS = km"
     yield "ANGLE_TYPE = RADEC"
     yield f"REFERENCE_FRAME = {options.frame}"
-    yield f"DATA_QUALITY = {TDM_QUALITY[first.status]}"
+    yield f"DATA_QUALITY = {_quality(first, options)}"
     yield from ("META_STOP", "DATA_START")
     yield "COMMENT COVARIANCE time, of RA cos(Dec) | RA cos(Dec) with Dec | Dec, arcsec**2; sigma of range, km; picture"
     yield from (_covariance_comment(o) for o in group)
     for o in group:
         yield from _data_lines(o, options)
     yield "DATA_STOP"
+
+
+def _quality(first: Observable, options: TdmOptions) -> str:
+    return VALIDATED if options.validated_by and first.status == "ok" else TDM_QUALITY[first.status]
 
 
 def _convention_comments(first: Observable, options: TdmOptions, with_range: bool) -> Iterable[str]:
@@ -169,6 +178,8 @@ def _convention_comments(first: Observable, options: TdmOptions, with_range: boo
         yield "COMMENT Angles are as seen: stellar aberration is not removed"
     yield "COMMENT Light time is not removed: direction from the spacecraft at the time tag to where the light left"
     yield "COMMENT Time tags are mid-exposure at the spacecraft"
+    if options.validated_by and first.status == "ok":
+        yield f"COMMENT Validated by {options.validated_by}"
     if with_range:
         yield "COMMENT Range is from the measured size of the body, its radius taken as known"
 

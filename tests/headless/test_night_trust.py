@@ -80,6 +80,7 @@ def test_a_picture_that_is_open_is_left_to_its_analyst(images, out):
     assert states(images, out, **OTHER) == {"a": "new"}
 
 
+@pytest.mark.slow
 def test_files_that_no_night_wrote_go_to_the_attic(images, out):
     night(images, out)
     (out / "a" / "notes.txt").write_text("ask the instrument team")
@@ -141,6 +142,7 @@ def test_a_fault_of_the_machine_leaves_an_older_result_where_it_is(images, out):
     assert states(images, out, **OTHER) == {"a": "new"}
 
 
+@pytest.mark.slow
 def test_what_failed_can_be_asked_for_again_and_all_by_force(images, out):
     (images / "b.fit").write_text("picture b")
     pool = StubPool(lambda job, folder: result_of(job, folder, "failed" if job.name == "a" else "ok"))
@@ -168,6 +170,7 @@ def test_a_picture_keeps_its_folder_when_another_of_its_name_comes(images, out, 
     assert states(moved / "a.fit", out, **stars) == {"a": "done"}
 
 
+@pytest.mark.slow
 def test_a_night_that_starts_as_another_ends_loses_nothing(images, out, monkeypatch):
     released = FolderLock.release
     begun = []
@@ -193,6 +196,7 @@ def test_a_night_that_starts_as_another_ends_loses_nothing(images, out, monkeypa
     assert [verdict.fault for verdict in other.verdicts] == [""]
 
 
+@pytest.mark.slow(keep=("head",))
 @pytest.mark.parametrize("damage", ["head", "pages"])
 def test_a_damaged_archive_is_made_anew(images, out, damage):
     (images / "b.fit").write_text("picture b")
@@ -267,6 +271,7 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert "opnav_night_pictures_processed 1\n" in (out / "night.prom").read_text()
 
 
+@pytest.mark.slow
 def test_why_tells_what_has_changed(images, out, monkeypatch):
     work = result_of
     assert "a: to be processed\n  not processed yet" in run(images, out, monkeypatch, work, "--why", "a")[1]

@@ -53,7 +53,10 @@ DATA_STOP
 @pytest.fixture(scope="module")
 def text(approach_observables):
     return tdm_text(
-        approach_observables, TdmOptions(originator="KINETX", message_id="7", comments=("a rehearsal",))
+        approach_observables,
+        TdmOptions(
+            originator="KINETX", message_id="7", comments=("a rehearsal",), validated_by="A. Navigator"
+        ),
     )
 
 
@@ -82,6 +85,12 @@ def test_independent_reader_finds_every_angle(approach_observables, text):
         assert found[key] == pytest.approx(value, abs=ANGLE_DEG, rel=1e-15), key
 
 
+def test_only_a_person_validates(approach_observables, text):
+    assert "VALIDATED" not in tdm_text(approach_observables)
+    assert text.count("COMMENT Validated by A. Navigator\n") == text.count("DATA_QUALITY = VALIDATED\n") > 0
+    assert text.count("DATA_QUALITY = DEGRADED\n") == tdm_text(approach_observables).count("= DEGRADED\n") > 0
+
+
 def test_independent_reader_would_complain(text):
     """It is no reader that accepts anything."""
     for line, damaged in (
@@ -100,7 +109,7 @@ def test_our_reader_gives_angles_covariances_and_ranges(approach_observables, tm
     table = tdm_table(read_tdm(path))
     usable = [o for o in approach_observables if o.observed_px is not None]
     assert len(table) == len(usable) == 8
-    quality = {"ok": "VALIDATED", "uncertain": "DEGRADED"}
+    quality = {"ok": "RAW", "uncertain": "DEGRADED"}  # nobody has looked at them, and nobody says so
     rows = {(row["target"], row["quality"], row["image"]): row for row in table}
     for o in usable:
         row = rows[o.name, quality[o.status], o.image]

@@ -2,7 +2,9 @@
 
 import inspect
 import json
-from dataclasses import dataclass
+import re
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -18,11 +20,14 @@ from opnav_workbench.cli.ort import solve
 from opnav_workbench.cli.process import process
 from opnav_workbench.cli.program import main
 from opnav_workbench.errors import SessionError
+from opnav_workbench.headless.inputs import NightInputs
 from opnav_workbench.headless.night import plan_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night
+from opnav_workbench.kernels import KernelPart
 from opnav_workbench.processing import PictureJob, Processing, notebook_parameters, picture_job
 from opnav_workbench.processing.model import targets_text
 from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, read_queue, write_queue
+from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import BODY_METHODS, Settings
 from opnav_workbench.workbench.parameters import workbench_job
 
@@ -357,6 +362,41 @@ def test_a_cell_may_be_run_again(job_of):
     assert job_of(namespace) == first.changed(model="image_plane")
 
 
+def test_what_a_startup_file_left_is_no_parameter():
+    """IPython's start-up files run before the first cell, and what they make stands in no cell."""
+    cells = [
+        "",
+        "image = 'a.fit'\nmission = 'new_horizons'",
+        "%ls",
+        "import math as m\nmodel: str = 'image_plane'",
+    ]
+    namespace = {
+        "In": cells,
+        "Out": {},
+        "np": {"some": "thing"},
+        "seed": 7,
+        "image": "a.fit",
+        "mission": "new_horizons",
+    }
+    namespace |= {"model": "image_plane", "catalog": object()}
+    assert picture_job(namespace).plain == Processing(mission="new_horizons", model="image_plane")
+    with pytest.raises(SessionError, match="katalog"):
+        picture_job(namespace | {"In": [*cells, "katalog = 'bundled'"], "katalog": "bundled"})
+
+
+def test_the_command_in_the_notebooks_heading_gives_still_pictures():
+    cells = json.loads((notebooks_dir() / "process_image.ipynb").read_text())["cells"]
+    (command,) = re.findall(r"```\n(papermill .*)\n```", "".join(cells[0]["source"]))
+    words = shlex.split(command)
+    assert Path(words[1]).name == "process_image.ipynb"
+    parameters = {
+        name: value
+        for flag, name, value in zip(words[3::3], words[4::3], words[5::3], strict=True)
+        if flag == "-p"
+    }
+    assert not picture_job(parameters).interactive
+
+
 def test_lab_writes_no_more_than_is_said(tmp_path):
     put_notebook(tmp_path / "lab", LabParameters(("/a.fit",), Processing(mission="new_horizons")))
     cells = json.loads((tmp_path / "lab" / "workbench.ipynb").read_text())["cells"]
@@ -389,31 +429,40 @@ model: image_plane
 centers: psf_fit
 time_limit_s: 100
 """
-# Snapshots of version 0.1.0 as it was before there was one model.
-PLAIN_FINGERPRINT = "6b2b30dc43b583f0e8ef7eec579f1a2f13543fe351da5c2937e4daa5533bc480"
-NIGHT_FINGERPRINT = "49db3ed51046f815fef900003c3f8c6bd32c63f0b512f41da3508e75b2e241c1"
+# A snapshot: what is done stays done as long as the way to say what it was done with does.
+FINGERPRINT = "946c4fa4d3efb9851c98df18a7cb01604e69574c235b2344b6301d258cdf1e8c"
 
 
-def fingerprint(spec, monkeypatch):
-    monkeypatch.undo()
-    monkeypatch.setattr("opnav_workbench.headless.night.__version__", "0.1.0")
+def test_the_fingerprint_is_made_as_before():
+    """Contents of catalogs, kernels and mission files count since version 0.2; before, a new one was not noticed."""
+    parts = (
+        KernelPart("a.tls", "1f"),
+        KernelPart("a.bsp", "2e", 0.0, 10.0),
+        KernelPart("b.bsp", "3d", 1e6, 2e6),
+    )
+    inputs = NightInputs({"version": "0.2", "model": '"euler"'}, parts)
+    assert inputs.fingerprint("4c", 5.0) == FINGERPRINT
+    renamed = NightInputs(inputs.common, (*(replace(part, name="c") for part in parts[:2]),))
+    assert renamed.fingerprint("4c", 5.0) == FINGERPRINT
+
+
+def fingerprint(spec):
     (picture,) = plan_night(spec, "out").pictures
     return picture.fingerprint
 
 
 def test_what_a_night_did_stays_done(tmp_path, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
     Path("a.fit").write_text("a picture")
     Path("d.yaml").write_text("images: {}\n")
     Path("night.yaml").write_text(NIGHT)
-    images = (str(tmp_path / "a.fit"),)
-    spec, plain = load_night("night.yaml"), NightSpec(images=images, mission="new_horizons")
-    with monkeypatch.context() as own:
-        own.chdir(tmp_path)
-        assert fingerprint(plain, monkeypatch) == PLAIN_FINGERPRINT
-        own.chdir(tmp_path)
-        assert fingerprint(spec, monkeypatch) == NIGHT_FINGERPRINT
-        # The same said in another way is the same; what is new is not.
-        again = NightSpec.checked({**dict(spec), "targets": "PLUTO:limb_scan,CHARON", "methods": {}})
-        assert fingerprint(again, monkeypatch) == NIGHT_FINGERPRINT
-        assert fingerprint(plain.changed(method="ellipse"), monkeypatch) != PLAIN_FINGERPRINT
-        assert fingerprint(plain.changed(settings={"max_stars": 9}), monkeypatch) != PLAIN_FINGERPRINT
+    spec, plain = load_night("night.yaml"), NightSpec(images=("a.fit",), mission="new_horizons")
+    ours, plains = fingerprint(spec), fingerprint(plain)
+    # The same said in another way is the same, wherever it stands; what is new is not.
+    again = NightSpec.checked({**dict(spec), "targets": "PLUTO:limb_scan,CHARON", "methods": {}})
+    assert fingerprint(again) == ours
+    Path("d.yaml").rename("e.yaml")
+    assert fingerprint(again.changed(decisions="e.yaml")) == ours
+    for changed in ({"method": "ellipse"}, {"settings": {"max_stars": 9}}, {"catalog": "bundled+bundled"}):
+        assert fingerprint(plain.changed(**changed)) != plains
