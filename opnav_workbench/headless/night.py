@@ -24,6 +24,7 @@ from opnav_workbench.headless.inputs import NightInputs, changes, night_inputs, 
 from opnav_workbench.headless.night_archive import NightArchive
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
+from opnav_workbench.headless.notebook_run import load_papermill
 from opnav_workbench.headless.records import (
     NightRecord,
     is_of_an_analyst,
@@ -403,8 +404,7 @@ def _notebook(spec: NightSpec) -> Path:
 
 def _check_notebook(path: Path, parameters: Mapping[str, Any]) -> None:
     """Refuse a notebook that would ignore parameters: papermill alone only warns."""
-    import papermill  # noqa: PLC0415  takes a second
-
+    papermill = load_papermill()
     try:
         known = set(papermill.inspect_notebook(str(path)))
     except Exception as error:
