@@ -24,18 +24,24 @@ def sha256(path: Path) -> str:
 def result_of(job: NotebookRequest, folder: Path, status: str = "ok") -> None:
     """Leave what a picture's notebook leaves: a result, and the session that it was made in."""
     image = Path(job.image)
-    result = {"image": image.name, "mission": "new_horizons", "status": status, "messages": []}
-    known = sha256(image)
-    result |= {
+    known, model = sha256(image), job.parameters["model"]
+    result = {
+        "image": image.name,
+        "mission": "new_horizons",
+        "status": status,
+        "messages": [],
         "sha256": known,
+    }
+    result |= {
         "bodies": [],
         "stars": [],
         "pointing": None,
-        "made_by": job.parameters["model"],
+        "made_by": model,
+        "provenance": {"version": "stub"},
     }
     (folder / "result.json").write_text(json.dumps(result))
     session = {"schema": 1, "session": folder.name, "sha256": known, "image": job.image}
-    session["journal"] = [JournalEntry("predict").to_dict()]
+    session["journal"] = [JournalEntry("predict", {"model": job.parameters["model"]}).to_dict()]
     (folder / "session.json").write_text(json.dumps(session))
     (folder / "journal.jsonl").touch()  # as autosave leaves it once the session is saved
 

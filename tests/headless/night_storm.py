@@ -1,0 +1,198 @@
+"""A storm over a night, run by hand: ``python tests/headless/night_storm.py [--pictures 300] [--events 500] [--seed 1]``.
+
+Nights with changing options run over the same pictures and are killed (SIGKILL) or ended (SIGTERM) at random moments, while
+analysts open some of the pictures, decide, and leave or are killed.  Real processes, locks and signals; a picture's
+processing is stood in for, so that an event takes a second.  At the end one night is left in peace, and it is asked:
+
+* does every decision that an analyst was told is saved stand in the picture's folder, or in the attic?
+* is everything else what a night that nobody disturbed makes of the same pictures?
+
+Prints what happened; exit status 1 if anything was lost.
+"""
+
+import argparse
+import os
+import random
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+from rich.console import Console
+from stub_night import Analyst, StubPool, decisions_below, result_of, spec_of
+
+from opnav_workbench.campaign import Campaign
+from opnav_workbench.cli.nightly import _run_plan
+from opnav_workbench.errors import SessionError
+from opnav_workbench.headless.night import plan_night
+from opnav_workbench.headless.records import is_of_an_analyst, read_record, session_digest
+
+MODELS = ("euler", "image_plane")
+NEW_DESKS = 0.05  # of the events
+LONGEST_S = 2.5  # before a night is ended: some come far, some not to their first picture
+
+
+def work(job, folder):
+    """Take a moment, and leave what a notebook leaves; now and then something goes wrong."""
+    time.sleep(0.005)
+    if random.random() < 0.02:
+        return "machine", "a worker was lost"
+    return result_of(job, folder)
+
+
+def run_night(images: Path, out: Path, model: str, processing=work) -> None:
+    """A night as the command runs it."""
+    plan = plan_night(spec_of(images, model=model), out)
+    with Path(os.devnull).open("w", encoding="utf-8") as nothing:
+        _run_plan(Console(file=nothing), plan, StubPool(processing), None, None)
+
+
+def in_a_process(call) -> int:
+    """Start `call` in a process of its own; return its id."""
+    child = os.fork()
+    if child:
+        return child
+    status = 1
+    try:
+        call()
+        status = 0
+    except (SessionError, AssertionError):
+        status = 3  # refused: another is at work there
+    except KeyboardInterrupt:
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def analyst_at(folder: Path, said: int, seed: int) -> None:
+    """Open a picture, decide some things, tell of each that is saved, and leave."""
+    chance = random.Random(seed)
+    analyst = Analyst(folder)
+    for number in range(chance.randint(1, 4)):
+        reason = f"{folder.name} {seed} {number}"
+        analyst.decide(reason)
+        os.write(said, f"{reason}\n".encode())
+        time.sleep(chance.uniform(0.0, 0.2))
+    analyst.leave()
+
+
+class Storm:
+    """Pictures, their nights and their analysts."""
+
+    def __init__(self, top: Path, pictures: int, desks: int, seed: int) -> None:
+        self.chance = random.Random(seed)
+        self.images, self.out = top / "in", top / "out"
+        self.images.mkdir()
+        for number in range(pictures):
+            (self.images / f"p{number:04d}.fit").write_text(f"picture {number}")
+        names = sorted(path.stem for path in self.images.iterdir())
+        self.names, self.n_desks = names, desks
+        self.desks, self.used = self.chance.sample(names, desks), set[str]()
+        self.told, self.tell = os.pipe()
+        os.set_blocking(self.told, False)
+        self.saved: set[str] = set()
+        self.count: Counter[str] = Counter()
+        self.analysts: list[int] = []
+        run_night(self.images, self.out, MODELS[0], result_of)
+
+    def event(self) -> None:
+        """One night that is cut short, with whoever comes meanwhile."""
+        if self.chance.random() < NEW_DESKS:  # what analysts worked on no night replaces: on with others
+            self.desks = self.chance.sample(self.names, self.n_desks)
+        model = self.chance.choice(MODELS)
+        child = in_a_process(lambda: run_night(self.images, self.out, model))
+        ends = time.monotonic() + self.chance.uniform(0.05, LONGEST_S)
+        while time.monotonic() < ends:
+            if self.chance.random() < 0.15:
+                self.analyst_comes()
+            time.sleep(0.1)
+        how = self.chance.choice((signal.SIGKILL, signal.SIGTERM))
+        with suppress(ProcessLookupError):
+            os.kill(child, how)
+        _, status = os.waitpid(child, 0)
+        finished = how == signal.SIGKILL and os.WIFEXITED(status)
+        self.count["nights that were ready first" if finished else f"nights ended by {how.name}"] += 1
+        if self.chance.random() < 0.3 and self.analysts:
+            with suppress(ProcessLookupError):
+                os.kill(self.analysts[-1], signal.SIGKILL)
+            self.count["analysts killed"] += 1
+        self.look_after()
+
+    def analyst_comes(self) -> None:
+        name, seed = self.chance.choice(self.desks), self.chance.randrange(10**9)
+        folder = self.out / name
+        self.used.add(name)
+        self.analysts.append(in_a_process(lambda: analyst_at(folder, self.tell, seed)))
+        self.count["analysts came"] += 1
+
+    def look_after(self, *, wait: bool = False) -> None:
+        left = []
+        for child in self.analysts:
+            done, _ = os.waitpid(child, 0 if wait else os.WNOHANG)
+            left += [] if done else [child]
+        self.analysts = left
+        with suppress(BlockingIOError):
+            while heard := os.read(self.told, 1 << 16):
+                self.saved |= set(heard.decode().splitlines())
+
+    def verdict(self, top: Path) -> list[str]:
+        """Let a night run in peace, and return what was lost."""
+        self.look_after(wait=True)
+        run_night(self.images, self.out, MODELS[0], result_of)
+        run_night(self.images, top / "peace", MODELS[0], result_of)
+        wrong = [f"lost: {reason}" for reason in self.saved - decisions_below(self.out)]
+        mine = {
+            f.name for f in self.out.iterdir() if f.is_dir() and not f.name.startswith(".") and of_analyst(f)
+        }
+        self.count["pictures that are analysts'"] = len(mine)
+        self.count["decisions saved"] = len(self.saved)
+        self.count["in the attic"] = len(list((self.out / ".attic").glob("*/*")))
+        wrong += [f"{name} was worked on by nobody" for name in mine - self.used]
+        with Campaign(self.out) as ours, Campaign(top / "peace") as theirs:
+            one, other = (
+                {e.image: (e.status, e.folder.name) for e in c.entries() if e.folder.name not in mine}
+                for c in (ours, theirs)
+            )
+            content = [
+                {
+                    row["image"]: {k: v for k, v in row.items() if k not in ("history",)}
+                    for row in c.dump()["images"]
+                    if Path(row["image"]).stem not in mine
+                }
+                for c in (ours, theirs)
+            ]
+        wrong += [] if one == other and content[0] == content[1] else ["the archive is another one"]
+        wrong += [str(path) for path in self.out.glob(".work/*")]
+        return wrong
+
+
+def of_analyst(folder: Path) -> bool:
+    return is_of_an_analyst(read_record(folder), session_digest(folder))
+
+
+def say(words: str) -> None:
+    print(words, flush=True)  # noqa: T201
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    for name, value in (("pictures", 300), ("events", 500), ("desks", 10), ("seed", 1)):
+        parser.add_argument(f"--{name}", type=int, default=value)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        storm = Storm(Path(folder), given.pictures, given.desks, given.seed)
+        began = time.monotonic()
+        for number in range(given.events):
+            storm.event()
+            if number % 25 == 24:
+                say(f"{number + 1} events, {time.monotonic() - began:.0f} s: {dict(storm.count)}")
+        wrong = storm.verdict(Path(folder))
+        say(f"{dict(storm.count)}\n" + ("\n".join(wrong) or "nothing lost, nothing else changed"))
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
