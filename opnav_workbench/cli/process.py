@@ -54,6 +54,10 @@ class Reporter:
         self._progress.advance(self._task)
         if outcome.failed:
             self._err.print(f"[bold red]failed:[/] {escape(_named_error(outcome))}", highlight=False)
+        if outcome.note:
+            self._err.print(
+                f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(outcome.note)}", highlight=False
+            )
 
     def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
         """Print one row a picture, one row a target, and where the files are."""

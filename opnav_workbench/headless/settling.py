@@ -29,10 +29,9 @@ from opnav_workbench.headless.records import (
     write_record,
 )
 from opnav_workbench.session.folder_lock import LOCK_FILE, FolderLock
+from opnav_workbench.session.storage import ATTIC
 
-__all__ = ["ATTIC", "Settled", "settle", "tidy_attic"]
-
-ATTIC = ".attic"  # no picture's name begins with a dot
+__all__ = ["Settled", "settle", "tidy_attic"]
 
 
 @dataclass(frozen=True, slots=True)

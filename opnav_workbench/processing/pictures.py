@@ -38,12 +38,15 @@ class Outcome:
         The content of ``result.json``.
     error
         The one line that says why the picture failed; empty otherwise.
+    note
+        What else somebody must know; empty as a rule.
     """
 
     image: Path
     folder: Path | None
     result: dict[str, Any]
     error: str = ""
+    note: str = ""
 
     @property
     def failed(self) -> bool:
@@ -220,7 +223,8 @@ def process_image(
     reason = (
         "; ".join(result["messages"] or ["pointing not determined"]) if result["status"] == "failed" else ""
     )
-    return Outcome(path, folder, result, reason)
+    found = f"an analyst's session stood there; it is kept in {session.put_away}" if session.put_away else ""
+    return Outcome(path, folder, result, reason, found)
 
 
 def _picture_folder(out: str | Path, picture: Path) -> Path:

@@ -25,6 +25,7 @@ from opnav_workbench.session.state import SessionState
 
 __all__ = [
     "JOURNAL_FILE",
+    "STEPS_BY_HAND",
     "History",
     "JournalEntry",
     "JournalTail",
@@ -205,6 +206,22 @@ STEPS: dict[str, tuple[Step, OutcomeText]] = {
     "observables": (body_steps.observables, lambda s, _: f"{len(s.observables)} observables"),
     "note": (note, lambda s, _: f"note {len(s.user_notes)}"),
 }
+
+
+# What a person says; the other steps any program takes again.
+STEPS_BY_HAND = frozenset(
+    {
+        "two_star_pointing",
+        "nudge",
+        "place_star",
+        "reject_stars",
+        "accept_stars",
+        "set_circle",
+        "clear_circle",
+        "choose_scans",
+        "note",
+    }
+)
 
 
 # ---- The history itself.

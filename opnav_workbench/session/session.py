@@ -63,6 +63,8 @@ class ImageSession:
         Names this session in its files.
     resume_note : str
         What `resume` had to leave out, such as a line that a crash cut short; empty as a rule.
+    put_away : Path or None
+        Where the last `save` has put an analyst's session that it found in the folder.
     context
         The picture, its camera, background and settings.
     source
@@ -98,6 +100,7 @@ class ImageSession:
         self.checkpoint: Callable[[], None] | None = None
         self.id = uuid.uuid4().hex[:ID_DIGITS]
         self.resume_note = ""
+        self.put_away: Path | None = None
         self.context: Final = context
         self.source: Final = source
         self._catalog = catalog
@@ -649,6 +652,10 @@ class ImageSession:
         ------
         SessionError
             The folder cannot be written, or another process writes into it; older files in it are unchanged.
+
+        Notes
+        -----
+        Another session in the folder that holds an analyst's decisions is put away, and `put_away` says where.
         """
         target = Path(folder)
         with self.lock:
@@ -657,6 +664,7 @@ class ImageSession:
                 self._autosave.start(self._history, len(self.journal), 0)
             else:
                 with FolderLock(make_folder(target)):
+                    self.put_away = storage.set_aside(target, self.id, self.standing)
                     self._write(target)
                     (target / JOURNAL_FILE).unlink(missing_ok=True)  # session.json holds the whole journal
         return target

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,19 @@ from opnav_workbench.image.picture_files import FolderOwner
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.session.context import Context, open_context
-from opnav_workbench.session.history import JOURNAL_FILE, JournalEntry, JournalTail, read_journal_file
+from opnav_workbench.session.history import (
+    JOURNAL_FILE,
+    STEPS_BY_HAND,
+    JournalEntry,
+    JournalTail,
+    read_journal_file,
+)
 from opnav_workbench.session.inputs import Inputs, InputSource, inputs_dict, inputs_from, with_inputs_added
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.version import __version__
 
 __all__ = [
+    "ATTIC",
     "RESULT_FILE",
     "SESSION_FILE",
     "SessionOnDisk",
@@ -31,6 +39,7 @@ __all__ = [
     "session_dict",
     "session_on_disk",
     "session_owner",
+    "set_aside",
     "write_data",
     "write_session",
     "write_table",
@@ -39,6 +48,7 @@ __all__ = [
 
 
 SCHEMA = 1
+ATTIC = ".attic"  # what was found where something else had to go
 SESSION_FILE = "session.json"
 RESULT_FILE = "result.json"
 TABLE_FILE = "observables.ecsv"
@@ -209,6 +219,49 @@ def session_on_disk(folder: Path) -> SessionOnDisk | None:
         raise SessionError(
             f"{folder / SESSION_FILE} is damaged ({error!r}); choose another folder."
         ) from error
+
+
+def set_aside(folder: Path, session: str, journal: Sequence[JournalEntry]) -> Path | None:
+    """Put an analyst's session away before another one takes its files' names; its folder must be locked.
+
+    Parameters
+    ----------
+    session, journal
+        Of the one that comes. It may be the same said again, then nothing is put away.
+
+    Returns
+    -------
+    Path or None
+        ``FOLDER/.attic/<time>``, which resumes like any other; None where nothing a person said would be lost.
+
+    Raises
+    ------
+    SessionError
+        The folder cannot be written.
+    """
+    try:
+        stored = session_on_disk(folder)
+        if stored is None or stored.session == session:
+            return None
+        if _by_hand(stored.journal) == [] or _by_hand(stored.journal) == _by_hand(journal):
+            return None
+    except SessionError:  # damaged: what it holds may still be worth something
+        pass
+    place = folder / ATTIC / datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+    try:
+        place.mkdir(parents=True)
+        for name in (SESSION_FILE, JOURNAL_FILE):
+            if (folder / name).exists():
+                (folder / name).rename(place / name)
+    except OSError as error:
+        raise SessionError(
+            f"cannot put the session in {folder} away: {error.strerror}. Choose another folder."
+        ) from error
+    return place
+
+
+def _by_hand(journal: Iterable[JournalEntry]) -> list[tuple[str, Mapping[str, Any]]]:
+    return [(entry.step, entry.parameters) for entry in journal if entry.step in STEPS_BY_HAND]
 
 
 def session_owner(folder: Path) -> FolderOwner | None:

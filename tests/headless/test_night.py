@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import nbformat
 import pytest
@@ -15,10 +17,11 @@ from typer.testing import CliRunner
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli import app
 from opnav_workbench.errors import SessionError
+from opnav_workbench.headless import night_workers
 from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night, pictures_of_night
 from opnav_workbench.headless.night_summary import write_night_summary
-from opnav_workbench.headless.night_workers import ClusterPool, LocalPool
+from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NotebookRequest
 from opnav_workbench.image.picture_files import picture_names
 from opnav_workbench.processing.queue_file import read_queue
 
@@ -203,6 +206,59 @@ def test_a_scheduler_that_does_not_answer_is_one_line():
     pytest.importorskip("distributed", reason="the cluster extra is not installed")
     with pytest.raises(SessionError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         ClusterPool("tcp://127.0.0.1:1")
+
+
+@dataclass(frozen=True)
+class Done:
+    name: str
+
+    def exception(self):
+        return None
+
+    def result(self):
+        return {**VERDICT, "name": self.name}
+
+
+class NoWorkers:
+    """A Dask client of a scheduler to which no worker is connected, until one comes."""
+
+    def __init__(self, address, timeout):
+        self.asked = 0
+
+    def nthreads(self):
+        self.asked += 1
+        return {} if self.asked < 3 else {"tcp://a": 1}
+
+    def submit(self, _work, values, **_):
+        return Done(values["name"])
+
+    def cancel(self, _futures):
+        pass
+
+    def close(self):
+        pass
+
+
+VERDICT = {"folder": "", "fault": "machine", "reason": "", "seconds": 0.0, "peak_mb": 0.0}
+
+
+def test_a_cluster_without_workers_is_told(monkeypatch):
+    said = []
+
+    def when_two_notices_are_there(futures):
+        deadline = time.monotonic() + 10.0
+        while len(said) < 2 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return futures
+
+    dask = SimpleNamespace(Client=NoWorkers, as_completed=when_two_notices_are_there)
+    monkeypatch.setattr(night_workers.importlib, "import_module", lambda _: dask)
+    monkeypatch.setattr(night_workers, "WORKER_CHECK_S", 0.02)
+    pool = ClusterPool("tcp://127.0.0.1:8786", said.append)
+    job = NotebookRequest("a.fit", "a", "out", "n.ipynb", {}, "new_horizons", 1.0, 500.0)
+    assert [verdict.name for verdict in pool.run([job])] == ["a"]
+    assert said[0].startswith("no worker is connected to tcp://127.0.0.1:8786: pictures wait")
+    assert said[1] == "a worker is connected to tcp://127.0.0.1:8786"
 
 
 def test_night_file_paths_count_from_its_folder(tmp_path):

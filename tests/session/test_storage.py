@@ -274,3 +274,20 @@ def test_folder_that_is_a_file(finished, tmp_path):
     with pytest.raises(SessionError, match="run") as caught:
         finished.save(tmp_path / "run")
     _one_line(caught)
+
+
+def test_an_analysts_session_is_put_away_before_another_takes_its_place(finished, tmp_path):
+    finished.save(tmp_path)
+    mine = json.loads((tmp_path / "session.json").read_text()) | {"session": "an analyst's"}
+    mine["journal"].append(
+        {"step": "note", "parameters": {"text": "look here"}, "reason": "", "outcome": "note 1"}
+    )
+    (tmp_path / "session.json").write_text(json.dumps(mine))
+    (tmp_path / "journal.jsonl").write_text("what followed\n")
+    finished.save(tmp_path)
+    kept = finished.put_away
+    assert json.loads((kept / "session.json").read_text()) == mine
+    assert (kept / "journal.jsonl").read_text() == "what followed\n"
+    finished.save(tmp_path)  # its own, or one in which nobody said anything
+    assert finished.put_away is None
+    assert [path.name for path in (tmp_path / ".attic").iterdir()] == [kept.name]

@@ -1,5 +1,7 @@
 """What the workbench may be given: a session, several, a list of images, a campaign."""
 
+import json
+
 import pytest
 
 from opnav_workbench.campaign import Campaign
@@ -22,6 +24,18 @@ def test_sessions_and_lists(session):
     assert queue_of([session]).session is session
     queue = ImageQueue.of_sessions([session])
     assert queue_of(queue) is queue
+
+
+def test_a_session_keeps_its_folder_when_another_picture_of_its_name_comes(tmp_path):
+    for place in ("a", "b"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "x.fit").write_text(place)
+    out = tmp_path / "out"
+    (out / "x").mkdir(parents=True)
+    held = {"schema": 1, "image": str(tmp_path / "a" / "x.fit"), "sha256": "", "journal": []}
+    (out / "x" / "session.json").write_text(json.dumps(held))
+    queue = ImageQueue.of_images([tmp_path / "a" / "x.fit", tmp_path / "b" / "x.fit"], "new_horizons", out)
+    assert [item.folder.name for item in queue.items] == ["x", "b_x"]
 
 
 def test_gate_names_the_image(session):
