@@ -2,7 +2,13 @@
 
 import difflib
 import os
-from collections.abc import Mapping
+import shlex
+import subprocess
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,9 +29,15 @@ from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_sig
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night
-from opnav_workbench.headless.night_summary import SUMMARY_PAGE, write_night_summary
+from opnav_workbench.headless.night_summary import (
+    SUMMARY_FILE,
+    SUMMARY_PAGE,
+    night_summary_dict,
+    write_night_summary,
+)
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
 from opnav_workbench.headless.watching import NightWatch
+from opnav_workbench.image.picture_files import NoPictures
 
 __all__ = ["nightly"]
 
@@ -35,7 +47,12 @@ STATE_WORDS = {
     "done": "done, nothing has changed",
     "older": "done with other inputs, left alone (--only-new)",
     "kept": "left to its analyst",
+    "arriving": "not now: still being written, or tried a moment ago",
 }
+RETRY_AFTER_S = 1800.0  # while more pictures are watched for
+QUIET_S = 10.0  # a file that is being copied is written to more often than this
+NOTIFY_S = 60.0
+wait = time.sleep  # between two looks
 SHOWN = 20  # reasons printed; the page has all
 
 
@@ -76,6 +93,20 @@ def nightly(
         Path | None, typer.Option(help="Campaign archive; default OUT/campaign.sqlite.", show_default=False)
     ] = None,
     log: Annotated[Path | None, typer.Option(help="Log; default OUT/night.log.", show_default=False)] = None,
+    watch: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0,
+            help="Look for more every so many seconds until stopped; files still being written are let be.",
+            show_default=False,
+        ),
+    ] = None,
+    notify: Annotated[
+        str | None,
+        typer.Option(
+            help="Program to run after pictures were processed; it is given summary.json.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Process many pictures headless: the notebook of each, an archive, and a page that tells what came out.
 
@@ -100,20 +131,100 @@ def nightly(
     """
     spec = _night_spec(sources, given)
     console = Console(stderr=True, soft_wrap=True)
-    plan = plan_night(spec, out, only_new=only_new, force=force, retry_failed=retry_failed)
-    if why is not None:
-        _print_why(Console(soft_wrap=True), plan, why)
-        return
-    _print_plan(console, plan)
-    pool: NightPool = (
-        ClusterPool(scheduler, lambda words: console.print(escape(words), highlight=False))
-        if scheduler
-        else LocalPool(os.cpu_count() or 1 if jobs is None else jobs)
+    plan = partial(
+        plan_night,
+        spec,
+        out,
+        only_new=only_new,
+        force=force,
+        retry_failed=retry_failed,
+        quiet_s=QUIET_S if watch else 0.0,
     )
-    summary, status = _run_plan(console, plan, pool, archive, log)
-    _print_summary(Console(soft_wrap=True), summary, out)
-    if status or summary["failed_now"]:
-        raise typer.Exit(status or EXIT_PARTLY)
+    if why is not None:
+        _print_why(Console(soft_wrap=True), plan(), why)
+        return
+    night = partial(
+        _whole_night, console, pool=partial(_pool, console, scheduler, jobs), archive=archive, log=log
+    )
+    status = night(plan(), notify=notify) if watch is None else _watch(console, plan, night, watch, notify)
+    if status:
+        raise typer.Exit(status)
+
+
+def _pool(console: Console, scheduler: str | None, jobs: int | None) -> NightPool:
+    if scheduler:
+        return ClusterPool(scheduler, lambda words: console.print(escape(words), highlight=False))
+    return LocalPool(os.cpu_count() or 1 if jobs is None else jobs)
+
+
+def _whole_night(
+    console: Console,
+    plan: NightPlan,
+    *,
+    pool: Callable[[], NightPool],
+    archive: Path | None,
+    log: Path | None,
+    notify: str | None,
+) -> int:
+    """Process what is planned, and tell of it; return the exit status."""
+    _print_plan(console, plan)
+    summary, stopped = _run_plan(console, plan, pool(), archive, log)
+    _print_summary(Console(soft_wrap=True), summary, plan.out)
+    if notify and summary["processed_now"]:
+        _notify(console, notify, plan.out / SUMMARY_FILE)
+    return stopped or (EXIT_PARTLY if summary["failed_now"] else 0)
+
+
+def _notify(console: Console, command: str, summary: Path) -> None:
+    """Run somebody's program; what becomes of it is theirs, but a word on it is said."""
+    words = [*shlex.split(command), str(summary)]
+    try:
+        ended = str(subprocess.run(words, check=False, timeout=NOTIFY_S).returncode)  # noqa: S603
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
+        ended = f"{type(error).__name__}: {error}"
+    if ended != "0":
+        console.print(f"[yellow]note[/] --notify {escape(command)}: {escape(ended)}", highlight=False)
+
+
+def _watch(
+    console: Console,
+    plan: Callable[..., NightPlan],
+    night: Callable[..., int],
+    every_s: float,
+    notify: str | None,
+) -> int:
+    """Process what comes until the program is told to end; return the exit status of that."""
+    once: dict[str, bool] = {}
+    tried: dict[tuple[str, str], float] = {}
+    try:
+        with ended_by_signals():
+            while True:
+                with suppress(NoPictures):  # none has come yet
+                    planned = _not_again(plan(**once), tried)
+                    if planned.todo:
+                        status = night(planned, notify=notify)
+                        if status > EXIT_PARTLY:
+                            return status
+                        once = {"force": False, "retry_failed": False}  # what was asked for is done
+                wait(every_s)
+    except KeyboardInterrupt as stop:
+        console.print(f"stopped ({str(stop) or 'Ctrl-C'}); what is finished is kept.", highlight=False)
+        return getattr(stop, "status", EXIT_STOPPED)
+
+
+def _not_again(plan: NightPlan, tried: dict[tuple[str, str], float]) -> NightPlan:
+    """Put off what was tried a moment ago and is as it was: what the machine failed then it fails now."""
+    now = time.monotonic()
+    pictures = []
+    for picture in plan.pictures:
+        key = (picture.name, picture.fingerprint)
+        if picture.state == "new" and now < tried.get(key, -RETRY_AFTER_S) + RETRY_AFTER_S:
+            pictures.append(replace(picture, state="arriving"))
+            continue
+        if picture.state == "new":
+            tried[key] = now
+        pictures.append(picture)
+    return replace(plan, pictures=tuple(pictures))
 
 
 def _night_spec(sources: list[str], given: Mapping[str, Any]) -> NightSpec:
@@ -135,6 +246,7 @@ def _print_plan(console: Console, plan: NightPlan) -> None:
             ("done", "done before"),
             ("older", "done before with other inputs"),
             ("kept", "left to their analyst"),
+            ("arriving", "not now"),
         )
         if state in states
     ]
@@ -184,7 +296,7 @@ def _run_plan(
         with ended_by_signals() as pass_over:
             try:
                 with NightWatch(plan, log, heartbeat) as watch:
-                    run_night(night, pool, archive=archive, say=say)
+                    run_night(night, pool, archive=archive, say=say, begun=watch.begin)
             except KeyboardInterrupt as stop:
                 status = getattr(stop, "status", EXIT_STOPPED)
                 console.print(
@@ -192,7 +304,8 @@ def _run_plan(
                 )
             finally:
                 pass_over()
-                summary = write_night_summary(night)
+                # Where another night runs, the summary is that one's.
+                summary = write_night_summary(night) if night.begun else night_summary_dict(night)
     return summary, status
 
 

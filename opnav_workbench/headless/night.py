@@ -11,6 +11,7 @@ Killed anywhere, the same command goes on: a picture's folder is whole or not th
 """
 
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -65,9 +66,9 @@ class NightPicture:
         Of its folder.
     fingerprint
         Of all that its result depends on; empty for a picture that cannot be read.
-    state : {"new", "done", "kept", "older"}
+    state : {"new", "done", "kept", "older", "arriving"}
         To be processed; done before in the same way; an analyst's, and left alone; done before in another way, and left
-        alone because only new pictures were asked for.
+        alone because only new pictures were asked for; still being written.
     why
         What made it so, in words.
     basis
@@ -94,11 +95,14 @@ class NightChoice:
         Process again what is done; an analyst's sessions are left alone all the same.
     retry_failed
         Process again what failed, whatever its fault.
+    quiet_s
+        Let files be that were written within this time: they may be half there.
     """
 
     only_new: bool = False
     force: bool = False
     retry_failed: bool = False
+    quiet_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +141,7 @@ def plan_night(
     only_new: bool = False,
     force: bool = False,
     retry_failed: bool = False,
+    quiet_s: float = 0.0,
 ) -> NightPlan:
     """Find out what there is to do, and refuse at once what would fail for every picture.
 
@@ -144,7 +149,7 @@ def plan_night(
     ----------
     out
         Folder of the results.
-    only_new, force, retry_failed
+    only_new, force, retry_failed, quiet_s
         As in `NightChoice`.
 
     Raises
@@ -156,7 +161,7 @@ def plan_night(
     mission = spec.changed("night").opened().mission
     folder = make_folder(out).resolve()
     _check_notebook(_notebook(spec), _parameters(spec, Path("picture")))
-    choice = NightChoice(only_new, force, retry_failed)
+    choice = NightChoice(only_new, force, retry_failed, quiet_s)
     with spec.kernel_set():
         notebook = sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK
         inputs = night_inputs(spec, mission, _parameters(spec, Path("picture")), notebook)
@@ -190,7 +195,18 @@ def _planned(
     used = {"picture": basis.image_sha256, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
     state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
+    if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:
+        state, why = "arriving", (f"its file was written {age:.0f} s ago, and may not be whole",)
     return NightPicture(image, name, mark, state, why, basis)
+
+
+def _age_s(image: Path) -> float:
+    """Return how long a file has been left alone; one that is gone again has not."""
+    try:
+        status = image.stat()
+    except OSError:
+        return 0.0
+    return max(time.time() - max(status.st_mtime, status.st_ctime), 0.0)
 
 
 def _basis(image: Path, record: NightRecord | None, mission: Mission, spec: NightSpec) -> NightRecord:
@@ -272,6 +288,8 @@ class Night:
         Pictures that the machine failed and whose older results stand, each with why.
     notes
         What else somebody must know.
+    begun
+        Whether the folder was this night's: no other one ran there.
     """
 
     plan: NightPlan
@@ -280,6 +298,7 @@ class Night:
     unplaced: dict[str, str] = field(default_factory=dict)
     outlived: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    begun: bool = False
 
 
 def run_night(
@@ -288,6 +307,7 @@ def run_night(
     *,
     archive: Path | None = None,
     say: Callable[[NotebookOutcome], None] = lambda _: None,
+    begun: Callable[[], None] = lambda: None,
 ) -> None:
     """Process what is to be done; every picture that is finished is in its place, and in the archive, at once.
 
@@ -299,6 +319,8 @@ def run_night(
         Campaign archive; default ``OUT/campaign.sqlite``.
     say
         Told of every picture that is finished.
+    begun
+        Called once the folder is this night's.
 
     Raises
     ------
@@ -307,9 +329,11 @@ def run_night(
     """
     plan = night.plan
     with _night_lock(plan.out), NightArchive(plan.out, archive, night.notes.append) as taken:
+        night.begun = True
+        begun()
         night.notes.extend(tidy_attic(plan.out))
         for picture in plan.pictures:
-            if picture.state != "new":
+            if picture.state not in ("new", "arriving"):
                 _archive(night, taken, picture.name)
         by_name = {picture.name: picture for picture in plan.todo}
         with closing(pool.run([plan.job(picture) for picture in plan.todo])) as verdicts:

@@ -17,7 +17,7 @@ from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, wri
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
-__all__ = ["SUMMARY_PAGE", "write_night_summary"]
+__all__ = ["SUMMARY_FILE", "SUMMARY_PAGE", "night_summary_dict", "write_night_summary"]
 
 SUMMARY_FILE, SUMMARY_PAGE = "summary.json", "summary.html"
 FIGURE_FILE = "summary.png"
@@ -122,7 +122,7 @@ def _state_word(night: Night, picture: NightPicture, processed_now: bool) -> str
         return "kept"
     if picture.name in night.outlived:
         return "older"
-    if picture.state == "new":
+    if picture.state in ("new", "arriving"):
         return "now" if processed_now else "waiting"
     return picture.state
 

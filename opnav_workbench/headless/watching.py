@@ -73,34 +73,40 @@ class NightWatch:
         self._statuses: Counter[str] = Counter()
         self._faults: Counter[str] = Counter()
         self._last: dict[str, Any] = {}
-        self._state = "running"
+        self._state = ""
         self._lock = threading.Lock()
         self._over = threading.Event()
+        self._path = log or plan.out / LOG_FILE
         self._log = logging.Logger("night")  # its own, so that no other program's set-up reaches it
+
+    def begin(self) -> None:
+        """Write from now on: the folder is this night's."""
+        plan, self._began, self._state = self._plan, time.time(), "running"
         with suppress(OSError):
-            handler = logging.FileHandler(log or plan.out / LOG_FILE, encoding="utf-8")
+            handler = logging.FileHandler(self._path, encoding="utf-8")
             formatter = logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%SZ")
             formatter.converter = time.gmtime
             handler.setFormatter(formatter)
             self._log.addHandler(handler)
-
-    def __enter__(self) -> "NightWatch":
-        plan = self._plan
-        states = Counter(picture.state for picture in plan.pictures)
-        self._log.info("begins: %d pictures, %s; version %s", len(plan.pictures), dict(states), __version__)
+        states = dict(Counter(picture.state for picture in plan.pictures))
+        self._log.info("begins: %d pictures, %s; version %s", len(plan.pictures), states, __version__)
         self._log.info(
             "mission %s, kernels %s, catalog %s", plan.spec.mission, plan.spec.kernels, plan.spec.catalog
         )
+        self._write()
         threading.Thread(target=self._beat, daemon=True).start()
+
+    def __enter__(self) -> "NightWatch":
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._over.set()
-        if kind is None:
-            self._state = "finished"
-        else:
+        if not self._state:
+            return
+        self._state = "finished"
+        if kind is not None:
             self._state = "stopped" if issubclass(kind, KeyboardInterrupt) else "failed"
             self._log.error("%s: %s %s", self._state, kind.__name__, error)
         self._write()
@@ -173,10 +179,8 @@ class NightWatch:
 
     def _beat(self) -> None:
         spoken = time.monotonic()
-        while True:
+        while not self._over.wait(min(WRITE_EVERY_S, self._every_s)):
             self._write()
-            if self._over.wait(min(WRITE_EVERY_S, self._every_s)):
-                return
             if self._heartbeat is not None and time.monotonic() - spoken >= self._every_s:
                 spoken = time.monotonic()
                 self._heartbeat(self.line())

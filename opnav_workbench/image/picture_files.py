@@ -9,7 +9,7 @@ from pathlib import Path
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
 
-__all__ = ["FolderOwner", "picture_files", "picture_names"]
+__all__ = ["FolderOwner", "NoPictures", "picture_files", "picture_names"]
 
 PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vic", ".imq")
 WILDCARDS = "*?["
@@ -56,8 +56,12 @@ def _sorted(paths: Iterable[Path]) -> list[Path]:
     return sorted(path.resolve() for path in paths)
 
 
+class NoPictures(SessionError):  # noqa: N818  as a rule a slip, but where pictures are waited for none has come
+    """A file is not there, or a folder or pattern stands for no picture."""
+
+
 def _nothing(message: str) -> list[Path]:
-    raise SessionError(message)
+    raise NoPictures(message)
 
 
 @dataclass(frozen=True, slots=True)

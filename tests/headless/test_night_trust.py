@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,14 @@ from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli import app, nightly
+from opnav_workbench.headless import night as night_module
+from opnav_workbench.headless.night import plan_night
 from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.session.folder_lock import FolderLock
 
 sys.path.insert(0, str(Path(__file__).parent))
-from stub_night import Analyst, StubPool, decisions_below, night, result_of, states
+from stub_night import Analyst, StubPool, decisions_below, night, result_of, spec_of, states
 
 OTHER = {"model": "image_plane"}
 
@@ -287,3 +291,82 @@ def test_why_tells_what_has_changed(images, out, monkeypatch):
     assert (
         "left to its analyst\n  an analyst has worked on it" in run(images, out, monkeypatch, work, *words)[1]
     )
+
+
+def test_an_incoming_folder_is_watched_and_half_written_files_are_let_be(images, out, monkeypatch):
+    naps = []
+
+    def nap(_seconds):
+        """What happens between two looks: a picture is being written, is ready, and the watch is ended."""
+        naps.append({path.name for path in out.glob("*") if (path / "result.json").exists()})
+        if len(naps) == 1:
+            (images / "b.fit").write_text("half of b")
+        if len(naps) == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(nightly, "wait", nap)
+    ages = {"a.fit": 60.0, "b.fit": 1.0}
+    monkeypatch.setattr(night_module, "_age_s", lambda path: ages[path.name])
+    words = ("--watch", "5", "--notify", f"cp --target-directory={out.parent}")
+    status, said = run(images, out, monkeypatch, result_of, *words)
+    assert (status, "stopped (SIGTERM)" in said) == (143, True)
+    assert naps == [{"a"}, {"a"}, {"a"}]
+    ages["b.fit"] = 60.0
+    naps.clear()
+    assert run(images, out, monkeypatch, result_of, *words)[0] == 143
+    assert naps[0] == {"a", "b"}
+    assert json.loads((out.parent / "summary.json").read_text())["processed_now"] == 1
+
+
+@pytest.mark.slow
+def test_a_watch_does_not_try_over_and_over_what_the_machine_fails(images, out, monkeypatch):
+    naps = []
+
+    def nap(_seconds):
+        naps.append(len(pools[0].jobs))
+        if len(naps) == 3:
+            raise KeyboardInterrupt
+
+    pools = [StubPool(lambda job, folder: ("machine", "no luck"))]
+    monkeypatch.setattr(nightly, "wait", nap)
+    monkeypatch.setattr(night_module, "_age_s", lambda _: 60.0)
+    monkeypatch.setattr(nightly, "LocalPool", lambda _: pools[0])
+    stars = str(spec_of(images).catalog)
+    words = (
+        "nightly",
+        str(images),
+        "-m",
+        "new_horizons",
+        "--catalog",
+        stars,
+        "--out",
+        str(out),
+        "--watch",
+        "5",
+    )
+    answer = CliRunner().invoke(app, words)
+    assert (answer.exit_code, naps) == (130, [1, 1, 1])
+
+
+@pytest.mark.slow
+def test_a_second_night_spoils_nothing_of_the_first(images, out, monkeypatch):
+    def work(job, folder):
+        result_of(job, folder)
+        before = {name: (out / name).read_text() for name in ("status.json", "night.log")}
+        answer = CliRunner().invoke(app, ["nightly", str(images), "-m", "new_horizons", "--out", str(out)])
+        assert "another night writes into" in str(answer.exception)
+        assert {name: (out / name).read_text() for name in before} == before
+        assert not (out / "summary.json").exists()
+
+    status, said = run(images, out, monkeypatch, work)
+    assert (status, "1 ok" in said) == (0, True)
+
+
+def test_a_night_without_a_terminal_is_heard_of(images, out):
+    heard, plan = [], plan_night(spec_of(images), out)
+    with NightWatch(plan, heartbeat=heard.append, every_s=0.02) as watch:
+        watch.begin()
+        deadline = time.monotonic() + 10.0
+        while not heard and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert heard[0] == "0 of 1 pictures done, 0 failed, 0.0 a minute"
