@@ -22,13 +22,15 @@ from contextlib import suppress
 from pathlib import Path
 
 from rich.console import Console
-from stub_night import Analyst, StubPool, decisions_below, result_of, spec_of
 
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli.nightly import _run_plan
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import plan_night
 from opnav_workbench.headless.records import is_of_an_analyst, read_record, session_digest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from stub_night import Analyst, StubPool, decisions_below, result_of, spec_of
 
 MODELS = ("euler", "image_plane")
 NEW_DESKS = 0.05  # of the events
