@@ -46,6 +46,7 @@ def _night(*rows: dict[str, object]) -> dict[str, object]:
         "counts": {"ok": 1},
         "processed_now": 1,
         "not_archived": [],
+        "notes": [],
         "images": list(rows),
     }
 
