@@ -1,12 +1,13 @@
 """Arrays inside frozen results: read-only float64, with shapes checked where data enters."""
 
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BoolArray", "FloatArray", "IntArray", "freeze_arrays", "readonly", "symmetric"]
+__all__ = ["BoolArray", "FloatArray", "IntArray", "freeze_arrays", "gauss_legendre", "readonly", "symmetric"]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -72,3 +73,17 @@ def freeze_arrays(instance: Any, *, in_file_order: bool = False) -> None:
 def symmetric(matrix: FloatArray) -> FloatArray:
     """Return the symmetric part of a (stack of) square matrices, so that covariances stay exact."""
     return 0.5 * (matrix + np.swapaxes(matrix, -1, -2))
+
+
+@lru_cache(maxsize=64)
+def gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights (count,) of Gauss and Legendre on -1..1, read-only; found once, for it costs an eigenproblem.
+
+    Examples
+    --------
+    >>> nodes, weights = gauss_legendre(3)
+    >>> round(float(np.sum(weights * nodes**4)), 12)
+    0.4
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return readonly(nodes), readonly(weights)

@@ -17,6 +17,7 @@ so that directions beyond do not appear on the detector.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -475,34 +476,41 @@ class LegendreDistortion(InverseDistortion):
                 "Legendre distortion: half_size_mm has a zero; give the calibrated area's half size in mm."
             )
 
-    def _series(self) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of both axes as matrices [degree in x, degree in y]."""
-        matrices = np.zeros((2, LEGENDRE_DEGREE + 1, LEGENDRE_DEGREE + 1))
-        for k, (i, j) in enumerate(LEGENDRE_TERMS):
-            matrices[:, i, j] = self.x_coefficients[k], self.y_coefficients[k]
-        return matrices[0], matrices[1]
-
     def undistort(self, xy_mm: ArrayLike) -> FloatArray:
         """Return the ideal coordinates (..., 2) mm, of points on the detector (..., 2) mm."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         x, y = np.moveaxis(np.clip(xy / self.half_size_mm, -1.0, 1.0), -1, 0)
-        shift = np.stack([legendre.legval2d(x, y, c) for c in self._series()], axis=-1)
+        series, _, _ = _legendre_series(self.x_coefficients.tobytes(), self.y_coefficients.tobytes())
+        shift = _both_axes(x, y, series)
         return np.asarray(xy + self.half_size_mm * shift)
 
     def undistort_jacobian(self, xy_mm: ArrayLike) -> FloatArray:
         """Return d(ideal)/d(distorted) (..., 2, 2) at points on the detector (..., 2) mm."""
         scaled = np.asarray(xy_mm, dtype=np.float64) / self.half_size_mm
         x, y = np.moveaxis(np.clip(scaled, -1.0, 1.0), -1, 0)
-        slopes = np.stack(
-            [
-                np.stack([legendre.legval2d(x, y, legendre.legder(c, axis=axis)) for axis in (0, 1)], axis=-1)
-                for c in self._series()
-            ],
-            axis=-2,
-        )
+        _, *slopes_of = _legendre_series(self.x_coefficients.tobytes(), self.y_coefficients.tobytes())
+        slopes = np.stack([_both_axes(x, y, slope) for slope in slopes_of], axis=-1)
         inside = (np.abs(scaled) <= 1.0)[..., None, :]  # clipped: no slope along that axis
         scale = self.half_size_mm[:, None] / self.half_size_mm
         return np.asarray(np.eye(2) + np.where(inside, slopes, 0.0) * scale)
+
+
+@lru_cache(maxsize=16)
+def _legendre_series(
+    x_coefficients: bytes, y_coefficients: bytes
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients [degree in x, degree in y, axis], and those of the slopes along x and along y."""
+    series = np.zeros((LEGENDRE_DEGREE + 1, LEGENDRE_DEGREE + 1, 2))
+    for axis, coefficients in enumerate((x_coefficients, y_coefficients)):
+        for (i, j), value in zip(LEGENDRE_TERMS, np.frombuffer(coefficients), strict=True):
+            series[i, j, axis] = value
+    along_x, along_y = (legendre.legder(series, axis=axis) for axis in (0, 1))
+    return readonly(series), readonly(along_x), readonly(along_y)
+
+
+def _both_axes(x: FloatArray, y: FloatArray, series: FloatArray) -> FloatArray:
+    """Evaluate the series of both axes, [degree in x, degree in y, axis], at points (...): an array (..., 2)."""
+    return np.ascontiguousarray(np.moveaxis(legendre.legval2d(x, y, series), 0, -1))
 
 
 # ---- How far from the boresight a distortion model holds.

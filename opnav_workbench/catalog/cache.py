@@ -14,10 +14,12 @@ build at once.
 import contextlib
 import json
 import math
+import os
 import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -223,8 +225,10 @@ def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
             header = _header(stream)
             if header is None or header["identity"] != identity:
                 return None
-            n, size = int(header["n"]), path.stat().st_size
-            if size != HEADER_BYTES + n * (8 + STAR_RECORD.itemsize) or _crc(stream) != header["crc"]:
+            n, status = int(header["n"]), os.fstat(stream.fileno())
+            if status.st_size != HEADER_BYTES + n * (8 + STAR_RECORD.itemsize):
+                return None
+            if _crc(path, status.st_ino, status.st_mtime_ns, status.st_ctime_ns) != header["crc"]:
                 return None
         keys = np.memmap(path, dtype="<f8", mode="r", offset=HEADER_BYTES, shape=(n,))
         records = np.memmap(path, dtype=STAR_RECORD, mode="r", offset=HEADER_BYTES + 8 * n, shape=(n,))
@@ -243,10 +247,14 @@ def _header(stream: BinaryIO) -> dict[str, Any] | None:
     return json.loads(text) if magic == MAGIC and zlib.crc32(text) == crc else None
 
 
-def _crc(stream: BinaryIO) -> int:
+@lru_cache(maxsize=64)
+def _crc(path: Path, _inode: int, _mtime_ns: int, _ctime_ns: int) -> int:
+    """Return the checksum of what follows the header; a file that has not changed since is not read again."""
     crc = 0
-    while chunk := stream.read(CHUNK_BYTES):
-        crc = zlib.crc32(chunk, crc)
+    with path.open("rb") as stream:
+        stream.seek(HEADER_BYTES)
+        while chunk := stream.read(CHUNK_BYTES):
+            crc = zlib.crc32(chunk, crc)
     return crc
 
 

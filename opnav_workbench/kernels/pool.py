@@ -30,7 +30,8 @@ __all__ = [
 ]
 
 LOCK = threading.RLock()  # around every call into spiceypy
-NAMES_PER_CALL = 5000  # pool variable names fetched at a time; the pool holds 26 003 at most
+# Pool variable names fetched at first, and then at a time: every place asked for costs time; the pool holds 26 003 at most.
+FIRST_NAMES, NAMES_PER_CALL = 50, 5000
 
 PoolValue = tuple[float, ...] | tuple[str, ...]
 
@@ -141,12 +142,14 @@ def _restore_variables(wanted: dict[str, PoolValue]) -> None:
 def pool_names(template: str) -> list[str]:
     """Return the names of pool variables that match a template with ``*`` and ``%``; lock held."""
     names: list[str] = []
+    room = FIRST_NAMES
     try:
         while True:
-            page: Any = spiceypy.gnpool(template, len(names), NAMES_PER_CALL)
+            page: Any = spiceypy.gnpool(template, len(names), room)
             names.extend(page)
-            if len(page) < NAMES_PER_CALL:
+            if len(page) < room:
                 break
+            room = NAMES_PER_CALL
     except spiceypy.NotFoundError:
         pass  # SPICE's way to say: no (more) names
     return names

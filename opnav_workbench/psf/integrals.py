@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, freeze_arrays, gauss_legendre
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = [
@@ -205,7 +205,7 @@ def _values(
     u: FloatArray, v: FloatArray, uu: FloatArray, uv: FloatArray, vv: FloatArray, nodes: int
 ) -> FloatArray:
     """Integral over each pixel: error function along u, Gauss-Legendre along v."""
-    t, weight = np.polynomial.legendre.leggauss(nodes)
+    t, weight = gauss_legendre(nodes)
     at = 0.5 * (v[:, 1:, None] + v[:, :-1, None]) + 0.5 * t  # (n, lines, nodes)
     slope = (uv / vv)[:, None, None]
     scale = SQRT2 * np.sqrt(uu - uv * uv / vv)[:, None, None]

@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.ndimage import spline_filter
 
-from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, gauss_legendre, readonly
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.protocol import PsfGradient, cell_shift, checked_centers, require_positive
 
@@ -282,7 +282,7 @@ class MoffatPsf(TablePsf):
         """Shares in cells of 1/per_px px (not normalised), one quadrant computed and mirrored."""
         scale = self.fwhm_px / (2.0 * np.sqrt(2.0 ** (1.0 / self.beta) - 1.0)) * per_px
         reach = int(np.ceil(scale * np.sqrt(self.cut_share ** (-1.0 / (self.beta - 1.0)) - 1.0)))
-        t, w = np.polynomial.legendre.leggauss(MOFFAT_NODES_PER_CELL)
+        t, w = gauss_legendre(MOFFAT_NODES_PER_CELL)
         at2 = ((np.arange(reach + 1)[:, None] + 0.5 * t) / scale) ** 2
         quadrant = sum(
             a * b * (1.0 + at2[:, None, i] + at2[None, :, j]) ** -self.beta

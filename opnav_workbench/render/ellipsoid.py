@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, gauss_legendre
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import unit
 
@@ -200,7 +200,7 @@ def _lune(camera: FloatArray, sun: FloatArray, n: int) -> tuple[FloatArray, Floa
     pole = unit(pole)
     side = np.cross(pole, middle)
     sun_longitude = np.arctan2(sun @ side, sun @ middle)
-    node, weight = np.polynomial.legendre.leggauss(n)
+    node, weight = gauss_legendre(n)
     # Beyond the latitude where one of the circles ends there is nothing to see or no light.
     highest = np.arccos(1.0 / min(float(np.linalg.norm(camera)), float(np.linalg.norm(sun))))
     latitude, d_latitude = highest * node, highest * weight

@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import FloatArray, gauss_legendre
 from opnav_workbench.errors import MissionError
 
 __all__ = [
@@ -150,7 +150,7 @@ class ScatteringLaw(ABC):
     @property
     def geometric_ratio(self) -> float:
         """Geometric albedo of a sphere over its normal albedo."""
-        node, weight = np.polynomial.legendre.leggauss(DISK_NODES)
+        node, weight = gauss_legendre(DISK_NODES)
         mu = 0.5 * (node + 1.0)
         return float(np.sum(weight * mu * self.reflectance(mu, mu, 0.0)))
 
