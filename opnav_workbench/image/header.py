@@ -100,15 +100,15 @@ class HeaderGeometry:
 
     Attributes
     ----------
-    camera_from_j2000 : (3, 3) array
-        Attitude, so that ``v_camera = camera_from_j2000 @ v_j2000``.
+    camera_from_j2000 : (3, 3) array or None
+        Attitude, so that ``v_camera = camera_from_j2000 @ v_j2000``; None where the header tells none.
     spacecraft_from_sun_km, spacecraft_velocity_km_s : (3,) array or None
         Spacecraft with respect to the Sun, J2000.
     quality
         What the header says of its own geometry ("PREDICT", "RECONSTRUCTED"), or "".
     """
 
-    camera_from_j2000: FloatArray
+    camera_from_j2000: FloatArray | None
     spacecraft_from_sun_km: FloatArray | None
     spacecraft_velocity_km_s: FloatArray | None
     quality: str
@@ -264,7 +264,7 @@ SYSTEM_REMARK = (
 
 
 def header_geometry(header: Header, keywords: KeywordMap) -> tuple[HeaderGeometry | None, tuple[str, ...]]:
-    """Return what the header says of pointing and trajectory, None without a usable attitude, and remarks.
+    """Return what the header says of pointing and trajectory, None without a usable one of either, and remarks.
 
     Notes
     -----
@@ -272,20 +272,15 @@ def header_geometry(header: Header, keywords: KeywordMap) -> tuple[HeaderGeometr
     100 km by which the trajectories differ), so the vector turned round is the spacecraft's place.
     """
     messages = _system_remarks(header)
-    if keywords.quaternion is None:
+    attitude, problem = None, ""
+    if keywords.quaternion is not None:
+        attitude, problem = _header_attitude(header, keywords)
+    messages = (*messages, problem) if problem else messages
+    position = _from_sun(header, keywords, "sun_position")
+    if attitude is None and position is None:
         return None, messages
-    attitude, problem = _header_attitude(header, keywords)
-    if attitude is None:
-        return None, (*messages, problem)
-    return (
-        HeaderGeometry(
-            attitude,
-            _from_sun(header, keywords, "sun_position"),
-            _from_sun(header, keywords, "sun_velocity"),
-            str(keywords.value(header, "geometry_quality") or ""),
-        ),
-        messages,
-    )
+    quality = str(keywords.value(header, "geometry_quality") or "")
+    return HeaderGeometry(attitude, position, _from_sun(header, keywords, "sun_velocity"), quality), messages
 
 
 def _header_attitude(header: Header, keywords: KeywordMap) -> tuple[FloatArray | None, str]:

@@ -89,7 +89,7 @@ def process(
         YAML star list for stars that are targets.
     decisions : path, optional
         YAML of an analyst's decisions on stars, bodies and scans.
-    attitude : {"auto", "kernels", "header"}
+    attitude : {"auto", "kernels", "header", "none"}
         Where the a priori attitude comes from.
     initial : {"matched_filter", "cross_correlation"}
         Coarse star centers.

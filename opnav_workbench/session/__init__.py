@@ -13,6 +13,8 @@ function of that name, keeps the state it makes, and writes the journal.
     What stays the same through a session: picture, camera, background, noise.
 ``inputs``
     What kernels, header, catalog and target lists gave.
+``lost``
+    The attitude from the stars alone, where header and kernels are silent or wrong.
 ``settings``
     Thresholds of a session.
 ``star_field``

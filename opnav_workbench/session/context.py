@@ -1,6 +1,6 @@
 """What stays the same through a session: the picture, its camera, its noise, and where the inputs come from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,14 @@ from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.stars import NoiseModel, ShapePrior
 
-__all__ = ["DETECTION_SNR", "Context", "faintest_magnitude", "open_context", "zero_point_mag"]
+__all__ = [
+    "DETECTION_SNR",
+    "Context",
+    "faintest_magnitude",
+    "open_context",
+    "with_focal_scale",
+    "zero_point_mag",
+]
 
 DETECTION_SNR = 5.0  # lower than for blind detection: a false detection matches no pattern
 
@@ -100,7 +107,7 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
         See `opnav_workbench.image.read_image` and `Mission.camera_for`.
     """
     picture = read_image(path, KeywordMap(**mission.keywords))
-    camera = mission.camera_for(picture.header)
+    camera = with_focal_scale(mission.camera_for(picture.header), settings.focal_scale)
     _check_size(picture, camera)
     saturated = picture.saturated
     if camera.saturation_dn is not None:
@@ -117,6 +124,11 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     noise = pixel_noise(background, camera.read_noise_dn, camera.gain_e_per_dn)
     signal = np.where(picture.bad, 0.0, picture.image_dn - background.level_dn)
     return Context(picture, camera, mission, background, signal, noise, picture.bad, extended, settings)
+
+
+def with_focal_scale(camera: Camera, scale: float) -> Camera:
+    """Return a camera with its focal length multiplied; the camera itself for 1."""
+    return camera if scale == 1.0 else replace(camera, focal_length_mm=camera.focal_length_mm * scale)
 
 
 def _check_size(picture: Picture, camera: Camera) -> None:

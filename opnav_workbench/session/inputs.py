@@ -35,15 +35,38 @@ __all__ = [
     "AttitudeSource",
     "InputSource",
     "Inputs",
+    "LostField",
+    "NoAttitudeError",
+    "NoAttitudeKernelError",
     "collect_inputs",
     "inputs_added",
     "inputs_dict",
     "inputs_from",
     "with_inputs_added",
+    "with_lost_field",
     "with_scene",
     "with_target",
     "with_wide_stars",
 ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LostField:
+    """What a search of the whole sky gave: an attitude, to some pixels, and what there is to say of it.
+
+    Attributes
+    ----------
+    camera_from_j2000 : (3, 3) array or None
+        None where none is sure, or no attitude of this camera makes this picture: it is mirrored, or of another scale.
+    message
+        One line.
+    """
+
+    camera_from_j2000: FloatArray | None
+    message: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self, in_file_order=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +79,7 @@ class Inputs:
         Mid-exposure, TDB seconds past J2000.
     a_priori_camera_from_j2000 : (3, 3) array
     attitude_source
-        "kernels" or "header".
+        "kernels" or "header", or "none" where there was none and the stars told it (`lost`).
     stars
         Catalog rows around the a priori field.
     targets : mapping of str to TargetState
@@ -64,6 +87,8 @@ class Inputs:
         Brightest catalog rows as far around as the widest search goes, once one was needed.
     shapes : mapping of str to Path
         Shape models of targets, where the kernels hold one.
+    lost
+        What a search of the whole sky gave, where one was needed.
     """
 
     et: float
@@ -75,6 +100,7 @@ class Inputs:
     targets: MappingProxyType[str, TargetState]
     wide_stars: StarTable | None = None
     shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
+    lost: "LostField | None" = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
@@ -85,7 +111,17 @@ class Inputs:
 WIDE_STARS = 1000  # of a wide search: dozens on the detector of any camera, and a session file of a megabyte
 FAINT_MARGIN_MAG = 1.0  # colors, and the zero point's own error
 MAX_CONE_RAD = np.pi
-AttitudeSource = Literal["auto", "kernels", "header"]
+
+
+class NoAttitudeError(ImageError):
+    """Neither kernels nor header tell the attitude."""
+
+
+class NoAttitudeKernelError(KernelError):
+    """The kernels have a gap where the attitude should be."""
+
+
+AttitudeSource = Literal["auto", "kernels", "header", "none"]
 ATTITUDE_SOURCES: tuple[AttitudeSource, ...] = get_args(AttitudeSource)
 
 
@@ -99,7 +135,8 @@ class InputSource:
         Catalog spec.
     target_stars
         Star list for stars that are targets.
-    attitude : {"auto", "kernels", "header"}
+    attitude : {"auto", "kernels", "header", "none"}
+        ``none``: the stars alone shall tell it.
     """
 
     catalog: str = "bundled"
@@ -113,10 +150,29 @@ class InputSource:
             )
 
 
-def collect_inputs(context: Context, source: InputSource, catalog: Catalog | None = None) -> Inputs:
-    """Collect time, observer, a priori attitude and the catalog stars around the field."""
+def collect_inputs(
+    context: Context,
+    source: InputSource,
+    catalog: Catalog | None = None,
+    lost: LostField | None = None,
+) -> Inputs:
+    """Collect time, observer, a priori attitude and the catalog stars around the field.
+
+    Parameters
+    ----------
+    lost
+        The attitude to begin with, where neither kernels nor header shall tell it.
+
+    Raises
+    ------
+    NoAttitudeError
+        Nothing tells it.
+    """
     et = _et(context)
-    attitude, origin = _attitude(context, source.attitude, et)
+    if lost is None or lost.camera_from_j2000 is None:
+        attitude, origin = _attitude(context, source.attitude, et)
+    else:
+        attitude, origin = lost.camera_from_j2000, "none"
     inputs = Inputs(
         et=et,
         utc=context.picture.utc or "",
@@ -125,6 +181,7 @@ def collect_inputs(context: Context, source: InputSource, catalog: Catalog | Non
         attitude_source=origin,
         stars=StarTable.empty(),
         targets=MappingProxyType({}),
+        lost=lost,
     )
     return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
 
@@ -154,6 +211,23 @@ def with_scene(context: Context, source: InputSource, inputs: Inputs) -> tuple[I
         if name in inputs.targets:
             names.append(name)
     return inputs, names
+
+
+def with_lost_field(
+    context: Context,
+    source: InputSource,
+    inputs: Inputs,
+    lost: LostField,
+    catalog: Catalog | None = None,
+) -> Inputs:
+    """Add what a search of the whole sky gave, and the stars around the field that it found."""
+    if lost.camera_from_j2000 is None:
+        return replace(inputs, lost=lost)
+    there = replace(inputs, a_priori_camera_from_j2000=lost.camera_from_j2000)
+    stars = _stars(context, catalog or open_catalog(source.catalog), there)
+    known = [inputs.stars] if inputs.wide_stars is None else [inputs.stars, inputs.wide_stars]
+    new = stars.take(~np.isin(stars.id, np.concatenate([table.id for table in known])))
+    return replace(inputs, lost=lost, wide_stars=StarTable.concatenate([*known[1:], new]))
 
 
 def with_wide_stars(
@@ -203,12 +277,17 @@ def _observer(context: Context, et: float) -> Observer:
 
 def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str]:
     kernels, frame_name = KernelSet.active(), context.camera.frame
+    if wanted == "none":
+        raise NoAttitudeError("the stars alone shall tell the attitude.")
     with_ck = kernels is not None and kernels.has_attitude(frame_name)
     if wanted == "kernels" or (wanted == "auto" and with_ck):
-        return camera_attitude(frame_name, et), "kernels"
+        try:
+            return camera_attitude(frame_name, et), "kernels"
+        except KernelError as error:
+            raise error if wanted == "kernels" else NoAttitudeKernelError(str(error)) from error
     geometry = context.picture.header_geometry
     if geometry is None or geometry.camera_from_j2000 is None:
-        raise ImageError(
+        raise NoAttitudeError(
             f"{context.picture.path.name}: the header gives no attitude; "
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
@@ -261,7 +340,7 @@ def inputs_dict(inputs: Inputs) -> dict[str, Any]:
         "wide_stars": None if inputs.wide_stars is None else _columns(inputs.wide_stars),
         "targets": {name: _columns(target) for name, target in inputs.targets.items()},
         "shapes": dict(inputs.shapes),
-    }
+    } | ({} if inputs.lost is None else {"lost": _columns(inputs.lost)})
 
 
 def _columns(instance: Any) -> dict[str, Any]:
@@ -280,7 +359,12 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
         targets=MappingProxyType({n: _rebuild(TargetState, t) for n, t in data["targets"].items()}),
         wide_stars=None if data.get("wide_stars") is None else _star_table(data["wide_stars"]),
         shapes=_path_mapping(data.get("shapes", {})),
+        lost=_lost_field(data.get("lost")),
     )
+
+
+def _lost_field(values: Mapping[str, Any] | None) -> LostField | None:
+    return None if values is None else _rebuild(LostField, values)
 
 
 def _rebuild(cls: type[Any], values: Mapping[str, Any]) -> Any:
@@ -307,8 +391,10 @@ def inputs_added(before: Inputs | None, inputs: Inputs) -> dict[str, Any]:
     added: dict[str, Any] = {"targets": targets} if targets else {}
     shapes = {name: path for name, path in inputs.shapes.items() if name in targets}
     added |= {"shapes": shapes} if shapes else {}
-    if inputs.wide_stars is not None and (before is None or before.wide_stars is None):
+    if inputs.wide_stars is not None and (before is None or before.wide_stars is not inputs.wide_stars):
         added["wide_stars"] = _columns(inputs.wide_stars)
+    if inputs.lost is not None and (before is None or before.lost is None):
+        added["lost"] = _columns(inputs.lost)
     return added
 
 
@@ -321,6 +407,7 @@ def with_inputs_added(inputs: Inputs, added: Mapping[str, Any]) -> Inputs:
         targets=MappingProxyType({**inputs.targets, **targets}),
         wide_stars=inputs.wide_stars if wide is None else _star_table(wide),
         shapes=MappingProxyType({**inputs.shapes, **_path_mapping(added.get("shapes", {}))}),
+        lost=_lost_field(added.get("lost")) or inputs.lost,
     )
 
 

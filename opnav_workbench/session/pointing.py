@@ -176,7 +176,7 @@ def _solved(
         model=parameters["model"],
         usable=usable,
         trusted=[verdict == ACCEPTED for verdict in verdicts],
-        **_start(context, state, bool(parameters.get("a_priori"))),
+        **_start(context, inputs, state, bool(parameters.get("a_priori"))),
     )
     status = tuple(
         StarStatus("rejected", reason) if offered and not used else status
@@ -187,9 +187,9 @@ def _solved(
     return state.replace(pointing=solution, status=status).with_notes("pointing", *solution.messages)
 
 
-def _start(context: Context, state: SessionState, a_priori: bool) -> dict[str, Any]:
+def _start(context: Context, inputs: Inputs, state: SessionState, a_priori: bool) -> dict[str, Any]:
     """How far the a priori attitude is to be trusted: not at all where the field was found far from it."""
-    if not _near_a_priori(context, state):
+    if inputs.attitude_source == "none" or not _near_a_priori(context, state):
         return {"twist_sigma_rad": np.pi, "start": "svd"}
     camera = context.camera
     twist = {"twist_sigma_rad": camera.a_priori_sigma_rad[2]}

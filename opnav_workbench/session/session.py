@@ -32,13 +32,14 @@ from opnav_workbench.session.decisions import Decisions, load_decisions, write_d
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource
+from opnav_workbench.session.lost import lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox, star_boxes
 from opnav_workbench.session.star_field import catalog_stars, nudge_reach_px, unknown_star_ids
-from opnav_workbench.session.state import SessionState, open_decisions
+from opnav_workbench.session.state import BY_HAND, MARKED, SessionState, open_decisions
 
 __all__ = ["ImageSession"]
 
@@ -136,9 +137,9 @@ class ImageSession:
             The same catalog, already open: for many pictures one after the other.
         target_stars
             YAML star list whose stars can be targets; default the mission's own list.
-        attitude : {"auto", "kernels", "header"}
+        attitude : {"auto", "kernels", "header", "none"}
             Where the a priori attitude comes from; ``auto`` takes the kernels where the active `KernelSet` has a CK
-            for the camera, else the header.
+            for the camera, else the header, and where these are silent the stars, as ``none`` does at once (`lost`).
         settings
             Thresholds; default those of `Settings`.
 
@@ -150,7 +151,7 @@ class ImageSession:
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
         context = open_context(path, mission, settings or Settings())
         source = InputSource(catalog, None if target_stars is None else Path(target_stars), attitude)
-        inputs = input_values.collect_inputs(context, source, opened_catalog)
+        context, inputs = open_inputs(context, source, opened_catalog)
         return cls(context, source, inputs, opened_catalog)
 
     @classmethod
@@ -353,7 +354,8 @@ class ImageSession:
         """Identify the field (`star_field`) and fit the star centers (`star_measurement`): `star_steps.find_stars`.
 
         With a solved pointing the search is around it.  A field that is not identified for sure within the limits of the
-        a priori pointing is searched farther out (see `Settings`), in a cone of the catalog that grows with it.
+        a priori pointing is searched farther out (see `Settings`), in a cone of the catalog that grows with it, and at last
+        on the whole sky (`lost`).
 
         Parameters
         ----------
@@ -368,6 +370,8 @@ class ImageSession:
             began = time.perf_counter()
             state = self._history.state_after_step("find_stars", parameters)
             if (state.star_field is None or not state.star_field.sure) and self._fetch_wide_stars():
+                state = self._history.state_after_step("find_stars", parameters)
+            if self._is_lost(state) and self._search_sky():
                 state = self._history.state_after_step("find_stars", parameters)
             self._record("find_stars", parameters, state, cost_s=time.perf_counter() - began)
 
@@ -745,6 +749,24 @@ class ImageSession:
                 self.context, self.source, before, self._catalog
             )
         return self.inputs is not before
+
+    def _is_lost(self, state: SessionState) -> bool:
+        """Whether the field is identified for sure neither by its pattern nor by the analyst."""
+        found = state.star_field
+        return state.pointing is None and (
+            found is None or not (found.sure or found.search in (MARKED, BY_HAND))
+        )
+
+    def _search_sky(self) -> bool:
+        """Search the whole sky for the picture, once; False where nothing is found that was not known."""
+        if self.inputs.lost is not None:
+            return False
+        lost = lost_field(self.context, self.source, self.inputs, self._catalog)
+        if lost is not None:
+            self._history.inputs = input_values.with_lost_field(
+                self.context, self.source, self.inputs, lost, self._catalog
+            )
+        return lost is not None
 
     def _bodies_in_scene(self) -> dict[str, Any]:
         """Name the mission's bodies that may hide, shade or outshine the one that is looked for."""

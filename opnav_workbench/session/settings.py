@@ -41,6 +41,11 @@ class Settings:
         At most so many stars, the brightest, are used.
     mag_limit
         Faintest catalog magnitude asked for.
+    focal_scale
+        By what the focal length of the camera file is multiplied.
+    lost_detections
+        Where the field is not identified for sure around its a priori place, the whole sky is searched if so many
+        detections may be stars; 0: never.
     """
 
     max_shift_px: float = 60.0
@@ -57,6 +62,8 @@ class Settings:
     blend_magnitude: float = 4.0
     max_stars: int = 300
     mag_limit: float = 30.0
+    focal_scale: float = 1.0
+    lost_detections: int = 8
 
     @property
     def wide_searches(self) -> tuple[tuple[float, float], ...]:

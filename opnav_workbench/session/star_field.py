@@ -27,10 +27,11 @@ from opnav_workbench.scene import (
 )
 from opnav_workbench.session.body_models import MAX_POINT_DIAMETER_PX
 from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
-from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.inputs import Inputs, LostField
 from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.session.state import (
     BY_HAND,
+    LOST,
     MARKED,
     FieldFound,
     FieldMatch,
@@ -57,6 +58,7 @@ __all__ = [
 # A proposal less sure than this is a guess. One star by nearness and brightness reaches 0.9; in fields that have nothing
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
+NO_ATTITUDE = "none"  # the source of an a priori attitude that the stars told
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
 # An analyst brings the field nearer than this to its stars; the pattern then says how near.
 HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
@@ -68,9 +70,10 @@ def identify_field(context: Context, inputs: Inputs, state: SessionState) -> Fie
         return _unidentified(state, "no star is predicted")
     if state.pointing is not None:
         radius = context.settings.refined_radius_px
-        return _expected_stars(
-            context, state.a_priori, state.pointing.camera_from_j2000, state.star_field, radius
-        )
+        attitude = state.pointing.camera_from_j2000
+        lost = state.star_field is not None and state.star_field.search == LOST
+        said = (_wrong_attitude(context, inputs, attitude),) if lost else ()
+        return _expected_stars(context, state.a_priori, attitude, state.star_field, radius, *said)
     if state.star_field is not None and state.star_field.search == MARKED:
         radius = context.settings.search_radius_px
         return _expected_stars(
@@ -106,6 +109,8 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         wide = _from_wide_search(context, inputs, state, detections, inputs.wide_stars)
         if wide is not None:
             return wide
+    if not near.sure and inputs.lost is not None and inputs.attitude_source != NO_ATTITUDE:
+        return _from_sky_search(context, inputs, state, detections, inputs.lost)
     if near.confidence < MIN_CONFIDENCE:
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
     found = found_field(inputs, near, "a priori")
@@ -151,6 +156,35 @@ def _from_wide_search(
         radius = context.settings.search_radius_px
         return _expected_stars(context, stars, found.camera_from_j2000, found, radius, message, anew=True)
     return None
+
+
+def _from_sky_search(
+    context: Context, inputs: Inputs, state: SessionState, detections: Detections, lost: LostField
+) -> FieldMatch:
+    """Take the field that a search of the whole sky found, if its stars agree."""
+    if lost.camera_from_j2000 is None:
+        return _unidentified(state, lost.message)
+    settings, catalog = context.settings, catalog_stars(inputs)
+    answer = _matched_pattern(
+        context, inputs, state, detections, _all_directions(context, inputs, catalog),
+        settings.max_shift_px, settings.max_twist_deg, lost.camera_from_j2000,
+    )  # fmt: skip
+    if not answer.sure or answer.rotation is None:
+        return _unidentified(state, _why_unsure(answer), f"; the whole sky: {lost.message}")
+    attitude = answer.rotation @ lost.camera_from_j2000
+    found = field_at(context, inputs, attitude, LOST, answer.confidence, sure=True)
+    message = f"{_wrong_attitude(context, inputs, attitude)} ({answer.message})"
+    stars = stars_around(context, inputs, catalog, attitude)
+    return _expected_stars(context, stars, attitude, found, settings.search_radius_px, message, anew=True)
+
+
+def _wrong_attitude(context: Context, inputs: Inputs, attitude: FloatArray) -> str:
+    boresight = context.camera.boresight
+    off = angle_between(attitude.T @ boresight, inputs.a_priori_camera_from_j2000.T @ boresight)
+    return (
+        f"the a priori attitude of the {inputs.attitude_source} is wrong: the picture lies {np.degrees(float(off)):.2f} deg "
+        "from there, as a search of the whole sky has found"
+    )
 
 
 def star_detections(context: Context) -> Detections:

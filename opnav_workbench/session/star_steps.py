@@ -115,7 +115,13 @@ def predict(
         skipped_targets=state.skipped_targets,
         notes=MappingProxyType({topic: notes for topic, notes in state.notes.items() if topic in topics}),
     )
-    return fresh.replace(status=with_decisions(fresh, status)).with_notes("predict", *_empty_field(stars))
+    return fresh.replace(status=with_decisions(fresh, status)).with_notes(
+        "predict", *_no_attitude(inputs), *_empty_field(stars)
+    )
+
+
+def _no_attitude(inputs: Inputs) -> list[str]:
+    return [inputs.lost.message] if inputs.lost is not None and inputs.attitude_source == "none" else []
 
 
 def _empty_field(stars: StarPrediction) -> list[str]:

@@ -22,6 +22,7 @@ from opnav_workbench.stars.pointing import PointingSolution
 __all__ = [
     "ACCEPTED",
     "BY_HAND",
+    "LOST",
     "MARKED",
     "MEASURED_STATUSES",
     "REJECTED",
@@ -75,9 +76,9 @@ class FieldFound:
         Turn of the picture, positive from +pixel toward +line.
     confidence
         1 - estimated probability that it is another field.
-    search : {"a priori", "wide", "marked", "by hand"}
-        Found within the limits of the a priori pointing, by a wider search, from two stars marked by the analyst, or where
-        the analyst moved it.
+    search : {"a priori", "wide", "lost", "marked", "by hand"}
+        Found within the limits of the a priori pointing, by a wider search, by a search of the whole sky, from two stars
+        marked by the analyst, or where the analyst moved it.
     sure
         False for a proposal that the analyst should confirm.
     """
@@ -228,6 +229,7 @@ class SessionState:
 # ---- Which detection is which star: the field's rotation against the a priori pointing.
 
 BY_HAND, MARKED = "by hand", "marked"  # searches of a field that the analyst moved, or marked two stars of
+LOST = "lost"  # the search of the whole sky
 
 
 @dataclass(frozen=True, slots=True, eq=False)

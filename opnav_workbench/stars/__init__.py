@@ -27,6 +27,8 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
     The doors to the fit: `fit_gaussian` and `fit_psf`.
 ``levenberg_marquardt``
     Levenberg-Marquardt for many small problems at once.
+``lost_in_space``
+    The attitude from the stars alone, with none to begin with: `lost_in_space.solve_lost`.
 ``peaks``
     The sub-pixel peak of a sampled surface.
 ``picture_fit``

@@ -1,10 +1,14 @@
 """Star images for the tests, by brute force: no code of the package under test renders them."""
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import erf
+
+sys.path.insert(0, str(Path(__file__).parent))  # the exams beside the tests
 
 NODES = 8  # Gauss-Legendre nodes per pixel and axis: exact to 1e-7 for sigmas from 0.3 px
 HALF = 14  # pixels rendered on each side of a star

@@ -1,0 +1,175 @@
+"""The attitude from the stars alone: where header and kernels are silent, not to be asked, or proven wrong.
+
+At opening (`open_inputs`) it is the a priori attitude, where there is no other. Later (`lost_field`) it is a place to look
+at: where detections enough match nothing around the a priori pointing, the whole sky is searched. Both are good to some
+pixels; what is in the picture is then identified and fitted as ever.
+
+A picture that only its mirror image makes a star field of, or one of another scale, does not belong to its camera file:
+that is said, and nothing is solved with the wrong camera.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera import Camera
+from opnav_workbench.catalog import Catalog, open_catalog
+from opnav_workbench.errors import CatalogError
+from opnav_workbench.session.context import Context, with_focal_scale
+from opnav_workbench.session.inputs import (
+    Inputs,
+    InputSource,
+    LostField,
+    NoAttitudeError,
+    NoAttitudeKernelError,
+    collect_inputs,
+)
+from opnav_workbench.session.star_field import star_detections
+from opnav_workbench.stars import StarFlag
+from opnav_workbench.stars.lost_in_space import LostAnswer, index_of_catalog, no_patterns, solve_lost
+
+__all__ = ["lost_field", "open_inputs", "turned_words"]
+
+FOCAL_PX = (
+    1.0  # what another focal length may move a star at the picture's edge, and a camera file still be right
+)
+FOCAL_SIGMAS = 3.0
+QUARTERS = {90: "turned by 90 deg", 180: "turned by 180 deg", 270: "turned by 270 deg"}
+MIRRORS = {
+    0: "along line",
+    180: "along pixel",
+    90: "with pixel and line exchanged",
+    270: "with pixel and line exchanged",
+}
+QUARTER_TOLERANCE_DEG = 5.0  # an a priori twist is better than this where it is one
+
+
+def open_inputs(
+    context: Context, source: InputSource, catalog: Catalog | None = None
+) -> tuple[Context, Inputs]:
+    """Collect the inputs, the attitude from the stars where nothing else tells it.
+
+    Where they tell another focal length than the camera file, the context returned has it (``focal_scale`` of its
+    settings).
+
+    Raises
+    ------
+    OpNavError
+        As `inputs.collect_inputs`; where the stars do not tell the attitude, either, why not.
+    """
+    try:
+        return context, collect_inputs(context, source, catalog)
+    except (NoAttitudeError, NoAttitudeKernelError) as silent:
+        catalog = catalog or open_catalog(source.catalog)
+        answer = _searched(context, catalog)
+        if answer is None or answer.camera_from_j2000 is None:
+            raise type(silent)(f"{silent} {_why_not(context, answer)}") from silent
+        context, said = _with_focal_length(context, answer)
+        lost = LostField(answer.camera_from_j2000, f"no a priori attitude: {answer.message}{said}")
+        return context, collect_inputs(context, source, catalog, lost)
+
+
+def lost_field(
+    context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
+) -> LostField | None:
+    """Return where on the sky the picture was taken, or why it is no picture of this camera; None where nobody knows."""
+    try:
+        answer = _searched(context, catalog or open_catalog(source.catalog))
+    except CatalogError:  # not on this machine, or no catalog of the whole sky
+        return None
+    if answer is None:
+        return None
+    a_priori = inputs.a_priori_camera_from_j2000
+    if answer.mirrored is not None:
+        how = mirrored_words(context.camera, a_priori, answer.mirrored)
+        return LostField(None, f"the picture is mirrored {how}: {answer.message}; {CAMERA_FILE}")
+    if answer.camera_from_j2000 is None:
+        return None
+    if _another_focal_length(context.camera, answer):
+        scale = context.settings.focal_scale * answer.focal_scale
+        off = f"the focal length is {100.0 * (answer.focal_scale - 1.0):+.2f} % off the camera file's"
+        return LostField(
+            None,
+            f"{off}: {answer.message}; calibrate the camera, or open the picture with focal_scale={scale:.5f}",
+        )
+    return LostField(answer.camera_from_j2000, answer.message)
+
+
+CAMERA_FILE = "correct the axes in the camera file, or take the one that describes this picture (--mission)"
+
+
+def _searched(context: Context, catalog: Catalog) -> LostAnswer | None:
+    """Search the whole sky, if detections enough may be stars, and the detector is no strip."""
+    detections = star_detections(context)
+    star_like = int(np.count_nonzero((detections.flags & StarFlag.COSMIC_RAY) == 0))
+    least = context.settings.lost_detections
+    if least <= 0 or star_like < least or no_patterns(context.camera) is not None:
+        return None
+    return solve_lost(index_of_catalog(catalog), detections, context.camera)
+
+
+def _why_not(context: Context, answer: LostAnswer | None) -> str:
+    if answer is None and (why := no_patterns(context.camera)) is not None:
+        return f"The stars alone do not tell it: {why}."
+    if answer is None:
+        least = context.settings.lost_detections
+        return (
+            f"From the stars alone it is found with {least} detections or more, which this picture has not."
+        )
+    if answer.mirrored is not None:
+        how = "along line, or along pixel and turned by 180 deg"
+        return f"The picture is mirrored ({how}): {answer.message}; {CAMERA_FILE}."
+    return f"The stars do not tell it: {answer.message}"
+
+
+# ---- A camera file of another focal length.
+
+
+def _another_focal_length(camera: Camera, answer: LostAnswer) -> bool:
+    off = abs(answer.focal_scale - 1.0)
+    edge_px = camera.half_diagonal_rad / camera.pixel_scale_rad
+    return off * edge_px > FOCAL_PX and off > FOCAL_SIGMAS * answer.focal_sigma
+
+
+def _with_focal_length(context: Context, answer: LostAnswer) -> tuple[Context, str]:
+    if not _another_focal_length(context.camera, answer):
+        return context, ""
+    camera = with_focal_scale(context.camera, answer.focal_scale)
+    settings = replace(context.settings, focal_scale=context.settings.focal_scale * answer.focal_scale)
+    said = (
+        f"; the focal length is taken as {camera.focal_length_mm:.2f} mm, {100.0 * (answer.focal_scale - 1.0):+.2f} % off "
+        "the camera file's: calibrate the camera"
+    )
+    return replace(context, camera=camera, settings=settings), said
+
+
+# ---- How a picture is turned or mirrored against what was expected.
+
+
+def turned_words(twist_rad: float) -> str:
+    """Return how a picture is turned, in words; empty where it is by no quarter turn.
+
+    Examples
+    --------
+    >>> turned_words(3.14), turned_words(0.01)
+    ('turned by 180 deg', '')
+    """
+    return QUARTERS.get(_quarter(twist_rad), "")
+
+
+def mirrored_words(camera: Camera, a_priori: FloatArray, mirrored: FloatArray) -> str:
+    """Return along what a picture is mirrored, by the attitude it should have (camera from J2000)."""
+    focal = camera.focal_from_camera
+    axes = focal if np.linalg.det(focal) > 0.0 else focal * np.array([[1.0], [-1.0], [1.0]])
+    between = axes @ mirrored @ a_priori.T @ axes.T
+    twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
+    near = between[2, 2] > np.cos(max(10.0 * camera.half_diagonal_rad, np.radians(5.0)))
+    return (near and MIRRORS.get(_quarter(twist))) or "(along line, or along pixel and turned by 180 deg)"
+
+
+def _quarter(twist_rad: float) -> int:
+    """Return the nearest quarter turn, deg; -1 where it is none."""
+    turn = float(np.degrees(twist_rad)) % 360.0
+    nearest = round(turn / 90.0) * 90
+    return nearest % 360 if abs(turn - nearest) <= QUARTER_TOLERANCE_DEG else -1

@@ -1,0 +1,33 @@
+"""Lost in space: the attitude from the stars alone, with none to begin with.
+
+Enter by `solve_lost`, with the index of a catalog (`index_of_catalog`).
+
+``patterns``
+    Four stars as five numbers that place and twist do not change.
+``sky_index``
+    The index: every star with its nearest brighter ones, in bands of brightness.
+``index_file``
+    Arrays in one checked, memory-mapped file.
+``catalog_index``
+    The index of a whole catalog, made once and kept.
+``search``
+    Patterns looked up, attitudes proposed, mirrored pictures told.
+``verification``
+    Log odds of an attitude against chance.
+"""
+
+from opnav_workbench.stars.lost_in_space.catalog_index import index_of_catalog
+from opnav_workbench.stars.lost_in_space.search import FOCAL_ERROR, LostAnswer, no_patterns, solve_lost
+from opnav_workbench.stars.lost_in_space.sky_index import SkyIndex, index_of_stars
+from opnav_workbench.stars.lost_in_space.verification import SURE_LOG_ODDS
+
+__all__ = [
+    "FOCAL_ERROR",
+    "SURE_LOG_ODDS",
+    "LostAnswer",
+    "SkyIndex",
+    "index_of_catalog",
+    "index_of_stars",
+    "no_patterns",
+    "solve_lost",
+]

@@ -1,0 +1,288 @@
+"""From detections to the attitude, with none to begin with: patterns of the brightest, looked up, proposed, weighed.
+
+Patterns of four detections are looked up in the index, those of the brightest first; each catalog pattern with the same
+code, and the same angle within what the focal length may be off, proposes an attitude; the proposals that bring most
+stars near detections are refined and weighed (`verification`). If none is sure, the same is tried with the picture
+mirrored: a sure answer then says that picture and camera file do not belong together.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.camera import Camera
+from opnav_workbench.geometry import unit
+from opnav_workbench.stars.detection import Detections
+from opnav_workbench.stars.flags import StarFlag
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders
+from opnav_workbench.stars.lost_in_space.sky_index import BANDS, Band, SkyIndex
+from opnav_workbench.stars.lost_in_space.verification import (
+    MIN_STARS,
+    Plane,
+    Proposal,
+    Verdict,
+    judge,
+    promising,
+)
+
+__all__ = ["FOCAL_ERROR", "LostAnswer", "no_patterns", "solve_lost"]
+
+FOCAL_ERROR = 0.05  # of the camera file's focal length
+MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
+# Detections among which patterns are looked for, one more round each where no answer is sure.
+ROUNDS = (8, 12, 16, 20, 25, 30)
+CENTER_SIGMA_PX = 0.45  # of a detection's center, for the reach of codes
+REACH_SIGMAS = 3.0
+MAX_CODE_REACH = 0.02
+MIN_ANGLE_PX = 40.0  # of a pattern: noise leaves nothing of smaller ones
+PATTERN_REACH = 5.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
+MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
+WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
+MOST_JUDGED = 12  # proposals weighed at once
+STARS_IN_FIELD = 2.5, 120.0  # of a band, in a picture it has patterns for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LostAnswer:
+    """Where the picture looks.
+
+    Attributes
+    ----------
+    camera_from_j2000 : (3, 3) array or None
+        None where no answer is sure, or the picture is mirrored.
+    focal_scale
+        By what the camera file's focal length is to be multiplied.
+    focal_sigma
+        Its 1 sigma.
+    log_odds
+        Against chance; -inf where nothing was found.
+    n_stars
+        Catalog stars that have a detection.
+    mirrored : (3, 3) array or None
+        The attitude that the camera would have, were its line axis the other way round; None where it is not so.
+    message
+        What was found, in one line.
+    """
+
+    camera_from_j2000: FloatArray | None
+    focal_scale: float
+    focal_sigma: float
+    log_odds: float
+    n_stars: int
+    mirrored: FloatArray | None
+    message: str
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def solve_lost(
+    index: SkyIndex,
+    detections: Detections,
+    camera: Camera,
+    *,
+    focal_error: float = FOCAL_ERROR,
+    try_mirrored: bool = True,
+) -> LostAnswer:
+    """Find the attitude of a picture, any place and twist, with nothing known but the camera.
+
+    Parameters
+    ----------
+    index
+        Patterns of a catalog (`sky_index.index_of_stars`).
+    detections
+        What stands in the picture, stars or not.
+    camera
+        Its distortion and detector are taken as they are.
+    focal_error
+        Largest relative error of its focal length.
+    try_mirrored
+        Whether to look for the picture's mirror image, too.
+
+    Returns
+    -------
+    LostAnswer
+        Stars are compared by their catalog directions: the attitude is that of the apparent sky to half a minute of
+        arc of aberration, for a picture's stars to be identified with.
+    """
+    if no_patterns(camera) is not None:
+        return _no_answer(f"{no_patterns(camera)}.")
+    plane = _plane(detections, camera, focal_error)
+    if len(plane.places) < MIN_STARS:
+        return _no_answer(f"{len(plane.places)} detections are too few; {MIN_STARS} are the least.")
+    verdict = _search(index, plane)
+    if verdict is not None:
+        return _answer(camera, verdict)
+    verdict = _search(index, _flipped(plane)) if try_mirrored else None
+    if verdict is not None:
+        return _mirrored_answer(camera, verdict)
+    return _no_answer(
+        f"no pattern of the {len(plane.places)} brightest detections is one of the catalog for sure."
+    )
+
+
+def no_patterns(camera: Camera) -> str | None:
+    """Return why pictures of a camera hold no patterns of neighboring stars; None where they do."""
+    if max(camera.n_pixel, camera.n_line) <= MAX_ASPECT * min(camera.n_pixel, camera.n_line):
+        return None
+    return f"a strip of {camera.n_pixel} x {camera.n_line} pixels holds no patterns of neighboring stars"
+
+
+# ---- What is looked up: the picture without distortion.
+
+
+def _plane(detections: Detections, camera: Camera, focal_error: float) -> Plane:
+    """Return the detections that may be stars, brightest first, those sharper than stars left out."""
+    order = np.argsort(-detections.flux_dn, kind="stable")
+    star_like = (detections.flags[order] & StarFlag.COSMIC_RAY) == 0
+    order = order[star_like] if star_like.sum() >= MIN_STARS else order
+    focal = camera.unproject(detections.pixel_line[order].reshape(-1, 2)) @ camera.focal_from_camera.T
+    kept = np.flatnonzero(np.isfinite(focal).all(axis=1))[:MAX_DETECTIONS]
+    focal, flux = focal[kept], detections.flux_dn[order[kept]]
+    saturated = (detections.flags[order[kept]] & StarFlag.SATURATED) > 0
+    mag = np.where(saturated | (flux <= 0.0), np.nan, -2.5 * np.log10(np.maximum(flux, np.finfo(float).tiny)))
+    right, top = camera.n_pixel - 0.5, camera.n_line - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [right, top], [-0.5, top]])
+    edge = camera.unproject(corners) @ camera.focal_from_camera.T
+    plane = Plane(
+        focal[:, :2] / focal[:, 2:], mag, camera.pixel_scale_rad, edge[:, :2] / edge[:, 2:], focal_error
+    )
+    # A detector read out mirrored has axes of the other hand: its sky is that of the camera's frame.
+    return plane if np.linalg.det(camera.focal_from_camera) > 0.0 else _flipped(plane)
+
+
+def _flipped(plane: Plane) -> Plane:
+    flip = np.array([1.0, -1.0])
+    return replace(plane, places=plane.places * flip, corners=plane.corners * flip)
+
+
+# ---- Looking up.
+
+
+def _search(index: SkyIndex, plane: Plane) -> Verdict | None:
+    """Return the first sure verdict."""
+    bands = _bands(index, plane)
+    for quads in _rounds(plane):
+        rotations, scales = _proposals(index, plane, bands, quads)
+        if len(scales) == 0:
+            continue
+        for row in promising(index, plane, rotations, scales, MOST_JUDGED):
+            verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
+            if verdict is not None and verdict.sure:
+                return verdict
+    return None
+
+
+def _bands(index: SkyIndex, plane: Plane) -> list[Band]:
+    """Return the bands whose stars are neither too few nor too many for a picture of this width."""
+    part = plane.area_px2 * plane.scale_rad**2 / (4.0 * np.pi * index.coverage)
+    fewest, most = STARS_IN_FIELD
+    return [
+        index.band(number)
+        for number, rule in enumerate(BANDS)
+        if rule.first < len(index) and rule.first * part < most and min(rule.last, len(index)) * part > fewest
+    ]
+
+
+def _rounds(plane: Plane) -> Iterator[IntArray]:
+    """Yield sets of four detections (q, 4), those of brighter ones first, without those too wide or too small."""
+    width = np.sqrt(plane.area_px2)
+    apart = np.linalg.norm(plane.places[:, None] - plane.places, axis=2) / plane.scale_rad
+    before = 0
+    for wanted in ROUNDS:
+        count = min(wanted, len(plane.places))
+        new = [
+            np.column_stack([_combinations(last, STARS - 1), np.full(_count(last), last)])
+            for last in range(max(before, STARS - 1), count)
+        ]
+        before = count
+        if not new:
+            return
+        quads = np.concatenate(new)
+        sides = np.stack([apart[quads[:, i], quads[:, j]] for i, j in combinations(range(STARS), 2)])
+        widest = sides.max(axis=0)
+        reach = PATTERN_REACH * width / np.sqrt(quads[:, -1] + 1.0)
+        yield quads[(widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > 0.02 * widest)]
+
+
+def _combinations(n: int, k: int) -> IntArray:
+    return np.array(list(combinations(range(n), k)), dtype=np.int64)
+
+
+def _count(n: int) -> int:
+    return n * (n - 1) * (n - 2) // 6
+
+
+def _proposals(
+    index: SkyIndex, plane: Plane, bands: list[Band], quads: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (c, 3, 3) and scales (c,) from catalog patterns that are like sets of four detections."""
+    rays = unit(np.column_stack([plane.places, np.ones(len(plane.places))]))
+    slack = REACH_SIGMAS * CENTER_SIGMA_PX / 100.0
+    rows, orders = named_orders(rays[quads], slack)
+    quads = np.take_along_axis(quads[rows], ORDERS[orders], axis=1)
+    codes, angle = code_of(rays[quads])
+    wide = WIDE_FIELD * np.tan(plane.reach_rad) ** 2 * plane.focal_error
+    reach = np.minimum(REACH_SIGMAS * 1.4 * CENTER_SIGMA_PX * plane.scale_rad / angle, MAX_CODE_REACH) + wide
+    seen, stars = [], []
+    for band in bands:
+        row, members = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
+        found, angle_found = code_of(index.vectors[members].astype(np.float64))
+        good = (np.abs(found - codes[row]) < reach[row, None]).all(axis=1)
+        good &= np.abs(np.log(angle_found / angle[row])) < 1.2 * plane.focal_error
+        seen.append(quads[row[good]])
+        stars.append(members[good])
+    if not seen:
+        return np.empty((0, 3, 3)), np.empty(0)
+    return _attitudes(plane, np.concatenate(seen), index.vectors[np.concatenate(stars)].astype(np.float64))
+
+
+def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rotations (c, 3, 3) and scales (c,) that take four stars (c, 4, 3) onto four detections (c, 4)."""
+    places = plane.places[seen]
+    scale = np.ones(len(seen))
+    wanted = np.linalg.norm(stars[:, 0] - stars[:, 1], axis=1)
+    for _ in range(3):
+        rays = unit(np.concatenate([places * scale[:, None, None], np.ones((*seen.shape, 1))], axis=2))
+        scale = scale * wanted / np.linalg.norm(rays[:, 0] - rays[:, 1], axis=1)
+    rays = unit(np.concatenate([places * scale[:, None, None], np.ones((*seen.shape, 1))], axis=2))
+    u, _, vt = np.linalg.svd(np.einsum("cki,ckj->cij", rays, stars))
+    u[:, :, 2] *= (np.linalg.det(u) * np.linalg.det(vt))[:, None]
+    return u @ vt, scale
+
+
+# ---- What is told.
+
+
+def _attitude(camera: Camera, rotation: FloatArray) -> FloatArray:
+    """Return camera from J2000, from the rotation to the plane's right-handed axes."""
+    focal = camera.focal_from_camera
+    axes = focal if np.linalg.det(focal) > 0.0 else focal * np.array([[1.0], [-1.0], [1.0]])
+    return np.asarray(axes.T @ rotation)
+
+
+def _answer(camera: Camera, verdict: Verdict) -> LostAnswer:
+    n, fit = len(verdict.stars), f"within {verdict.scatter_px:.1f} px"
+    message = f"{n} stars fit {fit}, e^{verdict.log_odds:.0f} to 1 against chance"
+    return LostAnswer(
+        _attitude(camera, verdict.proposal.rotation), *_focal(verdict), verdict.log_odds, n, None, message
+    )
+
+
+def _mirrored_answer(camera: Camera, verdict: Verdict) -> LostAnswer:
+    n = len(verdict.stars)
+    message = f"{n} stars fit the picture's mirror image, e^{verdict.log_odds:.0f} to 1 against chance"
+    attitude = _attitude(camera, verdict.proposal.rotation)
+    return LostAnswer(None, *_focal(verdict), verdict.log_odds, n, attitude, message)
+
+
+def _focal(verdict: Verdict) -> tuple[float, float]:
+    scale = 1.0 / verdict.proposal.scale
+    return scale, scale * verdict.scale_sigma
+
+
+def _no_answer(why: str) -> LostAnswer:
+    return LostAnswer(None, 1.0, float("nan"), float("-inf"), 0, None, why)

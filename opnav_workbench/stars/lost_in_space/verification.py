@@ -1,0 +1,257 @@
+"""How improbable it is that a proposed attitude explains the detections by chance.
+
+A proposal says where catalog stars should be. Each star within the picture is seen with probability `SEEN`, and then its
+detection lies about its place as a Gaussian; by chance a detection lies anywhere. The log odds of the two sum over the
+stars, brightest first, down to the depth at which they are largest; from them goes what the freedom costs to have chosen
+attitude and scale among all that can be told apart (the marginal likelihood of four fitted numbers), the depth, and the
+scatter. Brightness adds its own: matched stars differ from their detections by one zero point and a scatter, chance pairs
+by all that stars and detections differ among themselves. What is left is compared with `SURE_LOG_ODDS`.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.geometry import rotation_from_vector
+from opnav_workbench.stars.lost_in_space.sky_index import SkyIndex
+
+__all__ = ["SURE_LOG_ODDS", "Plane", "Proposal", "Verdict", "enough_stars", "judge", "promising"]
+
+SURE_LOG_ODDS = float(np.log(1e4))  # random dots reach -2 in three hundred pictures
+SEEN = (
+    0.75  # of the catalog's stars that are bright enough: the others are blended, on bad pixels, or variable
+)
+SCATTERS_PX = (
+    0.35,
+    0.7,
+    1.4,
+    2.8,
+)  # of detections about their places: noise, pixel phase, distortion left over
+MATCH_SIGMAS = 4.0
+FIRST_REACH_PX, FIRST_REACH_SHARE = (
+    4.0,
+    0.006,
+)  # of matches with a proposal from four stars; share of the picture
+MIN_STARS = 5  # four fit by chance somewhere on the sky
+REFINEMENTS = 4
+STARS_PER_DETECTION = 3.0  # catalog stars looked at: the picture may be in a poor part of the sky
+MAG_SCATTER = 0.5  # of a star's detection: color, variability, the filter's flux
+STRANGE_SHARE = 0.05  # of stars whose brightness says nothing
+ZERO_POINT_REACH = (
+    1.0  # of the matches about the mean of all, in their scatter: how little is known of the depth
+)
+MIN_MAG_SPREAD = 0.1  # detections that all have one brightness tell nothing
+TURN_RAD = 2.0 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Detections in the plane of focal length 1, free of distortion, boresight at (0, 0), brightest first."""
+
+    places: FloatArray  # (m, 2)
+    mag: FloatArray  # (m,) -2.5 log10(flux), nan where saturated
+    scale_rad: float  # of a pixel
+    corners: FloatArray  # (4, 2) of the detector, in order around it
+    focal_error: float
+    tree: cKDTree = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tree", cKDTree(self.places))
+
+    @property
+    def reach_rad(self) -> float:
+        """Angle from the boresight to the farthest corner."""
+        return float(np.arctan(np.hypot(*self.corners.T).max() * (1.0 + self.focal_error)))
+
+    @property
+    def area_px2(self) -> float:
+        """Area of the detector."""
+        x, y = self.corners.T
+        return abs(0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / self.scale_rad**2
+
+    def inside(self, places: FloatArray) -> np.ndarray:
+        """Tell which places (n, 2) lie on the detector."""
+        edge = np.roll(self.corners, -1, axis=0) - self.corners
+        offset = places[:, None] - self.corners
+        side = edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0]
+        return np.asarray((side >= 0.0).all(axis=1) | (side <= 0.0).all(axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposal:
+    """A rotation from J2000 to the plane's axes, and by what the plane's places are to be multiplied."""
+
+    rotation: FloatArray  # (3, 3)
+    scale: float  # told focal length over the true one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """A refined proposal, its matches, and the log odds against chance."""
+
+    proposal: Proposal
+    stars: IntArray  # (k,) rows of the index
+    detections: IntArray  # (k,)
+    scatter_px: float
+    scale_sigma: float  # relative
+    log_odds: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is no chance."""
+        return self.log_odds >= SURE_LOG_ODDS
+
+
+def enough_stars(index: SkyIndex, plane: Plane) -> float:
+    """Return how many of the index's brightest stars bring into the picture as many as its detections deserve."""
+    part = plane.area_px2 * plane.scale_rad**2 / (2.0 * TURN_RAD)
+    return STARS_PER_DETECTION * len(plane.places) / part * index.coverage
+
+
+def promising(
+    index: SkyIndex, plane: Plane, rotations: FloatArray, scales: FloatArray, most: int
+) -> IntArray:
+    """Return the proposals (rotations (c, 3, 3), scales (c,)) that bring most stars near detections, best first."""
+    tree = index.brightest_tree(enough_stars(index, plane))
+    near = tree.query_ball_point(rotations[:, 2], 2.0 * np.sin(0.5 * plane.reach_rad))
+    count = np.array([len(rows) for rows in near], np.int64)
+    which = np.repeat(np.arange(len(near)), count)
+    stars = index.vectors[np.concatenate([*near, []]).astype(np.int64)].astype(np.float64)
+    turned = np.einsum("cij,cj->ci", rotations[which], stars)
+    places = turned[:, :2] / turned[:, 2:] / scales[which, None]
+    reach = (FIRST_REACH_PX + FIRST_REACH_SHARE * np.sqrt(plane.area_px2)) * plane.scale_rad
+    apart, found = _nearest(plane, places, reach)
+    hit = np.isfinite(apart)
+    pairs = np.unique(which[hit] * len(plane.places) + found[hit])  # a detection counts once
+    hits = np.bincount(pairs // len(plane.places), minlength=len(near))
+    order = np.argsort(-hits, kind="stable")
+    return order[hits[order] >= MIN_STARS][:most]
+
+
+def _nearest(plane: Plane, places: FloatArray, reach: float) -> tuple[FloatArray, IntArray]:
+    """Return distances (n,) to the nearest detections, inf where none is within reach, and their rows (n,)."""
+    apart, found = plane.tree.query(places, distance_upper_bound=reach)
+    return np.asarray(apart, np.float64), np.asarray(found, np.int64)
+
+
+def judge(index: SkyIndex, plane: Plane, proposal: Proposal) -> Verdict | None:
+    """Refine a proposal by its matches, and weigh it; None where it loses its stars."""
+    tree = index.brightest_tree(enough_stars(index, plane))
+    rows = np.sort(tree.query_ball_point(proposal.rotation[2], 2.0 * np.sin(0.5 * plane.reach_rad)))
+    stars = index.vectors[rows].astype(np.float64)
+    reach_px = FIRST_REACH_PX + FIRST_REACH_SHARE * np.sqrt(plane.area_px2)
+    for _ in range(REFINEMENTS):
+        star, detection, apart = _matches(plane, proposal, stars, reach_px)
+        if len(star) < MIN_STARS:
+            return None
+        proposal = _fitted(plane, proposal, stars[star], plane.places[detection])
+        apart = _residuals_px(plane, proposal, stars[star], plane.places[detection])
+        reach_px = min(max(MATCH_SIGMAS * 1.05 * float(np.median(apart)), 1.5), reach_px)
+    return max(
+        (_weighed(index, plane, proposal, stars, rows, scatter) for scatter in SCATTERS_PX),
+        key=lambda v: v.log_odds,
+    )
+
+
+def _places(proposal: Proposal, stars: FloatArray) -> FloatArray:
+    turned = stars @ proposal.rotation.T
+    depth = np.where(turned[:, 2:] > 0.05, turned[:, 2:], np.nan)
+    return np.asarray(np.nan_to_num(turned[:, :2] / depth / proposal.scale, nan=1e6))
+
+
+def _matches(
+    plane: Plane, proposal: Proposal, stars: FloatArray, reach_px: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """One-to-one matches: star, detection, distance in px."""
+    apart, found = _nearest(plane, _places(proposal, stars), reach_px * plane.scale_rad)
+    star = np.flatnonzero(np.isfinite(apart))
+    star = star[np.argsort(apart[star], kind="stable")]
+    _, first = np.unique(found[star], return_index=True)
+    star = np.sort(star[first])
+    return star, found[star], apart[star] / plane.scale_rad
+
+
+def _residuals_px(plane: Plane, proposal: Proposal, stars: FloatArray, seen: FloatArray) -> FloatArray:
+    return np.asarray(np.hypot(*(seen - _places(proposal, stars)).T) / plane.scale_rad)
+
+
+def _fitted(plane: Plane, proposal: Proposal, stars: FloatArray, seen: FloatArray) -> Proposal:
+    """Least squares for rotation and scale, far residuals at less weight; two steps, as a proposal is near."""
+    for _ in range(2):
+        turned = stars @ proposal.rotation.T
+        x, y = turned[:, 0] / turned[:, 2], turned[:, 1] / turned[:, 2]
+        scale = proposal.scale
+        residual = (seen - np.column_stack([x, y]) / scale).ravel()
+        one = np.ones_like(x)
+        slope = np.empty((len(x), 2, 4))
+        slope[:, 0] = np.column_stack([-x * y, one + x**2, -y, -x / scale]) / scale
+        slope[:, 1] = np.column_stack([-(one + y**2), x * y, x, -y / scale]) / scale
+        size = np.hypot(*residual.reshape(-1, 2).T)
+        soft = max(2.0 * float(np.median(size)), 0.2 * plane.scale_rad)
+        weight = np.repeat(1.0 / np.sqrt(1.0 + (size / soft) ** 2), 2)
+        step = np.linalg.lstsq(slope.reshape(-1, 4) * weight[:, None], residual * weight, rcond=None)[0]
+        proposal = Proposal(rotation_from_vector(step[:3]) @ proposal.rotation, scale + float(step[3]))
+    return proposal
+
+
+def _weighed(
+    index: SkyIndex, plane: Plane, proposal: Proposal, stars: FloatArray, rows: IntArray, scatter_px: float
+) -> Verdict:
+    on = np.flatnonzero(plane.inside(_places(proposal, stars)))
+    star, detection, apart = _matches(plane, proposal, stars[on], MATCH_SIGMAS * scatter_px)
+    nothing = Verdict(proposal, rows[:0], rows[:0], scatter_px, np.nan, -np.inf)
+    if len(star) < MIN_STARS or abs(proposal.scale - 1.0) > 1.1 * plane.focal_error:
+        return nothing
+    gain = np.full(len(on), np.log(1.0 - SEEN))
+    peak = SEEN * plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
+    gain[star] = np.log(peak * np.exp(-0.5 * (apart / scatter_px) ** 2) + 1.0 - SEEN)
+    total = np.cumsum(gain)
+    depth = int(np.argmax(total))
+    star, detection = star[star <= depth], detection[star <= depth]
+    if len(star) < MIN_STARS:
+        return nothing
+    spread_px = _spread_px(plane, plane.places[detection])
+    log_odds = float(total[depth]) - np.log(len(on)) - np.log(len(SCATTERS_PX))
+    log_odds -= _cost_of_freedom(plane, len(star), spread_px, scatter_px)
+    log_odds += _brightness_odds(
+        index.mag[rows[on[: depth + 1]]].astype(np.float64), plane.mag, star, detection
+    )
+    return Verdict(proposal, rows[on[star]], detection, scatter_px, scatter_px / spread_px, log_odds)
+
+
+def _spread_px(plane: Plane, seen: FloatArray) -> float:
+    """Return the root of the summed squares of distances from the mean: the lever of twist and scale."""
+    offset = (seen - seen.mean(axis=0)) / plane.scale_rad
+    return float(np.sqrt(max(np.sum(offset**2), 1.0)))
+
+
+def _cost_of_freedom(plane: Plane, n_stars: int, spread_px: float, scatter_px: float) -> float:
+    """Return the logarithm of how many attitudes and scales could be told apart by so many stars."""
+    shift_px2 = scatter_px**2 / n_stars
+    turn_rad2 = (scatter_px / spread_px) ** 2  # that of the scale's logarithm, too
+    fitted = TURN_RAD**2 * shift_px2 * turn_rad2
+    room = 2.0 * TURN_RAD / plane.scale_rad**2 * TURN_RAD * 2.0 * plane.focal_error
+    return float(np.log(room / fitted))
+
+
+def _brightness_odds(mag: FloatArray, seen: FloatArray, star: IntArray, detection: IntArray) -> float:
+    """Return the log odds that stars and detections have each other's brightness, to one zero point."""
+    known = np.isfinite(seen[detection])
+    spread = float(np.hypot(np.nanstd(seen), np.std(mag)))
+    if known.sum() < MIN_STARS or np.nanstd(seen) < MIN_MAG_SPREAD or spread <= MAG_SCATTER:
+        return 0.0
+    difference = (seen[detection] - mag[star])[known] - (np.nanmean(seen) - np.mean(mag))
+    zero_point = float(np.median(difference))
+    by_chance = _gaussian(difference, spread)
+    as_stars = (1.0 - STRANGE_SHARE) * _gaussian(
+        difference - zero_point, MAG_SCATTER
+    ) + STRANGE_SHARE * by_chance
+    reach = ZERO_POINT_REACH * spread
+    found = MAG_SCATTER / np.sqrt(known.sum()) * np.sqrt(TURN_RAD) * _gaussian(zero_point, reach)
+    return float(np.sum(np.log(as_stars / by_chance)) + np.log(found))
+
+
+def _gaussian(x: FloatArray | float, sigma: float) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * np.square(np.asarray(x) / sigma)) / (sigma * np.sqrt(TURN_RAD)))

@@ -1,0 +1,82 @@
+"""Star fields solved without an attitude; the big exam is ``lost_exam.py`` beside this file, run by hand."""
+
+import numpy as np
+import pytest
+from lost_exam import camera, detections, draw_field, error_px, random_attitude, random_dots
+
+from opnav_workbench.stars.lost_in_space import index_of_stars, solve_lost
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, code_of, named_orders
+
+STARS, MISSING = 4000, 0.2  # one in ten square degrees: fields from 13 deg on
+WIDTHS_DEG = (13.0, 16.0, 20.0)
+
+
+@pytest.fixture(scope="module")
+def sky():
+    rng = np.random.default_rng(1)
+    vectors = rng.normal(size=(STARS, 3))
+    vectors /= np.linalg.norm(vectors, axis=1)[:, None]
+    return vectors, 8.0 + 2.0 * np.log10(rng.uniform(0.0, 1.0, STARS))  # ten times as many in two magnitudes
+
+
+@pytest.fixture(scope="module")
+def index(sky, tmp_path_factory):
+    known = np.random.default_rng(2).random(STARS) >= MISSING
+    return index_of_stars(sky[0][known], sky[1][known], folder=tmp_path_factory.mktemp("index"))
+
+
+def test_codes_know_neither_place_nor_order_but_the_mirror():
+    rng = np.random.default_rng(3)
+    quads = rng.normal([0.0, 0.0, 20.0], 1.0, (50, 4, 3))
+    quads /= np.linalg.norm(quads, axis=2)[:, :, None]
+
+    def codes(of):
+        rows, orders = named_orders(of)
+        assert rows.tolist() == list(range(50)) or len(rows) == 50
+        named = np.take_along_axis(of[rows], ORDERS[orders][:, :, None], axis=1)
+        return code_of(named)[0][np.argsort(rows)]
+
+    turned = quads[:, [2, 0, 3, 1]] @ random_attitude(rng).T
+    np.testing.assert_allclose(codes(turned), codes(quads), atol=1e-12)
+    mirrored = codes(quads * [1.0, -1.0, 1.0])
+    np.testing.assert_allclose(np.abs(mirrored), np.abs(codes(quads)), atol=1e-12)
+    assert np.abs(mirrored - codes(quads)).max(axis=1).min() > 1e-4
+
+
+@pytest.mark.parametrize("width_deg", WIDTHS_DEG)
+def test_fields_with_false_and_missing_stars(sky, index, width_deg):
+    rng = np.random.default_rng(int(width_deg))
+    for _ in range(4):
+        field = draw_field(rng, *sky, width_deg=width_deg, n_stars=12)
+        answer = solve_lost(index, detections(field.places_px, field.flux), camera(field.told_focal_px))
+        assert answer.camera_from_j2000 is not None, answer.message
+        assert error_px(field, answer) < 3.0
+        assert abs(answer.focal_scale * field.told_focal_px / field.focal_px - 1.0) < 6.0 * answer.focal_sigma
+
+
+def test_mirrored_pictures_are_told_and_not_solved(sky, index):
+    field = draw_field(np.random.default_rng(4), *sky, width_deg=15.0, n_stars=16)
+    places = field.places_px * [1.0, -1.0] + [0.0, 1023.0]
+    answer = solve_lost(index, detections(places, field.flux), camera(field.told_focal_px))
+    assert answer.camera_from_j2000 is None
+    # The camera's line axis the other way round, in a frame of the other hand: what it solved is the true attitude.
+    np.testing.assert_allclose(answer.mirrored, field.camera_from_j2000, atol=1e-3)
+
+
+def test_dots_get_no_answer(index, sample):
+    rng = np.random.default_rng(5)
+    for number in range(sample.trials(15)):
+        focal = 512.0 / np.tan(np.radians(0.5 * WIDTHS_DEG[number % 3]))
+        answer = solve_lost(index, detections(*random_dots(rng)), camera(focal), try_mirrored=False)
+        assert answer.camera_from_j2000 is None, answer.message
+
+
+def test_damaged_bands_are_made_again(sky, tmp_path):
+    some = sky[0][:200], sky[1][:200]
+    made = index_of_stars(*some, folder=tmp_path).band(0)
+    (path,) = tmp_path.glob("*-band0.opnavindex")
+    whole = path.read_bytes()
+    for at in (20, len(whole) // 2):  # header and content
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        np.testing.assert_array_equal(index_of_stars(*some, folder=tmp_path).band(0).patterns, made.patterns)
+        assert path.read_bytes() == whole
