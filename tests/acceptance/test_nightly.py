@@ -52,18 +52,20 @@ def test_a_night_gives_what_process_gives_and_names_what_fails(demo_truths, tmp_
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_the_six_flight_frames_in_one_night(data_dir, tmp_path):
+def test_flight_frames_of_two_fields_in_one_night(data_dir, tmp_path):
+    """What all six frames of these fields show is checked of `opnav process`, whose results a night's are."""
     frames = data_dir / "images" / "lorri_interstellar"
     catalog = f"npz:{data_dir / 'stars' / 'tycho2.npz'}"
-    night = {"images": [str(frames)], "mission": "new_horizons", "catalog": catalog}
+    chosen = [str(frames / f"lor_{met}_0x633_pwcs2.fits") for met in ("0449855930", "0449933827")]
+    night = {"images": chosen, "mission": "new_horizons", "catalog": catalog}
     (tmp_path / "night.yaml").write_text(json.dumps(night))  # JSON is YAML
     status, said = run("nightly", tmp_path / "night.yaml", "--out", tmp_path / "night", "--jobs", "2")
     assert status == 0, said
     summary = json.loads((tmp_path / "night" / "summary.json").read_text())
     proxima = [row for row in summary["images"] if "04498559" in row["name"]]
     wolf = [row for row in summary["images"] if "04499338" in row["name"]]
-    assert [row["pointing"]["n_stars"] for row in proxima] == [9, 9, 9]
+    assert [row["pointing"]["n_stars"] for row in proxima] == [9]
     assert all(row["pointing"]["rms_px"] < 0.1 for row in proxima)
-    assert [row["status"] for row in wolf] == ["partial"] * 3  # one star alone leaves the twist open
+    assert [row["status"] for row in wolf] == ["partial"]  # one star alone leaves the twist open
     queue = json.loads((tmp_path / "night" / "queue.json").read_text())
     assert {Path(item["image"]).stem for item in queue["images"]} == {row["name"] for row in wolf}
