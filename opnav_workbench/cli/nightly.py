@@ -24,6 +24,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from opnav_workbench import report
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals
 from opnav_workbench.errors import SessionError
@@ -315,16 +316,18 @@ def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> N
     console.print(
         ", ".join(f"[{style}]{counts.get(status, 0)} {status}[/]" for status, style in words), highlight=False
     )
-    waiting = [row for row in summary["images"] if row["attention"]]
-    for row in waiting[:SHOWN]:
-        said = f"{row['name']} ({row['status']}): {'; '.join(row['attention'])}"
+    causes = report.night_causes(summary["images"])
+    for cause in causes[:SHOWN]:
+        row, count = cause.rows[0], len(cause.rows)
+        others = f" and {count - 1} more like it" if count > 1 else ""
+        said = f"{row['name']} ({row['status']}){others}: {cause.reason}"
         console.print(f"[yellow]needs an analyst[/] {escape(said)}", highlight=False)
-    if len(waiting) > SHOWN:
-        console.print(f"... and {len(waiting) - SHOWN} more, on the page.", highlight=False)
+    if len(causes) > SHOWN:
+        console.print(f"... and {len(causes) - SHOWN} more reasons, on the page.", highlight=False)
     for note in summary["notes"]:
         console.print(f"[yellow]note[/] {escape(note)}", highlight=False)
     for reason in summary["not_archived"]:
         console.print(f"[yellow]not in the archive[/] {escape(reason)}", highlight=False)
     console.print(f"Page: {escape(str(out / SUMMARY_PAGE))}", highlight=False)
-    if waiting:
+    if causes:
         console.print(f"Next: opnav lab --queue {escape(str(out))}", highlight=False)

@@ -44,7 +44,12 @@ def write_night_summary(night: Night) -> dict[str, Any]:
     """
     summary, out, spec = night_summary_dict(night), night.plan.out, night.plan.spec
     write_json(out / SUMMARY_FILE, summary)
-    write_text(out / SUMMARY_PAGE, report.night_page(summary, out))
+    pages = report.night_pages(summary, out)
+    for name, page in pages.items():
+        write_text(out / name, page)
+    for left in out.glob("summary-*.html"):  # of a night of more pictures
+        if left.name not in pages:
+            left.unlink(missing_ok=True)
     waiting = tuple(
         QueuedImage(row["path"], row["name"], row["status"], tuple(row["attention"]))
         for row in summary["images"]
@@ -61,9 +66,9 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
     -------
     dict
         ``version, written_utc, mission, kernels, catalog, targets, counts, processed_now, failed_now, not_archived, notes,
-        images``; an image has ``name, path, state, status, utc, messages, attention, pointing, bodies, seconds, peak_mb,
-        tries`` and the names of its files. ``failed_now`` counts the pictures of this night that failed, whether an older
-        result of theirs stands or not.
+        images``; an image has ``name, path, state, status, utc, messages, attention, why, pointing, bodies, seconds,
+        peak_mb, tries`` and the names of its files. ``failed_now`` counts the pictures of this night that failed, whether an
+        older result of theirs stands or not.
     """
     spec = night.plan.spec
     now = {verdict.name: verdict for verdict in night.verdicts}
@@ -107,6 +112,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
         "utc": result.get("utc"),
         "messages": result["messages"],
         "attention": list(attention),
+        "why": list(picture.why) if state == "now" else [],
         "pointing": None if pointing is None else {key: pointing[key] for key in POINTING_KEYS},
         "bodies": [_body_row(body) for body in bodies],
         "seconds": None if record is None else record.seconds,

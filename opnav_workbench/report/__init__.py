@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from opnav_workbench.report.drawing import png_bytes, write_png
     from opnav_workbench.report.kernel_coverage import coverage_figure, write_coverage
     from opnav_workbench.report.limb_scans import scan_figure, scan_png, write_scans
-    from opnav_workbench.report.pages import night_page
+    from opnav_workbench.report.pages import night_causes, night_pages
     from opnav_workbench.report.planning import field_chart, timeline_figure, write_plan_page
     from opnav_workbench.report.rehearsal import score_page, solution_page
     from opnav_workbench.report.star_chart import write_star_chart
@@ -69,7 +69,8 @@ __all__ = [
     "field_chart",
     "methods_figure",
     "methods_png",
-    "night_page",
+    "night_causes",
+    "night_pages",
     "png_bytes",
     "psf_figure",
     "scan_figure",
@@ -101,7 +102,8 @@ _HOMES = {
     "field_chart": "planning",
     "methods_figure": "body_centers",
     "methods_png": "body_centers",
-    "night_page": "pages",
+    "night_causes": "pages",
+    "night_pages": "pages",
     "png_bytes": "drawing",
     "psf_figure": "calibration",
     "scan_figure": "limb_scans",

@@ -6,7 +6,9 @@ Every status of the night's page has a sign and a word beside its colour.
 
 import io
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -15,7 +17,7 @@ from PIL import Image
 
 from opnav_workbench.templating import environment, png_url
 
-__all__ = ["few_colors", "night_page", "render_template"]
+__all__ = ["NightCause", "few_colors", "night_causes", "night_pages", "render_template"]
 
 
 # ---- HTML pages that open anywhere, offline: one style for all, small figures inside.
@@ -63,10 +65,14 @@ def _rounded(value: float | None, sigma: float | None = None) -> str:
 environment(TEMPLATES).filters |= {"rounded": _rounded, "linked": quote}
 
 
-# ---- The page of a night: one file that opens anywhere, offline, with small pictures inside.
+# ---- The pages of a night: they open anywhere, offline.
 
 THUMBNAIL_PX = 260
 FIGURE_FILE = "summary.png"
+FIRST_PAGE = "summary.html"
+ROWS_A_PAGE = 500  # a megabyte; a browser shows it at once
+MOST_INSIDE = 200  # small pictures that stand in the page itself; of more they come from their folders when they are seen
+NAMES_SHOWN = 1000  # of the pictures of one cause
 STATUS_MARKS = {"ok": "✓", "partial": "!", "failed": "✕", "waiting": "…"}
 STATE_WORDS = {
     "done": "as before",
@@ -75,10 +81,52 @@ STATE_WORDS = {
     "now": "",
     "waiting": "",
 }
+NUMBERS = re.compile(r"[+-]?\d[\d.,:TZ+-]*")
 
 
-def night_page(summary: Mapping[str, Any], out: Path) -> str:
-    """Return the page.
+@dataclass(frozen=True, slots=True)
+class NightCause:
+    """A reason to look at pictures, and all pictures that have it: they differ in numbers and names only.
+
+    Attributes
+    ----------
+    reason
+        As the first of them says it.
+    rows
+        Of the summary.
+    """
+
+    reason: str
+    rows: tuple[Mapping[str, Any], ...]
+
+
+def night_causes(rows: Iterable[Mapping[str, Any]]) -> tuple[NightCause, ...]:
+    """Return why pictures need an analyst, the most frequent cause first.
+
+    Parameters
+    ----------
+    rows
+        Images of a night's summary.
+
+    Examples
+    --------
+    >>> gap = "no attitude at {} (NH_LORRI); add a CK"
+    >>> times = {"lor_1": "2015-04-09T01:02", "lor_2": "2015-04-10T03:04"}
+    >>> rows = [{"name": name, "attention": [gap.format(time)]} for name, time in times.items()]
+    >>> [(cause.reason, len(cause.rows)) for cause in night_causes(rows)]
+    [('no attitude at 2015-04-09T01:02 (NH_LORRI); add a CK', 2)]
+    """
+    found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
+    for row in rows:
+        for reason in row["attention"]:
+            kind = NUMBERS.sub("#", re.sub(rf"\b{re.escape(row['name'])}\b", "*", reason))
+            found.setdefault(kind, []).append((reason, row))
+    causes = [NightCause(same[0][0], tuple(row for _, row in same)) for same in found.values()]
+    return tuple(sorted(causes, key=lambda cause: -len(cause.rows)))
+
+
+def night_pages(summary: Mapping[str, Any], out: Path) -> dict[str, str]:
+    """Return the pages by the names of their files.
 
     Parameters
     ----------
@@ -89,17 +137,41 @@ def night_page(summary: Mapping[str, Any], out: Path) -> str:
 
     Returns
     -------
-    str
-        HTML without a reference to the network.
+    dict of str to str
+        HTML without a reference to the network: causes and counts on the first page, on each some hundred pictures.
     """
-    pictures = {row["name"]: _thumbnail(out / row["name"] / FIGURE_FILE) for row in summary["images"]}
-    return render_template(
-        "night_page.html",
-        night=summary,
-        pictures=pictures,
-        signs=STATUS_MARKS,
-        states=STATE_WORDS,
-    )
+    rows, causes = summary["images"], night_causes(summary["images"])
+    parts = [rows[start : start + ROWS_A_PAGE] for start in range(0, len(rows), ROWS_A_PAGE)] or [[]]
+    names = [FIRST_PAGE, *(f"summary-{number}.html" for number in range(2, len(parts) + 1))]
+    where = {row["name"]: name for name, part in zip(names, parts, strict=True) for row in part}
+    numbers = {row["name"]: k for k, cause in reversed(list(enumerate(causes))) for row in cause.rows}
+    inside = len(rows) <= MOST_INSIDE
+    return {
+        name: render_template(
+            "night_page.html",
+            night=summary,
+            rows=part,
+            causes=causes if name == FIRST_PAGE else (),
+            cause_numbers=numbers,
+            n_names=NAMES_SHOWN,
+            where=where,
+            page=name,
+            pages=names,
+            first=FIRST_PAGE,
+            pictures={row["name"]: _figure(out, row["name"], inside=inside) for row in part},
+            signs=STATUS_MARKS,
+            states=STATE_WORDS,
+        )
+        for name, part in zip(names, parts, strict=True)
+    }
+
+
+def _figure(out: Path, name: str, *, inside: bool) -> str:
+    """Return where a browser finds a picture's figure; empty where there is none."""
+    path = out / name / FIGURE_FILE
+    if inside:
+        return _thumbnail(path)
+    return quote(f"{name}/{FIGURE_FILE}") if path.is_file() else ""
 
 
 def _thumbnail(path: Path) -> str:

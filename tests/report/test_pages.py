@@ -8,7 +8,7 @@ import pytest
 from astropy.table import Table
 from jinja2 import UndefinedError
 
-from opnav_workbench.report.pages import few_colors, night_page, render_template
+from opnav_workbench.report.pages import few_colors, night_causes, night_pages, render_template
 from opnav_workbench.report.paper import PaperRow, captioned, paper_comparison, shown_table
 from opnav_workbench.templating import png_url
 
@@ -51,6 +51,10 @@ def _night(*rows: dict[str, object]) -> dict[str, object]:
     }
 
 
+def first_page(summary, out):
+    return night_pages(summary, out)["summary.html"]
+
+
 @pytest.fixture(scope="module")
 def png():
     figure = matplotlib.figure.Figure(figsize=(4.0, 3.0))
@@ -65,7 +69,7 @@ def test_templates_and_style_are_files_of_the_package():
 
 def test_night_page_escapes_and_formats(tmp_path):
     missing = {"pointing": None, "bodies": [], "utc": None, "seconds": None, "status": "failed"}
-    page = night_page(_night(_row("a b"), _row("lost", **missing, attention=[AWKWARD])), tmp_path)
+    page = first_page(_night(_row("a b"), _row("lost", **missing, attention=[AWKWARD])), tmp_path)
     assert page.count(ESCAPED) == 3  # title, heading, reason
     assert AWKWARD not in page
     assert 'id="a%20b"' in page
@@ -79,9 +83,31 @@ def test_small_picture_stands_in_the_page(tmp_path, png):
     (tmp_path / "a" / "summary.png").write_bytes(png)
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "summary.png").write_bytes(png[:100])  # a broken one costs the picture, not the page
-    page = night_page(_night(_row("a"), _row("b")), tmp_path)
+    page = first_page(_night(_row("a"), _row("b")), tmp_path)
     assert page.count('src="data:image/png;base64,') == 1
     assert png_url(few_colors(png, 260)) in page
+
+
+def test_many_pictures_are_pages_and_their_causes_lines(tmp_path, png):
+    gap = "no attitude of NH_LORRI at 2015-04-09T01:{:02d}:00 UTC; add a CK"
+    rows = [_row(f"p{i:04d}", attention=[gap.format(i % 60)] if i % 2 else []) for i in range(1100)]
+    rows[7]["attention"].append(f"{rows[7]['name']}.fit: truncated")
+    (tmp_path / "p0600").mkdir()
+    (tmp_path / "p0600" / "summary.png").write_bytes(png)
+    pages = night_pages(_night(*rows), tmp_path)
+    assert list(pages) == ["summary.html", "summary-2.html", "summary-3.html"]
+    assert [page.count("<tr id=") for page in pages.values()] == [500, 500, 100]
+    first, second, _ = pages.values()
+    assert first.count("<li id=") == 2
+    assert "<b>550 pictures</b>: no attitude" in first
+    assert 'href="summary-2.html#p0601"' in first
+    assert 'src="p0600/summary.png"' in second
+    assert 'href="summary.html#cause-0"' in second
+    assert "Needs an analyst" not in second
+    assert [(len(cause.rows), cause.rows[0]["name"]) for cause in night_causes(rows)] == [
+        (550, "p0001"),
+        (1, "p0007"),
+    ]
 
 
 def test_few_colors_keeps_the_shape(png):
