@@ -8,6 +8,7 @@ at all.
 import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -89,10 +90,16 @@ def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:
     if unknown:
         raise ValueError(f"unknown {', '.join(unknown)}; known are {', '.join(sorted(KEYWORD_FIELDS))}")
     try:
-        TypeAdapter(KeywordMap).validate_python(keywords)
+        _keyword_map().validate_python(keywords)
     except MissionError as error:
         raise ValueError(str(error)) from error
     return keywords
+
+
+@lru_cache(maxsize=1)
+def _keyword_map() -> TypeAdapter[KeywordMap]:
+    """Made once, when first asked for: it costs as much as reading the file."""
+    return TypeAdapter(KeywordMap)
 
 
 class _MissionFile(StrictModel):
