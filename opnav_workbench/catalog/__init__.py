@@ -45,6 +45,8 @@ Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigma
     Cones of the VizieR service, kept on disk.
 ``vizier_tables``
     VizieR's tables and how their rows become stars.
+``whole_sky``
+    Whole catalogs fetched once over the network.
 ``combined``
     Several catalogs asked as one.
 """
@@ -56,6 +58,7 @@ from opnav_workbench.catalog.specs import CatalogStatus, catalog_contents, catal
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.catalog.user_files import read_star_list
 from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
+from opnav_workbench.catalog.whole_sky import fetch_whole_sky
 
 __all__ = [
     "UNKNOWN_MOTION_MAS_YR",
@@ -66,6 +69,7 @@ __all__ = [
     "VizierCatalog",
     "catalog_contents",
     "catalog_status",
+    "fetch_whole_sky",
     "open_catalog",
     "open_vizier",
     "read_star_list",

@@ -35,6 +35,7 @@ from opnav_workbench.files import atomic_path
 from opnav_workbench.resources import cache_root
 
 __all__ = [
+    "CachedStars",
     "Progress",
     "RecordStore",
     "Records",

@@ -21,6 +21,7 @@ from opnav_workbench.catalog.ucac4 import open_ucac4
 from opnav_workbench.catalog.user_files import open_npz
 from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
 from opnav_workbench.catalog.vizier_tables import TABLES
+from opnav_workbench.catalog.whole_sky import WHOLE_SKY, fetched_names, open_fetched
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import sha256_of
 
@@ -40,7 +41,8 @@ class SpecKind:
 
 # A new catalog is one more line here.
 SPEC_KINDS: Mapping[str, SpecKind] = {
-    "bundled": SpecKind("bundled", lambda _argument, progress: open_bundled(progress)),
+    "bundled": SpecKind("bundled", lambda _argument, progress: _bundled_and_fetched(progress)),
+    "fetched": SpecKind("fetched:NAME", lambda argument, _progress: open_fetched(argument)),
     "tycho2": SpecKind("tycho2:DIR", open_tycho2),
     "ucac2": SpecKind("ucac2:DIR", lambda argument, _progress: open_ucac2(argument)),
     "ucac4": SpecKind("ucac4:DIR", lambda argument, _progress: open_ucac4(argument)),
@@ -59,7 +61,8 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     Parameters
     ----------
     spec
-        ``bundled`` (490,000 stars to magnitude 10, comes with pip); the original distributions of Tycho-2, UCAC2,
+        ``bundled`` (490,000 stars to magnitude 10, comes with pip; with what ``opnav catalog fetch`` has got of the whole
+        sky, which is ``fetched:NAME`` alone); the original distributions of Tycho-2, UCAC2,
         UCAC4 and Hipparcos-2 in a folder: ``tycho2:DIR``, ``ucac2:DIR``, ``ucac4:DIR``, ``hip2:DIR`` (or the file);
         ``npz:FILE`` (see `catalog.user_files` for its arrays); ``astrometry-net:GLOB`` (index files, optionally with
         ``?epoch=JYEAR``); ``vizier:NAME`` (asked over the network, kept on disk). Specs joined by ``+`` are one
@@ -81,7 +84,7 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     --------
     >>> open_catalog("sao")
     Traceback (most recent call last):
-    opnav_workbench.errors.CatalogError: unknown catalog 'sao'; use bundled, tycho2:DIR,
+    opnav_workbench.errors.CatalogError: unknown catalog 'sao'; use bundled, fetched:NAME, tycho2:DIR,
     ucac2:DIR, ucac4:DIR, hip2:DIR, npz:FILE, vizier:NAME or astrometry-net:GLOB.
     """
     parts = split_specs(spec, tuple(SPEC_KINDS))
@@ -95,6 +98,12 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     if takes_argument != bool(argument) or (colon and not takes_argument):
         raise CatalogError(f"catalog {spec!r} is not of the form {reader.form}; use {_known_forms()}.")
     return reader.open(argument, progress)
+
+
+def _bundled_and_fetched(progress: Progress | None) -> Catalog:
+    """Open the bundled catalog with the whole catalogs that were fetched to this machine."""
+    parts = [open_bundled(progress), *(open_fetched(name) for name in fetched_names())]
+    return parts[0] if len(parts) == 1 else CombinedCatalog(parts)
 
 
 def _known_forms() -> str:
@@ -172,9 +181,14 @@ def catalog_status() -> tuple[CatalogStatus, ...]:
     Examples
     --------
     >>> [status.form for status in catalog_status()][:3]
-    ['bundled', 'tycho2:DIR', 'ucac2:DIR']
+    ['bundled', 'fetched:NAME', 'tycho2:DIR']
     """
-    special = {"bundled": _bundled_status, "astrometry-net": _astrometry_net_status, "vizier": _vizier_status}
+    special = {
+        "bundled": _bundled_status,
+        "fetched": _fetched_status,
+        "astrometry-net": _astrometry_net_status,
+        "vizier": _vizier_status,
+    }
     plain = "needs files of yours"
     return tuple(
         special[kind]() if kind in special else CatalogStatus(reader.form, available=True, detail=plain)
@@ -196,6 +210,15 @@ def _bundled_status() -> CatalogStatus:
         cache_path=path,
         cache_built=built,
     )
+
+
+def _fetched_status() -> CatalogStatus:
+    names = fetched_names()
+    more = [
+        f"opnav catalog fetch {name} gets {WHOLE_SKY[name].says}" for name in WHOLE_SKY if name not in names
+    ]
+    here = f"{', '.join(names)}: part of bundled" if names else "none yet"
+    return CatalogStatus("fetched:NAME", available=True, detail="; ".join([here, *more]))
 
 
 def _astrometry_net_status() -> CatalogStatus:

@@ -16,14 +16,16 @@ suppl_2.dat (1,146 stars of Tycho-1) is not used: its authors list it as false o
 Source: Hog et al. (2000), A&A 355, L27, and the byte tables of CDS I/259.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.cache import (
+    CachedStars,
     Progress,
     Records,
     RecordStore,
@@ -41,7 +43,7 @@ from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 
-__all__ = ["open_tycho2"]
+__all__ = ["PARTS", "RULE", "SUPPLEMENT_FILE", "folder_records", "open_tycho2", "stored_tycho2"]
 
 RULE = 1  # raise it whenever a record of the same row would change
 MAIN_CHARACTERS, SUPPLEMENT_CHARACTERS = 206, 122
@@ -83,11 +85,27 @@ def open_tycho2(argument: str, progress: Progress | None = None) -> StoredCatalo
     identity = {"rule": RULE, **source_identity([*main, *supplement])}
     build = partial(_records, main, supplement, progress)
     stars = cached_stars(cache_path(cache_name("tycho2", folder)), identity, build)
+    return stored_tycho2(f"tycho2:{argument}", stars, {"files": [str(file) for file in (*main, *supplement)]})
+
+
+def folder_records(folder: Path, progress: Progress | None = None) -> Records:
+    """Return the records of a folder of Tycho-2 files, in no order.
+
+    Raises
+    ------
+    CatalogError
+        As `open_tycho2`.
+    """
+    return _records(*_files(folder), progress)
+
+
+def stored_tycho2(name: str, stars: CachedStars, facts: Mapping[str, Any]) -> StoredCatalog:
+    """Return converted stars of Tycho-2 as a catalog of this name; `facts` are told of it besides."""
     return StoredCatalog(
-        name=f"tycho2:{argument}",
+        name=name,
         facts={
             "source": "Tycho-2 (Hog et al. 2000, CDS I/259)",
-            "files": [str(file) for file in (*main, *supplement)],
+            **facts,
             "bands": sorted(BANDS),
             "n_with_motion": stars.n_with_motion,
         },

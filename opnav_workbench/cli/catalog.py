@@ -15,7 +15,15 @@ from rich.table import Table
 
 from opnav_workbench import report
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.catalog import Catalog, StarQuality, StarTable, catalog_status, open_catalog, open_vizier
+from opnav_workbench.catalog import (
+    Catalog,
+    StarQuality,
+    StarTable,
+    catalog_status,
+    fetch_whole_sky,
+    open_catalog,
+    open_vizier,
+)
 from opnav_workbench.cli.terminal import folding_table
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
@@ -82,20 +90,43 @@ def build(spec: SpecArgument) -> None:
 
 @catalog_app.command()
 def fetch(
-    name: Annotated[str, typer.Argument(help="VizieR catalog: gaia-dr3, tycho2, ucac4, hip2.")],
-    cone: Annotated[
-        tuple[float, float, float], typer.Option(help="RA, Dec and radius, degrees.", show_default=False)
+    name: Annotated[
+        str, typer.Argument(help="tycho2, the whole sky; or a VizieR catalog: gaia-dr3, tycho2, ucac4, hip2.")
     ],
-    mag: Annotated[float | None, typer.Option(help="Faintest magnitude.", show_default=False)] = None,
+    cone: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="RA, Dec and radius, degrees; without it the whole sky.", show_default=False),
+    ] = None,
+    mag: Annotated[
+        float | None, typer.Option("--mag", "--mag-limit", help="Faintest magnitude.", show_default=False)
+    ] = None,
+    url: Annotated[
+        str | None,
+        typer.Option("--from", help="Another web folder with the whole sky's files.", show_default=False),
+    ] = None,
 ) -> None:
-    """Fetch a cone of a catalog over the network and keep it, so that vizier:NAME serves it offline.
+    """Fetch the whole sky of a catalog once, part of bundled from then on; or a cone, which vizier:NAME serves offline.
+
+    What was fetched before a cut is kept: call it again.
 
     [bold]Example[/]
 
+      opnav catalog fetch tycho2 --mag-limit 12
+
       opnav catalog fetch gaia-dr3 --cone 217.39 -62.68 0.5 --mag 16
     """
-    catalog = open_vizier(name)
     console = Console()
+    if cone is None:
+        with Console(stderr=True).status(f"fetching {escape(name)}") as status:
+            whole = fetch_whole_sky(
+                name, mag, url, lambda what, done: status.update(f"{escape(what)} {done:.0%}")
+            )
+        n_stars = whole.describe()["n_stars"]
+        console.print(
+            f"{n_stars} stars of {escape(name)} kept; bundled has them from now on.", highlight=False
+        )
+        return
+    catalog = open_vizier(name)
     with Console(stderr=True).status(f"asking VizieR for {escape(name)}"):
         n_stars = catalog.fetch(*cone, mag)
     console.print(

@@ -5,7 +5,7 @@ import pytest
 from opnav_workbench.catalog import catalog_status, open_catalog
 from opnav_workbench.errors import CatalogError
 
-FORMS = "bundled, tycho2:DIR, ucac2:DIR, ucac4:DIR, hip2:DIR, npz:FILE.*astrometry-net:GLOB"
+FORMS = "bundled, fetched:NAME, tycho2:DIR, ucac2:DIR, ucac4:DIR, hip2:DIR, npz:FILE.*astrometry-net:GLOB"
 
 
 @pytest.mark.parametrize("spec", ["", "hipparcos", "tycho:/data", "stars.npz", "NPZ:x", ":x"])

@@ -1,0 +1,164 @@
+"""Whole catalogs fetched once over the network, and kept as records of our own: ``fetched:NAME``.
+
+The files of a catalog's archive are fetched one by one; what is there stays for the next attempt, after a cut or in
+another process. Each is read to its end before it counts (its own checksum is in it). Once all are there, they are
+converted (`cache`), to a magnitude limit if one is given, and removed. The catalog ``bundled`` adds by itself what was
+fetched.
+"""
+
+import gzip
+import re
+import shutil
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from opnav_workbench.catalog import tycho2
+from opnav_workbench.catalog.cache import Progress, Records, cache_path, cached_stars
+from opnav_workbench.catalog.interface import Catalog
+from opnav_workbench.catalog.star_store import StoredCatalog
+from opnav_workbench.downloads import download
+from opnav_workbench.errors import CatalogError, DownloadError
+from opnav_workbench.resources import cache_root
+
+__all__ = ["WHOLE_SKY", "fetch_whole_sky", "fetched_names", "open_fetched"]
+
+
+NO_LIMIT = 99.0  # magnitude in the name of a file that holds all
+
+
+@dataclass(frozen=True, slots=True)
+class WholeSky:
+    """An archive that holds a whole catalog."""
+
+    url: str  # of the folder
+    files: tuple[str, ...]
+    records: Callable[[Path, Progress | None], Records]  # of a folder with these files
+    open: Callable[[str, Path, Mapping[str, object]], Catalog]
+    rule: int
+    says: str
+
+
+def _stored(name: str, path: Path, identity: Mapping[str, object]) -> StoredCatalog:
+    def gone() -> Records:
+        raise CatalogError(f"{path} is damaged; run: opnav catalog fetch {name}.")
+
+    stars = cached_stars(path, identity, gone)
+    limit = identity["mag_limit"]
+    facts = {"mag_limit": None if limit == NO_LIMIT else limit, "cache": str(path)}
+    return tycho2.stored_tycho2(f"fetched:{name}", stars, facts)
+
+
+WHOLE_SKY: Mapping[str, WholeSky] = {
+    "tycho2": WholeSky(
+        url="https://cdsarc.cds.unistra.fr/ftp/I/259/",
+        files=(*(f"{name}.gz" for name in tycho2.PARTS), f"{tycho2.SUPPLEMENT_FILE}.gz"),
+        records=tycho2.folder_records,
+        open=_stored,
+        rule=tycho2.RULE,
+        says="2.5 million stars to magnitude 12",
+    )
+}
+STEM = "fetched-{name}-mag{limit:.2f}"
+LIMIT = re.compile(r"-mag(\d+\.\d+)$")
+
+
+def fetch_whole_sky(
+    name: str,
+    mag_limit: float | None = None,
+    url: str | None = None,
+    tell: Callable[[str, float], None] = lambda _what, _done: None,
+) -> Catalog:
+    """Fetch a whole catalog, or what is still missing of it, and return it as ``fetched:NAME`` opens it.
+
+    Parameters
+    ----------
+    name
+        One of `WHOLE_SKY`.
+    mag_limit
+        Fainter stars are left out; None: all.
+    url
+        Another folder of the web that holds the same files.
+    tell : callable
+        Told what is done, and the fraction of it.
+
+    Raises
+    ------
+    CatalogError
+        The catalog is unknown, or a file of it is damaged.
+    DownloadError
+        A file cannot be had; those that were had are kept.
+    """
+    source = WHOLE_SKY.get(name)
+    if source is None:
+        raise CatalogError(
+            f"the whole sky of {name!r} cannot be fetched; fetch {', '.join(WHOLE_SKY)}, or a cone (--cone)."
+        )
+    folder = cache_root() / "catalogs" / f"fetching-{name}"
+    for number, file in enumerate(source.files):
+        tell(f"fetching {file}", number / len(source.files))
+        if not (folder / file).is_file():
+            download(f"{(url or source.url).rstrip('/')}/{file}", folder / file, check=_check_whole)
+    limit = NO_LIMIT if mag_limit is None else float(mag_limit)
+
+    def build() -> Records:
+        records = source.records(folder, lambda done: tell(f"reading {name}", done))
+        kept = records[records["mag"] <= limit]
+        if len(kept) == 0:
+            raise CatalogError(f"{name} has no star to magnitude {limit:g}; give a fainter limit.")
+        return kept
+
+    path = _path(name, limit)
+    cached_stars(path, _identity(name, source, limit), build)
+    if not path.is_file():
+        raise CatalogError(f"cannot write {path}; free some space or set OPNAV_CACHE, and fetch again.")
+    shutil.rmtree(folder, ignore_errors=True)
+    return open_fetched(name)
+
+
+def open_fetched(name: str) -> Catalog:
+    """Open the deepest of the catalogs of this name that were fetched.
+
+    Raises
+    ------
+    CatalogError
+        None was, or its file is damaged.
+    """
+    source = WHOLE_SKY.get(name)
+    limits = _limits(name) if source is not None else []
+    if source is None or not limits:
+        known = ", ".join(WHOLE_SKY)
+        raise CatalogError(f"no catalog {name!r} was fetched; run: opnav catalog fetch {known}.")
+    limit = max(limits)
+    return source.open(name, _path(name, limit), _identity(name, source, limit))
+
+
+def fetched_names() -> tuple[str, ...]:
+    """Return the names of the whole catalogs that were fetched."""
+    return tuple(name for name in WHOLE_SKY if _limits(name))
+
+
+def _limits(name: str) -> list[float]:
+    found = _path(name, NO_LIMIT).parent.glob(f"fetched-{name}-mag*.stars")
+    return [float(match.group(1)) for path in found if (match := LIMIT.search(path.stem))]
+
+
+def _path(name: str, limit: float) -> Path:
+    return cache_path(STEM.format(name=name, limit=limit))
+
+
+def _identity(name: str, source: WholeSky, limit: float) -> dict[str, object]:
+    return {"fetched": name, "mag_limit": limit, "rule": source.rule}
+
+
+def _check_whole(path: Path) -> None:
+    """Read a packed file to its end: its checksum stands there."""
+    try:
+        with gzip.open(path) as stream:
+            while stream.read(1 << 20):
+                pass
+    except (OSError, EOFError, zlib.error) as error:
+        raise DownloadError(
+            f"{path.name.removesuffix('.part')} came damaged ({error}); fetch it again."
+        ) from error
