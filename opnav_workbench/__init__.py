@@ -75,12 +75,18 @@ this list to its top; a package imports what stands below it.
     Files fetched over http and https, whole or not there.
 ``yaml_file``
     YAML files into validated models, with errors that name line and field.
+``fits_layout``
+    FITS headers looked at before a library believes them.
+``yaml_nodes``
+    YAML text into nodes and plain values, bounded in depth, count, aliases, numbers and tags.
 ``templating``
     HTML templates: one environment for each folder of them, everything escaped.
 ``files``
     Files written whole or not at all.
 ``processes``
     Many items on several processes, each of which opens what it needs once.
+``supervised``
+    Work that may end its process, in a process of its own: kept warm, watched, with limits.
 ``resources``
     Where the package's own files and the user's cache stand.
 ``arrays``

@@ -4,6 +4,8 @@ Every message says what was wrong, with the numbers, and what to do about it. Wh
 (a star not seen, a body off the detector, a saturated core) is a status on a result, never an exception.
 """
 
+import unicodedata
+
 __all__ = [
     "CameraError",
     "CatalogError",
@@ -18,11 +20,17 @@ __all__ = [
     "SelectionPending",
     "SessionError",
     "counted",
+    "plain_line",
 ]
+
+LONGEST_MESSAGE = 2000  # characters; what a file repeats a thousand times is said once
 
 
 class OpNavError(Exception):
-    """Root of every error that this package raises on purpose."""
+    """Root of every error that this package raises on purpose; its message is one bounded line (see `plain_line`)."""
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*(plain_line(a) if isinstance(a, str) else a for a in arguments))
 
 
 class KernelError(OpNavError):
@@ -67,6 +75,28 @@ class SessionError(OpNavError):
 
 class SelectionPending(SessionError):  # noqa: N818 - not a fault: an analyst's decision is still to come
     """A decision of the analyst that the next step waits for."""
+
+
+def plain_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
+    r"""Return text of others as one line for people: no control characters, no bytes that are no text, not too long.
+
+    Examples
+    --------
+    >>> print(plain_line("night\n\x1b[31m1.fit"), plain_line("a\udcff.fit"), plain_line("0123456789", 8))
+    night\n\x1b[31m1.fit a\xff.fit 01 … 89
+    """
+    if len(text) > longest:
+        kept = max((longest - 3) // 2, 1)
+        text = f"{text[:kept]} … {text[-kept:]}"
+    return text if text.isprintable() else "".join(_printable(character) for character in text)
+
+
+def _printable(character: str) -> str:
+    if character.isprintable() or unicodedata.category(character) == "Zs":
+        return character
+    if "\udc80" <= character <= "\udcff":  # a byte of a file's name that is no UTF-8
+        return f"\\x{ord(character) - 0xDC00:02x}"
+    return character.encode("unicode_escape").decode("ascii")
 
 
 def counted(count: int, noun: str) -> str:

@@ -17,9 +17,11 @@ from opnav_workbench.errors import SessionError
 __all__ = [
     "atomic_path",
     "digest",
+    "given_cell",
     "inside",
     "json_text",
     "make_folder",
+    "plain_cell",
     "plain_values",
     "read_json",
     "sha256_of",
@@ -80,8 +82,11 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write `text` as UTF-8, whole or not at all."""
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
+    """Write `text` as UTF-8, whole or not at all; bytes of a file's name that are no UTF-8 as JSON escapes them."""
+    with (
+        atomic_path(path) as temporary,
+        temporary.open("w", encoding="utf-8", errors="backslashreplace") as stream,
+    ):
         stream.write(text)
         stream.flush()
         os.fsync(stream.fileno())
@@ -109,6 +114,34 @@ def write_json(path: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
     write_text(path, json_text(data) + "\n")
 
 
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r")  # with these a spreadsheet begins to calculate
+
+
+def plain_cell(text: str) -> str:
+    """Return a text for a CSV cell, led by an apostrophe where a spreadsheet would take it for a formula.
+
+    Examples
+    --------
+    >>> plain_cell("=1+1.fit"), plain_cell("-98"), plain_cell("lor_1.fit")
+    ("'=1+1.fit", '-98', 'lor_1.fit')
+    """
+    formula = text.startswith(FORMULA_SIGNS) and not _is_number(text)
+    return f"'{text}" if formula or text.startswith("'") else text
+
+
+def given_cell(cell: Any) -> Any:
+    """Return what `plain_cell` was given."""
+    return cell[1:] if isinstance(cell, str) and cell.startswith("'") else cell
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def read_json(path: str | os.PathLike[str], advice: str) -> dict[str, Any]:
     """Return the mapping that a JSON file holds; NaN and Infinity, which JSON does not know, become None.
 
@@ -119,7 +152,7 @@ def read_json(path: str | os.PathLike[str], advice: str) -> dict[str, Any]:
     """
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=lambda _: None)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError
         raise SessionError(f"{path} cannot be read ({error}); {advice}") from error
     if not isinstance(data, dict):
         raise SessionError(f"{path} cannot be read (it holds no mapping); {advice}")
@@ -167,10 +200,15 @@ def inside(folder: str | os.PathLike[str], name: str) -> Path:
     Raises
     ------
     SessionError
-        `name` is absolute or climbs out of `folder`.
+        `name` is absolute, climbs out of `folder`, or cannot be followed: symbolic links in a circle.
     """
-    base = Path(folder).resolve()
-    path = (base / name).resolve()
+    try:
+        base = Path(folder).resolve()
+        path = (base / name).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise SessionError(
+            f"{name!r} in {folder} cannot be followed: {error}; choose another folder."
+        ) from error
     if not path.is_relative_to(base):
         raise SessionError(f"{name!r} points outside {base}; give a path inside that folder.")
     return path

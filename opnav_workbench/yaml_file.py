@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
 __all__ = [
     "CalendarTime",
@@ -33,6 +34,7 @@ __all__ = [
     "read_model",
 ]
 
+MERGE = "<<"
 ERRORS_SHOWN = 3  # a file of the wrong kind breaks every rule at once; the first few tell the story
 FIELDS_SHOWN = 12  # a longer list of allowed fields is no help in one line
 
@@ -90,28 +92,20 @@ def read_model(path: str | PathLike[str], model: type[Model], what: str, failure
     """
     label = f"{what} {path}"
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = yaml_text(Path(path))
     except (OSError, UnicodeDecodeError) as error:
         raise failure(f"{label} cannot be read: {error}; give the path of a YAML file.") from error
+    except YamlError as error:
+        raise failure(f"{label}: {error}; give a file of its kind.") from error
     try:
-        node, content = _parsed(text)
-    except yaml.YAMLError as error:
-        raise failure(f"{label} is not YAML: {' '.join(str(error).split())}") from error
+        node = compose(text)
+        # A node is changed where values are merged into it; the one that lines are looked up in stays as written.
+        content = plain_value(compose(text) if MERGE in text else node)
+    except YamlError as error:
+        raise failure(f"{label} is not YAML: {error}; correct the file.") from error
     for line, key in _keys_given_twice(node):
         raise failure(f"{label}: line {line}: {key} is given twice; keep one of them.")
     return _validated(content, model, label, failure, node)
-
-
-# libyaml's parser, where PyYAML was built with it, takes a tenth of the time
-FAST_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-def _parsed(text: str) -> tuple[yaml.Node | None, Any]:
-    """Return a document as nodes, which know their lines, and as values."""
-    try:
-        return yaml.compose(text, Loader=FAST_LOADER), yaml.load(text, Loader=FAST_LOADER)  # noqa: S506  it is a safe one
-    except yaml.YAMLError:  # PyYAML's own parser says better what is wrong
-        return yaml.compose(text, Loader=yaml.SafeLoader), yaml.safe_load(text)
 
 
 def check_model(
@@ -139,7 +133,10 @@ def line_of(path: str | PathLike[str], location: Location) -> int:
     For errors that only show when the content is used; a field that is not in the file has the line of the innermost
     part that is.
     """
-    node = yaml.compose(Path(path).read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+    try:
+        node = compose(yaml_text(Path(path)))
+    except (OSError, UnicodeDecodeError, YamlError):  # it has changed since
+        return 1
     return 1 if node is None else _line(node, location)
 
 

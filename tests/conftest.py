@@ -27,6 +27,8 @@ LEFT_OUT = pytest.StashKey[int]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--all", action="store_true", help="the long tests too, and every trial: what CI runs")
+    parser.addoption("--fuzz", type=int, help="how many hostile inputs each reader is given; default: few")
+    parser.addoption("--fuzz-seed", type=int, default=22, help="another seed gives other hostile inputs")
 
 
 def pytest_configure() -> None:
@@ -111,6 +113,29 @@ class Sample:
 @pytest.fixture(scope="session")
 def sample(pytestconfig: pytest.Config) -> Sample:
     return Sample(1.0 if is_whole(pytestconfig) else SHORT_SHARE)
+
+
+@dataclass(frozen=True)
+class Fuzz:
+    """How many hostile inputs a test tries, and from which seed: few in the short run, more with --all, or as told."""
+
+    told: int | None
+    whole: bool
+    seed: int
+
+    def count(self, short: int, whole: int) -> int:
+        if self.told is not None:
+            return self.told
+        return whole if self.whole else short
+
+    def random(self, reader: str) -> np.random.Generator:
+        return np.random.default_rng([self.seed, *reader.encode()])
+
+
+@pytest.fixture(scope="session")
+def fuzz(pytestconfig: pytest.Config) -> Fuzz:
+    options = pytestconfig.getoption
+    return Fuzz(options("--fuzz"), is_whole(pytestconfig), options("--fuzz-seed"))
 
 
 # ---- Flight data, and what is made once a run

@@ -12,6 +12,7 @@ from opnav_workbench.calibration.camera_fit import CameraCalibration
 from opnav_workbench.camera import BrownDistortion, Camera, Distortion, OwenDistortion
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import atomic_path
+from opnav_workbench.yaml_nodes import compose, plain_value
 
 __all__ = ["Edit", "camera_edits", "edited", "write_camera_file"]
 
@@ -113,7 +114,7 @@ def edited(text: str, place: FieldPath, edit: Edit) -> str:
         raise CameraError(f"camera file: {'.'.join(place[:-1])} is missing, so {place[-1]} cannot be set.")
     if parent.flow_style:
         content = {
-            **yaml.safe_load(text[parent.start_mark.index : parent.end_mark.index]),
+            **plain_value(compose(text[parent.start_mark.index : parent.end_mark.index])),
             place[-1]: edit.value,
         }
         kept = {key: value for key, value in content.items() if value is not None}
@@ -125,7 +126,7 @@ def edited(text: str, place: FieldPath, edit: Edit) -> str:
 
 
 def _node(text: str, place: FieldPath) -> yaml.Node | None:
-    node: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
+    node = compose(text)
     for name in place:
         children = node.value if isinstance(node, yaml.MappingNode) else []
         node = next((value for key, value in children if key.value == name), None)

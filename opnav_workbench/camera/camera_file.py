@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Field, PositiveFloat, PositiveInt
+from pydantic import BaseModel, BeforeValidator, Field, PositiveFloat
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera.distortion import (
@@ -136,11 +136,14 @@ class _Optics(StrictModel):
     distortion: AnyDistortion
 
 
+MOST_LINES = 16_384  # along an edge: no camera that navigates has half as many
+
+
 class _Detector(StrictModel):
-    n_pixel: PositiveInt
-    n_line: PositiveInt
+    n_pixel: Annotated[int, Field(ge=1, le=MOST_LINES)]
+    n_line: Annotated[int, Field(ge=1, le=MOST_LINES)]
     center_pixel_line: Pair
-    bits: PositiveInt | None = None
+    bits: Annotated[int, Field(ge=1, le=32)] | None = None
     gain_e_per_dn: PositiveFloat | None = None
     read_noise_dn: NotNegative | None = None
     saturation_dn: PositiveFloat | None = None

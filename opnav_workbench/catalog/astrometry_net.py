@@ -25,6 +25,7 @@ Source: the README of series 5000 and the file headers themselves (program build
 """
 
 import glob
+import mmap
 import re
 import warnings
 from collections.abc import Mapping
@@ -44,6 +45,7 @@ from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.fits_layout import check_fits_layout
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
 
 __all__ = ["open_astrometry_net"]
@@ -56,6 +58,11 @@ BYTE_ORDERS = {"04:03:02:01": "<", "01:02:03:04": ">"}
 UNIT_TOLERANCE = 1e-3  # a direction decoded from 16 bit integers has a length within 3e-5 of one
 RANGE_DOUBLES = 7
 
+# What astropy and numpy raise on files that break the standard.
+INDEX_MALFORMED = (
+    OSError, TypeError, ValueError, LookupError, AttributeError, ArithmeticError, MemoryError, fits.VerifyError,
+)  # fmt: skip
+EPOCHS = (1000.0, 3000.0)  # Julian years
 FitsHeader = Mapping[str, Any]
 
 
@@ -68,13 +75,15 @@ def read_index(file: Path) -> tuple[FloatArray, float, dict[str, NDArray[Any]]]:
         The file is no whole index file.
     """
     try:
+        with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            check_fits_layout(content)
         with warnings.catch_warnings(), fits.open(file, memmap=True) as hdus:
             warnings.simplefilter("ignore")  # a shortened file warns first and is refused below
             tables = {hdu.header.get("TTYPE1", hdu.name): hdu for hdu in hdus[1:]}
             tags = [hdu for hdu in hdus[1:] if hdu.header.get("AN_FILE") == "TAGALONG"]
             xyz, quantum_mas = _directions(file, hdus[0].header, tables)
             columns = {} if not tags else {c.name: np.asarray(tags[0].data[c.name]) for c in tags[0].columns}
-    except (OSError, TypeError, ValueError, KeyError, IndexError) as error:
+    except INDEX_MALFORMED as error:
         reason = " ".join(str(error).split())
         raise CatalogError(
             f"{file} is not a whole Astrometry.net index file ({reason}); copy it again or narrow the glob."
@@ -216,7 +225,20 @@ def _options(argument: str) -> tuple[str, float | None]:
 
 
 def _read_stars(file: Path, epoch: float | None) -> _IndexStars:
-    return _stars_of_columns(file, *read_index(file), epoch)
+    index = read_index(file)
+    try:
+        stars = _stars_of_columns(file, *index, epoch)
+    except INDEX_MALFORMED as error:  # columns of another length or kind
+        reason = " ".join(str(error).split())
+        raise CatalogError(f"{file} contradicts itself ({reason}); copy it again.") from error
+    timely = (stars.epoch_jyear >= EPOCHS[0]) & (stars.epoch_jyear <= EPOCHS[1])
+    bad = np.isinf(stars.mag) | ~(np.isnan(stars.mag) | (timely & np.isfinite(stars.xyz).all(axis=1)))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise CatalogError(
+            f"{file}: star {row} has magnitude {stars.mag[row]:g} and epoch {stars.epoch_jyear[row]:g}; copy it again."
+        )
+    return stars
 
 
 def _stars_of_columns(

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.star_store import Candidates, SkyIndex, sort_keys
 from opnav_workbench.catalog.star_table import StarTable
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import CatalogError, SessionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.resources import cache_root
 
@@ -211,12 +211,27 @@ def cached_stars(path: Path, identity: Mapping[str, Any], build: Callable[[], Re
     if found is not None:
         return found
     records = build()
+    _check_finite(path, records)
     keys = sort_keys(records["ra_rad"], records["dec_rad"])
     order = np.argsort(keys, kind="stable")
     with contextlib.suppress(SessionError):  # an unwritable cache: the next session builds it again
         _write_cache(path, wanted, records, keys, order)
         found = _open_cache(path, wanted)
     return found or CachedStars(records[order], keys[order], **_catalog_facts(records))
+
+
+def _check_finite(path: Path, records: Records) -> None:
+    """Refuse infinities, and places and magnitudes that are no number, before they are kept for every later session."""
+    for name in records.dtype.names or ():
+        values = records[name]
+        if values.dtype.kind != "f":
+            continue
+        known = np.isfinite(values) if name in ("ra_rad", "dec_rad", "mag") else ~np.isinf(values)
+        if not known.all():
+            row = int(np.argmin(known.reshape(len(values), -1).all(axis=1)))
+            raise CatalogError(
+                f"{path.stem}: star {row} of the source has {name} = {values[row]}; copy or fetch the catalog again."
+            )
 
 
 def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:

@@ -21,6 +21,7 @@ band                (n,) or scalar text; absent: ``V``; V is made of it (see `jo
 Every optional array but ``id`` may be a scalar that holds for all stars. Other arrays are left alone.
 """
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import johnson_from_bands
@@ -43,7 +44,7 @@ from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.yaml_file import read_model
+from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = ["open_npz", "read_star_list"]
 
@@ -63,9 +64,18 @@ OPTIONAL: dict[str, tuple[float, bool]] = {
 RANGES = {
     "ra_deg": (0.0, 360.0, "wrap right ascension into 0..360 degrees"),
     "dec_deg": (-90.0, 90.0, "declination runs from -90 to 90 degrees"),
-    "sigma_mas": (0.0, np.inf, "a sigma is not negative"),
+    "mag": (-30.0, 60.0, "magnitudes lie between the Sun's and what no telescope sees"),
+    "pmra_mas_yr": (-1e6, 1e6, "no star moves a hundred times as fast as Barnard's"),
+    "pmdec_mas_yr": (-1e6, 1e6, "no star moves a hundred times as fast as Barnard's"),
+    "parallax_mas": (-1e5, 1e5, "no star is a hundred times as near as Proxima"),
+    "rv_km_s": (-3e5, 3e5, "nothing is faster than light"),
+    "sigma_mas": (0.0, 1e8, "a sigma is not negative, nor a day's motion of the sky"),
     "epoch_jyear": (1000.0, 3000.0, "give Julian years such as 2016.0"),
 }
+LARGEST_BYTES = 1 << 32  # thirty million stars with all columns
+# What zipfile, zlib and numpy's reader raise on damage; the last where a header claims more than memory.
+DAMAGE = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, OverflowError, LookupError, TypeError, SyntaxError,
+          tokenize.TokenError, MemoryError)  # fmt: skip
 NpzColumns = Mapping[str, NDArray[Any]]
 
 
@@ -111,19 +121,25 @@ def _load(file: Path) -> dict[str, NDArray[Any]]:
 def _arrays(file: Path, stream: BinaryIO) -> dict[str, NDArray[Any]]:
     try:
         archive = np.load(stream, allow_pickle=False)
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, *DAMAGE) as error:
         raise CatalogError(f"{file} is not a whole npz file; write it with numpy.savez.") from error
     if not isinstance(archive, np.lib.npyio.NpzFile):
         raise CatalogError(f"{file} holds a single array, not an npz archive; write it with numpy.savez.")
     known = {*REQUIRED, *OPTIONAL, "id", "band"}
     with archive:
+        members: list[zipfile.ZipInfo] = [] if archive.zip is None else archive.zip.infolist()
+        size = sum(member.file_size for member in members)
+        if size > LARGEST_BYTES:
+            raise CatalogError(
+                f"{file.name} unpacks to {size} bytes, more than {LARGEST_BYTES}; split the catalog."
+            )
         try:
             return {name: archive[name] for name in archive.files if name in known}
         except ValueError as error:
             raise CatalogError(
                 f"{file.name} holds Python objects ({error}); store numbers, and text as numpy strings."
             ) from error
-        except (EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        except DAMAGE as error:
             raise CatalogError(f"{file.name} is damaged ({error}); write or copy it again.") from error
 
 
@@ -165,9 +181,10 @@ def _number(values: NDArray[Any], key: str, n: int, name: str, *, nan_allowed: b
 
 def _check_range(values: NDArray[Any], key: str, name: str) -> None:
     low, high, remedy = RANGES[key]
-    if values.min() < low or values.max() > high:
+    known = values[~np.isnan(values)]
+    if known.size and (known.min() < low or known.max() > high):
         raise CatalogError(
-            f"{name}: {key} runs from {values.min():.6g} to {values.max():.6g}, outside {low:g}..{high:g}; "
+            f"{name}: {key} runs from {known.min():.6g} to {known.max():.6g}, outside {low:g}..{high:g}; "
             f"{remedy}."
         )
 
@@ -177,6 +194,13 @@ def _text(values: NDArray[Any], key: str, n: int, name: str) -> NDArray[Any]:
         raise CatalogError(f"{name}: {key} has type {values.dtype}; store it as numpy strings.")
     if key == "id" and values.ndim == 0:
         raise CatalogError(f"{name}: id is a single name for {n} stars; give one a star, or leave it out.")
+    if values.dtype.kind == "S":
+        try:
+            np.char.decode(values, "utf-8")
+        except UnicodeDecodeError as error:
+            raise CatalogError(
+                f"{name}: {key} holds bytes that are no UTF-8 ({error}); store it as text."
+            ) from error
     return _one_each(values, key, n, name)
 
 
@@ -230,10 +254,8 @@ def _texts(values: NDArray[Any]) -> NDArray[np.str_]:
 # ---- Star lists: a few stars by name with full astrometry, as a person writes them down (YAML).
 
 
-class _Star(BaseModel):
+class _Star(StrictModel):
     """One star as written in the file; motions include cos(dec) as catalogs give them."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     name: str
     ra_deg: float = Field(ge=0.0, lt=360.0)
@@ -251,9 +273,7 @@ class _Star(BaseModel):
     source: str = ""
 
 
-class _StarList(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-
+class _StarList(StrictModel):
     stars: list[_Star] = Field(min_length=1)
 
 

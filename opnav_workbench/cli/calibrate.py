@@ -11,9 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-import yaml
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from opnav_workbench import report
@@ -31,7 +29,7 @@ from opnav_workbench.calibration import (
 )
 from opnav_workbench.camera import BrownDistortion, Camera, OwenDistortion
 from opnav_workbench.cli.processing_options import processing_of, processing_options
-from opnav_workbench.cli.terminal import named_progress
+from opnav_workbench.cli.terminal import named_progress, shown
 from opnav_workbench.files import atomic_path, make_folder, write_json
 from opnav_workbench.processing import OpenedProcessing
 from opnav_workbench.processing.model import NO_TARGETS
@@ -43,6 +41,7 @@ from opnav_workbench.processing.star_pictures import (
 )
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.version import __version__
+from opnav_workbench.yaml_nodes import compose, plain_value, yaml_text
 
 __all__ = ["calibrate"]
 
@@ -240,7 +239,7 @@ def _solved_pictures(images: Sequence[Path], opened: OpenedProcessing, **options
     with opened.how.kernel_set(), named_progress(console, len(images)) as say:
         solved = solve_star_pictures(images, opened, say, **options)
     for name, reason in solved.failed:
-        console.print(f"[yellow]left out[/] {escape(name)}: {escape(reason)}", highlight=False)
+        console.print(f"[yellow]left out[/] {shown(name)}: {shown(reason)}", highlight=False)
     return solved
 
 
@@ -287,7 +286,7 @@ def _write_psf(
     template = target.with_name(f"{source.stem}_psf.npz")
     result.psf.save(template)
     edit = Edit({"model": "empirical", "file": template.name}, f"{result.n_stars} stars")
-    names = [s.context.picture.path.name for s in solved.sessions]
+    names = [s.context.picture.name for s in solved.sessions]
     heading = (
         f"PSF of {result.n_stars} stars of {int(result.used_pictures.sum())} frames; before: {source.name}"
     )
@@ -309,7 +308,7 @@ def _write_psf(
 
 def _copy_psf(source: Path, target: Path) -> None:
     """A template beside the old file goes beside the new one."""
-    model = (yaml.safe_load(source.read_text(encoding="utf-8")).get("psf") or {}).get("model") or {}
+    model = (plain_value(compose(yaml_text(source))).get("psf") or {}).get("model") or {}
     if isinstance(model, dict) and model.get("file") and source.parent.resolve() != target.parent.resolve():
         with atomic_path(target.parent / model["file"]) as temporary:
             shutil.copyfile(source.parent / model["file"], temporary)
@@ -318,9 +317,9 @@ def _copy_psf(source: Path, target: Path) -> None:
 def _print_files(console: Console, words: str, messages: Sequence[str], files: Sequence[Path]) -> None:
     console.print(words, highlight=False, soft_wrap=True)
     for message in messages:
-        console.print(f"[yellow]note[/] {escape(message)}", highlight=False, soft_wrap=True)
+        console.print(f"[yellow]note[/] {shown(message)}", highlight=False, soft_wrap=True)
     names = ", ".join(path.name for path in files)
-    console.print(f"In {escape(str(files[0].parent))}/: {escape(names)}", highlight=False, soft_wrap=True)
+    console.print(f"In {shown(str(files[0].parent))}/: {shown(names)}", highlight=False, soft_wrap=True)
     console.print(
         "To use the new camera file, name it in a mission file (cameras: file), or put it in the old one's place.",
         highlight=False,

@@ -19,7 +19,6 @@ import numpy as np
 import typer
 from astropy.table import Table
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table as Printed
 
@@ -39,9 +38,9 @@ from opnav_workbench.campaign.stacking import (
     stack_pictures,
     write_stack,
 )
-from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress
+from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress, shown
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import json_text, write_text
+from opnav_workbench.files import json_text, plain_cell, write_text
 from opnav_workbench.kernels import KernelSet
 
 __all__ = ["campaign_app", "stack"]
@@ -104,13 +103,13 @@ def ingest_progress(runs: Sequence[Path]) -> Iterator[Callable[[Ingested], None]
     console = Console(stderr=True, soft_wrap=True)
     columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} runs  {task.description}"))
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(", ".join(escape(str(run)) for run in runs), total=None)
+        task = progress.add_task(", ".join(shown(str(run)) for run in runs), total=None)
 
         def advance(item: Ingested) -> None:
-            progress.update(task, advance=1, description=escape(item.folder.name))
+            progress.update(task, advance=1, description=shown(item.folder.name))
             if item.result == "skipped":
                 console.print(
-                    f"[bold red]skipped:[/] {escape(str(item.folder))}: {escape(item.reason)}",
+                    f"[bold red]skipped:[/] {shown(str(item.folder))}: {shown(item.reason)}",
                     highlight=False,
                 )
 
@@ -129,7 +128,7 @@ def print_ingested(console: Console, ingested: IngestReport, archive: Path) -> N
     counts = [f"{ingested.count(what)} {said}" for what, said in words.items() if ingested.count(what)]  # type: ignore[arg-type]
     number = "1 run" if len(ingested.results) == 1 else f"{len(ingested.results)} runs"
     console.print(f"{number}: {', '.join(counts)}", highlight=False)
-    console.print(f"Archive: {escape(str(archive))}", highlight=False)
+    console.print(f"Archive: {shown(str(archive))}", highlight=False)
 
 
 def print_answer(what: str, table: Table, format_: str, out: Path | None) -> None:
@@ -152,14 +151,14 @@ def print_answer(what: str, table: Table, format_: str, out: Path | None) -> Non
         sys.stdout.write(text)
     else:
         write_text(out, text)
-        Console(soft_wrap=True).print(f"{len(table)} {what} in {escape(str(out))}", highlight=False)
+        Console(soft_wrap=True).print(f"{len(table)} {what} in {shown(str(out))}", highlight=False)
 
 
 def print_outliers(console: Console, found: Trends) -> None:
     """Name the pictures that are off a trend."""
     for image, series, deviation in found.outliers():
         console.print(
-            f"[yellow]outlier[/] {escape(image)}: {escape(series)} is {deviation:+.1f} robust sigmas off",
+            f"[yellow]outlier[/] {shown(image)}: {shown(series)} is {deviation:+.1f} robust sigmas off",
             highlight=False,
         )
 
@@ -190,9 +189,9 @@ def _cell(value: Any, form: str) -> str:
     text = str(value).partition(".")[0].replace("T", " ") if _is_time(value) else str(value)
     style = STATUS_STYLES.get(text)
     return (
-        f"[{style}]{escape(text)}[/]"
+        f"[{style}]{shown(text)}[/]"
         if style
-        else escape(text.replace("_", " ") if text in STATUS_STYLES else text)
+        else shown(text.replace("_", " ") if text in STATUS_STYLES else text)
     )
 
 
@@ -220,7 +219,9 @@ def _csv(table: Table) -> str:
     stream = io.StringIO()
     writer = csv.DictWriter(stream, table.colnames, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(_rows(table))
+    writer.writerows(
+        {k: plain_cell(v) if isinstance(v, str) else v for k, v in row.items()} for row in _rows(table)
+    )
     return stream.getvalue()
 
 
@@ -284,7 +285,7 @@ def stack(
         with named_progress(console, len(folders)) as say:
             pictures = pictures_of_runs(folders, target, lambda name: say(name, "taking up its session"))
         for run, reason in pictures.left_out:
-            console.print(f"[yellow]left out[/] {escape(run)}: {escape(reason)}", highlight=False)
+            console.print(f"[yellow]left out[/] {shown(run)}: {shown(reason)}", highlight=False)
         with console.status("stacking") if console.is_terminal else ExitStack():
             stacked = stack_pictures(
                 pictures.pictures,
@@ -321,7 +322,7 @@ def _print_stack(
 ) -> None:
     names = [picture.name for picture in stacked.pictures]
     console.print(
-        f"{len(names)} pictures, {escape(names[0])} to {escape(names[-1])}, mean epoch "
+        f"{len(names)} pictures, {shown(names[0])} to {shown(names[-1])}, mean epoch "
         f"{products.result['utc']} UTC; {sum(stacked.hits)} pixels masked",
         highlight=False,
     )
@@ -329,27 +330,27 @@ def _print_stack(
         console.print(_center_words(center, products), highlight=False)
         _print_notes(console, center.messages)
     _print_notes(console, stacked.messages)
-    console.print(f"Stack in {escape(str(products.folder))}/", highlight=False)
+    console.print(f"Stack in {shown(str(products.folder))}/", highlight=False)
 
 
 def _center_words(center: BodyCenter, products: StackProducts) -> str:
     status = f"[{CENTER_STYLES.get(center.status, 'bold red')}]{center.status.replace('_', ' ')}[/]"
     seen = products.observable
     if center.pixel_line is None or seen is None or seen.residual_px is None:
-        return f"{escape(center.name)}: {status}"
+        return f"{shown(center.name)}: {status}"
     sigma = [seen.total_covariance_px2[i, i] ** 0.5 for i in (0, 1)]
     offsets = " and ".join(
         f"{value:+.3f} ± {error:.3f} px" for value, error in zip(seen.residual_px, sigma, strict=True)
     )
     return (
-        f"{escape(center.name)}: {status}, SNR {center.snr:.1f}, pixel {center.pixel_line[0]:.3f}, line "
+        f"{shown(center.name)}: {status}, SNR {center.snr:.1f}, pixel {center.pixel_line[0]:.3f}, line "
         f"{center.pixel_line[1]:.3f}, O−C {offsets}"
     )
 
 
 def _print_notes(console: Console, messages: Sequence[str]) -> None:
     for message in messages:
-        console.print(f"[yellow]note[/] {escape(message)}", highlight=False)
+        console.print(f"[yellow]note[/] {shown(message)}", highlight=False)
 
 
 # ---- ``opnav campaign``.
@@ -462,7 +463,7 @@ def export(
     filters = {"body": body, "method": method, "status": status, "since": since, "until": until}
     with Campaign(archive, create=False) as campaign:
         count = export_observables(campaign, out, format_, **filters)
-    Console(soft_wrap=True).print(f"{count} observables in {escape(str(out))}", highlight=False)
+    Console(soft_wrap=True).print(f"{count} observables in {shown(str(out))}", highlight=False)
 
 
 @campaign_app.command()
@@ -489,7 +490,7 @@ def plot(
     report.write_png(report.trends_figure(found, name), out)
     console = Console(soft_wrap=True)
     print_outliers(console, found)
-    console.print(f"Trends in {escape(str(out))}", highlight=False)
+    console.print(f"Trends in {shown(str(out))}", highlight=False)
 
 
 campaign_app.command()(stack)

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -24,7 +23,7 @@ from opnav_workbench.catalog import (
     open_catalog,
     open_vizier,
 )
-from opnav_workbench.cli.terminal import folding_table
+from opnav_workbench.cli.terminal import folding_table, shown
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path, json_text
@@ -60,7 +59,7 @@ def list_catalogs() -> None:
     table = folding_table(("spec", "", "detail"))
     for status in catalog_status():
         mark = "[green]ok[/]" if status.available else "[yellow]missing[/]"
-        table.add_row(escape(status.form), mark, escape(status.detail))
+        table.add_row(shown(status.form), mark, shown(status.detail))
     console = Console()
     console.print(table)
     console.print("Join specs with + to merge catalogs, such as bundled+tycho2:DIR.", highlight=False)
@@ -117,20 +116,20 @@ def fetch(
     """
     console = Console()
     if cone is None:
-        with Console(stderr=True).status(f"fetching {escape(name)}") as status:
+        with Console(stderr=True).status(f"fetching {shown(name)}") as status:
             whole = fetch_whole_sky(
-                name, mag, url, lambda what, done: status.update(f"{escape(what)} {done:.0%}")
+                name, mag, url, lambda what, done: status.update(f"{shown(what)} {done:.0%}")
             )
         n_stars = whole.describe()["n_stars"]
         console.print(
-            f"{n_stars} stars of {escape(name)} kept; bundled has them from now on.", highlight=False
+            f"{n_stars} stars of {shown(name)} kept; bundled has them from now on.", highlight=False
         )
         return
     catalog = open_vizier(name)
-    with Console(stderr=True).status(f"asking VizieR for {escape(name)}"):
+    with Console(stderr=True).status(f"asking VizieR for {shown(name)}"):
         n_stars = catalog.fetch(*cone, mag)
     console.print(
-        f"{n_stars} stars of {escape(name)} kept in {escape(str(catalog.folder))}; use --catalog vizier:{escape(name)}",
+        f"{n_stars} stars of {shown(name)} kept in {shown(str(catalog.folder))}; use --catalog vizier:{shown(name)}",
         highlight=False,
     )
 
@@ -166,6 +165,12 @@ def cone(
 
       opnav catalog cone bundled 268.4475 -34.792 0.3 --epoch 2006.66 --mag 9 --plot m7.png
     """
+    if (
+        not 0.0 <= ra <= 360.0
+    ):  # the catalogs take any angle, and a misprint would show another part of the sky
+        raise CatalogError(f"ra {ra:g} deg is no right ascension; give 0 to 360 deg.")
+    if math.isnan(mag):
+        raise CatalogError("the magnitude is no number; give the faintest, such as 9.5.")
     et_s = _et(epoch)
     center = ra * RAD_PER_DEG, dec * RAD_PER_DEG, radius * RAD_PER_DEG
     stars = _open_with_progress(spec).cone(*center, mag, et_s, _flags(exclude))
@@ -179,7 +184,7 @@ def cone(
         _print_stars(stars, et_s, every=every)
         for path in (plot, out):
             if path is not None:
-                Console().print(f"Written: {escape(str(path))}", highlight=False, soft_wrap=True)
+                Console().print(f"Written: {shown(str(path))}", highlight=False, soft_wrap=True)
 
 
 def _open_with_progress(spec: str) -> Catalog:
@@ -193,7 +198,7 @@ def _conversion_progress(spec: str) -> Iterator[Any]:
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(f"reading {escape(spec)}", total=1.0, visible=False)
+        task = progress.add_task(f"reading {shown(spec)}", total=1.0, visible=False)
         yield lambda done: progress.update(task, completed=done, visible=True)
 
 
@@ -223,7 +228,7 @@ def _print_facts(catalog: Catalog) -> None:
         table.add_column(style="bold")
         table.add_column(overflow="fold")
         for key, value in told.items():
-            table.add_row(key.replace("_", " "), escape(_fact_words(value)))
+            table.add_row(key.replace("_", " "), shown(_fact_words(value)))
         if number:
             console.print()
         console.print(table)
@@ -286,14 +291,14 @@ def _flag_names(flags: int) -> list[str]:
 
 def _print_stars(stars: StarTable, et_s: float | None, *, every: bool) -> None:
     console = Console()
-    shown = len(stars) if every else min(len(stars), SHOWN_STARS)
+    count = len(stars) if every else min(len(stars), SHOWN_STARS)
     table = Table(box=None, header_style="bold", pad_edge=False)
     wide = console.width >= WIDE_COLUMNS
     for name in ("star", "RA deg", "Dec deg", "mag", "σ mas", *(WIDE_NAMES if wide else ())):
         table.add_column(name, justify="left" if name in {"star", "flags"} else "right", no_wrap=True)
-    for row in _rows(stars.take(slice(0, shown)), et_s):
+    for row in _rows(stars.take(slice(0, count)), et_s):
         cells = [
-            escape(row["id"]),
+            shown(row["id"]),
             f"{row['ra_deg']:.6f}",
             f"{row['dec_deg']:+.6f}",
             f"{row['mag']:.2f} {row['band']}",
@@ -301,7 +306,7 @@ def _print_stars(stars: StarTable, et_s: float | None, *, every: bool) -> None:
         ]
         table.add_row(*cells, *(_wide_cells(row) if wide else ()))
     console.print(table)
-    rest = f"; the {shown} brightest are shown, --all shows the others" if shown < len(stars) else ""
+    rest = f"; the {count} brightest are shown, --all shows the others" if count < len(stars) else ""
     console.print(f"{len(stars)} stars{rest}", highlight=False)
 
 

@@ -9,11 +9,10 @@ from importlib import metadata
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from opnav_workbench.catalog import catalog_status
-from opnav_workbench.cli.terminal import EXIT_BAD_INPUT
+from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, shown
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.kernels import known_names, toolkit_version
 from opnav_workbench.mission import load_mission, mission_names
@@ -115,14 +114,14 @@ def doctor() -> None:
     for row in rows:
         table.add_row(
             "" if row.topic == last else row.topic,
-            escape(row.what),
+            shown(row.what),
             STATE_MARKS[row.state],
-            escape(row.detail),
+            shown(row.detail),
         )
         last = row.topic
     console.print(table)
     missing = [row for row in rows if row.state == "missing"]
     if missing:
-        console.print(f"[bold red]{len(missing)} missing:[/] {', '.join(escape(r.what) for r in missing)}")
+        console.print(f"[bold red]{len(missing)} missing:[/] {', '.join(shown(r.what) for r in missing)}")
         raise typer.Exit(EXIT_BAD_INPUT)
     console.print("[green]Everything needed is here.[/] Try: opnav demo", highlight=False)

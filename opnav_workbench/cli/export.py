@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 
+from opnav_workbench.cli.terminal import shown
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import (
@@ -171,6 +171,6 @@ def _summary(observables: Sequence[Observable], path: Path) -> str:
     centers = sum(o.observed_px is not None for o in observables)
     bodies = ", ".join(f"{name} {n}" for name, n in sorted(Counter(o.name for o in observables).items()))
     return (
-        f"{escape(str(path))}: {len(observables)} observables of {pictures} pictures ({escape(bodies)}), "
+        f"{shown(str(path))}: {len(observables)} observables of {pictures} pictures ({shown(bodies)}), "
         f"{centers} with a center"
     )

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.filesize import decimal
-from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.cli.terminal import folding_table
+from opnav_workbench.cli.terminal import folding_table, shown
 from opnav_workbench.constants import DAY_S, HOUR_S, MINUTE_S
 from opnav_workbench.kernels import (
     CoverageRow,
@@ -54,7 +53,7 @@ def print_kernel_sets(console: Console, sets: Sequence[KernelSetInfo]) -> None:
     for known in sets:
         about = known.description.partition(". ")[0]
         state = "" if known.built else " [dim](built on first use)[/]"
-        table.add_row(known.name, known.start[:10], known.end[:10], escape(about) + state)
+        table.add_row(known.name, known.start[:10], known.end[:10], shown(about) + state)
     console.print(table)
     console.print()
     table = folding_table(("flight kernels", "files", "here", "what"))
@@ -62,9 +61,7 @@ def print_kernel_sets(console: Console, sets: Sequence[KernelSetInfo]) -> None:
         manifest, _ = load_manifest(mission)
         folder = kernels_folder(mission)
         here = sum((folder / kernel.file).is_file() for kernel in manifest.kernels)
-        table.add_row(
-            f"{mission}/flight", str(len(manifest.kernels)), str(here), escape(manifest.description)
-        )
+        table.add_row(f"{mission}/flight", str(len(manifest.kernels)), str(here), shown(manifest.description))
     console.print(table)
     console.print(
         "\nUse one by its name: --kernels NAME. Fetch flight kernels: opnav kernels fetch MISSION.",
@@ -79,7 +76,7 @@ def print_fetched(console: Console, fetched: FetchedKernels) -> None:
     for item in fetched.kernels:
         state = "was here" if item.already_present else "[green]fetched[/]"
         digest = "[yellow]trusted, first time[/]" if item.trusted else "verified"
-        table.add_row(item.kernel.kind, escape(item.kernel.file), decimal(item.size), f"{state}, {digest}")
+        table.add_row(item.kernel.kind, shown(item.kernel.file), decimal(item.size), f"{state}, {digest}")
     console.print(table)
     count = sum(item.trusted for item in fetched.kernels)
     if count:
@@ -88,7 +85,7 @@ def print_fetched(console: Console, fetched: FetchedKernels) -> None:
             "its digest kept in manifest.lock.json; from now on every change is noticed.",
             highlight=False,
         )
-    console.print(f"Metakernel: {escape(str(fetched.metakernel))}", highlight=False, soft_wrap=True)
+    console.print(f"Metakernel: {shown(str(fetched.metakernel))}", highlight=False, soft_wrap=True)
 
 
 def print_made(console: Console, files: Sequence[Path], metakernels: Sequence[Path]) -> None:
@@ -97,10 +94,10 @@ def print_made(console: Console, files: Sequence[Path], metakernels: Sequence[Pa
     table.columns[2].justify = "right"
     for path in files:
         told = brief(path, [f for f in files if f.suffix in (".tsc", ".tf")])
-        table.add_row(told.file.kind, escape(path.name), decimal(told.size), escape(_content_words(told)))
+        table.add_row(told.file.kind, shown(path.name), decimal(told.size), shown(_content_words(told)))
     console.print(table)
     for metakernel in metakernels:
-        console.print(f"Metakernel: {escape(str(metakernel))}", highlight=False, soft_wrap=True)
+        console.print(f"Metakernel: {shown(str(metakernel))}", highlight=False, soft_wrap=True)
 
 
 def _content_words(told: KernelBrief) -> str:
@@ -118,17 +115,17 @@ def _content_words(told: KernelBrief) -> str:
 def print_brief(console: Console, told: KernelBrief) -> None:
     """Print what one kernel holds."""
     console.print(
-        f"[bold]{escape(told.file.path.name)}[/]  {told.file.kind}  {decimal(told.size)}", highlight=False
+        f"[bold]{shown(told.file.path.name)}[/]  {told.file.kind}  {decimal(told.size)}", highlight=False
     )
     for line in told.comments[:SHOWN_COMMENTS]:
-        console.print(f"[dim]{escape(line)}[/]", highlight=False, overflow="ellipsis", no_wrap=True)
+        console.print(f"[dim]{shown(line)}[/]", highlight=False, overflow="ellipsis", no_wrap=True)
     if told.rows:
         console.print(_segment_table(told))
     if told.variables:
         console.print(_variable_table(told))
     for path in told.listed:
         here = "" if path.is_file() else "  [bold red]not there[/]"
-        console.print(f"  {escape(str(path))}{here}", highlight=False, soft_wrap=True)
+        console.print(f"  {shown(str(path))}{here}", highlight=False, soft_wrap=True)
 
 
 def _segment_table(told: KernelBrief) -> Table:
@@ -137,10 +134,10 @@ def _segment_table(told: KernelBrief) -> Table:
     table = folding_table(("of", relative, "type", *(("from (UTC)", "to (UTC)") if timed else ()), ""))
     for row in told.rows:
         name = row.name if row.name == str(row.number) else f"{row.name} ({row.number})"
-        head = [escape(name), escape(row.relative_to), str(row.data_type)]
+        head = [shown(name), shown(row.relative_to), str(row.data_type)]
         spans = [[_plain_time(t) for t in span] for span in row.spans[:SHOWN_SPANS]] or [["", ""]]
         note = _segment_note(row.note, row.frame, len(row.spans))
-        table.add_row(*head, *(spans[0] if timed else ()), escape(note))
+        table.add_row(*head, *(spans[0] if timed else ()), shown(note))
         for span in spans[1:]:
             table.add_row("", "", "", *span, "")
     return table
@@ -159,7 +156,7 @@ def _variable_table(told: KernelBrief) -> Table:
     table = folding_table(("variable", "values", "first"))
     table.columns[1].justify = "right"
     for variable in told.variables[:SHOWN_VARIABLES]:
-        table.add_row(escape(variable.name), str(variable.count), escape(variable.first))
+        table.add_row(shown(variable.name), str(variable.count), shown(variable.first))
     if len(told.variables) > SHOWN_VARIABLES:
         table.add_row(f"[dim]and {len(told.variables) - SHOWN_VARIABLES} more[/]", "", "")
     return table
@@ -189,11 +186,11 @@ def print_check(console: Console, check: KernelCheck) -> None:
             highlight=False,
         )
     if unasked := _unasked_names(check):
-        console.print(f"[dim]{escape(unasked)}[/]", highlight=False)
+        console.print(f"[dim]{shown(unasked)}[/]", highlight=False)
     _print_stretches(console, check)
     console.print()
     for problem in check.problems:
-        console.print(f"[bold red]missing[/] {escape(problem)}", highlight=False, soft_wrap=True)
+        console.print(f"[bold red]missing[/] {shown(problem)}", highlight=False, soft_wrap=True)
     if check.ok:
         served = "" if check.et is None else f", and {short_utc(check.et)} UTC is served"
         console.print(f"[green]All eight kinds are there{served}.[/]", highlight=False)
@@ -215,7 +212,7 @@ def _kind_table(check: KernelCheck) -> Table:
 
 def _file_names(paths: Sequence[Path]) -> str:
     more = f" [dim]and {len(paths) - SHOWN_FILES} more[/]" if len(paths) > SHOWN_FILES else ""
-    return escape(", ".join(p.name for p in paths[:SHOWN_FILES])) + more
+    return shown(", ".join(p.name for p in paths[:SHOWN_FILES])) + more
 
 
 def _coverage_table(check: KernelCheck, axis: tuple[float, float], width: int) -> Table:
@@ -228,7 +225,7 @@ def _coverage_table(check: KernelCheck, axis: tuple[float, float], width: int) -
         ends = [
             short_utc(t)[:MINUTES] for t in (row.windows_et[[0, -1], [0, 1]] if len(row.windows_et) else ())
         ]
-        cells_of = ["" if row.kind == last else row.kind, escape(row.name), *(ends or ("–", "–"))]
+        cells_of = ["" if row.kind == last else row.kind, shown(row.name), *(ends or ("–", "–"))]
         then = [] if check.et is None else [_covers_time(row, check.et)]
         table.add_row(*cells_of, _bar(row, axis, cells, check.et), *then)
         last = row.kind
@@ -274,7 +271,7 @@ def _print_stretches(console: Console, check: KernelCheck) -> None:
         console.print()
     for words, names in found.items():
         more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-        text = words.format(escape(", ".join(names[:SHOWN_NAMES]) + more))
+        text = words.format(shown(", ".join(names[:SHOWN_NAMES]) + more))
         console.print(text, highlight=False, soft_wrap=True)
 
 
@@ -283,7 +280,7 @@ def _stretches(row: CoverageRow, et: float | None) -> Iterator[str]:
         yield f"[yellow]gap[/]     {row.kind} of {{}}: {_stretch(start, stop)}"
     for start, stop in _chosen_stretches(row.overlaps_et, et):
         winner = row.files_at(0.5 * (start + stop))[-1].name
-        yield f"overlap {row.kind} of {{}}: {_stretch(start, stop)}, {escape(winner)} wins"
+        yield f"overlap {row.kind} of {{}}: {_stretch(start, stop)}, {shown(winner)} wins"
 
 
 def _stretch(start: float, stop: float) -> str:

@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import (
     BarColumn,
     DownloadColumn,
@@ -32,7 +31,7 @@ from opnav_workbench.cli.kernel_tables import (
     print_kernel_sets,
     print_made,
 )
-from opnav_workbench.cli.terminal import EXIT_PARTLY
+from opnav_workbench.cli.terminal import EXIT_PARTLY, shown
 from opnav_workbench.downloads import Progress as DownloadProgress
 from opnav_workbench.errors import KernelError, SessionError, counted
 from opnav_workbench.files import json_text
@@ -190,14 +189,14 @@ def _print_reconstruction(written: Reconstruction) -> None:
     console = Console(soft_wrap=True)
     count = len(written.pictures)
     console.print(
-        f"[green]{escape(str(written.path))}[/]: attitude of {escape(written.frame)} ({written.structure_id}) from "
+        f"[green]{shown(str(written.path))}[/]: attitude of {shown(written.frame)} ({written.structure_id}) from "
         f"{counted(count, 'picture')}",
         highlight=False,
     )
     for name, why in written.skipped:
-        console.print(f"[yellow]left out[/] {escape(name)}: {escape(why)}", highlight=False)
+        console.print(f"[yellow]left out[/] {shown(name)}: {shown(why)}", highlight=False)
     if written.note:
-        console.print(f"[yellow]note[/] {escape(written.note)}", highlight=False)
+        console.print(f"[yellow]note[/] {shown(written.note)}", highlight=False)
 
 
 def geometry(
@@ -278,7 +277,7 @@ def _print_geometry(found: GeometryReport, as_json: bool) -> None:
         return
     for line in found.text().splitlines():
         heading = bool(line) and not line.startswith((" ", "note:"))
-        console.print(f"[bold]{escape(line)}[/]" if heading else escape(line), highlight=False)
+        console.print(f"[bold]{shown(line)}[/]" if heading else shown(line), highlight=False)
 
 
 # ---- ``opnav kernels``: what there is, what it covers, and kernels fetched, made and told about.
@@ -354,7 +353,7 @@ def check(
         print_check(Console(), found)
         if picture is not None:
             report.write_coverage(found, picture)
-            Console().print(f"Written: {escape(str(picture))}", highlight=False, soft_wrap=True)
+            Console().print(f"Written: {shown(str(picture))}", highlight=False, soft_wrap=True)
     if not found.ok:
         raise typer.Exit(EXIT_PARTLY)
 

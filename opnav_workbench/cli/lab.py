@@ -13,10 +13,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 
 from opnav_workbench.cli.lab_server import LabServer
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
+from opnav_workbench.cli.terminal import shown
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder, write_text
 from opnav_workbench.kernels import KernelSet
@@ -200,7 +200,7 @@ def _queued_pictures(folder: Path, given: Mapping[str, Any], console: Console) -
     there = [item for item in queue.images if Path(item.image).is_file()]
     for item in queue.images:
         if item not in there:
-            console.print(f"[yellow]left out[/] {escape(item.image)}: it is not there any more.")
+            console.print(f"[yellow]left out[/] {shown(item.image)}: it is not there any more.")
     if not there:
         raise SessionError(
             f"none of the pictures that wait in {folder} is there; bring them back, or run the night anew."
@@ -230,7 +230,7 @@ def _serve(notebook: Path, console: Console, *, browser: bool, port: int) -> Non
     with LabServer(notebook, port) as server:
         console.print(f"JupyterLab is at {server.url}", style="bold")
         console.print("Run > Run All Cells shows the workbench. Ctrl-C stops JupyterLab; decisions are kept.")
-        if browser and not webbrowser.open(server.url):
+        if browser and not webbrowser.open(server.browser_page()):
             console.print("No browser could be opened; open the address above yourself.")
         server.wait()
     console.print("JupyterLab has stopped.")

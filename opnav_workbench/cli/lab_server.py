@@ -1,5 +1,6 @@
 """A JupyterLab of its own for one notebook: started, watched, and stopped cleanly."""
 
+import html
 import json
 import os
 import secrets
@@ -22,7 +23,13 @@ __all__ = ["LabServer"]
 STARTS_IN_S = 60.0
 STOPS_IN_S = 10.0
 PRIVATE = ".opnav_lab"  # beside the notebook: settings, layout and log of this JupyterLab
+BROWSER_PAGE = "open_in_browser.html"  # not in the hidden folder: packaged browsers may not look there
+REDIRECTION = (
+    '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={0}">'
+    '<a href="{0}">Open the workbench</a>\n'
+)
 WORKSPACE = "workbench"
+HIGHEST_PORT = 65_535
 OVERRIDES = {
     # Callbacks of the view then never run beside a cell's code: SPICE serves one thread only.
     "@jupyterlab/apputils-extension:kernels-settings": {"commsOverSubshells": "disabled"},
@@ -74,6 +81,7 @@ class LabServer:
         self.url = f"{self.address}/lab/workspaces/{WORKSPACE}/tree/{notebook.name}?token={self.token}"
         self._private = self.folder / PRIVATE
         self.log_path = self._private / "jupyterlab.log"
+        self._page = self.folder / BROWSER_PAGE
         self._more_options, self._more_environment = tuple(options), dict(environment)
 
     def __enter__(self) -> Self:
@@ -99,7 +107,19 @@ class LabServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._page.unlink(missing_ok=True)
         self._stop()
+
+    def browser_page(self) -> str:
+        """Return the address of a page that leads to the notebook, for this user alone.
+
+        What a browser is started with, every user of the machine can list; so the token stands in the page.
+        """
+        self._page.unlink(missing_ok=True)
+        handle = os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(REDIRECTION.format(html.escape(self.url)))
+        return self._page.resolve().as_uri()
 
     def wait(self) -> None:
         """Return when the server has ended, by itself or because of Ctrl-C or SIGTERM."""
@@ -180,9 +200,15 @@ class LabServer:
 
 
 def _free_port(wanted: int) -> int:
+    if not 0 <= wanted <= HIGHEST_PORT:
+        raise SessionError(f"{wanted} is no port; choose one from 1024 to {HIGHEST_PORT}, or leave it out.")
     with socket.socket() as probe:
         try:
             probe.bind(("127.0.0.1", wanted))
+        except PermissionError as error:
+            raise SessionError(
+                f"port {wanted} is reserved for the system; choose one from 1024 on, or leave it out."
+            ) from error
         except OSError as error:
             raise SessionError(
                 f"port {wanted} is taken; choose another with --port, or leave it out."

@@ -11,13 +11,12 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from opnav_workbench import report
 from opnav_workbench.cli.process import Reporter
 from opnav_workbench.cli.processing_options import processing_options, with_options
-from opnav_workbench.cli.terminal import EXIT_PARTLY, picture_progress, plain_table
+from opnav_workbench.cli.terminal import EXIT_PARTLY, picture_progress, plain_table, shown
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import write_json, write_text
 from opnav_workbench.headless.rehearsal_run import package_processing, process_package
@@ -72,15 +71,15 @@ def print_solution(console: Console, solution: OrtSolution) -> None:
         highlight=False,
     )
     for words in solution.messages:
-        console.print(f"[yellow]note[/] {escape(words)}", highlight=False, soft_wrap=True)
+        console.print(f"[yellow]note[/] {shown(words)}", highlight=False, soft_wrap=True)
     for words in solution.left_out:
-        console.print(f"left out: {escape(words)}", highlight=False, soft_wrap=True, style="dim")
+        console.print(f"left out: {shown(words)}", highlight=False, soft_wrap=True, style="dim")
 
 
 def print_score(console: Console, score: OrtScore) -> None:
     """Print what was wrong, how the solution compares, the points, and the grade."""
     for words in score.perturbed:
-        console.print(f"wrong on purpose: {escape(words)}", highlight=False, soft_wrap=True)
+        console.print(f"wrong on purpose: {shown(words)}", highlight=False, soft_wrap=True)
     if score.solution is not None:
         table = plain_table(
             "Solution against truth", ("quantity",), ("solved", "true", "error", "sigma", "error / σ", "unit")
@@ -95,12 +94,12 @@ def print_score(console: Console, score: OrtScore) -> None:
             section.name,
             f"{section.earned:.1f}",
             f"{section.possible:.0f}",
-            escape("; ".join(section.losses)),
+            shown("; ".join(section.losses)),
         )
     console.print(points)
     for fault in score.grade.faults:
         console.print(
-            f"[bold red]at most {fault.letter}:[/] {escape(fault.words)}", highlight=False, soft_wrap=True
+            f"[bold red]at most {fault.letter}:[/] {shown(fault.words)}", highlight=False, soft_wrap=True
         )
     letter = score.grade.letter
     console.print(
@@ -173,7 +172,7 @@ def score(
     console = Console(soft_wrap=False)
     print_score(console, result)
     console.print(
-        f"Report in {escape(str(page))}; reveal logged in {escape(str(log_path(key_file)))}",
+        f"Report in {shown(str(page))}; reveal logged in {shown(str(log_path(key_file)))}",
         highlight=False,
         soft_wrap=True,
     )
@@ -230,7 +229,7 @@ def solve(
     console = Console(soft_wrap=False)
     print_solution(console, solution)
     console.print(
-        f"Solution in {escape(str(out / SOLUTION_FILE))}, to look at in {SOLUTION_PAGE_FILE}",
+        f"Solution in {shown(str(out / SOLUTION_FILE))}, to look at in {SOLUTION_PAGE_FILE}",
         highlight=False,
         soft_wrap=True,
     )
@@ -302,7 +301,7 @@ def new(
             jobs=jobs or os.cpu_count() or 1,
             pictures=pictures,
             progress=lambda done, total, words: progress.update(
-                task, completed=done, total=total, description=escape(words)
+                task, completed=done, total=total, description=shown(words)
             ),
         )
     _print_package(console, package)
@@ -318,13 +317,13 @@ def _scenario_table() -> Table:
 
 
 def _print_package(console: Console, package: OrtPackage) -> None:
-    console.print(f"[bold]{escape(package.title)}[/]", highlight=False)
+    console.print(f"[bold]{shown(package.title)}[/]", highlight=False)
     table = plain_table("Pictures", ("picture", "UTC", "camera"), ("exposure s",))
     for picture in package.pictures:
         table.add_row(
-            escape(picture.name),
+            shown(picture.name),
             str(picture.utc)[:19],
-            escape(str(picture.camera)),
+            shown(str(picture.camera)),
             f"{picture.exposure_s:g}",
         )
     console.print(table)
@@ -333,7 +332,7 @@ def _print_package(console: Console, package: OrtPackage) -> None:
         f"For the director alone: {package.key_path}, which opens the truth",
         f"Next: opnav ort solve {package.folder} --out RUN, or picture by picture with opnav lab",
     ):
-        console.print(escape(words), highlight=False, soft_wrap=True)
+        console.print(shown(words), highlight=False, soft_wrap=True)
 
 
 ort.command()(solve)

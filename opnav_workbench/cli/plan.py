@@ -11,11 +11,10 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from opnav_workbench import report
-from opnav_workbench.cli.terminal import picture_progress, plain_table
+from opnav_workbench.cli.terminal import picture_progress, plain_table, shown
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path, make_folder
 from opnav_workbench.planning import (
@@ -64,11 +63,11 @@ def print_plan(console: Console, plan: Plan) -> None:
         _print_reasons(console, plan.pictures)
     for approach in plan.searches:
         search = approach.search
-        head = f"[bold]{escape(search.name)}[/] ({escape(search.camera)}, {search.exposure_s:g} s)"
+        head = f"[bold]{shown(search.name)}[/] ({shown(search.camera)}, {search.exposure_s:g} s)"
         lines = [approach.problem] if approach.problem else [d.words for d in approach.detections]
         for line in lines:
-            console.print(f"{head}: {escape(line)}", highlight=False, soft_wrap=True)
-    console.print(f"Catalog: {escape(catalog_words(plan))}", highlight=False, soft_wrap=True)
+            console.print(f"{head}: {shown(line)}", highlight=False, soft_wrap=True)
+    console.print(f"Catalog: {shown(catalog_words(plan))}", highlight=False, soft_wrap=True)
     counts = ", ".join(f"[{GRADE_STYLES[grade]}]{plan.count(grade)} {grade}[/]" for grade in GRADE_STYLES)
     console.print(f"Pictures: {counts}", highlight=False)
 
@@ -82,7 +81,7 @@ def _picture_table(pictures: Sequence[PicturePlan], wide: bool) -> Table:
     for plan in pictures:
         grade = plan.verdict.grade
         utc = (plan.utc[:16] if wide else plan.utc[5:16]).replace("T", " ")
-        head = (escape(plan.name), utc, f"[{GRADE_STYLES[grade]}]{grade}[/]")
+        head = (shown(plan.name), utc, f"[{GRADE_STYLES[grade]}]{grade}[/]")
         table.add_row(*head, f"{plan.picture.exposure_s:g}", *_picture_cells(plan)[: 3 + len(more)])
     return table
 
@@ -108,7 +107,7 @@ def _target_table(rows: Sequence[tuple[str, TargetPlan]], wide: bool) -> Table:
         "Targets (σ with pointing, larger axis)", ("picture", "target"), numbers, first_width=14
     )
     for name, target in rows:
-        table.add_row(escape(name), escape(target.name), *_target_cells(target)[: len(numbers)])
+        table.add_row(shown(name), shown(target.name), *_target_cells(target)[: len(numbers)])
     return table
 
 
@@ -143,18 +142,18 @@ def _print_limb_note(console: Console, rows: Sequence[tuple[str, TargetPlan]]) -
     )
     if limbs:
         words = f"The σ of {', '.join(limbs)} hold for a known albedo; a limb scan without it is some times worse."
-        console.print(f"[yellow]note[/] {escape(words)}", highlight=False, soft_wrap=True)
+        console.print(f"[yellow]note[/] {shown(words)}", highlight=False, soft_wrap=True)
 
 
 def _print_reasons(console: Console, pictures: Sequence[PicturePlan]) -> None:
     for plan in pictures:
         grade = plan.verdict.grade
         if plan.verdict.reasons:
-            words = f"[{GRADE_STYLES[grade]}]{grade}[/] {escape(plan.name)}: {escape(plan.verdict.words)}"
+            words = f"[{GRADE_STYLES[grade]}]{grade}[/] {shown(plan.name)}: {shown(plan.verdict.words)}"
             console.print(words, highlight=False, soft_wrap=True)
         if plan.prediction is not None and plan.prediction.other_bodies:
             names = ", ".join(v.name for v in plan.prediction.other_bodies)
-            console.print(f"[dim]also in the field[/] {escape(plan.name)}: {escape(names)}", highlight=False)
+            console.print(f"[dim]also in the field[/] {shown(plan.name)}: {shown(names)}", highlight=False)
 
 
 # ---- ``opnav plan``.
@@ -203,7 +202,7 @@ def plan(
     print_plan(console, planned)
     if out is not None:
         names = _write_files(planned, make_folder(out))
-        console.print(f"Written to {escape(str(out))}/: {', '.join(names)}", highlight=False, soft_wrap=True)
+        console.print(f"Written to {shown(str(out))}/: {', '.join(names)}", highlight=False, soft_wrap=True)
 
 
 def _write_files(planned: Plan, folder: Path) -> list[str]:
@@ -237,6 +236,6 @@ def _progress(first: str) -> Iterator[ProgressCall]:
         task = bar.add_task(first, total=None)
 
         def done(number: int, total: int, name: str) -> None:
-            bar.update(task, completed=number, total=total, description=escape(name))
+            bar.update(task, completed=number, total=total, description=shown(name))
 
         yield done

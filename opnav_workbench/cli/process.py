@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from opnav_workbench.cli.processing_options import processing_of, processing_options
-from opnav_workbench.cli.terminal import EXIT_PARTLY, error_console, picture_progress, plain_table
+from opnav_workbench.cli.terminal import EXIT_PARTLY, error_console, picture_progress, plain_table, shown
+from opnav_workbench.errors import plain_line
 from opnav_workbench.processing import Outcome, Processing, process_images
 
 __all__ = ["Reporter", "process", "run_images"]
@@ -47,16 +47,16 @@ class Reporter:
 
     def say(self, name: str, words: str) -> None:
         """Show what is being done."""
-        self._progress.update(self._task, description=f"{escape(name)}: {escape(words)}")
+        self._progress.update(self._task, description=f"{shown(name)}: {shown(words)}")
 
     def done(self, outcome: Outcome) -> None:
         """Count a picture; one that failed is named at once, with its reason."""
         self._progress.advance(self._task)
         if outcome.failed:
-            self._err.print(f"[bold red]failed:[/] {escape(_named_error(outcome))}", highlight=False)
+            self._err.print(f"[bold red]failed:[/] {shown(_named_error(outcome))}", highlight=False)
         if outcome.note:
             self._err.print(
-                f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(outcome.note)}", highlight=False
+                f"[yellow]note[/] {shown(outcome.image.stem)}: {shown(outcome.note)}", highlight=False
             )
 
     def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
@@ -70,11 +70,11 @@ class Reporter:
             if outcome.result["status"] == "partial":
                 for message in outcome.result["messages"]:
                     self._note(outcome, message)
-        self._out.print(f"Results in {escape(str(out))}/", highlight=False, soft_wrap=True)
+        self._out.print(f"Results in {shown(str(out))}/", highlight=False, soft_wrap=True)
 
     def _note(self, outcome: Outcome, message: str) -> None:
         self._out.print(
-            f"[yellow]note[/] {escape(outcome.image.stem)}: {escape(message)}",
+            f"[yellow]note[/] {shown(outcome.image.stem)}: {shown(message)}",
             highlight=False,
             soft_wrap=True,
         )
@@ -82,7 +82,7 @@ class Reporter:
 
 def _named_error(outcome: Outcome) -> str:
     """The reason, led by the picture's name once."""
-    name = outcome.image.name
+    name = plain_line(outcome.image.name)
     return outcome.error if name in outcome.error else f"{name}: {outcome.error}"
 
 
@@ -91,7 +91,7 @@ def _pointing_table(outcomes: Sequence[Outcome], wide: bool) -> Table:
     table = plain_table("Pointing", ("picture", "status"), names)
     for outcome in outcomes:
         status = outcome.result["status"]
-        row = [escape(outcome.image.stem), f"[{STATUS_STYLES[status]}]{status}[/]"]
+        row = [shown(outcome.image.stem), f"[{STATUS_STYLES[status]}]{status}[/]"]
         table.add_row(*row, *_pointing_cells(outcome.result.get("pointing"))[: len(names)])
     return table
 
@@ -115,7 +115,7 @@ def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]], wide: bool) -> T
     names = ("pixel", "line", "σ", "σ", "O−C", "O−C", *(("RA°", "Dec°", "method") if wide else ()))
     table = plain_table("Targets (O−C in px)", ("picture", "target", "status"), names)
     for outcome, body in rows:
-        cells = [escape(outcome.image.stem), escape(body["name"]), body["status"].replace("_", " ")]
+        cells = [shown(outcome.image.stem), shown(body["name"]), body["status"].replace("_", " ")]
         table.add_row(*cells, *_body_cells(body)[: len(names)])
     return table
 
@@ -157,14 +157,22 @@ def process(
 
 
 def run_images(images: Sequence[Path], how: Processing, out: Path) -> tuple[Outcome, ...]:
-    """Process pictures one after the other with progress, and print what came out.
+    """Process pictures one after the other with progress, and print what came out, also when Ctrl-C ends it.
 
     Raises
     ------
     OpNavError
         As `opnav_workbench.process`.
     """
-    with Reporter(len(images)) as reporter:
-        outcomes = process_images(images, how, out, reporter.say, reporter.done)
-    reporter.table(outcomes, out)
-    return outcomes
+    reporter, finished = Reporter(len(images)), list[Outcome]()
+
+    def done(outcome: Outcome) -> None:
+        finished.append(outcome)
+        reporter.done(outcome)
+
+    try:
+        with reporter:
+            return process_images(images, how, out, reporter.say, done)
+    finally:
+        if finished:
+            reporter.table(finished, out)

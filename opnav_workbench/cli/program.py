@@ -5,17 +5,17 @@ nothing that navigates. A test holds the table and the commands together.
 """
 
 import gc
+import io
 import sys
 from importlib import import_module
 from typing import Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
-from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_STOPPED, error_console
+from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_STOPPED, error_console, shown
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.version import __version__
 
@@ -144,10 +144,12 @@ def common(
 def main() -> None:
     """Run the program; a known error is one line on standard error and exit status 2."""
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name that is no text must not end a run
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         app()
     except OpNavError as error:
-        error_console().print(f"[bold red]error:[/] {escape(str(error))}", highlight=False)
+        error_console().print(f"[bold red]error:[/] {shown(str(error))}", highlight=False)
         sys.exit(EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         Console(stderr=True).print("stopped; finished images are kept.")

@@ -8,10 +8,9 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from opnav_workbench.cli.terminal import error_console, picture_progress, plain_table
+from opnav_workbench.cli.terminal import error_console, picture_progress, plain_table, shown
 from opnav_workbench.errors import MissionError
 from opnav_workbench.simulation import (
     PictureReport,
@@ -71,7 +70,7 @@ def simulate(
     console.print(_picture_table(reports))
     if any(report.bodies for report in reports):
         console.print(_body_table(reports))
-    console.print(f"Pictures in {escape(str(out))}/: {_files(reports)}", highlight=False, soft_wrap=True)
+    console.print(f"Pictures in {shown(str(out))}/: {_files(reports)}", highlight=False, soft_wrap=True)
 
 
 def _run(
@@ -88,10 +87,10 @@ def _run(
                 out,
                 jobs=processes,
                 only=only,
-                done=lambda report: progress.update(task, advance=1, description=escape(report.name)),
+                done=lambda report: progress.update(task, advance=1, description=shown(report.name)),
             )
         except KeyboardInterrupt:
-            errors.print(f"stopped; the finished pictures are kept in {escape(str(out))}/", highlight=False)
+            errors.print(f"stopped; the finished pictures are kept in {shown(str(out))}/", highlight=False)
             raise
 
 
@@ -111,7 +110,7 @@ def _picture_table(reports: Sequence[PictureReport]) -> Table:
     table = plain_table("Pictures", ("picture", "UTC", "camera"), ("exposure s", "stars", "brightest mag"))
     for report in reports:
         table.add_row(
-            escape(report.name),
+            shown(report.name),
             report.utc.removesuffix(".000"),
             report.camera,
             f"{report.exposure_s:g}",
@@ -128,8 +127,8 @@ def _body_table(reports: Sequence[PictureReport]) -> Table:
     for report in reports:
         for body in report.bodies:
             table.add_row(
-                escape(report.name),
-                escape(body.name),
+                shown(report.name),
+                shown(body.name),
                 body.regime,
                 *("–" if math.isnan(value) else f"{value:.2f}" for value in body.center_px),
                 f"{body.diameter_px:.2f}",

@@ -21,6 +21,8 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from opnav_workbench.errors import plain_line
+
 __all__ = [
     "EXIT_BAD_INPUT",
     "EXIT_PARTLY",
@@ -32,6 +34,7 @@ __all__ = [
     "named_progress",
     "picture_progress",
     "plain_table",
+    "shown",
 ]
 
 
@@ -93,6 +96,11 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
 # ---- Consoles, progress and tables.
 
 
+def shown(text: str) -> str:
+    """Return text of files and people as a console shall show it: no markup, no control characters, not too long."""
+    return escape(plain_line(text))
+
+
 def error_console() -> Console:
     """Return a console on standard error, which breaks no line."""
     return Console(stderr=True, soft_wrap=True)
@@ -142,7 +150,7 @@ def named_progress(console: Console, total: int) -> Iterator[Callable[[str, str]
         begun = [0]
 
         def say(name: str, words: str) -> None:
-            progress.update(task, description=f"{escape(name)}: {escape(words)}", completed=begun[0])
+            progress.update(task, description=f"{shown(name)}: {shown(words)}", completed=begun[0])
             begun[0] += 1
 
         yield say

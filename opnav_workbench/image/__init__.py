@@ -4,8 +4,14 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
 
 ``picture``
     `Picture` and `read_image`: from a file to pixels, masks, mid-exposure time and header pointing.
+``file_bytes``
+    The bytes of a picture file, bounded.
 ``formats``
     FITS, VICAR and PDS3 files, told by content; every failure one line.
+``picture_trial``
+    Compressed images tried out in a supervised process.
+``pds_label``
+    PDS3 labels read in one pass: their values, and where the picture is.
 ``header``
     `Header` and `KeywordMap`: which keywords hold what; pointing and trajectory from them, to the barycenter.
 ``planes``

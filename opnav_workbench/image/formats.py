@@ -6,16 +6,14 @@ Every plane is checked for its full length before it is read, so that a file tha
 failure is one `ImageError` line with the file's name.
 
 FITS     image, error and quality planes, which the mission's keywords name; data are big-endian. Source: FITS Standard 4.0.
-PDS3     labels, attached or detached, and the raw pictures that they describe: data object pointers, ODL, the IMAGE
-         object and its sample types. Source: PDS Standards Reference 3.8.
+PDS3     the raw pictures that labels describe: the IMAGE object and its sample types. Source: PDS Standards Reference 3.8.
 VICAR    through the `vicar` library, imported on first use (it brings the clients of cloud stores along, half a second).
          Source: Deen (1992), "The VICAR File Format", JPL.
 """
 
-import gzip
+import contextlib
 import io
 import re
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,10 +24,26 @@ from astropy.io import fits
 from astropy.io.fits.card import Undefined
 from numpy.typing import NDArray
 
-from opnav_workbench.errors import ImageError
+from opnav_workbench.fits_layout import FitsLayoutError, check_fits_layout
+from opnav_workbench.image.file_bytes import (
+    GZIP_START,
+    check_size,
+    file_bytes,
+    image_error,
+    truncated_error,
+    unpacked,
+)
 from opnav_workbench.image.header import HeaderValue, KeywordMap, header_number
+from opnav_workbench.image.pds_label import (
+    PdsLabel,
+    image_pointer,
+    is_pds3,
+    label_integer,
+    parse_pds_label,
+)
+from opnav_workbench.supervised import TrialError, tried
 
-__all__ = ["StoredPicture", "image_error"]
+__all__ = ["StoredPicture", "read_stored"]
 
 
 # ---- What every reader hands over: planes and header of one file, before masks and time are made of them.
@@ -46,18 +60,6 @@ class StoredPicture:
     messages: tuple[str, ...] = ()
 
 
-def image_error(name: str, text: str) -> ImageError:
-    """Return an `ImageError` of one line that begins with the file's name."""
-    return ImageError(" ".join(f"{name}: {text}".split()))
-
-
-def truncated_error(name: str, what: str, present: int, needed: int) -> ImageError:
-    """Return the error of a file that ends too early."""
-    return image_error(
-        name, f"truncated: {what} has {present} of {needed} bytes; copy or download the file again."
-    )
-
-
 def header_value(value: Any) -> HeaderValue | None:
     """Return a header value as a plain Python value; lists become text, what has no value becomes None."""
     if isinstance(value, np.generic):
@@ -72,6 +74,7 @@ def header_value(value: Any) -> HeaderValue | None:
 # ---- FITS pictures: image, error and quality planes, each checked for its full length before it is read.
 
 Extension: TypeAlias = str | int
+FITS_BLOCK_BYTES = 2880  # the last block of a file may be short
 FITS_COMMENTARY = frozenset({"", "COMMENT", "HISTORY", "END", "CONTINUE"})
 # What astropy raises on files that break the standard.
 FITS_MALFORMED = (
@@ -111,9 +114,35 @@ def read_fits(name: str, data: bytes, keywords: KeywordMap) -> StoredPicture:
         ) from error
 
 
+def has_compressed_images(name: str, data: bytes) -> bool:
+    """Look at the headers of a FITS file before a library does, and tell whether it has compressed images.
+
+    Raises
+    ------
+    ImageError
+        They announce what cannot be.
+    """
+    try:
+        return check_fits_layout(data)
+    except FitsLayoutError as error:
+        raise image_error(name, str(error)) from error
+
+
+def _try_decompressing(file: Path) -> None:
+    """Decompress in a process that may end: compiled code does it, and trusts the stream."""
+    try:
+        tried("image/picture_trial.py:try_fits", str(file))
+    except TrialError as error:
+        raise image_error(
+            file.name, f"its compressed image cannot be unpacked: {error}; copy or download it again."
+        ) from error
+
+
 def _check_fits_length(name: str, available: int, hdu: Any, index: int) -> None:
     """Refuse a short data section, of which astropy would only warn."""
     start, size = hdu.fileinfo()["datLoc"], hdu.size
+    if isinstance(hdu, fits.CompImageHDU):  # whose size is that of the picture, not of what is stored
+        size = max(hdu.fileinfo()["datSpan"] - FITS_BLOCK_BYTES + 1, 0)
     if start + size > available:
         what = f"extension {index} ({hdu.name})" if index else "the data section"
         raise truncated_error(name, what, max(available - start, 0), size)
@@ -183,98 +212,12 @@ def _fits_header(header: Any, messages: list[str]) -> dict[str, HeaderValue]:
     return values
 
 
-# ---- PDS3 labels, attached or detached, and the raw pictures that they describe.
+# ---- The raw pictures that PDS3 labels describe.
 
-PDS_LABEL_START = re.compile(rb"\s*(CCSD\w+\s[^\n]*\n\s*)?(PDS_VERSION_ID|ODL_VERSION_ID)\s*=")
-PDS_LABEL_LIMIT_BYTES = 1 << 20  # the longest labels in the archives have some 100 kB
-PDS_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
-PDS_ASSIGNMENT = re.compile(
-    r"^[ \t]*(?P<name>\^?[A-Za-z][\w:]*)[ \t]*=\s*"
-    r'(?P<value>"[^"]*"|\([^)]*\)|\{[^}]*\}|[^\r\n]*)',
-    re.MULTILINE,
-)
-PDS_END = re.compile(r"^[ \t]*END[ \t]*\r?$", re.MULTILINE)
-PDS_UNIT = re.compile(r"\s*<[^>]*>\s*$")
-PDS_POINTER = re.compile(r'(?:"(?P<file>[^"]+)")?[\s,]*(?P<at>\d+)?\s*(?P<bytes><BYTES>)?', re.IGNORECASE)
 PDS_BYTE_ORDERS = {"MSB": ">", "SUN": ">", "MAC": ">", "LSB": "<", "PC": "<", "VAX": "<"}
 PDS_SAMPLE_TYPE = re.compile(
     r"(?:(?P<maker>MSB|SUN|MAC|LSB|PC|VAX|IEEE)_)?(?P<unsigned>UNSIGNED_)?(?P<kind>INTEGER|REAL|FLOAT)"
 )
-
-
-@dataclass(frozen=True, slots=True)
-class PdsPointer:
-    """Where a label says the data are: a file beside it (None: the same) and a byte offset."""
-
-    file: str | None
-    offset_bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class PdsLabel:
-    """A PDS3 label: its values, those inside ``OBJECT = IMAGE``, and the text of ``^IMAGE``."""
-
-    values: dict[str, HeaderValue]
-    image: dict[str, HeaderValue]
-    pointer: str
-
-
-def is_pds3(data: bytes) -> bool:
-    """Tell from the first bytes whether this is a PDS3 label, alone or before its data."""
-    return PDS_LABEL_START.match(data[:1024]) is not None
-
-
-def parse_pds_label(data: bytes) -> PdsLabel:
-    """Return the values of a PDS3 label; units are dropped, lists become text, the first of equals counts."""
-    text = data[:PDS_LABEL_LIMIT_BYTES].decode("latin-1")
-    end = PDS_END.search(text)
-    text = PDS_COMMENT.sub("", text[: end.start()] if end else text)
-    values: dict[str, HeaderValue] = {}
-    image: dict[str, HeaderValue] = {}
-    inside: list[str] = []
-    pointer = ""
-    for match in PDS_ASSIGNMENT.finditer(text):
-        name, value = match["name"].upper(), match["value"].strip()
-        if name in ("OBJECT", "GROUP"):
-            inside.append(value.upper())
-        elif name in ("END_OBJECT", "END_GROUP"):
-            inside = inside[:-1]
-        elif name == "^IMAGE":
-            pointer = pointer or value
-        else:
-            (image if inside[-1:] == ["IMAGE"] else values).setdefault(name, _label_value(value))
-    return PdsLabel(values, image, pointer)
-
-
-def _label_value(text: str) -> HeaderValue:
-    bare = PDS_UNIT.sub("", text)
-    for kind in (int, float):
-        try:
-            return kind(bare)
-        except ValueError:
-            continue
-    if bare[:1] in "({":
-        return ", ".join(part.strip().strip('"') for part in bare.strip("(){}").split(","))
-    return " ".join(bare.strip("\"'").split())
-
-
-def image_pointer(name: str, label: PdsLabel) -> PdsPointer:
-    """Return where ``^IMAGE`` points to.
-
-    Raises
-    ------
-    ImageError
-        The label points to no image.
-    """
-    found = PDS_POINTER.match(label.pointer.strip(" ()\t"))
-    if found is None or not (found["file"] or found["at"]):
-        raise image_error(
-            name, "PDS3 label without a pointer ^IMAGE to a picture; give the label or file of an image."
-        )
-    position = int(found["at"] or 1) - 1
-    in_records = position > 0 and not found["bytes"]
-    unit = _label_integer(name, label.values, "RECORD_BYTES", least=1) if in_records else 1
-    return PdsPointer(Path(found["file"]).name if found["file"] else None, position * unit)
 
 
 def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel) -> StoredPicture:
@@ -286,12 +229,13 @@ def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel) -> Stored
         The label lacks what is needed, describes a cube or a type that is not read, or the file is truncated.
     """
     image = label.image
-    lines, samples = (_label_integer(name, image, key, least=1) for key in ("LINES", "LINE_SAMPLES"))
-    if (bands := _label_integer(name, image, "BANDS", 1)) != 1:
+    lines, samples = (label_integer(name, image, key, least=1) for key in ("LINES", "LINE_SAMPLES"))
+    if (bands := label_integer(name, image, "BANDS", 1)) != 1:
         raise image_error(name, f"holds a cube of {bands} bands, not one picture; save one band alone.")
+    check_size(name, lines * samples)
     dtype = _sample_type(name, image)
     prefix, suffix = (
-        _label_integer(name, image, key, 0) for key in ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES")
+        label_integer(name, image, key, 0) for key in ("LINE_PREFIX_BYTES", "LINE_SUFFIX_BYTES")
     )
     width = prefix + samples * dtype.itemsize + suffix
     present = max(len(data) - offset, 0)
@@ -305,19 +249,8 @@ def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel) -> Stored
     return StoredPicture(pixels * scale + zero, dict(label.values))
 
 
-def _label_integer(
-    name: str, values: dict[str, HeaderValue], key: str, default: int | None = None, least: int = 0
-) -> int:
-    value = values.get(key, default)
-    if not isinstance(value, int) or value < least:
-        raise image_error(
-            name, f"PDS3 label with {key} = {value!r}, expected a whole number from {least}; check the label."
-        )
-    return value
-
-
 def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[Any]:
-    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), _label_integer(name, image, "SAMPLE_BITS")
+    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), label_integer(name, image, "SAMPLE_BITS")
     match = PDS_SAMPLE_TYPE.fullmatch(text)
     real = match is not None and match["kind"] != "INTEGER"
     readable = bits in ((32, 64) if real else (8, 16, 32))
@@ -332,6 +265,11 @@ def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[Any]:
 # ---- VICAR pictures through the `vicar` library.
 
 VICAR_LABEL_SIZE = re.compile(rb"LBLSIZE=\s*(\d+)")
+VICAR_LABEL_LIMIT_BYTES = 1 << 17  # labels with their history have some 10 kB, and the parser takes its time
+VICAR_LATER_LABEL = re.compile(
+    rb"LBLSIZE *= *(\d+)"
+)  # an end-of-file label; pixels that read so do not exist
+MOST_DIGITS = 12  # of any size that a label states
 
 
 def is_vicar(data: bytes) -> bool:
@@ -360,19 +298,35 @@ def read_vicar(name: str, path: Path, data: bytes) -> StoredPicture:
 
 def _check_vicar_length(name: str, data: bytes) -> None:
     match = VICAR_LABEL_SIZE.match(data)
-    label_size = int(match[1]) if match else 0
+    label_size = 0 if match is None else _vicar_size(name, "LBLSIZE", match[1])
+    sizes = (_vicar_size(name, "LBLSIZE", m[1]) for m in VICAR_LATER_LABEL.finditer(data))
+    if max(sizes, default=label_size) > VICAR_LABEL_LIMIT_BYTES:
+        raise image_error(
+            name, f"has a VICAR label of more than {VICAR_LABEL_LIMIT_BYTES} bytes; shorten its history."
+        )
     label = data[:label_size]
     if len(label) < label_size:
         raise truncated_error(name, "the VICAR label", len(label), label_size)
-    records = _label_number(label, b"NLB") + _label_number(label, b"NL") * max(_label_number(label, b"NB"), 1)
-    needed = records * _label_number(label, b"RECSIZE")
+    header, lines, bands, length, samples = (
+        _label_number(name, label, item) for item in ("NLB", "NL", "NB", "RECSIZE", "NS")
+    )
+    check_size(name, lines * samples * max(bands, 1))
+    needed = (header + lines * max(bands, 1)) * length
     if len(data) - label_size < needed:
         raise truncated_error(name, "the VICAR data section", len(data) - label_size, needed)
 
 
-def _label_number(label: bytes, item: bytes) -> int:
-    match = re.search(rb"\b" + item + rb"=\s*(\d+)", label)
-    return int(match[1]) if match else 0
+def _vicar_size(name: str, item: str, digits: bytes) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise image_error(
+            name, f"VICAR label with {item} of {len(digits)} digits; copy or download it again."
+        )
+    return int(digits)
+
+
+def _label_number(name: str, label: bytes, item: str) -> int:
+    match = re.search(rb"\b" + item.encode() + rb"=\s*(\d+)", label)
+    return _vicar_size(name, item, match[1]) if match else 0
 
 
 def _vicar_header(label: Mapping[Any, Any]) -> dict[str, HeaderValue]:
@@ -387,23 +341,7 @@ def _vicar_header(label: Mapping[Any, Any]) -> dict[str, HeaderValue]:
 
 # ---- From a file to a `Picture`.
 
-GZIP_START = b"\x1f\x8b"
 SHOWN_BYTES = 24
-
-
-def file_bytes(file: Path) -> bytes:
-    if file.is_dir():
-        raise image_error(str(file), "is a folder; give an image file in it.")
-    try:
-        data = file.read_bytes()
-    except FileNotFoundError as error:
-        raise image_error(str(file), "no such file; check the name and the folder.") from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise image_error(str(file), f"cannot be read: {reason}; check the permissions.") from error
-    if not data:
-        raise image_error(str(file), "is empty (0 bytes); copy or download it again.")
-    return data
 
 
 def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
@@ -414,8 +352,10 @@ def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, St
 
 
 def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture:
-    plain = _unzipped(file.name, data) if data.startswith(GZIP_START) else data
+    plain = unpacked(file.name, data) if data.startswith(GZIP_START) else data
     if is_fits(plain):
+        if has_compressed_images(file.name, plain):
+            _try_decompressing(file)
         return read_fits(file.name, plain, keywords)
     if is_vicar(data):
         return read_vicar(file.name, file, data)
@@ -440,16 +380,10 @@ def _read_pds(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path
 
 def _file_of_label(label_file: Path, name: str) -> Path:
     """Return the file that a label names, in any case: labels are in capitals, archives often not."""
-    for candidate in sorted(label_file.parent.iterdir()):
-        if candidate.name.lower() == name.lower():
-            return candidate
+    with contextlib.suppress(OSError):  # a folder that cannot be listed
+        for candidate in sorted(label_file.parent.iterdir()):
+            if candidate.name.lower() == name.lower():
+                return candidate
     raise image_error(
         label_file.name, f"the label names {name}, which is not beside it; put both into one folder."
     )
-
-
-def _unzipped(name: str, data: bytes) -> bytes:
-    try:
-        return gzip.decompress(data)
-    except (EOFError, OSError, zlib.error) as error:
-        raise image_error(name, f"damaged gzip file ({error}); copy or download it again.") from error

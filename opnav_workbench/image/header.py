@@ -238,7 +238,7 @@ def header_number(value: HeaderValue | None) -> float | None:
     """Return a header value as a float, None where it is absent or no number ("8.87E-5 " is one)."""
     try:
         return None if value is None or isinstance(value, bool) else float(value)
-    except ValueError:
+    except (ValueError, OverflowError):  # of a text that is none; of a whole number beyond any double
         return None
 
 

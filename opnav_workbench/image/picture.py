@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.errors import ImageError
+from opnav_workbench.errors import ImageError, plain_line
 from opnav_workbench.geometry.times import et_from_text, text_from_et
-from opnav_workbench.image.formats import StoredPicture, file_bytes, image_error, read_stored
+from opnav_workbench.image.file_bytes import file_bytes, image_error
+from opnav_workbench.image.formats import StoredPicture, read_stored
 from opnav_workbench.image.header import (
     Header,
     HeaderGeometry,
@@ -83,6 +84,11 @@ class Picture:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    @property
+    def name(self) -> str:
+        """The file's name as people and tables read it: what is no text in it is written as such (see `plain_line`)."""
+        return plain_line(self.path.name)
+
     def with_saturated(self, saturated: ArrayLike) -> "Picture":
         """Return the same picture with another saturation mask.
 
@@ -94,7 +100,7 @@ class Picture:
         mask = np.array(saturated, dtype=bool)
         if mask.shape != self.image_dn.shape:
             raise ImageError(
-                f"{self.path.name}: a saturation mask of shape {mask.shape} does not fit a picture of shape "
+                f"{self.name}: a saturation mask of shape {mask.shape} does not fit a picture of shape "
                 f"{self.image_dn.shape}; give one flag a pixel."
             )
         return replace(self, saturated=mask)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.errors import counted
-from opnav_workbench.image.formats import StoredPicture, image_error
+from opnav_workbench.image.file_bytes import check_size, image_error
+from opnav_workbench.image.formats import StoredPicture
 from opnav_workbench.image.header import Header, KeywordMap, header_number
 from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
 
@@ -97,6 +98,7 @@ def make_planes(
 
 def _single_plane(name: str, data: NDArray[Any]) -> FloatArray:
     """Return a picture with nan for special values; a cube of one plane is squeezed."""
+    check_size(name, data.size)
     values = np.array(data, dtype=np.float64)
     while values.ndim > 2 and values.shape[0] == 1:
         values = values[0]

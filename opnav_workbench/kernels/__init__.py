@@ -10,6 +10,10 @@ functions below only, one thread at a time, and every failure is one `KernelErro
     The CSPICE pool: lock, snapshots, variables, loaded files.
 ``files``
     One kernel file before SPICE opens it: kind, wholeness, segments, checksum.
+``kernel_trial``
+    Shape kernels tried out in a supervised process.
+``segment_layouts``
+    What the numbers of a segment must be, for every type that SPICE knows.
 ``coverage``
     Windows of bodies and structures over the loaded files; gaps, overlaps, shares.
 ``calls``

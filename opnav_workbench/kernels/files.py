@@ -3,7 +3,8 @@
 SPICE opens a truncated DAF without a word and fails later, or reads zeros. So the file record, the chain of summary
 records and the numbers of a binary kernel are checked here without SPICE; text kernels are told by their KPL word,
 their data or their suffix. What is found is remembered as long as a file's size and time of change stay. No checksum
-exists inside kernels: a changed digit of a plausible number stays unseen.
+exists inside kernels: a changed digit of a plausible number stays unseen. Shapes (DAS files) are tried out in a
+supervised process.
 
 Source: NAIF, DAF, SPK and CK Required Reading.
 """
@@ -21,6 +22,8 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import KernelError
 from opnav_workbench.files import sha256_of
+from opnav_workbench.kernels.segment_layouts import layout_fault
+from opnav_workbench.supervised import TrialError, tried
 
 __all__ = [
     "KINDS",
@@ -41,8 +44,6 @@ WORD_BYTES = 8
 CONTROL = 3  # words that begin a summary record: next record, previous record, number of summaries
 LARGEST_VALUE = 1e30  # km, s, ticks, Chebyshev coefficients: flight kernels stay below 1e20
 DEEP_CHECK_BYTES = 1 << 30  # of larger files only the structure is checked: the numbers would take seconds
-UNIT_TOLERANCE = 1e-2  # quaternion norm; writers differ in rounding, damage shows far beyond this
-STEP_TOLERANCE_S = 1.0  # Chebyshev record midpoints against the even spacing that the segment promises
 FTP_STRING = b"FTPSTR:\r:\n:\r\n:\r\x00:\x81:\x10\xce:ENDFTP"  # any text-mode transfer alters it
 ORDERS = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}
 
@@ -59,6 +60,10 @@ class DafSegment:
         """Where the segment's numbers stand among the file's 8-byte words."""
         return slice(self.integers[-2] - 1, self.integers[-1])
 
+    def data_type(self, kind: str) -> int:
+        """Return the type by which SPICE reads the numbers of a segment of a kind of kernel."""
+        return self.integers[2 if kind == "CK" else -3]
+
 
 @dataclass(frozen=True, slots=True)
 class _Header:
@@ -66,6 +71,7 @@ class _Header:
     doubles: int  # per summary
     integers: int
     first_record: int
+    last_record: int
     free_word: int
 
     @property
@@ -115,30 +121,36 @@ def _header(path: Path, data: np.ndarray[Any, np.dtype[np.uint8]], kind: str) ->
     record = data[:RECORD_BYTES].tobytes()
     order = ORDERS.get(record[88:96], "<")  # files of the 1990s leave it blank: native order
     doubles, integers = struct.unpack_from(f"{order}2i", record, 8)
-    first, _, free = struct.unpack_from(f"{order}3i", record, 76)
+    first, last, free = struct.unpack_from(f"{order}3i", record, 76)
     if (b"FTPSTR" in record or b"ENDFTP" in record) and FTP_STRING not in record:  # old files have none
         raise _damaged(path, "it went through a text-mode transfer, which altered bytes")
     if (doubles, integers) != (2, 5 if kind == "PCK" else 6) or first < 2 or free < 2:
         raise _damaged(path, "its file record holds impossible numbers")
-    return _Header(order, doubles, integers, first, free)
+    return _Header(order, doubles, integers, first, last, free)
 
 
 def _summary_records(
     path: Path, data: np.ndarray[Any, np.dtype[np.uint8]], header: _Header
 ) -> Iterator[bytes]:
-    """Follow the chain of summary records, which must neither leave the file nor turn back."""
-    number, seen = header.first_record, set[int]()
+    """Follow the chain of summary records, which must neither leave the file nor turn back.
+
+    SPICE follows it from its end, so that each record must name the one before it, and the file record the last.
+    """
+    number, before, seen = header.first_record, 0, set[int]()
     while number:
         record = data[(number - 1) * RECORD_BYTES : number * RECORD_BYTES].tobytes() if number > 0 else b""
         if len(record) < RECORD_BYTES or number in seen:
             raise _damaged(path, f"its chain of segment summaries breaks at record {number}")
         seen.add(number)
-        following, _, count = struct.unpack_from(f"{header.order}3d", record)
+        following, previous, count = struct.unpack_from(f"{header.order}3d", record)
         room = (RECORD_BYTES - CONTROL * WORD_BYTES) // header.summary.size
-        if not (0 <= count <= room and following >= 0 and count % 1 == following % 1 == 0):
+        whole = 0 <= count <= room and following >= 0 and count % 1 == following % 1 == 0
+        if not (whole and previous == before):
             raise _damaged(path, f"its summary record {number} holds impossible numbers")
         yield record
-        number = int(following)
+        number, before = int(following), number
+    if header.last_record != before:
+        raise _damaged(path, f"its file record names {header.last_record} as the last record of summaries")
 
 
 def _summaries(record: bytes, header: _Header) -> Iterator[DafSegment]:
@@ -161,52 +173,8 @@ def _fault(segment: DafSegment, words: FloatArray, kind: str, *, deep: bool) -> 
     values = words[where]
     if not (np.abs(values) < LARGEST_VALUE).all():  # false for nan, too
         return "numbers that no kernel holds"
-    check = LAYOUT_CHECKS.get((kind, segment.integers[2 if kind == "CK" else -3]))
-    return "its bookkeeping contradicts its size or itself" if check and not check(values) else ""
-
-
-def _chebyshev_holds(values: FloatArray) -> bool:
-    """SPK, PCK types 2, 3: equal records (midpoint, radius, coefficients); then start, step, size, count."""
-    start, step, size, count = values[-4:]
-    if not (size >= 3 and count >= 1 and size % 1 == count % 1 == 0 and size * count + 4 == len(values)):
-        return False
-    midpoints, radii = values[:-4].reshape(int(count), int(size))[:, :2].T
-    expected = start + step * (np.arange(int(count)) + 0.5)
-    return bool((np.abs(midpoints - expected) < STEP_TOLERANCE_S).all() and (radii > 0).all())
-
-
-def _state_table_holds(values: FloatArray) -> bool:
-    """SPK types 9 and 13: n states, n epochs, every 100th epoch, degree, n."""
-    count = values[-1]
-    if not (count >= 1 and count % 1 == 0 and 7 * count + (count - 1) // 100 + 2 == len(values)):
-        return False
-    n = int(count)
-    epochs, directory = values[6 * n : 7 * n], values[7 * n : -2]
-    return bool((np.diff(epochs) > 0).all() and np.array_equal(directory, epochs[99::100][: len(directory)]))
-
-
-def _pointing_table_holds(values: FloatArray) -> bool:
-    """CK type 3: n quaternions (with rates or not), n clock ticks, interval starts, directories, counts."""
-    n_intervals, n = values[-2:]
-    if not (n >= 1 and n_intervals >= 1 and n % 1 == n_intervals % 1 == 0):
-        return False
-    rest = len(values) - 2 - n - n_intervals - (n - 1) // 100 - (n_intervals - 1) // 100
-    if rest not in (4 * n, 7 * n):
-        return False
-    packets = values[: int(rest)].reshape(int(n), -1)
-    norms = np.linalg.norm(packets[:, :4], axis=1)
-    ticks = values[int(rest) : int(rest + n)]
-    return bool((np.abs(norms - 1.0) < UNIT_TOLERANCE).all() and (np.diff(ticks) > 0).all())
-
-
-LAYOUT_CHECKS = {
-    ("SPK", 2): _chebyshev_holds,
-    ("SPK", 3): _chebyshev_holds,
-    ("PCK", 2): _chebyshev_holds,
-    ("SPK", 9): _state_table_holds,
-    ("SPK", 13): _state_table_holds,
-    ("CK", 3): _pointing_table_holds,
-}
+    rates = kind == "CK" and segment.integers[3] == 1
+    return layout_fault(kind, segment.data_type(kind), values, segment.doubles, rates=rates)
 
 
 # ---- One kernel file: its kind by its content, its wholeness, its checksum; each found once per file state.
@@ -225,6 +193,10 @@ KINDS = (
     "META",
 )  # a folder's loading order
 BINARY_KINDS = {b"DAF/SPK": "SPK", b"DAF/CK": "CK", b"DAF/PCK": "PCK", b"DAS/DSK": "DSK", b"DAS/EK": "EK"}
+TRIALS = {
+    "DSK": "kernels/kernel_trial.py:try_dsk",
+    "EK": "kernels/kernel_trial.py:try_ek",
+}  # DAS files: not checked here
 TEXT_KINDS = {f"KPL/{k}".encode(): k for k in ("LSK", "SCLK", "PCK", "FK", "IK")} | {b"KPL/MK": "META"}
 # Text kernels need no identification word; the suffix then tells the kind.
 SUFFIX_KINDS = {
@@ -318,6 +290,10 @@ def _inspect_binary(file: Path, word: bytes, size: int) -> tuple[str, tuple[DafS
         raise KernelError(
             f"{file} is not a whole kernel: {size} bytes are no multiple of {RECORD_BYTES}; fetch it again."
         )
+    try:
+        tried(TRIALS[kind], str(file))
+    except TrialError as error:
+        raise _damaged(file, str(error)) from error
     return kind, ()
 
 

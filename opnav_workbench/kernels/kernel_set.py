@@ -19,8 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels.files import KernelFile
@@ -36,6 +34,7 @@ from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.kernels.manifest import fetched_metakernel
 from opnav_workbench.resources import CACHE_VARIABLE, cache_root, kernels_meta_dir
 from opnav_workbench.version import __version__
+from opnav_workbench.yaml_nodes import compose, plain_value
 
 __all__ = ["KernelSet", "KernelSetInfo", "kernel_sets", "known_names", "scenario_folder", "unknown_name"]
 
@@ -191,11 +190,11 @@ def _scenario_head(path: Path) -> dict[str, Any]:
     """Read a scenario's first words only: its tables of states are long."""
     text = path.read_text(encoding="utf-8")
     blocks = (re.search(rf"^{key}:.*\n(?:[ \t]+.*\n|\n)*", text, re.MULTILINE) for key in HEAD_KEYS)
-    return dict(yaml.safe_load("".join(b[0] for b in blocks if b)) or {})
+    return dict(plain_value(compose("".join(b[0] for b in blocks if b))) or {})
 
 
 def _utc_text(value: Any) -> str:
-    return "" if value is None else str(value).replace("T", " ").partition("+")[0]
+    return "" if value is None else str(value).replace("T", " ").removesuffix("Z").partition("+")[0]
 
 
 # ---- The set itself.

@@ -244,7 +244,7 @@ def read_shape(path: str | os.PathLike[str], unit: str = "km") -> tuple[FloatArr
         ) from error
     try:
         vertices, plates = _parsed(content, Path(path).suffix.lower())
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, OverflowError, MemoryError, struct.error) as error:
         raise KernelError(f"shape {path}: {error}; give a whole {SUFFIXES} file.") from error
     return checked_shape(vertices * UNIT_KM[unit], plates, f"shape {path}")
 

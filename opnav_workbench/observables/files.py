@@ -25,7 +25,7 @@ from astropy.table import QTable
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import atomic_path, write_json, write_text
+from opnav_workbench.files import atomic_path, given_cell, plain_cell, write_json, write_text
 from opnav_workbench.observables.columns import (
     ALWAYS_ARRAYS,
     COLUMNS,
@@ -175,7 +175,7 @@ def _column_comment(column: ExportColumn) -> str:
 
 def _csv_cell(value: Any) -> str:
     if isinstance(value, str):
-        return " ".join(value.split())  # one line a row
+        return plain_cell(" ".join(value.split()))  # one line a row
     return "" if np.isnan(value) else repr(float(value))
 
 
@@ -204,7 +204,8 @@ def read_csv(path: str | Path) -> tuple[Observable, ...]:
     if rows.fieldnames is None or "pixel_c" not in rows.fieldnames:
         raise SessionError(f"{path} is no table of observables; give a CSV file that opnav export wrote.")
     try:
-        return rows_to_observables(list(rows), str(path))
+        given = [{name: given_cell(cell) for name, cell in row.items()} for row in rows]
+        return rows_to_observables(given, str(path))
     except csv.Error as error:
         raise SessionError(f"{path} is damaged ({error}); export the observables again.") from error
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from opnav_workbench import report
-from opnav_workbench.errors import OpNavError, SessionError
+from opnav_workbench.errors import OpNavError, SessionError, plain_line
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json, write_text
 from opnav_workbench.processing.automatic import Progress, open_picture, run_policy, silent
 from opnav_workbench.processing.model import OpenedProcessing, Processing
@@ -24,6 +24,7 @@ __all__ = ["Outcome", "failed_result", "process", "process_image", "process_imag
 
 FIGURE_FILE = "summary.png"
 TRACEBACK_FILE = "traceback.txt"
+LONGEST_REASON = 300  # characters of an unforeseen error: the rest stands in its traceback
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,9 +238,10 @@ def _picture_folder(out: str | Path, picture: Path) -> Path:
 
 def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:
     """Return the ``result.json`` of a picture that could not be processed, so that a night's summary can name it."""
-    result = {"image": image.name, "mission": mission, "status": "failed", "messages": [reason]}
+    result = {"image": plain_line(image.name), "mission": mission, "status": "failed", "messages": [reason]}
     with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
-        result["sha256"] = sha256_of(image)
+        if image.is_file():  # a pipe would block, a device never end
+            result["sha256"] = sha256_of(image)
     return result
 
 
@@ -259,5 +261,5 @@ def _recorded_defect(path: Path, folder: Path | None, opened: OpenedProcessing, 
         remedy = f"please report it with {folder / TRACEBACK_FILE}."
         with contextlib.suppress(SessionError):
             write_text(folder / TRACEBACK_FILE, "".join(traceback.format_exception(error)))
-    reason = f"unforeseen {type(error).__name__}: {' '.join(str(error).split())}"
+    reason = plain_line(f"unforeseen {type(error).__name__}: {' '.join(str(error).split())}", LONGEST_REASON)
     return _recorded_failure(path, folder, opened, f"{reason}; {remedy}")

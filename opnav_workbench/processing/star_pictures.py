@@ -100,7 +100,7 @@ def star_pictures(sessions: Sequence[ImageSession]) -> StarPictures:
         parts.append((picture, state.centers.pixel_line[used], covariance, state.a_priori.directions[used]))
     picture, observed, covariance, directions = (np.concatenate(part) for part in zip(*parts, strict=True))
     return StarPictures(
-        names=tuple(session.context.picture.path.name for session in sessions),
+        names=tuple(session.context.picture.name for session in sessions),
         picture_index=picture,
         observed_px=observed,
         covariance_px2=covariance,
@@ -129,7 +129,7 @@ def psf_pictures(
         )
         pictures.append(
             PsfPicture(
-                name=context.picture.path.name,
+                name=context.picture.name,
                 signal_dn=context.signal_dn,
                 noise_dn=context.noise_dn,
                 bad=context.bad | context.picture.saturated,

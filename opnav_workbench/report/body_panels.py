@@ -104,7 +104,7 @@ def shown_body(source: BodyCenter | ImageSession, name: str = "", method: str = 
 
 def shown_of_session(session: ImageSession, center: BodyCenter) -> ShownBody:
     """Return a center with what a session knows of its body; the center need not stand in it any more."""
-    where = f"{session.context.picture.path.name}   {session.inputs.utc} UTC"
+    where = f"{session.context.picture.name}   {session.inputs.utc} UTC"
     expected = session.predict_body(center.name)
     outline = _limb_of(center)
     if not len(outline) and center.pixel_line is not None:

@@ -81,7 +81,7 @@ def new_figure(
     figure = Figure(figsize=(width_inch, height_inch), layout=layout)
     FigureCanvasAgg(figure)
     if title:
-        figure.suptitle(title, **style)
+        figure.suptitle(title, parse_math=False, **style)  # a $ in a file's name is no formula
     return figure
 
 

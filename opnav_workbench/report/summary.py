@@ -117,7 +117,7 @@ def summary_figure(session: ImageSession) -> Figure:
 def _title(session: ImageSession) -> str:
     context, pointing = session.context, session.state.pointing
     picture, camera = context.picture, context.camera
-    first = f"{picture.path.name}   {camera.name}   {session.inputs.utc} UTC   {picture.exposure_s:g} s"
+    first = f"{picture.name}   {camera.name}   {session.inputs.utc} UTC   {picture.exposure_s:g} s"
     if pointing is None:
         return f"{first}\npointing not determined"
     return (

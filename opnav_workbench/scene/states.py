@@ -73,7 +73,7 @@ def observer_from_header(picture: Picture, et: float) -> Observer:
         or geometry.spacecraft_velocity_km_s is None
     ):
         raise ImageError(
-            f"{picture.path.name}: the header gives no spacecraft position and velocity; "
+            f"{picture.name}: the header gives no spacecraft position and velocity; "
             "give kernels that cover the spacecraft (--kernels)."
         )
     position, velocity = barycentric_from_heliocentric(

@@ -135,6 +135,6 @@ def _check_size(picture: Picture, camera: Camera) -> None:
     n_line, n_pixel = picture.image_dn.shape
     if (n_line, n_pixel) != (camera.n_line, camera.n_pixel):
         raise ImageError(
-            f"{picture.path.name} has {n_pixel} x {n_line} pixels, but {camera.name} makes {camera.n_pixel} x "
+            f"{picture.name} has {n_pixel} x {n_line} pixels, but {camera.name} makes {camera.n_pixel} x "
             f"{camera.n_line}; choose the mission file that describes this picture (--mission)."
         )

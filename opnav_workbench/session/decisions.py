@@ -444,7 +444,7 @@ class Decisions(BaseModel):
                 sections.setdefault(section, []).append(item)
         own, usual = session.context.settings.to_dict(), Settings().to_dict()
         picture = PictureDecisions(
-            name=session.context.picture.path.name,
+            name=session.context.picture.name,
             who=who,
             when=session.standing[-1].time_utc if session.standing else None,  # type: ignore[arg-type]
             mission=session.context.mission.name,
@@ -521,7 +521,7 @@ class Decisions(BaseModel):
     def _entries_for(self, session: "ImageSession") -> list[tuple[str, PictureDecisions]]:
         """Return the entries that concern a picture, the most general first."""
         frame = session.context.picture
-        keys = (EVERY_IMAGE, frame.path.name, frame.sha256)
+        keys = (EVERY_IMAGE, frame.name, frame.sha256)
         return [(key, self.images[key]) for key in dict.fromkeys(keys) if key in self.images]
 
     def _replay(self, session: "ImageSession", picture: PictureDecisions) -> None:
@@ -563,7 +563,7 @@ def _concerns(session: "ImageSession", item: DecisionItem) -> bool:
 
 def _check_opened(session: "ImageSession", picture: PictureDecisions) -> None:
     """Refuse to take a session again that was opened otherwise: other stars, another a priori pointing."""
-    name = session.context.picture.path.name
+    name = session.context.picture.name
     kind = picture.catalog.partition(":")[0]
     if kind and kind != session.source.catalog.partition(":")[0]:
         raise SessionError(

@@ -33,6 +33,7 @@ __all__ = [
     "journal_line",
     "note",
     "read_journal_file",
+    "stored_entry",
 ]
 
 
@@ -63,6 +64,21 @@ class JournalEntry:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain values."""
         return asdict(self)
+
+
+def stored_entry(values: Any) -> JournalEntry:
+    """Return the entry that a file holds as plain values.
+
+    Raises
+    ------
+    TypeError
+        They are none of an entry: a step that is no text, parameters that are no mapping, unknown names.
+    """
+    entry = JournalEntry(**values)
+    texts = (entry.step, entry.reason, entry.outcome, entry.time_utc)
+    if not (all(isinstance(text, str) for text in texts) and isinstance(entry.parameters, Mapping)):
+        raise TypeError(f"{values!r:.80} is no step of a session")
+    return entry
 
 
 def stamped_entry(step: str, parameters: Mapping[str, Any], reason: str, outcome: str) -> JournalEntry:
@@ -105,7 +121,7 @@ def journal_line(
     if inputs:
         data["inputs"] = inputs
     text = json.dumps(plain_values(data), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    return text.encode() + b"\n"
+    return text.encode(errors="backslashreplace") + b"\n"
 
 
 def _entry_check(entry: JournalEntry | None) -> str:
@@ -136,7 +152,7 @@ def read_journal_file(path: Path, session: str, journal: Sequence[JournalEntry])
             message = f"{path.name}: from line {number} on it belongs to another session and is left out"
             break
         if line["n"] == len(known):
-            known.append(JournalEntry(**line["entry"]))
+            known.append(stored_entry(line["entry"]))
             inputs.append(line.get("inputs", {}))
         length += len(raw)
     return JournalTail(tuple(known[len(journal) :]), tuple(inputs), length, message)
@@ -157,8 +173,8 @@ def _parsed_line(raw: bytes) -> dict[str, Any] | None:
         line = json.loads(raw)
         entry = line["entry"]
         whole = isinstance(line["n"], int) and {"session", "after"} <= set(line) and isinstance(entry, dict)
-        JournalEntry(**entry)
-    except (ValueError, KeyError, TypeError):
+        stored_entry(entry)
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
     return line if whole else None
 
@@ -360,7 +376,7 @@ class History:
             self._standing[known.count - 1].state = known.state
         try:
             self._state_after(len(self._standing))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             raise SessionError(f"{source} is damaged ({error!r}); process the picture again.") from error
 
     def _take_stored(self, entry: JournalEntry, source: str) -> None:

@@ -262,7 +262,7 @@ def _et(context: Context) -> float:
     if KernelSet.active() is not None and picture.sclk is not None:
         return et_from_sclk(context.mission.clock_id, picture.sclk)
     raise ImageError(
-        f"{picture.path.name}: the header gives no time but a clock reading ({picture.sclk}); "
+        f"{picture.name}: the header gives no time but a clock reading ({picture.sclk}); "
         "give kernels with an LSK and the SCLK of this spacecraft (--kernels)."
     )
 
@@ -288,7 +288,7 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str
     geometry = context.picture.header_geometry
     if geometry is None or geometry.camera_from_j2000 is None:
         raise NoAttitudeError(
-            f"{context.picture.path.name}: the header gives no attitude; "
+            f"{context.picture.name}: the header gives no attitude; "
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
     return np.asarray(geometry.camera_from_j2000), "header"

@@ -109,7 +109,7 @@ def _observable(context: Context, inputs: Inputs, state: SessionState, center: B
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         a_priori_px=a_priori.pixel_line,
         diameter_px=solved.diameter_px,
-        image=context.picture.path.name,
+        image=context.picture.name,
         et=inputs.et,
         utc=inputs.utc,
         reference_body=context.mission.reference_body,

@@ -96,7 +96,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
     frame = context.picture
     observables = current_observables(context, inputs, state)
     return {
-        "image": frame.path.name,
+        "image": frame.name,
         "sha256": frame.sha256,
         "utc": inputs.utc,
         "et": inputs.et,

@@ -25,6 +25,7 @@ from opnav_workbench.session.history import (
     JournalEntry,
     JournalTail,
     read_journal_file,
+    stored_entry,
 )
 from opnav_workbench.session.inputs import Inputs, InputSource, inputs_dict, inputs_from, with_inputs_added
 from opnav_workbench.session.settings import Settings
@@ -117,7 +118,7 @@ def write_together(writers: Mapping[Path, Callable[[Path], None]]) -> None:
 
 def write_data(data: Mapping[str, Any], path: Path) -> None:
     """Write `data` as JSON, down to the disk."""
-    with path.open("w", encoding="utf-8") as stream:
+    with path.open("w", encoding="utf-8", errors="backslashreplace") as stream:
         stream.write(json_text(data) + "\n")
         stream.flush()
         os.fsync(stream.fileno())
@@ -172,7 +173,7 @@ def load_session(folder: Path, image: str | Path | None) -> LoadedSession:
             data["attitude"],
         )
         session = str(data.get("session", ""))
-        stored = tuple(JournalEntry(**item) for item in data["journal"])
+        stored = tuple(stored_entry(item) for item in data["journal"])
         tail = read_journal_file(folder / JOURNAL_FILE, session, stored)
         inputs = inputs_from(data["inputs"])
         for added in tail.inputs:
@@ -212,7 +213,7 @@ def session_on_disk(folder: Path) -> SessionOnDisk | None:
         return None
     data = _session_file(folder / SESSION_FILE)
     try:
-        session, stored = str(data.get("session", "")), tuple(JournalEntry(**e) for e in data["journal"])
+        session, stored = str(data.get("session", "")), tuple(stored_entry(e) for e in data["journal"])
         tail = read_journal_file(folder / JOURNAL_FILE, session, stored)
         return SessionOnDisk(session, str(data["sha256"]), stored + tail.entries, tail.length)
     except (KeyError, TypeError, OSError) as error:

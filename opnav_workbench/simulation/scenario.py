@@ -8,7 +8,7 @@ sliders.
 """
 
 from collections.abc import Mapping
-from datetime import timedelta
+from datetime import datetime, timedelta
 from os import PathLike
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -144,6 +144,25 @@ class ApparentPlaceEffects(StrictModel):
 # -- pictures ------------------------------------------------------------------------------------------------------
 
 
+MOST_OF_SERIES = 10_000  # pictures; more is a misprint
+
+
+def last_of_series(start: datetime, step_s: float, count: float) -> None:
+    """Refuse a series of more pictures than a person means, or beyond the calendar.
+
+    Raises
+    ------
+    ValueError
+        With how many there would be.
+    """
+    if count > MOST_OF_SERIES:
+        raise ValueError(f"{count:.0f} pictures; {MOST_OF_SERIES} at most")
+    try:
+        start + timedelta(seconds=(count - 1) * step_s)
+    except OverflowError as error:
+        raise ValueError(f"{count:.0f} pictures {step_s:g} s apart end beyond the calendar") from error
+
+
 class PictureEntry(StrictModel):
     """One picture, or a series of them from `start` to `stop`."""
 
@@ -168,6 +187,10 @@ class PictureEntry(StrictModel):
             raise ValueError("give either utc, or start, stop and step_s")
         if self.start is not None and self.stop is not None and self.stop < self.start:
             raise ValueError(f"stop {self.stop.isoformat()} is before start {self.start.isoformat()}")
+        if self.start is not None and self.stop is not None and self.step_s is not None:
+            last_of_series(
+                self.start, self.step_s, (self.stop - self.start).total_seconds() / self.step_s + 1
+            )
         return self
 
     def expanded(self) -> tuple[Self, ...]:

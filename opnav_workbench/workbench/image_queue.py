@@ -150,7 +150,7 @@ class ImageQueue:
             try:
                 session.require(*needs)
             except SelectionPending as error:
-                raise SelectionPending(f"{session.context.picture.path.name}: {error}") from None
+                raise SelectionPending(f"{session.context.picture.name}: {error}") from None
 
     @classmethod
     def of_sessions(cls, sessions: Iterable[ImageSession], out: str | Path | None = None) -> "ImageQueue":
@@ -159,7 +159,7 @@ class ImageQueue:
         for session in sessions:
             stem = session.context.picture.path.stem
             folder = session.folder or (None if out is None else inside(out, stem))
-            item = QueueItem(session.context.picture.path.name, lambda s=session: s, folder)  # type: ignore[misc]
+            item = QueueItem(session.context.picture.name, lambda s=session: s, folder)  # type: ignore[misc]
             items.append(item)
         return cls(items)
 

@@ -109,7 +109,7 @@ class NotebookParameters(Processing):
         session = open_or_resume(image, folder, self.ready)
         if self.interactive and not session.journal:
             frame, decided = session.context.picture, self.ready.decisions.images
-            if not {EVERY_IMAGE, frame.path.name, frame.sha256}.isdisjoint(decided):
+            if not {EVERY_IMAGE, frame.name, frame.sha256}.isdisjoint(decided):
                 self.process(session)
             else:
                 predict_scene(session, self.targets)

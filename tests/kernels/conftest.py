@@ -2,6 +2,7 @@
 
 import copy
 import shutil
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -10,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import spiceypy
+
+sys.path.insert(0, str(Path(__file__).parent))  # the modules beside these tests
 
 TEXT = {
     "toy.tsc": """KPL/SCLK

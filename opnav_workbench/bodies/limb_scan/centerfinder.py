@@ -175,9 +175,9 @@ def _sky_share(run: ScanRun) -> float:
     """Return the light beside the limb over that inside of it: a limb has the dark of the sky behind it."""
     used = run.last.solved.used
     inside = (run.last.match.brightness[:, None] * run.last.evaluation.view.model).max(axis=1)
-    return float(
-        np.median(run.last.match.background_dn[used] / np.maximum(inside[used], np.finfo(float).tiny))
-    )
+    with np.errstate(over="ignore"):  # a limb without any light inside has a share beyond all numbers
+        share = run.last.match.background_dn[used] / np.maximum(inside[used], np.finfo(float).tiny)
+    return float(np.median(share))
 
 
 def _cut(run: ScanRun, center: FloatArray) -> bool:

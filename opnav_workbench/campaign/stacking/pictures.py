@@ -226,13 +226,13 @@ def picture_of_session(session: ImageSession, target: str | None = None) -> Stac
     """
     pointing, context, inputs = session.state.pointing, session.context, session.inputs
     if pointing is None:
-        raise SessionError(f"{context.picture.path.name}: its pointing is not solved; it cannot be placed.")
+        raise SessionError(f"{context.picture.name}: its pointing is not solved; it cannot be placed.")
     if target is not None and target not in inputs.targets:
         session.add_target(target)
         inputs = session.inputs
     gain = context.camera.gain_e_per_dn
     return StackPicture(
-        name=context.picture.path.name,
+        name=context.picture.name,
         et=inputs.et,
         exposure_s=context.picture.exposure_s,
         signal_dn=context.signal_dn,

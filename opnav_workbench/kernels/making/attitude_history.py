@@ -175,10 +175,18 @@ def even_epochs(start: float, end: float, step_s: float) -> FloatArray:
     >>> even_epochs(0.0, 25.0, 10.0).tolist()
     [0.0, 10.0, 20.0, 25.0]
     """
+    _not_too_many((end - start) / step_s)
     et = np.append(np.arange(start, end, step_s), end)
     if len(et) > 2 and et[-1] - et[-2] < 1e-3 * step_s:  # rounding left a sliver
         et = np.delete(et, -2)
     return np.asarray(et)
+
+
+def _not_too_many(count: float) -> None:
+    if count > MOST_NODES:
+        raise ValueError(
+            f"{count:.3g} attitudes, the limit is {MOST_NODES}; take longer steps or a shorter span"
+        )
 
 
 def adaptive_epochs(law: AttitudeLaw, start: float, end: float, tolerance_rad: float) -> FloatArray:
@@ -189,6 +197,7 @@ def adaptive_epochs(law: AttitudeLaw, start: float, end: float, tolerance_rad: f
     ValueError
         The law jumps, or the tolerance asks for more nodes than a file should hold.
     """
+    _not_too_many((end - start) / LONGEST_STEP_S)
     count = 1 + max(1, int(np.ceil((end - start) / LONGEST_STEP_S)))
     return refined_epochs(law, np.linspace(start, end, count), tolerance_rad)
 

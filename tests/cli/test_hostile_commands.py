@@ -1,0 +1,207 @@
+"""What a person or a file may say to a command: out of range, one line; what was finished is kept and shown."""
+
+import os
+import shutil
+import stat
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from opnav_workbench.cli import lab_server
+from opnav_workbench.cli import process as process_command
+from opnav_workbench.cli.catalog import catalog_app
+from opnav_workbench.cli.program import main
+from opnav_workbench.errors import CatalogError, MissionError, SessionError
+from opnav_workbench.files import given_cell, inside, plain_cell, read_json
+from opnav_workbench.kernels.making.attitude_history import even_epochs
+from opnav_workbench.observables.files import csv_text, read_csv, write_csv
+from opnav_workbench.processing import Processing
+from opnav_workbench.rehearsal.scenario import OrtEntry
+from opnav_workbench.session.history import JournalEntry, journal_line, read_journal_file, stored_entry
+from opnav_workbench.simulation.scenario import PictureEntry
+from opnav_workbench.yaml_file import check_model
+
+HOW = Processing(mission="new_horizons", targets=())
+BYTES = b"a\xff\xfe.fit"  # no UTF-8
+
+
+@pytest.mark.parametrize(
+    ("ra", "dec", "radius", "words"),
+    [
+        ("400", "0", "1", "ra 400 deg"),
+        ("-1", "0", "1", "ra -1 deg"),
+        ("nan", "0", "1", "ra nan deg"),
+        ("1", "91", "1", "dec 91 deg"),
+        ("1", "nan", "1", "dec nan deg"),
+        ("1", "0", "-1", "-1 deg"),
+        ("1", "0", "inf", "inf deg"),
+    ],
+)
+def test_a_cone_out_of_range(ra, dec, radius, words):
+    with pytest.raises(CatalogError, match=f"{words}.*give .* deg"):
+        CliRunner().invoke(catalog_app, ["cone", "bundled", ra, dec, radius], catch_exceptions=False)
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 10**9])
+def test_ports_beyond_range(port):
+    with pytest.raises(SessionError, match="is no port; choose one from 1024 to 65535"):
+        lab_server._free_port(port)
+
+
+def test_the_token_stands_in_a_page_for_this_user_alone(tmp_path):
+    server = lab_server.LabServer(tmp_path / "workbench.ipynb")
+    os.umask(0)
+    address = server.browser_page()
+    page = tmp_path / lab_server.BROWSER_PAGE
+    assert address == page.resolve().as_uri()
+    assert server.token not in address
+    assert f"url={server.url}" in page.read_text()
+    assert stat.S_IMODE(page.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+A1", "-A1", "@SUM(A1)", "'quoted", "lor_1.fit", "-98", ""])
+def test_cells_are_no_formulas_and_come_back(name):
+    assert given_cell(plain_cell(name)) == name
+    assert not plain_cell(name).startswith(("=", "+", "@"))
+
+
+def test_exported_names_are_no_formulas(demo_observables, tmp_path):
+    (observable,) = demo_observables(image="=HYPERLINK(1).fit")
+    write_csv([observable], tmp_path / "o.csv")
+    assert ",=" not in csv_text([observable])
+    assert "\n'=HYPERLINK(1).fit," in csv_text([observable])
+    assert read_csv(tmp_path / "o.csv")[0].image == "=HYPERLINK(1).fit"
+
+
+@pytest.fixture
+def demo_observables(demo_truths):
+    from dataclasses import replace
+
+    from opnav_workbench.kernels import KernelSet
+    from opnav_workbench.rehearsal import DEMO_KERNELS
+    from opnav_workbench.session import ImageSession
+
+    def made(**changed):
+        with KernelSet(DEMO_KERNELS):
+            session = ImageSession.open(demo_truths[0].picture, mission="new_horizons")
+            session.predict()
+            session.find_stars()
+            session.repoint()
+            session.find_body("CHARON", method="unresolved")
+            session.observables()
+            return [replace(o, **changed) for o in session.state.observables]
+
+    return made
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"step": ["note"]},
+        {"step": "note", "parameters": [1, 2]},
+        {"step": "note", "parameters": {}, "reason": None},
+        ["step"],
+        {"step": "note", "unknown": 1},
+        5,
+    ],
+)
+def test_a_journal_whose_step_is_none(tmp_path, values):
+    with pytest.raises(TypeError):
+        stored_entry(values)
+    good = journal_line("s", 0, None, JournalEntry("note", {"text": "\udcff"}), {})
+    path = tmp_path / "journal"
+    path.write_bytes(good + good.replace(b'"step":"note"', b'"step":["note"]'))
+    tail = read_journal_file(path, "s", ())
+    assert [entry.step for entry in tail.entries] == ["note"]
+    assert tail.entries[0].parameters == {"text": "\udcff"}
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a": ' + "9" * 5000 + "}", "\ufeff{}", "[]"])
+def test_json_that_trips_its_reader(tmp_path, text):
+    path = tmp_path / "result.json"
+    path.write_text(text)
+    with pytest.raises(SessionError, match="cannot be read"):
+        read_json(path, "copy it again.")
+
+
+def test_series_are_as_long_as_a_person_means():
+    start = {"name": "a", "exposure_s": 1.0, "start": "2015-07-01T00:00:00"}
+    with pytest.raises(MissionError, match="864001 pictures; 10000 at most"):
+        check_model(start | {"stop": "2015-07-11T00:00:00", "step_s": 1.0}, PictureEntry, "s", MissionError)
+    ort = start | {"camera": "c", "step_s": 1.0}
+    with pytest.raises(MissionError, match="100000000 pictures; 10000 at most"):
+        check_model(ort | {"count": 10**8}, OrtEntry, "s", MissionError)
+    with pytest.raises(MissionError, match="beyond the calendar"):
+        check_model(ort | {"count": 9, "step_s": 1e300}, OrtEntry, "s", MissionError)
+    assert len(check_model(ort | {"count": 9}, OrtEntry, "s", MissionError).expanded()) == 9
+    with pytest.raises(ValueError, match=r"1e\+09 attitudes, the limit is 3000000"):
+        even_epochs(0.0, 1e6, 1e-3)
+
+
+def test_a_folder_of_links_in_a_circle(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(SessionError, match=r"cannot be followed|points outside"):
+        inside(tmp_path / "loop", "a")
+
+
+@pytest.mark.slow
+def test_names_of_any_bytes_cost_their_neighbours_nothing(demo_truths, tmp_path, capsys):
+    """Before, the first of them ended the batch."""
+    picture, out = demo_truths[0].picture, tmp_path / "out"
+    names = [BYTES, b"l" * 230 + b"\x1b[31m\nc$\\bad$.fit", b"good.fit"]
+    files = [Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name)) for name in names]
+    for file in files:
+        shutil.copy(picture, file)
+    pipe = tmp_path / "pipe.fit"
+    os.mkfifo(pipe)
+    outcomes = process_command.run_images([*files, pipe], HOW, out)
+    assert [outcome.result["status"] for outcome in outcomes] == ["ok"] * 3 + ["failed"]
+    assert outcomes[0].result["image"] == "a\\xff\\xfe.fit"
+    shown = "".join(capsys.readouterr())
+    assert "\x1b[31m" not in shown
+    assert "a\\xff\\xfe" in shown
+
+
+@pytest.mark.slow
+def test_ctrl_c_shows_what_was_finished(demo_truths, tmp_path, monkeypatch, capsys):
+    files = [demo_truths[0].picture, demo_truths[1].picture]
+    solve = process_command.process_images
+
+    def interrupted(images, how, out, say, done):
+        solve(images[:1], how, out, say, done)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(process_command, "process_images", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        process_command.run_images(files, HOW, tmp_path)
+    shown = capsys.readouterr().out
+    assert "lorri_4x4" in shown
+    assert f"Results in {tmp_path}/" in shown.replace("\n", "")
+
+
+def test_the_limb_without_light_inside_says_nothing_on_the_console():
+    """A body of 1:0.9:0.85 at 110 degrees of phase: what the scans gave overflowed a division, aloud."""
+    from types import SimpleNamespace
+
+    from opnav_workbench.bodies.limb_scan.centerfinder import _sky_share
+
+    def run(inside):
+        match = SimpleNamespace(brightness=np.array(inside), background_dn=np.array([5.0, 5.0, 5.0]))
+        view = SimpleNamespace(model=np.ones((3, 4)))
+        evaluation = SimpleNamespace(view=view)
+        solved = SimpleNamespace(used=np.ones(3, bool))
+        return SimpleNamespace(last=SimpleNamespace(match=match, evaluation=evaluation, solved=solved))
+
+    assert _sky_share(run([0.0, 0.0, 1.0])) == np.inf
+    assert _sky_share(run([10.0, 10.0, 10.0])) == 0.5
+
+
+def test_main_prints_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["opnav", "catalog", "cone", "npz:\udcff\n.npz", "1", "1", "1"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -1,0 +1,314 @@
+"""Hostile inputs without end: every reader is given mutants of good files; what it takes is sound, the rest is one line.
+
+Few in the short run, more with ``--all``; for many, from another seed: ``pytest tests/test_fuzz.py --fuzz 3000 --fuzz-seed
+7`` gives each reader 3000. What is found becomes a case of its own beside the reader's tests.
+"""
+
+import contextlib
+import gzip
+import io
+import json
+import resource
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import vicar
+from astropy.io import fits
+
+from opnav_workbench.camera import Camera
+from opnav_workbench.catalog import open_catalog
+from opnav_workbench.catalog.user_files import read_star_list
+from opnav_workbench.constants import RAD_PER_DEG
+from opnav_workbench.errors import OpNavError
+from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.kernels.making.scenario import load_scenario
+from opnav_workbench.kernels.shape_files import read_shape
+from opnav_workbench.mission import load_mission
+from opnav_workbench.planning.sequence import load_sequence
+from opnav_workbench.rehearsal.scenario import load_ort_scenario
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.session.decisions import load_decisions
+from opnav_workbench.session.history import read_journal_file
+from opnav_workbench.simulation import load_picture_scenario
+
+SECONDS = 10.0  # of one input: a hang; good ones take milliseconds
+GROWTH_MB = 1500  # of the process over all its inputs
+LONGEST_LINE = 2100
+META = kernels_meta_dir()
+KEYWORDS = KeywordMap(
+    exposure_s="EXPTIME", utc="UTC", sclk="SCLK", quaternion=("QA", "QX", "QY", "QZ"), bits="BITS"
+)
+RNG = np.random.default_rng(3)
+PIXELS = RNG.normal(20.0, 2.0, (12, 20)).astype(">f4")
+
+
+# ---- Good files, from which the mutants come.
+
+
+def fits_bytes(*more: Any) -> bytes:
+    header = fits.Header()
+    for keyword, value in {
+        "EXPTIME": 0.5, "UTC": "2020-04-22T10:06:52.348", "SCLK": "3/0449855929:36485", "BITS": 12,
+        "QA": 0.5, "QX": 0.5, "QY": -0.5, "QZ": 0.5,
+    }.items():  # fmt: skip
+        header[keyword] = value
+    stream = io.BytesIO()
+    fits.HDUList([fits.PrimaryHDU(PIXELS, header), *more]).writeto(stream)
+    return stream.getvalue()
+
+
+def vicar_bytes(folder: Path) -> bytes:
+    image = vicar.VicarImage.from_array(PIXELS.astype(np.int16))
+    image["EXPTIME"], image["UTC"] = 1200.0, "2005-068T04:09:08.968Z"
+    image.write_file(folder / "good.img")
+    return (folder / "good.img").read_bytes()
+
+
+PDS = """PDS_VERSION_ID = PDS3
+/* made for a test */
+RECORD_BYTES = 64
+^IMAGE = 17
+UTC = 2000-02-25T05:16:12.656
+EXPTIME = 90.00 <ms>
+FILTER_NAME = ("CL1",
+ "IR3")
+OBJECT = IMAGE
+ LINES = 12
+ LINE_SAMPLES = 20
+ SAMPLE_TYPE = MSB_INTEGER
+ SAMPLE_BITS = 16
+ LINE_PREFIX_BYTES = 0
+ SCALING_FACTOR = 1.5
+END_OBJECT = IMAGE
+END
+"""
+
+
+def pds_bytes() -> bytes:
+    return PDS.replace("\n", "\r\n").encode().ljust(1024) + PIXELS.astype(">i2").tobytes()
+
+
+def npz_bytes() -> bytes:
+    stream = io.BytesIO()
+    np.savez(
+        stream, ra_deg=np.linspace(0, 359, 30), dec_deg=np.linspace(-80, 80, 30), mag=np.linspace(1, 9, 30),
+        id=np.array([f"s{i}".encode() for i in range(30)]), parallax_mas=np.full(30, np.nan), epoch_jyear=2000.0,
+    )  # fmt: skip
+    return stream.getvalue()
+
+
+STARS = b"stars:\n- {name: a, ra_deg: 1.5, dec_deg: -2, epoch_jyear: 2016.0, mag: 5.5, parallax_mas: 3}\n"
+OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+DECISIONS = b"""images:
+  "*":
+    name: lor_0299.fit
+    who: M. Jones
+    when: 2015-07-12T10:04:11+00:00
+    reject:
+    - {star: TYC 1234-567-1, reason: cosmic ray}
+    circles:
+    - {body: PLUTO, pixel: 512.0, line: 488.5, radius_px: 95.0}
+"""
+ENTRY = {"step": "note", "parameters": {"text": "x"}, "reason": "", "outcome": "", "time_utc": ""}
+JOURNAL = json.dumps({"session": "s", "n": 0, "after": "", "entry": ENTRY}).encode() + b"\n"
+KERNEL = b"""KPL/PCK
+\\begindata
+BODY999_RADII = ( 1188.3 1188.3 1188.3 )
+BODY999_POLE_RA = ( 132.993 0. 0. )
+\\begintext
+"""
+
+
+# ---- Readers: what they are given, how they are asked, and what must be true of what they take.
+
+
+def sound_picture(path: Path) -> None:
+    picture = read_image(path, KEYWORDS)
+    assert np.isfinite(picture.image_dn).all()
+    assert picture.image_dn.ndim == 2
+    assert picture.image_dn.shape == picture.bad.shape == picture.saturated.shape
+    assert np.isnan(picture.exposure_s) or 0.0 < picture.exposure_s < np.inf
+    assert picture.et is None or np.isfinite(picture.et)
+    if picture.header_geometry is not None:
+        turn = picture.header_geometry.camera_from_j2000
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(turn) > 0.0
+
+
+def sound_catalog(path: Path) -> None:
+    stars = open_catalog(f"npz:{path}").cone(0.0, 0.0, 180.0 * RAD_PER_DEG, 99.0)
+    for column in (stars.ra_rad, stars.dec_rad, stars.mag, stars.epoch_jyear, stars.sigma):
+        assert np.isfinite(column).all()
+    assert (np.abs(stars.dec_rad) <= np.pi / 2 + 1e-9).all()
+
+
+def sound_stars(path: Path) -> None:
+    stars = read_star_list(path)
+    assert np.isfinite(stars.mag).all()
+    assert np.isfinite(stars.ra_rad).all()
+
+
+def sound_camera(path: Path) -> None:
+    camera = Camera.from_yaml(path)
+    assert camera.n_pixel * camera.n_line <= 1 << 28
+    assert np.isfinite(camera.pixel_scale_rad)
+
+
+def sound_shape(path: Path) -> None:
+    vertices, plates = read_shape(path)
+    assert np.isfinite(vertices).all()
+    assert plates.min() >= 0
+    assert plates.max() < len(vertices)
+
+
+def sound_kernel(path: Path) -> None:
+    with KernelSet(path) as kernels:
+        kernels.kernels()
+
+
+def sound_journal(path: Path) -> None:
+    for entry in read_journal_file(path, "s", ()).entries:
+        assert isinstance(entry.step, str)
+        assert isinstance(entry.parameters, dict)
+
+
+def sound_sequence(path: Path) -> None:
+    load_sequence(path)
+
+
+@dataclass(frozen=True)
+class Reader:
+    good: Callable[[Path], bytes]
+    suffix: str
+    ask: Callable[[Path], Any]
+    text: bool = False
+
+
+def meta(name: str) -> Callable[[Path], bytes]:
+    return lambda _: (META / name).read_bytes()
+
+
+READERS = {
+    "fits": Reader(lambda _: fits_bytes(fits.ImageHDU(PIXELS, name="ERR")), ".fit", sound_picture),
+    "fits squeezed": Reader(
+        lambda _: fits_bytes(fits.CompImageHDU(PIXELS.astype(np.int16))), ".fits", sound_picture
+    ),
+    "fits zipped": Reader(lambda _: gzip.compress(fits_bytes()), ".fit.gz", sound_picture),
+    "vicar": Reader(vicar_bytes, ".img", sound_picture),
+    "pds": Reader(lambda _: pds_bytes(), ".lbl", sound_picture, text=True),
+    "npz": Reader(lambda _: npz_bytes(), ".npz", sound_catalog),
+    "star list": Reader(lambda _: STARS, ".yaml", sound_stars, text=True),
+    "camera": Reader(meta("new_horizons/cameras/lorri_4x4.yaml"), ".yaml", sound_camera, text=True),
+    "mission": Reader(meta("new_horizons/mission.yaml"), ".yaml", load_mission, text=True),
+    "kernel scenario": Reader(meta("new_horizons/pluto_opnav.yaml"), ".yaml", load_scenario, text=True),
+    "picture scenario": Reader(
+        meta("new_horizons/pictures/pluto_limb.yaml"), ".yaml", load_picture_scenario, text=True
+    ),
+    "sequence": Reader(
+        meta("new_horizons/sequences/pluto_approach.yaml"), ".yaml", sound_sequence, text=True
+    ),
+    "rehearsal": Reader(
+        meta("new_horizons/rehearsals/pluto_flyby_targeting.yaml"), ".yaml", load_ort_scenario, text=True
+    ),
+    "decisions": Reader(lambda _: DECISIONS, ".yaml", load_decisions, text=True),
+    "journal": Reader(lambda _: JOURNAL * 3, ".jsonl", sound_journal, text=True),
+    "shape": Reader(lambda _: OBJ, ".obj", sound_shape, text=True),
+    "text kernel": Reader(lambda _: KERNEL, ".tpc", sound_kernel, text=True),
+}
+
+
+# ---- Mutators.
+
+WORDS = [
+    b"nan", b"inf", b"-1", b"0", b"1e400", b"999999999", b"9" * 400, b"[" * 60, b"&a [*a]", b"!!int \"\"", b"2015-02-30",
+    b"''", b"\x00", b"\xff\xfe", b"(", b"\"", b"{", b"~", b"1:2:3", b"<<: *a", b"$x", b"../../etc", b"\r", b"=", b"-0.0",
+    b"9223372036854775808", b"true", b"\\u0000", b"\xed\xa0\x80",
+]  # fmt: skip
+
+
+def mutant(good: bytes, rng: np.random.Generator, *, text: bool) -> bytes:
+    data = bytearray(good)
+    for _ in range(rng.integers(1, 5)):
+        at = int(rng.integers(0, len(data) + 1))
+        way = rng.integers(0, 8)
+        if way == 0 and data:
+            data[min(at, len(data) - 1)] ^= 1 << rng.integers(0, 8)
+        elif way == 1:
+            data[at : at + int(rng.integers(1, 60))] = b""
+        elif way == 2:
+            start = int(rng.integers(0, len(data) + 1))
+            data[at:at] = data[start : start + int(rng.integers(1, 200))]
+        elif way == 3:
+            data[at:] = b""
+        elif way == 4 and not text:
+            data[at : at + 8] = rng.bytes(8)
+        else:
+            _replace_token(data, rng, at)
+    return bytes(data)
+
+
+def _replace_token(data: bytearray, rng: np.random.Generator, at: int) -> None:
+    """Put an odd word in the place of a number or word, as a slip of a keyboard or a broken writer does."""
+    stops = b" \n\r,:=()[]{}'\""
+    start = at
+    while start < len(data) and data[start] in stops:
+        start += 1
+    end = start
+    while end < len(data) and data[end] not in stops:
+        end += 1
+    data[start:end] = WORDS[rng.integers(0, len(WORDS))]
+
+
+# ---- Exams.
+
+
+class LateError(BaseException):
+    """No reader's own `except Exception` takes it for a fault of the file."""
+
+
+@contextlib.contextmanager
+def within(seconds: float) -> Iterator[None]:
+    def late(*_: object) -> None:
+        raise LateError(f"more than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_reader(name, fuzz, tmp_path):
+    reader, rng = READERS[name], fuzz.random(name)
+    good = reader.good(tmp_path)
+    path = tmp_path / f"mutant{reader.suffix}"
+    path.write_bytes(good)
+    reader.ask(path)
+    before, taken, said = peak_mb(), 0, list[str]()
+    for number in range(fuzz.count(8, 80)):
+        path.write_bytes(mutant(good, rng, text=reader.text))
+        try:
+            with within(SECONDS):
+                reader.ask(path)
+            taken += 1
+        except OpNavError as error:
+            said.append(str(error))
+        except (Exception, LateError) as error:  # a finding: the file is kept
+            kept = path.rename(tmp_path / f"finding{reader.suffix}")
+            raise AssertionError(f"{name}, input {number}, kept as {kept}: {error!r}") from error
+    assert peak_mb() - before < GROWTH_MB
+    assert all(line.isprintable() and len(line) < LONGEST_LINE for line in said)
+    assert taken + len(said) == number + 1
