@@ -291,6 +291,8 @@ def read_vicar(name: str, path: Path, data: bytes) -> StoredPicture:
     _check_vicar_length(name, data)
     try:
         picture: Any = vicar.VicarImage.from_file(path, strict=False)
+        if picture.array is None:
+            raise ValueError("its label says that there are no lines")
         return StoredPicture(picture.array, _vicar_header(picture.as_dict()))
     except Exception as error:  # the library lets its parser's own errors through
         raise image_error(name, f"damaged VICAR file ({error}); copy or download it again.") from error

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+import vicar
 from astropy.io import fits
 
 from opnav_workbench.errors import ImageError
@@ -120,6 +121,16 @@ def test_labels_close_where_they_closed():
         "E": "open",
         "F": 7,
     }
+
+
+def test_a_label_that_says_there_are_no_lines(tmp_path):
+    path = tmp_path / "none.img"
+    image = vicar.VicarImage.from_array(np.zeros((4, 6), np.int16))
+    image.write_file(path)
+    for item in (b"NL=4", b"N2=4"):
+        path.write_bytes(path.read_bytes().replace(item, item[:3] + b"0", 1))
+    with pytest.raises(ImageError, match="damaged VICAR file"):
+        read_image(path, KEYWORDS)
 
 
 def test_pipes_devices_and_circles_are_no_pictures(tmp_path):
