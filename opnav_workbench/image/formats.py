@@ -291,11 +291,12 @@ def read_vicar(name: str, path: Path, data: bytes) -> StoredPicture:
     _check_vicar_length(name, data)
     try:
         picture: Any = vicar.VicarImage.from_file(path, strict=False)
-        if picture.array is None:
-            raise ValueError("its label says that there are no lines")
-        return StoredPicture(picture.array, _vicar_header(picture.as_dict()))
+        header = _vicar_header(picture.as_dict())
     except Exception as error:  # the library lets its parser's own errors through
         raise image_error(name, f"damaged VICAR file ({error}); copy or download it again.") from error
+    if picture.array is None:
+        raise image_error(name, "damaged VICAR file (no lines, by its label); copy or download it again.")
+    return StoredPicture(picture.array, header)
 
 
 def _check_vicar_length(name: str, data: bytes) -> None:
