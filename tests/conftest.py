@@ -5,7 +5,7 @@ import os
 import pickle
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from hashlib import blake2b
 from math import sqrt
@@ -37,18 +37,22 @@ def pytest_configure() -> None:
         os.environ.setdefault(name, "1")
     # jsonschema, which papermill loads, builds parsers of Internet names for a second if it finds this; nobody asks them
     sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
-    gc.disable()  # till all is collected
     # Notebooks' kernels and programs that tests start would each compile the whole package where nothing keeps it compiled.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
 
 
-def pytest_collection_finish() -> None:
-    """What collection loaded stays to the end: the garbage collector need not look through it again and again."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(10_000, 10, 10)
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """What collection loads stays to the end: the garbage collector need not look through it again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(10_000, 10, 10)
+        gc.enable()
 
 
 # ---- The short run and the whole: `slow` marks what the short run leaves out
