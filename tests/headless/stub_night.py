@@ -97,7 +97,7 @@ class Analyst:
 
     @property
     def inputs(self) -> Any:
-        return SimpleNamespace(targets={}, shapes={}, wide_stars=None)
+        return SimpleNamespace(targets={}, shapes={}, wide_stars=None, lost=None)
 
     def decide(self, reason: str) -> None:
         self.journal = (*self.journal, JournalEntry("reject_stars", {"ids": ["HIP 1"]}, reason))
