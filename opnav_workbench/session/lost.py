@@ -27,7 +27,13 @@ from opnav_workbench.session.inputs import (
 )
 from opnav_workbench.session.star_field import star_detections
 from opnav_workbench.stars import StarFlag
-from opnav_workbench.stars.lost_in_space import LostAnswer, index_of_catalog, no_patterns, solve_lost
+from opnav_workbench.stars.lost_in_space import (
+    LostAnswer,
+    index_of_catalog,
+    is_index_at_hand,
+    no_patterns,
+    solve_lost,
+)
 
 __all__ = ["lost_field", "open_inputs", "turned_words"]
 
@@ -73,9 +79,13 @@ def open_inputs(
 def lost_field(
     context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
 ) -> LostField | None:
-    """Return where on the sky the picture was taken, or why it is no picture of this camera; None where nobody knows."""
+    """Return where on the sky the picture was taken, or why it is no picture of this camera; None where nobody knows.
+
+    Nobody waits for the index of a deep catalog who has not asked for it (attitude ``none``): it is then left.
+    """
     try:
-        answer = _searched(context, catalog or open_catalog(source.catalog))
+        catalog = catalog or open_catalog(source.catalog)
+        answer = _searched(context, catalog) if is_index_at_hand(catalog, context.camera) else None
     except CatalogError:  # not on this machine, or no catalog of the whole sky
         return None
     if answer is None:

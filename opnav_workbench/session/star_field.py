@@ -313,7 +313,8 @@ def _unidentified(state: SessionState, why: str, searched: str = "") -> FieldMat
     count = 0 if state.a_priori is None else len(state.a_priori)
     message = (
         f"the star field is not identified: {why}{searched}. The a priori pointing stands; take a deeper catalog "
-        "(opnav catalog fetch tycho2; --catalog), widen the search (max_shift_px), or mark two stars (two_star_pointing)."
+        "(opnav catalog fetch tycho2; --catalog), search the whole sky (--attitude none), widen the search "
+        "(max_shift_px), or mark two stars (two_star_pointing)."
     )
     return FieldMatch(None, None, np.full((count, 2), np.nan), np.zeros(count, dtype=bool), 0.0, (message,))
 

@@ -16,7 +16,7 @@ Enter by `solve_lost`, with the index of a catalog (`index_of_catalog`).
     Log odds of an attitude against chance.
 """
 
-from opnav_workbench.stars.lost_in_space.catalog_index import index_of_catalog
+from opnav_workbench.stars.lost_in_space.catalog_index import index_of_catalog, is_index_at_hand
 from opnav_workbench.stars.lost_in_space.search import FOCAL_ERROR, LostAnswer, no_patterns, solve_lost
 from opnav_workbench.stars.lost_in_space.sky_index import SkyIndex, index_of_stars
 from opnav_workbench.stars.lost_in_space.verification import SURE_LOG_ODDS
@@ -28,6 +28,7 @@ __all__ = [
     "SkyIndex",
     "index_of_catalog",
     "index_of_stars",
+    "is_index_at_hand",
     "no_patterns",
     "solve_lost",
 ]

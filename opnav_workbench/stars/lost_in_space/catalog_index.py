@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.files import digest
 from opnav_workbench.geometry import et_from_jyear
@@ -13,9 +14,11 @@ from opnav_workbench.resources import cache_root
 from opnav_workbench.stars.lost_in_space.index_file import read_arrays, write_arrays
 from opnav_workbench.stars.lost_in_space.sky_index import BANDS, SkyIndex, index_of_stars
 
-__all__ = ["index_of_catalog"]
+__all__ = ["index_of_catalog", "is_index_at_hand"]
 
 EPOCH_JYEAR = 2016.0  # of the index: a motion of 0.1 arcsec/yr is a pixel of a narrow camera in 40 years
+QUICK_STARS = BANDS[1].last  # whose patterns are made in seconds
+MOST_IN_FIELD = 120.0  # stars of a picture that the index is looked into for
 MOST_STARS = BANDS[-1].last
 DEEP_CATALOG_MAG = 12.0  # limit of a catalog of more stars: about as many as the last band ends with
 
@@ -38,6 +41,18 @@ def index_of_catalog(catalog: Catalog, progress: Callable[[str], None] | None = 
     return _opened(_Asked(catalog, digest(_identity(catalog)), progress))
 
 
+def is_index_at_hand(catalog: Catalog, camera: Camera) -> bool:
+    """Tell whether the index for pictures of a camera is made already, or in seconds."""
+    path = _stars_path(f"{digest(_identity(catalog))} {cache_root()}")
+    part = camera.n_pixel * camera.n_line * camera.pixel_scale_rad**2 / (4.0 * math.pi)
+    needed = min(int(catalog.describe().get("n_stars", MOST_STARS)), int(MOST_IN_FIELD / part))
+    return needed <= QUICK_STARS or path.is_file()
+
+
+def _stars_path(key: str) -> Path:
+    return cache_root() / "star_patterns" / f"{key[:16]}-stars.opnavindex"
+
+
 class _Asked:
     """A catalog, known by its identity: what the index of one process is kept for."""
 
@@ -54,7 +69,7 @@ class _Asked:
 @lru_cache(maxsize=2)
 def _opened(asked: _Asked) -> SkyIndex:
     folder = cache_root() / "star_patterns"
-    path, identity = folder / f"{asked.key[:16]}-stars.opnavindex", {"catalog": asked.key}
+    path, identity = _stars_path(asked.key), {"catalog": asked.key}
     arrays = read_arrays(path, identity)
     if arrays is not None:
         return SkyIndex(arrays["vectors"], arrays["mag"], folder, asked.progress)
