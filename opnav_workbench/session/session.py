@@ -39,7 +39,7 @@ from opnav_workbench.session.result import result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox, star_boxes
 from opnav_workbench.session.star_field import catalog_stars, nudge_reach_px, unknown_star_ids
-from opnav_workbench.session.state import BY_HAND, MARKED, SessionState, open_decisions
+from opnav_workbench.session.state import SessionState, open_decisions
 
 __all__ = ["ImageSession"]
 
@@ -751,11 +751,8 @@ class ImageSession:
         return self.inputs is not before
 
     def _is_lost(self, state: SessionState) -> bool:
-        """Whether the field is identified for sure neither by its pattern nor by the analyst."""
-        found = state.star_field
-        return state.pointing is None and (
-            found is None or not (found.sure or found.search in (MARKED, BY_HAND))
-        )
+        """Whether not even a proposal says where the field is."""
+        return state.pointing is None and state.star_field is None
 
     def _search_sky(self) -> bool:
         """Search the whole sky for the picture, once; False where nothing is found that was not known."""

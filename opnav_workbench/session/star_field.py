@@ -109,7 +109,7 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         wide = _from_wide_search(context, inputs, state, detections, inputs.wide_stars)
         if wide is not None:
             return wide
-    if not near.sure and inputs.lost is not None and inputs.attitude_source != NO_ATTITUDE:
+    if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and inputs.attitude_source != NO_ATTITUDE:
         return _from_sky_search(context, inputs, state, detections, inputs.lost)
     if near.confidence < MIN_CONFIDENCE:
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
