@@ -28,6 +28,7 @@ from opnav_workbench.stars import (
     fit_gaussian,
     fit_psf,
     fit_stars,
+    fit_wings,
     gaussian_template,
 )
 
@@ -91,8 +92,8 @@ def fit_all(
         return coarse, prior
     start = np.where(np.isfinite(coarse.pixel_line), coarse.pixel_line, match.expected_px)
     if options.final == "psf_fit":
-        return _psf_fit(context, start), prior
-    return fit_stars(
+        return with_flanks(context, _psf_fit(context, start), start, prior), prior
+    centers, psf = fit_stars(
         context.signal_dn,
         context.noise_dn,
         context.not_stars,
@@ -101,6 +102,7 @@ def fit_all(
         saturated=context.picture.saturated,
         noise_model=context.noise_model,
     )
+    return with_flanks(context, centers, start, psf), psf
 
 
 def fit_some(
@@ -131,7 +133,42 @@ def fit_some(
                 psf_error=psf_error,
             )
         )
+        coarse = with_flanks(context, coarse, start, psf)
     return center_rows(coarse, np.arange(len(rows)))
+
+
+def with_flanks(context: Context, centers: StarCenters, start: FloatArray, psf: ShapePrior) -> StarCenters:
+    """Return centers in which stars with saturated cores are measured by the flanks and wings of their images.
+
+    Those that cannot be keep the center of the ordinary fit, which nobody uses unless the analyst accepts it.
+    """
+    rows = np.flatnonzero(_has(centers.flags, StarFlag.SATURATED))
+    if len(rows) == 0:
+        return centers
+    found = np.isfinite(centers.pixel_line[rows])
+    wings = fit_wings(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        context.picture.saturated,
+        np.where(found, centers.pixel_line[rows], start[rows]),
+        psf,
+        noise_model=context.noise_model,
+        neighbors_px=start[np.isfinite(start).all(axis=1)],
+    )
+    rows, wings = rows[wings.measured], wings.take(wings.measured)
+    columns = {
+        "pixel_line": wings.pixel_line,
+        "covariance_px2": wings.covariance_px2,
+        "flux_dn": wings.flux_dn,
+        "flux_sigma_dn": wings.flux_sigma_dn,
+        "snr": wings.flux_dn / wings.flux_sigma_dn,
+        "flags": (centers.flags[rows] & int(StarFlag.EDGE)) | int(StarFlag.SATURATED | StarFlag.FLANKS),
+    }
+    changed = {name: np.array(getattr(centers, name)) for name in columns}
+    for name, values in columns.items():
+        changed[name][rows] = values
+    return replace(centers, **changed)
 
 
 def _with_neighbors(places: FloatArray, rows: IntArray, reach_px: float) -> IntArray:
@@ -256,6 +293,7 @@ UNSEPARATED_SIGMAS = (
     1.5  # a joint fit tells stars apart that are farther from each other than this, in sigmas of the PSF
 )
 MIN_STARS_FOR_ZERO_POINT = 4  # a median of fewer follows a single wrong star
+SATURATED_CORE = "its core is saturated and too little of the star around it; accept_stars takes it as fitted"
 StatusRule = tuple[BoolArray, str, Callable[[int], str]]  # whom it concerns, status, and why
 NOT_CONVERGED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
 
@@ -293,11 +331,14 @@ def star_statuses(
     with np.errstate(invalid="ignore"):
         faint = ~(np.isfinite(snr) & (snr >= settings.min_snr))
         far = moved > radius_px + 1.0
-    unlike = np.abs(magnitude_error) > settings.max_magnitude_error
+    saturated, flanks = _has(flags, StarFlag.SATURATED), _has(flags, StarFlag.FLANKS)
+    # Of a saturated star a part of the light is known: it may be brighter than measured.
+    fainter = np.where(saturated, 0.0, magnitude_error)
+    unlike = np.maximum(fainter, -magnitude_error) > settings.max_magnitude_error
     rules: tuple[StatusRule, ...] = (
         (~match.visible, "off_detector", lambda _: "outside the detector with the pointing found"),
         (_on_bodies(context, match), "not_detected", lambda _: "behind a body, or lost in its light"),
-        (_has(flags, StarFlag.SATURATED), "saturated", lambda _: "its core is saturated"),
+        (saturated & ~flanks, "saturated", lambda _: SATURATED_CORE),
         (faint & _occulted(occulting), "not_detected", lambda i: f"behind {occulting[i]}"),
         (faint, "not_detected", lambda i: f"SNR {snr[i]:.1f} is below {settings.min_snr:g}"),
         (far, "not_detected", lambda _: f"nothing within {radius_px:.1f} px of its expected place"),
@@ -348,8 +389,9 @@ def _magnitude_error(
         good = match.visible & (centers.snr > context.settings.min_snr) & (centers.flux_dn > 0.0)
         rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / context.picture.exposure_s
     error = -2.5 * np.log10(rate) - mag
-    if good.sum() >= MIN_STARS_FOR_ZERO_POINT:
-        error = error - np.median(error[good])
+    whole = good & ~_has(centers.flags, StarFlag.SATURATED)
+    if whole.sum() >= MIN_STARS_FOR_ZERO_POINT:
+        error = error - np.median(error[whole])
     elif context.camera.zero_point_mag is not None:
         error = error + context.camera.zero_point_mag
     else:

@@ -39,6 +39,8 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
     The PSF that a picture's well-exposed stars agree on, and the fit with it: `fit_stars`.
 ``results``
     What the centerfinders take and return: `StarCenters`, `ShapePrior`, `NoiseModel`.
+``saturated``
+    Stars with saturated cores, measured by what is not saturated: `fit_wings`.
 ``star_field``
     Catalog stars and detections as directions, ready to be identified.
 ``star_model``
@@ -54,6 +56,7 @@ from opnav_workbench.stars.identification import identify, identify_marked, iden
 from opnav_workbench.stars.least_squares import default_box_px, fit_gaussian, fit_psf
 from opnav_workbench.stars.psf_consensus import estimate_psf_error, fit_stars, shape_from_stars
 from opnav_workbench.stars.results import NoiseModel, PsfShape, ShapePrior, StarCenters, StarImages
+from opnav_workbench.stars.saturated import WingCenters, fit_wings
 
 __all__ = [
     "CenterBound",
@@ -66,6 +69,7 @@ __all__ = [
     "StarFlag",
     "StarImages",
     "StarTemplate",
+    "WingCenters",
     "correlate",
     "cramer_rao",
     "default_box_px",
@@ -76,6 +80,7 @@ __all__ = [
     "fit_gaussian",
     "fit_psf",
     "fit_stars",
+    "fit_wings",
     "flux_at_snr",
     "gaussian_template",
     "identify",

@@ -30,6 +30,7 @@ class StarFlag(IntFlag):
     COSMIC_RAY = 128
     NOT_FINITE = 256
     HIT = 512
+    FLANKS = 1024
 
 
 _MEANING = {
@@ -43,6 +44,7 @@ _MEANING = {
     StarFlag.COSMIC_RAY: "sharper than the point spread function",
     StarFlag.NOT_FINITE: "no center: too few usable pixels",
     StarFlag.HIT: "pixels with light that is not the star's (a cosmic ray, an unlisted neighbor) were left out",
+    StarFlag.FLANKS: "measured by the flanks and wings of its image: the core is saturated",
 }
 
 
