@@ -52,7 +52,7 @@ Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigma
 """
 
 from opnav_workbench.catalog.interface import Catalog
-from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR
+from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_motion_mixture
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.specs import CatalogStatus, catalog_contents, catalog_status, open_catalog
 from opnav_workbench.catalog.star_table import StarTable
@@ -73,4 +73,5 @@ __all__ = [
     "open_catalog",
     "open_vizier",
     "read_star_list",
+    "unknown_motion_mixture",
 ]

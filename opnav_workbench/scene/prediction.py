@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
-from opnav_workbench.catalog import StarTable
+from opnav_workbench.catalog import StarTable, unknown_motion_mixture
 from opnav_workbench.geometry import (
     angle_between,
     apparent_direction,
@@ -56,8 +56,12 @@ class StarPrediction:
     pixel_line : (n, 2) array
         Predicted centers, px.
     covariance_px2 : (n, 2, 2) array
-        The catalog's share of the uncertainty, px^2.
+        The catalog's share of the uncertainty, px^2; unknown motions with the variance of all that they may be.
     on_detector : (n,) array of bool
+    motion_px2 : (n, 2, 2) array
+        What of `covariance_px2` is unknown motion.
+    motion_shares, motion_variances : (n, 3) arrays
+        Parts of the mixture that unknown motions are: share of the stars, and variance as a multiple of the whole's.
     """
 
     id: NDArray[np.str_]
@@ -67,6 +71,9 @@ class StarPrediction:
     pixel_line: FloatArray
     covariance_px2: FloatArray
     on_detector: BoolArray
+    motion_px2: FloatArray
+    motion_shares: FloatArray
+    motion_variances: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -163,30 +170,42 @@ def predict_stars(
     keep = camera.on_detector(pixel_line, margin_px)
     chosen = stars.take(keep)
     mag, mag_sigma = camera_magnitudes(chosen, camera)
+    jacobian = _pixels_of_sky(directions[keep], camera, camera_from_j2000)
+    sky, motion, shares, variances = _catalog_covariance(chosen, et, observer)
     return StarPrediction(
         id=np.asarray(chosen.id),
         mag=mag,
         mag_sigma=mag_sigma,
         directions=directions[keep],
         pixel_line=pixel_line[keep],
-        covariance_px2=_catalog_covariance(chosen, et, observer, directions[keep], camera, camera_from_j2000),
+        covariance_px2=jacobian @ sky @ np.swapaxes(jacobian, -1, -2),
         on_detector=camera.on_detector(pixel_line[keep]),
+        motion_px2=jacobian @ motion @ np.swapaxes(jacobian, -1, -2),
+        motion_shares=shares,
+        motion_variances=variances,
     )
 
 
-def _catalog_covariance(
-    stars: StarTable,
-    et: float,
-    observer: Observer,
-    directions: FloatArray,
-    camera: Camera,
-    camera_from_j2000: FloatArray,
-) -> FloatArray:
-    """Covariances (n, 2, 2) px^2 of the predicted places that stem from the catalog."""
-    sky = stars.sky_covariance(et, observer.position_km)
+def _pixels_of_sky(directions: FloatArray, camera: Camera, camera_from_j2000: FloatArray) -> FloatArray:
+    """d(pixel, line) / d(east, north), (n, 2, 2), px/rad."""
     tangent = np.stack(tangent_basis(*radec_from_unit(directions)), axis=-1)
-    jacobian = camera.project_jacobian(directions @ camera_from_j2000.T) @ camera_from_j2000 @ tangent
-    return jacobian @ sky @ np.swapaxes(jacobian, -1, -2)
+    jacobian: FloatArray = camera.project_jacobian(directions @ camera_from_j2000.T)
+    return jacobian @ camera_from_j2000 @ tangent
+
+
+def _catalog_covariance(
+    stars: StarTable, et: float, observer: Observer
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Covariances (n, 2, 2) rad^2 of the places, what of them is unknown motion, and the parts of that (n, 3) each."""
+    shares, sigmas = unknown_motion_mixture(stars.ra_rad, stars.dec_rad, stars.mag)
+    whole = np.sum(shares * sigmas**2, axis=1)
+    unknown = ~stars.motion_known
+    sigma = np.array(stars.sigma)
+    sigma[unknown, 3:] = 0.0
+    rest = replace(stars, sigma=sigma).sky_covariance(et, observer.position_km)
+    sigma[unknown, 3:] = np.sqrt(whole[unknown, None])
+    total = replace(stars, sigma=sigma).sky_covariance(et, observer.position_km)
+    return total, total - rest, shares, sigmas**2 / whole[:, None]
 
 
 def predict_body(

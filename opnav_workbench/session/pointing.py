@@ -25,7 +25,7 @@ from opnav_workbench.session.state import (
     has_center,
     with_decisions,
 )
-from opnav_workbench.stars.pointing import solve_pointing
+from opnav_workbench.stars.pointing import MotionTails, solve_pointing
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 
 __all__ = [
@@ -176,6 +176,9 @@ def _solved(
         model=parameters["model"],
         usable=usable,
         trusted=[verdict == ACCEPTED for verdict in verdicts],
+        motion_tails=MotionTails(
+            state.a_priori.motion_px2, state.a_priori.motion_shares, state.a_priori.motion_variances
+        ),
         **_start(context, inputs, state, bool(parameters.get("a_priori"))),
     )
     status = tuple(

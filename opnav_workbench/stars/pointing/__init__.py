@@ -6,6 +6,8 @@
     Two characterizations of an attitude step: Euler angles, and a shift and rotation of the picture.
 ``closed_form``
     Wahba's problem (SVD, q-method): an attitude to start from.
+``motion_tails``
+    Stars whose motion nobody measured: what each is worth beside the others.
 ``residuals``
     What the residuals tell: the excess over the centers' covariances, and outliers.
 ``solution``
@@ -16,6 +18,7 @@
 
 from opnav_workbench.stars.pointing.attitude_steps import PointingModel
 from opnav_workbench.stars.pointing.closed_form import wahba
+from opnav_workbench.stars.pointing.motion_tails import MotionTails
 from opnav_workbench.stars.pointing.solution import (
     PictureShift,
     PointingSolution,
@@ -25,6 +28,7 @@ from opnav_workbench.stars.pointing.solution import (
 from opnav_workbench.stars.pointing.solver import PointingStart, solve_pointing
 
 __all__ = [
+    "MotionTails",
     "PictureShift",
     "PointingModel",
     "PointingSolution",

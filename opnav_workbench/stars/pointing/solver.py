@@ -7,7 +7,7 @@ Units  px, rad
 Reference: Jackman & Dumont (2013), AAS 13-443, "Spacecraft Repointing Solution".
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -28,8 +28,9 @@ from opnav_workbench.stars.pointing.attitude_fit import (
     PointingProblem,
     fit_attitude,
 )
-from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS, PointingModel
+from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS, PointingModel, StepModel
 from opnav_workbench.stars.pointing.closed_form import ClosedForm, wahba
+from opnav_workbench.stars.pointing.motion_tails import MotionTails, effective_covariance
 from opnav_workbench.stars.pointing.residuals import StarSelection, chi2_probability, select_stars
 from opnav_workbench.stars.pointing.solution import PointingSolution, steps_between
 
@@ -216,6 +217,7 @@ def solve_pointing(
     twist_sigma_rad: float | None = None,
     a_priori_covariance_rad2: ArrayLike | None = None,
     start: PointingStart = "a_priori",
+    motion_tails: MotionTails | None = None,
 ) -> PointingSolution:
     """Solve for the camera attitude that brings predicted stars onto their measured centers.
 
@@ -250,6 +252,9 @@ def solve_pointing(
     start : {"a_priori", "svd", "q_method"}
         Where the iteration starts: the a priori attitude, or a closed form from the stars themselves (see
         `opnav_workbench.stars.pointing.closed_form`), which is then the first step. One star always starts a priori.
+    motion_tails
+        What of `catalog_covariance_px2` stems from motions that nobody measured, (n) stars, and how they are distributed:
+        each star then counts by what the others say of it (see `opnav_workbench.stars.pointing.motion_tails`).
 
     Raises
     ------
@@ -290,7 +295,7 @@ def solve_pointing(
             f"none of {len(given.reasons)} stars is usable, so the attitude cannot be solved; "
             "search fainter stars or a larger radius, or keep the a priori attitude"
         )
-    selection, fit = _select_and_fit(given, model, _trusted(given, trusted))
+    selection, fit = _select_and_fit(given, model, _trusted(given, trusted), motion_tails)
     return _solution(given, selection, fit, model)
 
 
@@ -307,11 +312,17 @@ def _trusted(given: PointingInput, trusted: ArrayLike | None) -> BoolArray | Non
 
 
 def _select_and_fit(
-    given: PointingInput, model: PointingModel, trusted: BoolArray | None
+    given: PointingInput, model: PointingModel, trusted: BoolArray | None, tails: MotionTails | None
 ) -> tuple[StarSelection, AttitudeFit]:
     """Choose the stars, then fit them from the a priori attitude on: those steps are reported."""
     stars, steps = given.sightings, POINTING_MODELS[model](given.sightings.camera)
+    everyone = np.ones(len(stars), dtype=bool)
+    moving = None if tails is None else tails.take(given.index)
+    stars = _with_tails(stars, steps, moving, everyone)
     selection = select_stars(stars, steps, trusted)
+    if selection is not None and moving is not None and not selection.used.all():
+        stars = _with_tails(given.sightings, steps, moving, selection.used)
+        selection = select_stars(stars, steps, trusted)
     if selection is not None and selection.fit.path[0] is stars.start:
         return selection, selection.fit
     if selection is not None:
@@ -321,6 +332,23 @@ def _select_and_fit(
     raise PointingError(
         f"no attitude near the a priori one fits the {len(stars)} usable stars; check their identification"
     )
+
+
+def _with_tails(
+    stars: PointingProblem, steps: StepModel, tails: MotionTails | None, used: BoolArray
+) -> PointingProblem:
+    """Return the stars with the covariances that they have beside the `used` ones, unknown motions and all."""
+    if tails is None or not tails.covariance_px2.any():
+        return stars
+    fit = fit_attitude(stars, steps, stars.start, used)
+    if fit is None:
+        return stars
+    prior = stars.prior.rows(0.0)
+    covariance = np.array(stars.covariance_px2)
+    covariance[used] = effective_covariance(
+        fit.residual_px[used], fit.jacobian[used], covariance[used], tails.take(used), prior.T @ prior
+    )
+    return replace(stars, covariance_px2=covariance)
 
 
 def _solution(
