@@ -17,7 +17,7 @@ from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.planning.stars import StarPlan
 from opnav_workbench.stars.pointing import solve_pointing
 from opnav_workbench.stars.pointing.attitude_fit import LinearizedProblem
-from opnav_workbench.stars.pointing.residuals import excess_sigma
+from opnav_workbench.stars.pointing.residuals import BELIEVED, chi2_probability, excess_sigma
 
 __all__ = ["PointingPlan", "plan_pointing"]
 
@@ -97,7 +97,7 @@ def plan_pointing(
 def _guard_covariance(
     covariance_px2: FloatArray, sky: FloatArray, camera: Camera, attitude: FloatArray, twist_solved: bool
 ) -> FloatArray:
-    """Return E[d d'] (3, 3), d between solutions with the excess that chance asks for and without."""
+    """Return E[d d'] (3, 3), d between solutions with the excess that chance puts into the weights and without."""
     rng = np.random.default_rng(GUARD_SEED)
     jacobian, factor = camera.attitude_jacobian(sky @ attitude.T), np.linalg.cholesky(covariance_px2)
     twist = camera.boresight[None] / camera.a_priori_sigma_rad[2]
@@ -107,7 +107,7 @@ def _guard_covariance(
         error = np.einsum("nij,nj->ni", factor, draw)
         linear = LinearizedProblem(error, jacobian, covariance_px2, known, np.zeros(len(known)))
         excess = excess_sigma(linear)
-        if excess > 0.0:
+        if excess > 0.0 and chi2_probability(linear) < BELIEVED:
             off = _solve(linear, excess) - _solve(linear, 0.0)
             total += np.outer(off, off)
     return total / GUARD_DRAWS

@@ -20,6 +20,10 @@ from opnav_workbench.geometry import rotation_from_vector
 
 __all__ = ["POINTING_MODELS", "EulerAngles", "ImagePlane", "PointingModel", "StepModel"]
 
+CURVATURE = (
+    30.0  # in units of a pixel's angle: gnomonic planes bend by 1 to 3, strong distortion by some more
+)
+
 PointingModel = Literal["euler", "image_plane"]
 
 
@@ -30,8 +34,11 @@ class StepModel(Protocol):
     def tangent(self) -> FloatArray:
         """Rotation vector per parameter, (3, 3)."""
 
-    def design(self, in_camera: FloatArray, predicted_px: FloatArray) -> FloatArray:
-        """Return d(pixel, line) / d(parameters), (n, 2, 3), for directions (n, 3) seen at (n, 2)."""
+    def left_px(self, step_px: float) -> float:
+        """Return how far, at most, stars may still be off after a step that moved one of them by `step_px`."""
+
+    def design(self, jacobian: FloatArray, predicted_px: FloatArray) -> FloatArray:
+        """Return d(pixel, line) / d(parameters), (n, 2, 3), where d(pixel, line) / d(rotation vector) is `jacobian`."""
 
     def rotation(self, step: FloatArray) -> FloatArray:
         """Return the rotation (3, 3) that carries out `step` (3,): new attitude = rotation @ old."""
@@ -48,9 +55,13 @@ class EulerAngles:
         """Rotation vector per angle: the axes themselves."""
         return np.asarray(self.camera.focal_from_camera.T)
 
-    def design(self, in_camera: FloatArray, predicted_px: FloatArray) -> FloatArray:  # noqa: ARG002
+    def left_px(self, step_px: float) -> float:
+        """See `StepModel`; exact derivatives leave the square of the step, in the curvature of the widest field."""
+        return CURVATURE * step_px**2 * self.camera.pixel_scale_rad
+
+    def design(self, jacobian: FloatArray, predicted_px: FloatArray) -> FloatArray:  # noqa: ARG002
         """See `StepModel`; exact at zero angles, distortion included."""
-        return self.camera.attitude_jacobian(in_camera) @ self.tangent
+        return jacobian @ self.tangent
 
     def rotation(self, step: FloatArray) -> FloatArray:
         """See `StepModel`; about pixel first, about boresight last."""
@@ -85,7 +96,11 @@ class ImagePlane:
         shift = np.cross(boresight, moved.T)
         return np.column_stack([shift[0], shift[1], self.handedness * boresight])
 
-    def design(self, in_camera: FloatArray, predicted_px: FloatArray) -> FloatArray:  # noqa: ARG002
+    def left_px(self, step_px: float) -> float:
+        """See `StepModel`; a design without distortion leaves a part of the step itself."""
+        return step_px
+
+    def design(self, jacobian: FloatArray, predicted_px: FloatArray) -> FloatArray:  # noqa: ARG002
         """See `StepModel`; holds for an undistorted plane, and by iteration for a distorted one."""
         design = np.zeros((len(predicted_px), 2, 3))
         design[:, 0, 0] = design[:, 1, 1] = 1.0

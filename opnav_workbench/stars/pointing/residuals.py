@@ -31,7 +31,7 @@ References: Hogg, Bovy & Lang (2010), arXiv:1008.4686, section 3 (mixture); Fisc
 doi:10.1145/358669.358692 (proposals from minimal sets).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -45,14 +45,16 @@ from opnav_workbench.stars.pointing.attitude_fit import (
     LinearizedProblem,
     PointingProblem,
     fit_attitude,
+    with_excess_covariance,
 )
 from opnav_workbench.stars.pointing.attitude_steps import StepModel
 
-__all__ = ["StarSelection", "chi2_probability", "excess_sigma", "select_stars"]
+__all__ = ["BELIEVED", "StarSelection", "chi2_probability", "excess_sigma", "select_stars"]
 
 
 # ---- Do the residuals scatter as the centers' covariances say? If not, how much centering error is missing.
 
+BELIEVED = 0.01  # a formal chi-squared less rare than this leaves the weights as they are
 IMPROBABLE = 1e-3  # a formal chi-squared this rare (one picture in a thousand by chance) is not believed
 EXCESS_TOLERANCE_PX = 1e-6  # far below any centering error
 MIN_FREEDOM = 3  # of the stars alone; below, Student's t has no variance
@@ -177,10 +179,10 @@ def select_stars(
     fit = fit_attitude(stars, model, stars.start, everyone)
     agree = fit is not None and chi2_probability(fit.linear) >= IMPROBABLE
     if fit is not None and agree and np.all(_distances(stars, fit, everyone, 0.0) <= REJECT_SIGMA):
-        return _fit_with_excess(stars, model, stars.start, everyone)
+        return _with_excess(stars, model, fit, everyone)
     ambiguous = len(stars) == 3 and _consistent_pairs(stars) != 1
     if len(stars) < 3 or ambiguous:
-        return _fit_with_excess(stars, model, stars.start, everyone, ambiguous)
+        return None if fit is None else _with_excess(stars, model, fit, everyone, ambiguous)
     keep = ~everyone if keep is None else keep
     start, used = _consensus(stars, model) or (stars.start, everyone)
     return _reselect(stars, model, start, used | keep, keep)
@@ -202,15 +204,29 @@ def _reselect(
 
 
 def _fit_with_excess(
-    stars: PointingProblem, model: StepModel, start: FloatArray, used: BoolArray, ambiguous: bool = False
+    stars: PointingProblem, model: StepModel, start: FloatArray, used: BoolArray
 ) -> StarSelection | None:
     """Fit the given stars, with an excess error if their scatter asks for one."""
     fit = fit_attitude(stars, model, start, used)
-    excess = 0.0 if fit is None else excess_sigma(fit.linear)
-    if fit is not None and excess > 0.0:
-        fit = fit_attitude(stars, model, fit.attitude, used, excess)
-    if fit is None:
-        return None
+    return None if fit is None else _with_excess(stars, model, fit, used)
+
+
+def _with_excess(
+    stars: PointingProblem, model: StepModel, fit: AttitudeFit, used: BoolArray, ambiguous: bool = False
+) -> StarSelection | None:
+    """Allow a fit an excess error if its scatter asks for one.
+
+    One that chance may explain widens the covariance alone: weights that follow it would cost a sixth of the accuracy of
+    four good stars. One that it does not enters the weights as well.
+    """
+    excess = excess_sigma(fit.linear)
+    if excess > 0.0 and chi2_probability(fit.linear) >= BELIEVED:
+        fit = with_excess_covariance(fit, excess)
+    elif excess > 0.0:
+        again = fit_attitude(stars, model, fit.attitude, used, excess)
+        if again is None:
+            return None
+        fit = replace(again, path=(*fit.path, *again.path[1:]))
     return StarSelection(used, excess, fit, _distances(stars, fit, used, excess), ambiguous)
 
 

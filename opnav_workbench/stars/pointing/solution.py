@@ -15,7 +15,7 @@ from astropy.table import QTable
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import pointing_angles
+from opnav_workbench.geometry import pointing_angle_arrays
 
 __all__ = ["PictureShift", "PointingSolution", "attitude_shift", "iteration_table", "steps_between"]
 
@@ -137,7 +137,7 @@ def attitude_shift(camera: Camera, first: FloatArray, second: FloatArray) -> Pic
 def steps_between(camera: Camera, attitudes: Sequence[FloatArray]) -> tuple[PictureShift, ...]:
     """Return the steps along a sequence of attitudes; they sum up to the shift from first to last."""
     sky = attitudes[0].T @ camera.boresight
-    twist = [pointing_angles(attitude, camera.focal_from_camera)[2] for attitude in attitudes]
+    twist = pointing_angle_arrays(np.stack(attitudes), camera.focal_from_camera)[2]
     place = camera.project(np.stack([attitude @ sky for attitude in attitudes]))
     if not np.all(np.isfinite(place)):
         raise PointingError(
@@ -145,7 +145,7 @@ def steps_between(camera: Camera, attitudes: Sequence[FloatArray]) -> tuple[Pict
             "give an a priori attitude within the field of view"
         )
     # Twist changes are all taken against the first attitude: their sum then needs no unwrapping.
-    since_first = (np.array(twist) - twist[0] + np.pi) % (2.0 * np.pi) - np.pi
+    since_first = (twist - twist[0] + np.pi) % (2.0 * np.pi) - np.pi
     deltas = np.column_stack([np.diff(place, axis=0), np.diff(since_first)])
     return tuple(PictureShift(*map(float, row)) for row in deltas)
 

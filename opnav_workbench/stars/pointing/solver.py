@@ -126,9 +126,11 @@ def _start_attitude(
     a_priori: FloatArray,
 ) -> FloatArray:
     """Attitude (3, 3) to start from; stars that leave a closed form open take the a priori one."""
+    if start == "a_priori":
+        return a_priori
     in_camera = camera.unproject(observed)
     seen = np.isfinite(in_camera).all(axis=1)
-    if start == "a_priori" or not seen.any():
+    if not seen.any():
         return a_priori
     weights = 2.0 / np.trace(covariance[seen], axis1=1, axis2=2)
     try:

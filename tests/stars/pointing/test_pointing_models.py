@@ -52,7 +52,7 @@ def test_euler_design_is_the_difference_quotient_of_its_rotation(cameras, name):
     steps, step = EulerAngles(camera), 1e-6
     pixel_line = places(camera, np.random.default_rng(2))
     directions = camera.unproject(pixel_line)
-    design = steps.design(directions, pixel_line)
+    design = steps.design(camera.attitude_jacobian(directions), pixel_line)
     for axis in range(3):
         angles = step * np.eye(3)[axis]
         moved = [camera.project(directions @ steps.rotation(s * angles).T) for s in (1, -1)]
@@ -64,7 +64,9 @@ def test_image_plane_step_shifts_and_turns_a_pinhole_picture(cameras):
     camera = cameras["pinhole"]
     steps, pixel_line = ImagePlane(camera), places(cameras["pinhole"], np.random.default_rng(3))
     moved = camera.project(camera.unproject(pixel_line) @ steps.rotation(np.array([0.3, -0.2, 1e-4])).T)
-    expected = pixel_line + steps.design(camera.unproject(pixel_line), pixel_line) @ [0.3, -0.2, 1e-4]
+    expected = pixel_line + steps.design(
+        camera.attitude_jacobian(camera.unproject(pixel_line)), pixel_line
+    ) @ [0.3, -0.2, 1e-4]
     # Second order: 1e-4 rad squared times 512 px, and 0.3 px times the tangent's 0.5 % over the field.
     np.testing.assert_allclose(moved, expected, atol=1e-4)
 
