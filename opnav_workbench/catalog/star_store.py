@@ -86,9 +86,13 @@ class SkyIndex:
     def _rows(self, key_ranges: list[tuple[float, float]]) -> IntArray:
         starts = np.searchsorted(self._keys, [low for low, _ in key_ranges], side="left")
         stops = np.searchsorted(self._keys, [high for _, high in key_ranges], side="right")
-        places = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
-        # Ranges that meet at a key may both hold the star that stands on it.
-        places = np.unique(places)
+        # In ascending order; ranges that meet at a key may both hold the star that stands on it.
+        order = np.argsort(starts, kind="stable")
+        starts, stops = starts[order], stops[order]
+        starts[1:] = np.maximum(starts[1:], np.maximum.accumulate(stops)[:-1])
+        length = np.maximum(stops - starts, 0)
+        ends = np.cumsum(length)
+        places = np.arange(ends[-1]) + np.repeat(starts - (ends - length), length)
         return places if self._order is None else self._order[places]
 
 

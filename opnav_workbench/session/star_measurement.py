@@ -165,7 +165,7 @@ def with_flanks(context: Context, centers: StarCenters, start: FloatArray, psf: 
         "snr": wings.flux_dn / wings.flux_sigma_dn,
         "flags": (centers.flags[rows] & int(StarFlag.EDGE)) | int(StarFlag.SATURATED | StarFlag.FLANKS),
     }
-    changed = {name: np.array(getattr(centers, name)) for name in columns}
+    changed: dict[str, Any] = {name: np.array(getattr(centers, name)) for name in columns}
     for name, values in columns.items():
         changed[name][rows] = values
     return replace(centers, **changed)

@@ -91,6 +91,7 @@ def replace_saturated(found: Detections, saturated: BoolArray, sigma_px: float) 
 DETECTION_SNR = 6.0  # in 10^6 pixels noise exceeds it in one frame of a thousand
 KERNEL_SIGMAS = 3.0
 MIN_COVERAGE = 0.3  # part of a star's information that must lie on usable pixels
+STRIP_LINES = 64  # filtered at a time
 MEDIAN_SAMPLES = 200_000  # pixels that suffice for the median of an image
 # A star centered on a pixel is the sharpest that the PSF allows; noise is allowed this many sigmas beyond it.
 COSMIC_RAY_SIGMAS = 3.0
@@ -149,31 +150,73 @@ def detect(
             f"PSF sigma and threshold must be positive, got {sigma_px} px and {threshold_snr}."
         )
     pixels = check_image(image_dn, noise_dn, bad, saturated)
-    weight = 1.0 / pixels.noise_dn**2
-    usable = weight > 0.0
-    data = np.where(usable, pixels.image_dn - _image_median(pixels.image_dn, usable), 0.0)
+    median = _image_median(pixels.image_dn, np.isfinite(pixels.noise_dn))
     kernel = _kernel(sigma_px)
-    information = _separable(weight, kernel**2)
-    covered = information > MIN_COVERAGE * _full_information(weight, kernel)
-    flux_sigma = 1.0 / np.sqrt(np.where(covered, information, np.inf))
-    snr = _separable(weight * data, kernel) * flux_sigma
-    line, pixel = _local_maxima(snr, threshold_snr)
-    steps = np.array([-1, 0, 1])
-    patch = snr[line[:, None, None] + steps[:, None], pixel[:, None, None] + steps]
+    line, pixel, patch, flux_sigma, usual = _filtered_peaks(pixels, median, kernel, threshold_snr)
     offset, answer = _PixelPhase(kernel, sigma_px).of(patch)
-    sharpness, sharpness_sigma = _sharpness(pixels, data, line, pixel, kernel)
+    sharpness, sharpness_sigma = _sharpness(pixels, median, line, pixel, kernel)
     too_sharp = sharpness > 1.0 + COSMIC_RAY_MARGIN + COSMIC_RAY_SIGMAS * sharpness_sigma
-    peak = snr[line, pixel]
+    peak = patch[:, 1, 1]
     found = Detections(
         pixel_line=np.column_stack([pixel, line]) + offset,
-        flux_dn=peak * flux_sigma[line, pixel] / answer,
+        flux_dn=peak * flux_sigma / answer,
         snr=peak,
         sharpness=sharpness,
         flags=_flags(pixels, line, pixel, too_sharp),
-        limit_dn=threshold_snr * float(np.median(flux_sigma[covered])) if covered.any() else float("nan"),
+        limit_dn=threshold_snr * usual,
     )
     found = replace_saturated(found, pixels.saturated, sigma_px)
     return found.take(np.argsort(-found.flux_dn, kind="stable")[:max_detections])
+
+
+Peaks = tuple[IntArray, IntArray, FloatArray, FloatArray, float]
+
+
+def _filtered_peaks(pixels: Pixels, median: float, kernel: FloatArray, threshold: float) -> Peaks:
+    """Local maxima of the matched filter: lines, pixels, the filter around each (k, 3, 3), flux sigmas; the usual sigma.
+
+    The picture is filtered strip by strip: what is computed of a strip stays in the processor's cache.
+    """
+    full = _full_information(pixels.noise_dn, kernel)
+    n_line, half = len(pixels.image_dn), len(kernel) // 2
+    found, sigmas = [], []
+    for start in range(0, n_line, STRIP_LINES):
+        stop = min(start + STRIP_LINES, n_line)
+        low, high = max(start - 1, 0), min(stop + 1, n_line)  # a maximum needs its neighbors
+        snr, flux_sigma = _filtered_strip(pixels, median, kernel, full, low, high)
+        line, pixel = _local_maxima(snr, threshold)
+        steps = np.array([-1, 0, 1])
+        patch = snr[line[:, None, None] + steps[:, None], pixel[:, None, None] + steps]
+        found.append((line + low, pixel, patch, flux_sigma[line, pixel]))
+        sigmas.append(flux_sigma[:: half + 1, :: half + 1].ravel())
+    line, pixel, patch, flux_sigma = (np.concatenate(column) for column in zip(*found, strict=True))
+    some = np.concatenate(sigmas)
+    usual = float(np.median(some[some > 0.0])) if (some > 0.0).any() else float("nan")
+    return line, pixel, patch, flux_sigma, usual
+
+
+def _filtered_strip(
+    pixels: Pixels, median: float, kernel: FloatArray, full: float, low: int, high: int
+) -> tuple[FloatArray, FloatArray]:
+    """Signal-to-noise ratio and flux sigma (0 where too little of a star is usable) of the lines from low to high."""
+    half = len(kernel) // 2
+    top, bottom = max(low - half, 0), min(high + half, len(pixels.image_dn))
+    noise = pixels.noise_dn[top:bottom]
+    weight = 1.0 / noise**2
+    within = slice(low - top, high - top)
+    signal = weight * (pixels.image_dn[top:bottom] - median)
+    information = _information(weight, kernel)[within]
+    covered = information > MIN_COVERAGE * full
+    flux_sigma = np.where(covered, 1.0 / np.sqrt(np.where(covered, information, 1.0)), 0.0)
+    return _separable(signal, kernel)[within] * flux_sigma, flux_sigma
+
+
+def _information(weight: FloatArray, kernel: FloatArray) -> FloatArray:
+    """Inverse variances of the flux at each pixel; where all weights are equal that is a matter of the edges."""
+    if np.all(weight == weight[0, 0]):
+        line, pixel = (correlate1d(np.ones(n), kernel**2, mode="constant") for n in weight.shape)
+        return np.asarray(weight[0, 0] * line[:, None] * pixel)
+    return _separable(weight, kernel**2)
 
 
 class _PixelPhase:
@@ -223,13 +266,16 @@ def _separable(image: FloatArray, kernel: FloatArray) -> FloatArray:
     return np.asarray(correlate1d(along, kernel, axis=0, mode="constant"))
 
 
-def _full_information(weight: FloatArray, kernel: FloatArray) -> float:
-    return float(np.median(weight[weight > 0.0][:MEDIAN_SAMPLES]) * np.sum(kernel**2) ** 2)
+def _full_information(noise_dn: FloatArray, kernel: FloatArray) -> float:
+    step = max(1, int(np.sqrt(noise_dn.size / MEDIAN_SAMPLES)))
+    some = noise_dn[::step, ::step]
+    some = some[np.isfinite(some)] if np.isfinite(some).any() else noise_dn[np.isfinite(noise_dn)]
+    return float(np.median(some) ** -2.0 * np.sum(kernel**2) ** 2)
 
 
 def _local_maxima(snr: FloatArray, threshold: float) -> tuple[IntArray, IntArray]:
     """Lines and pixels above the threshold and above their eight neighbors (of equal ones, the first)."""
-    line, pixel = np.nonzero(snr[1:-1, 1:-1] >= threshold)
+    line, pixel = np.divmod(np.flatnonzero(snr[1:-1, 1:-1] >= threshold), max(snr.shape[1] - 2, 1))
     line, pixel = line + 1, pixel + 1
     here, top = snr[line, pixel], np.ones(len(line), bool)
     for dy in (-1, 0, 1):
@@ -243,13 +289,14 @@ def _local_maxima(snr: FloatArray, threshold: float) -> tuple[IntArray, IntArray
 
 
 def _sharpness(
-    pixels: Pixels, data: FloatArray, line: IntArray, pixel: IntArray, kernel: FloatArray
+    pixels: Pixels, median: float, line: IntArray, pixel: IntArray, kernel: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Part of the 3 x 3 flux in the largest pixel, over that of a star on the pixel's center; its sigma."""
     steps = np.array([-1, 0, 1])
     window = line[:, None, None] + steps[:, None], pixel[:, None, None] + steps
-    patch = data[window].reshape(len(line), 9)
-    noise = np.where(np.isfinite(pixels.noise_dn[window]), pixels.noise_dn[window], 0.0).reshape(len(line), 9)
+    usable = np.isfinite(pixels.noise_dn[window])
+    patch = np.where(usable, pixels.image_dn[window] - median, 0.0).reshape(len(line), 9)
+    noise = np.where(usable, pixels.noise_dn[window], 0.0).reshape(len(line), 9)
     middle = len(kernel) // 2
     most = (kernel[middle] / kernel[middle - 1 : middle + 2].sum()) ** 2
     total = np.maximum(patch.sum(axis=1), np.sqrt(np.sum(noise**2, axis=1)))

@@ -53,7 +53,7 @@ class WingCenters:
     @property
     def measured(self) -> BoolArray:
         """True where there is a center; (n,)."""
-        return np.isfinite(self.pixel_line).all(axis=1)
+        return np.asarray(np.isfinite(self.pixel_line).all(axis=1))
 
     def take(self, rows: IntArray | BoolArray) -> "WingCenters":
         """Return some of them."""
@@ -91,7 +91,7 @@ LOG_EXPONENT, SIGMA_LOG_EXPONENT = float(np.log(4.0)), 1.2
 LOG_EXPONENT_RANGE = (float(np.log(1.1)), float(np.log(60.0)))
 N_PARAMETERS = 8  # flux, pixel, line, log scale, e1, e2, log exponent, level
 FLUX, PIXEL, LINE, SCALE, E1, E2, EXPONENT, LEVEL = range(N_PARAMETERS)
-MAX_STEPS = 30  # of one fit; what has not converged goes on in the next round
+MAX_STEPS, MAX_LAST_STEPS = 30, 100  # of one fit; what has not converged goes on in the next round
 
 
 def fit_wings(
@@ -132,7 +132,7 @@ def fit_wings(
     raw = np.asarray(image_dn, dtype=float)
     pixels = check_image(raw, noise_dn, bad, saturated)
     places, others = check_points(start_pixel_line), check_points(neighbors_px, "neighbors_px")
-    cores, _ = label(pixels.saturated, structure=np.ones((3, 3)))
+    cores = np.asarray(label(pixels.saturated, structure=np.ones((3, 3)))[0], np.int64)
     columns_lost = _bled_columns(cores)
     ends_lost = columns_lost | binary_dilation(cores > 0, ABOVE_AND_BELOW)
     fits = []
@@ -276,13 +276,19 @@ def _solved(model: "_WingModel", box: _Box, prior: ShapePrior) -> BatchSolution:
     lower[EXPONENT], upper[EXPONENT] = LOG_EXPONENT_RANGE
     lower[FLUX] = 0.0
     p = model.start(mean)
+
+    def fitted(start: FloatArray, steps: int) -> BatchSolution:
+        return solve_batched(
+            model, start[None], lower[None], upper[None], mean[None], information[None], steps
+        )
+
     for _ in range(ROUNDS):
         model.weigh(p)
-        solution = solve_batched(model, *(a[None] for a in (p, lower, upper, mean, information)), MAX_STEPS)
+        solution = fitted(p, MAX_STEPS)
         p = solution.parameters[0]
         model.judge(p)
     model.weigh(p)
-    return solve_batched(model, *(a[None] for a in (p, lower, upper, mean, information)))
+    return fitted(p, MAX_LAST_STEPS)
 
 
 class _WingModel:

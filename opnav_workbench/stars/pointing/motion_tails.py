@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 
 __all__ = ["MotionTails", "effective_covariance"]
 
@@ -47,7 +47,7 @@ class MotionTails:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def take(self, rows: FloatArray) -> "MotionTails":
+    def take(self, rows: IntArray | BoolArray) -> "MotionTails":
         """Return some of the stars, by index or mask."""
         return MotionTails(self.covariance_px2[rows], self.weights[rows], self.variances[rows])
 
