@@ -93,7 +93,7 @@ class SkyIndex:
         length = np.maximum(stops - starts, 0)
         ends = np.cumsum(length)
         places = np.arange(ends[-1]) + np.repeat(starts - (ends - length), length)
-        return places if self._order is None else self._order[places]
+        return np.asarray(places if self._order is None else self._order[places])
 
 
 def ra_spans(ra_rad: float, dec_rad: float, radius_rad: float) -> list[tuple[float, float]]:
