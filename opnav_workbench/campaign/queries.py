@@ -10,13 +10,39 @@ from astropy.table import Column as AstropyColumn
 from astropy.table import MaskedColumn, QTable, Table
 
 from opnav_workbench.campaign.run_folder import ObservableColumn, observables_from_rows
-from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, STARS, Column, tables
+from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, Column, tables
 from opnav_workbench.errors import SessionError
 
 __all__ = ["QUESTIONS", "query_observables", "query_plain", "query_table"]
 
-QUESTIONS = ("images", "pointings", "stars", "bodies")
-PART_COLUMNS: dict[str, tuple[Column, ...]] = {"pointings": POINTINGS, "stars": STARS, "bodies": BODIES}
+QUESTIONS = ("images", "pointings", "stars", "bodies", "decisions", "journal", "provenance", "history")
+DECISIONS = (
+    Column("subject", "text", "", "star, body or other subject"),
+    Column("verdict", "text", "", "what the analyst decided"),
+    Column("reason", "text", "", "why, in the analyst's words"),
+)
+JOURNAL = (
+    Column("step", "text", "", "of the session"),
+    Column("outcome", "text", "", "what came out"),
+    Column("reason", "text", "", "why, in the analyst's words"),
+    Column("time_utc", "text", "", "when, UTC"),
+)
+HISTORY = (
+    Column("image", "text", "", "name of the picture"),
+    Column("status", "text", "", "of the run that stood before"),
+    Column("processed_utc", "text", "", "when it was made, UTC"),
+    Column("ingested_utc", "text", "", "when something else took its place, UTC"),
+    Column("folder", "text", "", "where the run was"),
+    Column("content_sha256", "text", "", "of all that came out"),
+)
+PART_COLUMNS: dict[str, tuple[Column, ...]] = {
+    "pointings": POINTINGS,
+    "stars": STARS,
+    "bodies": BODIES,
+    "decisions": DECISIONS,
+    "journal": JOURNAL,
+    "provenance": PROVENANCE,
+}
 # Of the picture, beside the rows of its parts.
 IMAGE_COLUMNS = ("image", "utc", "et")
 ARCHIVE_COLUMNS = (
@@ -32,7 +58,8 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
 
     Parameters
     ----------
-    what : {"images", "pointings", "stars", "bodies"}
+    what : {"images", "pointings", "stars", "bodies", "decisions", "journal", "provenance", "history"}
+        History: what stood before and was replaced, the oldest first.
     filters
         ``status, body, method, image, star, mission, camera``: equal to that, in any case; several with commas.
         ``since, until``: UTC, ISO, as exact as need be.
@@ -44,6 +71,8 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
     """
     if what not in QUESTIONS:
         raise SessionError(f"unknown table {what!r}; choose one of {', '.join(QUESTIONS)}.")
+    if what == "history":
+        return _history(connection, filters)
     images = tables["images"]
     if what == "images":
         columns: tuple[Column, ...] = (*IMAGES, *ARCHIVE_COLUMNS)
@@ -57,6 +86,20 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
         )
     rows = connection.execute(_filtered(chosen, what, filters)).mappings().all()
     return _table(rows, columns)
+
+
+def _history(connection: sa.Connection, filters: Mapping[str, str | None]) -> Table:
+    table = tables["history"]
+    query = sa.select(*[table.c[c.name] for c in HISTORY], sa.null().label("extra"))
+    for name, value in filters.items():
+        if value is None:
+            continue
+        if name not in ("image", "status"):
+            raise SessionError(f"history has no {name}; leave that filter out.")
+        options = [option.strip().casefold() for option in value.split(",") if option.strip()]
+        query = query.where(sa.func.lower(table.c[name]).in_(options))
+    rows = connection.execute(query.order_by(table.c.processed_utc, table.c.key)).mappings().all()
+    return _table(rows, HISTORY)
 
 
 def query_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:

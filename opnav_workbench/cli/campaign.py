@@ -1,7 +1,7 @@
 """``opnav campaign``: many runs in one archive, questions to it, its observables, its trends, and stacks of its pictures.
 
 ingest  takes runs into the archive; damaged ones are named and skipped (exit status 3)
-query   pictures, pointings, bodies or stars as a table, CSV or JSON
+query   pictures, pointings, bodies, stars, decisions, journal, provenance or history as a table, CSV or JSON
 export  observables as one file
 plot    trends, with outliers named
 stack   many solved pictures of a faint target as one
@@ -83,6 +83,33 @@ SHOWN_COLUMNS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("line", "observed_line", ".3f"),
         ("O−C", "residual_pixel", "+.3f"),
         ("O−C", "residual_line", "+.3f"),
+    ),
+    "decisions": (
+        ("picture", "image", ""),
+        ("subject", "subject", ""),
+        ("verdict", "verdict", ""),
+        ("reason", "reason", ""),
+    ),
+    "journal": (
+        ("picture", "image", ""),
+        ("when (UTC)", "time_utc", ""),
+        ("step", "step", ""),
+        ("outcome", "outcome", ""),
+        ("reason", "reason", ""),
+    ),
+    "provenance": (
+        ("picture", "image", ""),
+        ("version", "version", ""),
+        ("catalog", "catalog", ""),
+        ("attitude", "attitude_source", ""),
+        ("observer", "observer_source", ""),
+    ),
+    "history": (
+        ("picture", "image", ""),
+        ("status", "status", ""),
+        ("made (UTC)", "processed_utc", ""),
+        ("replaced (UTC)", "ingested_utc", ""),
+        ("folder", "folder", ""),
     ),
     "stars": (
         ("picture", "image", ""),
@@ -421,11 +448,13 @@ def query(
         Path | None, typer.Option("--out", "-o", help="Write csv or json here.", show_default=False)
     ] = None,
 ) -> None:
-    """Ask the archive for pictures, pointings, bodies or stars.
+    """Ask the archive for pictures, pointings, bodies or stars; for decisions, steps, provenance, and what stood before.
 
-    [bold]Example[/]
+    [bold]Examples[/]
 
       opnav campaign query bodies --body PLUTO --status ok --since 2015-04-01 --format csv
+
+      opnav campaign query history --image lor_0299.fit
 
     The table shows what fits a terminal; csv and json hold every column.
     """

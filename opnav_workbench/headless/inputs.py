@@ -21,13 +21,13 @@ from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.kernels import KernelPart, KernelSet, et_from_sclk, et_from_utc, kernel_parts
 from opnav_workbench.mission import Mission
 from opnav_workbench.version import __version__
+from opnav_workbench.yaml_file import FAST_LOADER
 
 __all__ = ["NightInputs", "changes", "fingerprint", "night_inputs", "picture_et"]
 
 # Parameters that name files, which count by their contents.
 FILES = ("decisions", "target_stars")
 SHOWN_DIGITS = 12
-YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def _with_named_files(path: Path) -> Iterator[Path]:
     yield path
     if path.suffix not in (".yaml", ".yml"):
         return
-    for text in _texts(yaml.load(path.read_text(encoding="utf-8"), YAML_LOADER)):  # noqa: S506  a safe one
+    for text in _texts(yaml.load(path.read_text(encoding="utf-8"), FAST_LOADER)):  # noqa: S506  a safe one
         named = path.parent / text
         if len(text) < 256 and "\n" not in text and named.is_file() and named != path:  # a file's name
             yield from _with_named_files(named)

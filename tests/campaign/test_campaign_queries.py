@@ -57,6 +57,10 @@ def archive(make_run, tmp_path_factory):
         ("bodies", {"status": "uncertain"}, 1),
         ("bodies", {"image": "pic_003.fit"}, 2),
         ("stars", {"status": "used"}, 80),
+        ("provenance", {}, 20),
+        ("provenance", {"image": "pic_003.fit"}, 1),
+        ("journal", {"image": "pic_003.fit", "since": "2015-04-10"}, 0),
+        ("history", {}, 0),
         ("pointings", {"since": "2015-04-09 18:00:00Z"}, 2),
     ],
 )
@@ -178,3 +182,29 @@ def test_an_empty_archive_is_drawn_too(tmp_path):
     shown = invoke("plot", "-a", tmp_path, "-o", tmp_path / "trends.png")
     assert shown.exit_code == 0, shown.output
     assert imread(tmp_path / "trends.png").shape[1] > 1000
+
+
+def test_history_decisions_and_journal_answer(make_run, tmp_path):
+    """A picture processed again, where an analyst has decided something."""
+
+    def decided(result, session):
+        result["provenance"]["decisions"] = [{"star": "HIP 1", "verdict": "rejected", "reason": "cosmic ray"}]
+
+    make_run(tmp_path / "r", 0, edit=lambda result, session: result.update(messages=["first"]))
+    with Campaign(tmp_path / "campaign.sqlite") as campaign:
+        campaign.ingest(tmp_path / "r")
+        make_run(tmp_path / "r", 0, edit=decided)
+        assert campaign.ingest(tmp_path / "r").count("replaced") == 1
+        (old,), (decision,) = campaign.query("history"), campaign.query("decisions")
+        assert (old["image"], old["status"], old["folder"]) == ("pic_000.fit", "ok", str(tmp_path / "r"))
+        assert (decision["subject"], decision["verdict"], decision["reason"]) == (
+            "HIP 1",
+            "rejected",
+            "cosmic ray",
+        )
+        assert len(campaign.query("journal")) == len(campaign.journal())
+        with pytest.raises(SessionError, match="history has no body"):
+            campaign.query("history", body="PLUTO")
+    for what in ("history", "decisions", "journal", "provenance"):
+        answer = invoke("query", what, "--archive", tmp_path / "campaign.sqlite")
+        assert (answer.exit_code, "pic_000.fit" in answer.output) == (0, True), answer.output
