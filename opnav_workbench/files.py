@@ -17,6 +17,7 @@ from opnav_workbench.errors import SessionError
 __all__ = [
     "atomic_path",
     "digest",
+    "files_named",
     "given_cell",
     "inside",
     "json_text",
@@ -192,6 +193,15 @@ def digest(values: Any) -> str:
     """Return the SHA-256 of plain values, whatever the order of their keys, as hexadecimal digits."""
     text = json.dumps(plain_values(values), sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def files_named(top: str | os.PathLike[str], *names: str) -> list[Path]:
+    """Return the files of these names at or below a folder, sorted; hidden folders below it are somebody's own."""
+    base = Path(top)
+    found = (path for name in names for path in base.rglob(name) if path.is_file())
+    return sorted(
+        p for p in found if not any(part.startswith(".") for part in p.relative_to(base).parts[:-1])
+    )
 
 
 def inside(folder: str | os.PathLike[str], name: str) -> Path:

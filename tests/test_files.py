@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import digest, read_json, write_json
+from opnav_workbench.files import digest, files_named, read_json, write_json
 
 
 def test_json_comes_back_and_what_is_no_number_is_none(tmp_path):
@@ -34,3 +34,13 @@ def test_a_digest_depends_on_the_values_alone():
     assert digest(values) == stored
     assert digest({"a": "text", "b": (1, np.float64(2.5), float("nan"))}) == stored
     assert digest({"a": "text", "b": [1, 2.5, 0.0]}) != stored
+
+
+def test_files_of_a_name_but_not_in_hidden_folders(tmp_path):
+    """What a night keeps in its attic is no result of the run."""
+    for folder in ("b", "a/deep", ".attic/a", "a/.attic"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "result.json").touch()
+    found = files_named(tmp_path, "result.json")
+    assert [path.parent.relative_to(tmp_path).as_posix() for path in found] == ["a/deep", "b"]
+    assert len(files_named(tmp_path / ".attic", "result.json", "session.json")) == 1  # asked for by its name

@@ -25,7 +25,7 @@ from astropy.table import QTable, Table
 
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import digest, read_json
+from opnav_workbench.files import digest, files_named, read_json
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
 __all__ = [
@@ -180,8 +180,7 @@ def find_runs(path: str | Path) -> Iterator[Path]:
         raise SessionError(
             f"there is no folder {top}; give run folders (with {RESULT_FILE}) or folders of them."
         )
-    files = {file.parent for name in (RESULT_FILE, SESSION_FILE) for file in top.rglob(name)}
-    found = sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(top).parts))
+    found = sorted({file.parent for file in files_named(top, RESULT_FILE, SESSION_FILE)})
     if not found:
         raise SessionError(f"{top} holds no run: no {RESULT_FILE} in it or below; process pictures first.")
     yield from found

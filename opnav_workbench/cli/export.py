@@ -12,6 +12,7 @@ from rich.console import Console
 
 from opnav_workbench.cli.terminal import shown
 from opnav_workbench.errors import MissionError, SessionError
+from opnav_workbench.files import files_named
 from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import (
     Observable,
@@ -121,7 +122,7 @@ def _format(wanted: str | None, out: Path | None) -> str:
 def _read_observables(source: Path) -> tuple[Observable, ...]:
     """Observables of a folder of results (or folders of folders), or of one file."""
     if source.is_dir():
-        tables = sorted(source.rglob(TABLE))
+        tables = files_named(source, TABLE)
         if not tables:
             raise SessionError(
                 f"{source} holds no {TABLE}; give a folder that opnav process wrote (--out there)."
