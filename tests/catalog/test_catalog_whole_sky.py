@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from test_catalog_tycho2 import ROWS, SUPPLEMENT, content
 
-from opnav_workbench.catalog import catalog_status, fetch_whole_sky, open_catalog, specs, tycho2
+from opnav_workbench.catalog import (
+    catalog_contents,
+    catalog_status,
+    fetch_whole_sky,
+    open_catalog,
+    specs,
+    tycho2,
+)
 from opnav_workbench.errors import CatalogError, DownloadError
 
 
@@ -47,6 +54,7 @@ def test_whole_sky_goes_on_after_a_cut_and_is_part_of_bundled(archive, tmp_path,
     few = open_catalog(f"npz:{tmp_path / 'two.npz'}")
     monkeypatch.setattr(specs, "open_bundled", lambda _progress: few)  # merging the packages takes seconds
     assert open_catalog("bundled") is few
+    before = catalog_contents("bundled")
     cut = folder / "tyc2.dat.07.gz"
     whole = cut.read_bytes()
     cut.write_bytes(whole[:-9])
@@ -59,6 +67,9 @@ def test_whole_sky_goes_on_after_a_cut_and_is_part_of_bundled(archive, tmp_path,
     assert stars.describe()["faintest_mag"] <= 11.0
     assert open_catalog("fetched:tycho2").describe()["n_stars"] == stars.describe()["n_stars"] == 11
     assert open_catalog("bundled").describe()["n_stars"] == 2 + 11
+    assert set(catalog_contents("bundled")) - set(before) == set(
+        catalog_contents("fetched:tycho2")
+    )  # a night notices
     assert next(s for s in catalog_status() if s.form == "fetched:NAME").detail == "tycho2: part of bundled"
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.night_workers import NotebookOutcome, NotebookRequest
 from opnav_workbench.session.autosave import Autosave, start_autosave
 from opnav_workbench.session.history import JournalEntry
+from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.storage import session_on_disk
 
 
@@ -97,7 +99,8 @@ class Analyst:
 
     @property
     def inputs(self) -> Any:
-        return SimpleNamespace(targets={}, shapes={}, wide_stars=None, lost=None)
+        nothing = {field.name: None for field in fields(Inputs)}
+        return SimpleNamespace(**nothing | {"targets": {}, "shapes": {}})
 
     def decide(self, reason: str) -> None:
         self.journal = (*self.journal, JournalEntry("reject_stars", {"ids": ["HIP 1"]}, reason))
