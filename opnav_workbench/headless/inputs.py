@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from opnav_workbench.catalog import catalog_contents
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.files import json_text, plain_values, sha256_of
@@ -21,7 +19,7 @@ from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.kernels import KernelPart, KernelSet, et_from_sclk, et_from_utc, kernel_parts
 from opnav_workbench.mission import Mission
 from opnav_workbench.version import __version__
-from opnav_workbench.yaml_file import FAST_LOADER
+from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
 __all__ = ["NightInputs", "changes", "fingerprint", "night_inputs", "picture_et"]
 
@@ -133,7 +131,11 @@ def _with_named_files(path: Path) -> Iterator[Path]:
     yield path
     if path.suffix not in (".yaml", ".yml"):
         return
-    for text in _texts(yaml.load(path.read_text(encoding="utf-8"), FAST_LOADER)):  # noqa: S506  a safe one
+    try:
+        content = plain_value(compose(yaml_text(path)))
+    except (OSError, YamlError, UnicodeDecodeError):  # what needs it says what is wrong with it
+        return
+    for text in _texts(content):
         named = path.parent / text
         if len(text) < 256 and "\n" not in text and named.is_file() and named != path:  # a file's name
             yield from _with_named_files(named)
