@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import CenterfindingError
@@ -29,6 +29,7 @@ from opnav_workbench.targets import TargetState
 __all__ = [
     "BodyPicture",
     "Circle",
+    "RayFan",
     "displaced_model",
     "model_picture",
     "picture_axes",
@@ -247,6 +248,41 @@ def displaced_model(
     if sun is not None:
         sun = sun + target.position_km - position
     return replace(model, target=replace(target, position_km=position, sun_position_km=sun))
+
+
+FAN_NODES = 6  # a ray's direction is a polynomial of the distance from the center: to 1e-9 rad within a body's image
+
+
+class RayFan:
+    """Rays of points that lie on straight lines from a center: many of them, without undistorting each.
+
+    Parameters
+    ----------
+    angle_rad, limb_px : (t,) arrays
+        Of each line, and the distance on it that is 1.
+    lowest
+        Least share of that distance that will be asked for.
+    """
+
+    def __init__(
+        self, picture: BodyPicture, center_px: FloatArray, angle_rad: FloatArray, limb_px: FloatArray, lowest: float, highest: float = 1.0
+    ) -> None:
+        self._middle, self._half = 0.5 * (lowest + highest), max(0.5 * (highest - lowest), 1e-6)
+        node = np.cos(np.pi * (np.arange(FAN_NODES) + 0.5) / FAN_NODES)
+        wheel = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
+        reach = limb_px * (self._middle + self._half * node)[:, None]
+        places = center_px + reach[..., None] * wheel
+        rays = pixel_rays(picture, places.reshape(-1, 2)).reshape(3, FAN_NODES, len(angle_rad))
+        self._terms = np.einsum("kn,int->kit", np.linalg.inv(np.vander(node, increasing=True)), rays)
+
+    def at(self, line: IntArray, share: FloatArray) -> FloatArray:
+        """Return geometric J2000 rays (3, n) at shares (n,) of the lines numbered (n,)."""
+        x = (share - self._middle) / self._half
+        out = self._terms[-1][:, line]
+        for term in self._terms[-2::-1]:
+            out *= x
+            out += term[:, line]
+        return np.asarray(out)
 
 
 def pixel_rays(picture: BodyPicture, places_px: FloatArray) -> FloatArray:

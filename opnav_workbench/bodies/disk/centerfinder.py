@@ -112,7 +112,7 @@ def _detail(fit: DiskFit, second: SecondReading | None) -> DiskReading:
         outline_px=fit.smooth_outline.points(fit.outline.angle_rad),
         size_ratio=float(np.exp(fit.shape.log_size)),
         size_ratio_sigma=float(np.exp(fit.shape.log_size)) * fit.sigma(Unknown.SIZE),
-        strain=fit.shape.strain,
+        strain=fit.shape.strain[:2],
         law_shares=fit.solution.theta[[Unknown.LAW, Unknown.LAW_2]],
         albedo_sigma=fit.prior.albedo,
         albedo_length_rad=fit.prior.length_rad,

@@ -18,6 +18,7 @@ and of its own each piece has an albedo and a place of its limb: `opnav_workbenc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
 )
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
+from opnav_workbench.bodies.disk.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
@@ -53,8 +55,8 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
 PSF_SIGMA, WING_SIGMA = 0.15, 0.15
-MOST_TURNS, MOST_FINE = 12, 2  # turns in all; times that the fine light is tabulated
-LAST_TUNING, LAST_COARSE = 5, 7  # turns at which field and fine light are made sure of at the latest
+MOST_TURNS, MOST_FINE = 6, 2  # turns with one prior and light; times that the fine light is tabulated
+MOST_HALVINGS = 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
 LARGEST_LOG = 0.5  # of the size over the model's
@@ -62,15 +64,24 @@ LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the 
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
-TUNING = (
-    (1.2, 0.6),
-    (0.8, 0.4, 0.2),
-)  # steps in the logarithms, for the first look at the field and for the last
+TUNING, LAST_TUNING = ((1.2, 0.6), (1.0, 0.5)), (0.8, 0.4, 0.2)  # steps in the logarithms, for the coarse light and for the fine
 LEAST_MOVE = 0.2  # of a step
-NEW_LAW, NEW_SIZE = 0.12, 0.002  # changes from which on the light is tabulated anew, and at the end:
-LAST_LAW, LAST_SIZE = 0.02, 0.0005
+MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
+
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
+
+
+class Changes(NamedTuple):
+    """Of a shape, from which on its light is tabulated anew; that of the blur in shares of the PSF's variance."""
+
+    law: float
+    size: float
+    strain: float
+    blur: float
+
+
+NEW, LAST = Changes(0.12, 0.01, 0.01, 0.1), Changes(0.02, 0.002, 0.003, 0.03)
 
 
 class Unknown(IntEnum):
@@ -101,6 +112,7 @@ FIGURE = [Unknown.SIZE, Unknown.AXIS_COS, Unknown.AXIS_SIN]
 SHARES = [Unknown.LAW, Unknown.LAW_2]
 STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
+STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
 TABLES = len(PLANES)
 
 
@@ -123,10 +135,12 @@ class DiskShape:
     center_px : (2,) array
     log_size
         Logarithm of the size over the model's.
-    strain : (2,) array
-        Of the outline: relative change of its radius as cos 2a and sin 2a.
+    strain : (5,) array
+        As `opnav_workbench.bodies.disk.strained.STRAINS`; the first two change the outline's radius as cos 2a and sin 2a.
     law : (2,) array
         Powers of 2 / (mu0 + mu) and of mu0 mu.
+    blur_px2
+        Variance of the PSF along each axis beyond its own.
     rough_px : (j,) array
         Height of the limb at each piece.
     """
@@ -135,18 +149,33 @@ class DiskShape:
     log_size: float
     strain: FloatArray
     law: FloatArray
+    blur_px2: float
     rough_px: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def outline(self, silhouette: Silhouette, *, rough: bool = True) -> Outline:
-        """Return the outline of the disk, with the heights of its pieces or without."""
-        plain = silhouette.at(self.center_px)
-        angle, n = plain.angle_rad, len(self.rough_px)
-        height = np.interp(np.mod(angle, TURN), piece_angles(n), self.rough_px, period=TURN) if rough else 0.0
-        strain = self.strain[0] * np.cos(2.0 * angle) + self.strain[1] * np.sin(2.0 * angle)
-        return replace(plain, radius_px=plain.radius_px * np.exp(self.log_size) * (1.0 + strain) + height)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TabulatedDisk:
+    """Tables of light, the shape they were made with, and the silhouette of the body under its strain, `strain` (5,)."""
+
+    shape: DiskShape
+    strain: FloatArray
+    silhouette: Silhouette
+    light: LimbLight
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def outline(self, shape: DiskShape, *, rough: bool = True) -> Outline:
+        """Return the outline of a shape near the tabulated one, with the heights of its pieces or without."""
+        plain = self.silhouette.at(shape.center_px)
+        angle, n = plain.angle_rad, len(shape.rough_px)
+        height = np.interp(np.mod(angle, TURN), piece_angles(n), shape.rough_px, period=TURN) if rough else 0.0
+        more = shape.strain[:2] - self.strain[:2]
+        strain = more[0] * np.cos(2.0 * angle) + more[1] * np.sin(2.0 * angle)
+        return replace(plain, radius_px=plain.radius_px * np.exp(shape.log_size) * (1.0 + strain) + height)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,8 +186,8 @@ class DiskFit:
     ----------
     outline, smooth_outline
         At the solution, with the heights of its pieces and without.
-    light
-        Tables that the solution rests on.
+    made
+        Tables that the solution rests on, and what they were made with.
     prior
         Of the albedo and the limb, as the data speak for it.
     columns : (p + 1 + k + 2, n) array
@@ -175,7 +204,7 @@ class DiskFit:
     shape: DiskShape
     outline: Outline
     smooth_outline: Outline
-    light: LimbLight
+    made: TabulatedDisk
     brightness_dn: float
     prior: FieldPrior
     system: LimbSystem
@@ -190,6 +219,11 @@ class DiskFit:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    @property
+    def light(self) -> LimbLight:
+        """Tables that the solution rests on."""
+        return self.made.light
 
     @property
     def center_px(self) -> FloatArray:
@@ -208,12 +242,13 @@ class DiskFit:
     def model_dn(self) -> FloatArray:
         """Return what the solution expects (n,) at its pixels, DN."""
         theta = self.solution.theta.copy()
-        away = theta[SHARES] - self.shape.law
+        away = theta[SHARES] - self.made.shape.law
+        strained = theta[STRAINED] - self.made.strain
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
         model = theta[linear] @ self.columns[linear]
         model += self.brightness_dn * (
-            theta[FIGURE[1:]] @ self.columns[-2:]
-            + theta[SHADING] @ self.columns[SHADING]
+            strained[:2] @ self.columns[-2:]
+            + strained[2:] @ self.columns[SHADING]
             + away @ self.columns[SHARES]
             + theta[STRAY] @ self.columns[STRAY]
         )
@@ -221,7 +256,8 @@ class DiskFit:
         place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
         below = np.floor(place).astype(np.int64)
         part = place - below
-        model += theta[Unknown.BLUR] * self.brightness_dn * self.columns[Unknown.BLUR]
+        blur = theta[Unknown.BLUR] - self.made.shape.blur_px2
+        model += blur * self.brightness_dn * self.columns[Unknown.BLUR]
         for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
             nodes = self.solution.nodes[index, :-1]
             model += weight * np.einsum("nk,kn->n", nodes, self.columns[SHARED + 1 : -2])
@@ -251,8 +287,8 @@ class _DiskProblem:
         self.picture, self.name, self.pixels, self.place = picture, name, pixels, place
         radius_px = 0.5 * picture.diameter_px(name) * place.size_ratio
         self.radius_px = radius_px
-        self.silhouette = Silhouette(picture, name)
         model = picture.model(name)
+        self.can_be_strained = can_be_strained(model)
         self.figure: FigureUncertainty = model.figure
         self.law_prior = UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
         self.psf_px = float(np.max(picture.psf.sigma_px))
@@ -268,13 +304,18 @@ class _DiskProblem:
         self.turn = np.minimum(turn, TURN - turn)
         self.chord = _arcs(angle, self.node_rad)
 
-    def tables(self, shape: DiskShape, *, fine: bool = False) -> LimbLight:
-        """Return the light of a shape without its strain."""
-        scale = float(np.exp(-shape.log_size))
-        outline = self.silhouette.at(shape.center_px, scale)
+    def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
+        """Return the light of a shape; of a body that cannot be strained, without its strain."""
+        strain = shape.strain if self.can_be_strained else np.zeros(5)
+        picture = strained_picture(self.picture, self.name, strain)
+        silhouette, scale = Silhouette(picture, self.name), float(np.exp(-shape.log_size))
+        outline = silhouette.at(shape.center_px, scale)
         inward, outward = self.reach
         reach = (inward + 4.0, outward + 4.0)
-        return limb_light(self.picture, self.name, outline, scale, reach, self.node_rad, shape.law, fine=fine)
+        light = limb_light(
+            picture, self.name, outline, scale, reach, self.node_rad, shape.law, shape.blur_px2, fine=fine
+        )
+        return TabulatedDisk(shape, strain, silhouette, light)
 
     def prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared."""
@@ -322,7 +363,7 @@ def fit_disk(
     problem = _DiskProblem(picture, name, pixels, place)
     none = np.zeros(problem.pieces)
     law = np.array([problem.law_prior[0], 0.0])
-    shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), np.zeros(2), law, none)
+    shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), np.zeros(5), law, 0.0, none)
     return _Fitter(problem, shape, start).run()
 
 
@@ -333,79 +374,94 @@ def _bounded(law: FloatArray) -> FloatArray:
 class _Fitter:
     def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
         self.problem, self.started = problem, start is not None
+        self.lengths: list[float] = []
+        self.converged = False
         if start is not None:
-            self.shape, self.prior, self.light = start.shape, start.prior, start.light
-            self.made, self.brightness = start.shape, start.brightness_dn
+            self.shape, self.prior, self.made = start.shape, start.prior, start.made
+            self.brightness = start.brightness_dn
             self.piece_albedo = start.piece_albedo
             return
         self.shape = shape
         self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
-        self.light = problem.tables(shape)
-        self.made = shape
-        self.brightness = _first_brightness(problem, shape, self.light)
+        self.made = problem.tabulated(shape)
+        self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
     def run(self) -> DiskFit:
-        lengths: list[float] = []
-        near = False
-        settled, fine, tunings = False, int(self.started), 2 if self.started else 0
-        system, pixels, solution = self._solved()
-        for turn in range(MOST_TURNS):
-            if (settled or turn in (0, LAST_TUNING)) and tunings < 2:
-                self.prior = tuned(system, self.prior, self.problem.rough_px, TUNING[tunings])
-                solution = system.solve(self.prior, self._held())
-                tunings += 1
-            elif settled:
+        self._solve()
+        if not self.started:
+            for steps in TUNING:
+                self._tune(steps)
+                self._iterate(MOST_TURNS)
+        for _ in range(MOST_FINE):
+            if not self.made.light.fine or self._stale(LAST):
+                self.made = self.problem.tabulated(self.shape, fine=True)
+                self._solve()
+            self._tune(LAST_TUNING)
+            self._iterate(MOST_TURNS)
+            if not self._stale(LAST):
                 break
-            before = self.shape, self.brightness, self.piece_albedo, self.light, self.made
-            for halving in range(4):
-                length = self._move(solution, 0.5**halving)
-                self._refresh()
-                system_, pixels_, solution_ = self._solved()
-                if solution_.held_chi2 < solution.held_chi2 + GROWTH or length < STILL_PX:
-                    break
-                if halving < 3:
-                    self.shape, self.brightness, self.piece_albedo, self.light, self.made = before
-            system, pixels, solution = system_, pixels_, solution_
-            lengths.append(length)
-            sigma = float(np.sqrt(solution.covariance[CENTER, CENTER].max()))
-            settled = length < max(STILL_PX, STILL_SIGMAS * sigma)
-            near = length < max(NEAR_PX, NEAR_SIGMAS * sigma) and solution.theta[Unknown.BRIGHTNESS] > 0.0
-            if (
-                (settled or turn >= LAST_COARSE)
-                and tunings == 2
-                and (fine == 0 or (fine < MOST_FINE and self._stale(solution)))
-            ):
-                fine += 1
-                self._tabulate(solution)
-                system, pixels, solution = self._solved()
-                settled = False
+        return self._result()
+
+    def _result(self) -> DiskFit:
         return DiskFit(
             shape=self.shape,
-            outline=self.shape.outline(self.problem.silhouette),
-            smooth_outline=self.shape.outline(self.problem.silhouette, rough=False),
-            light=self.light,
+            outline=self.made.outline(self.shape),
+            smooth_outline=self.made.outline(self.shape, rough=False),
+            made=self.made,
             brightness_dn=self.brightness,
             prior=self.prior,
-            system=system,
-            solution=solution,
-            pixels=pixels[0],
-            columns=pixels[1],
+            system=self.linear,
+            solution=self.solution,
+            pixels=self.near[0],
+            columns=self.near[1],
             piece_albedo=self.piece_albedo,
             figure=self.problem.figure,
             reach_px=self.problem.reach,
-            lengths_px=tuple(lengths),
-            converged=near,
+            lengths_px=tuple(self.lengths),
+            converged=self.converged,
         )
 
-    def _solved(self) -> tuple[LimbSystem, tuple[LimbPixels, FloatArray], MarginalSolution]:
-        system, pixels = self.system()
-        return system, pixels, system.solve(self.prior, self._held())
+    def _solve(self) -> None:
+        self.linear, self.near = self.system()
+        self.solution = self.linear.solve(self.prior, self._held())
+
+    def _tune(self, steps: tuple[float, ...]) -> None:
+        self.prior = tuned(self.linear, self.prior, self.problem.rough_px, steps)
+        self.solution = self.linear.solve(self.prior, self._held())
+
+    def _iterate(self, most: int) -> None:
+        """Move until nothing moves any more, `most` times at the most."""
+        for _ in range(most):
+            length = self._step()
+            self.lengths.append(length)
+            sigma = float(np.sqrt(self.solution.covariance[CENTER, CENTER].max()))
+            self.converged = (
+                length < max(NEAR_PX, NEAR_SIGMAS * sigma) and self.solution.theta[Unknown.BRIGHTNESS] > 0.0
+            )
+            if length < max(STILL_PX, STILL_SIGMAS * sigma):
+                return
+
+    def _step(self) -> float:
+        """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
+        before = self.shape, self.brightness, self.piece_albedo
+        start = self.solution
+        for halving in range(MOST_HALVINGS):
+            if halving:
+                self.shape, self.brightness, self.piece_albedo = before
+            length = self._move(start, 0.5**halving)
+            self._solve()
+            if self.solution.held_chi2 < start.held_chi2 + GROWTH or length < STILL_PX:
+                break
+        if not self.made.light.fine and self._stale(NEW):
+            self.made = self.problem.tabulated(self.shape)
+            self._solve()
+        return length
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""
         shape = self.shape
-        figure = dict(zip(FIGURE, (shape.log_size, *shape.strain), strict=True))
+        figure = dict(zip(FIGURE, (shape.log_size, *shape.strain[:2]), strict=True))
         return {**dict.fromkeys(CENTER, 0.0), **{k: float(v) for k, v in figure.items()}}
 
     def _move(self, solution: MarginalSolution, most: float) -> float:
@@ -420,8 +476,9 @@ class _Fitter:
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
-            shape.strain + part * (theta[FIGURE[1:]] - shape.strain),
+            shape.strain + part * (theta[STRAINED] - shape.strain),
             shape.law + most * np.clip(law - shape.law, -0.4, 0.4),
+            self._bounded_blur(shape.blur_px2 + most * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
         albedo = solution.nodes[:, :-1] @ np.exp(-self.problem.node_rad / 0.3)
@@ -430,28 +487,24 @@ class _Fitter:
         self.brightness = max(float(theta[Unknown.BRIGHTNESS]), 0.1 * self.brightness)
         return part * float(np.hypot(*center))
 
-    def _stale(self, solution: MarginalSolution) -> bool:
-        """Whether the light was tabulated for a law or a size that are not those of the solution."""
-        law = float(np.abs(_bounded(solution.theta[SHARES]) - self.made.law).max())
-        return law > LAST_LAW or abs(self.shape.log_size - self.made.log_size) > LAST_SIZE
+    def _bounded_blur(self, blur_px2: float) -> float:
+        whole = self.problem.psf_px**2 + PIXEL_VARIANCE_PX2
+        return float(np.clip(blur_px2, -MOST_BLUR[0] * whole, MOST_BLUR[1] * whole))
 
-    def _tabulate(self, solution: MarginalSolution) -> None:
-        self.shape = replace(self.shape, law=_bounded(solution.theta[SHARES]))
-        self.light, self.made = self.problem.tables(self.shape, fine=True), self.shape
-
-    def _refresh(self) -> None:
-        """Make the tables anew where law or size have left those that they were made with."""
-        moved = np.abs(self.shape.law - self.made.law).max() > NEW_LAW
-        if moved or abs(self.shape.log_size - self.made.log_size) > NEW_SIZE:
-            self.light, self.made = self.problem.tables(self.shape), self.shape
-        else:
-            self.shape = replace(self.shape, law=self.made.law)
+    def _stale(self, bounds: Changes) -> bool:
+        """Whether the light was tabulated for another shape than the present one."""
+        now, then = self.shape, self.made.shape
+        strain = float(np.abs(now.strain - self.made.strain).max()) if self.problem.can_be_strained else 0.0
+        blur = abs(now.blur_px2 - then.blur_px2) / (self.problem.psf_px**2 + PIXEL_VARIANCE_PX2)
+        size = abs(now.log_size - then.log_size)
+        law = float(np.abs(now.law - then.law).max())
+        return law > bounds.law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
     def system(self) -> tuple[LimbSystem, tuple[LimbPixels, FloatArray]]:
         """Return the linear system about the present shape."""
-        problem, shape, light = self.problem, self.shape, self.light
-        plane = problem.pixels
-        outline = shape.outline(problem.silhouette)
+        problem, shape, made = self.problem, self.shape, self.made
+        plane, light = problem.pixels, made.light
+        outline = made.outline(shape)
         near = limb_pixels(outline, plane.data_dn.shape, *problem.reach)
         here = (near.line, near.pixel)
         tables = light.at(near.angle_rad, near.depth_px, np.concatenate([light.planes, light.parts]))
@@ -479,14 +532,15 @@ class _Fitter:
         moving = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]
         means[moving] *= lit
         means[[*SHARES, *SHADING, *STRAY]] *= self.brightness
-        known = np.array([shape.log_size, *shape.strain, *shape.law])
         shaded, parts = means[-2:] * self.brightness, means[SHARED + 1 : -2]
+        known = np.array([shape.log_size, *shape.strain[:2], *made.shape.law, *made.strain[2:], made.shape.blur_px2])
         data = (
             data
-            + np.tensordot(known, means[[*FIGURE, *SHARES]], axes=1)
+            + np.tensordot(known, means[[*FIGURE, *SHARES, *SHADING, Unknown.BLUR]], axes=1)
+            + np.tensordot(made.strain[:2], shaded, axes=1)
             + means[SHARED] * shape.rough_px[:, None]
         )
-        means[FIGURE[1:]] += shaded  # the outline is strained already, the shading of the tables is not
+        means[FIGURE[1:]] += shaded  # the outline has its strain, the shading that of the tables
         usable = whole > 0.0
         system = LimbSystem(
             data=data,
@@ -513,10 +567,10 @@ class _Fitter:
 # ---- Hyperparameters: what the data speak for, within what surfaces are like.
 
 USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
-VARIETY = np.array([1.5, 0.8, 1.5, 0.5])
+VARIETY = np.array([1.5, 0.8, 1.5, 1.2])
 WIDEST = 3.0
 # No surface is more even than the least of contrast and grain, and no law of it truer over half a radian; none is wilder.
-LEAST, MOST = np.log([0.01, 0.08, 0.003]), np.log([0.9, 0.7, 0.25])
+LEAST, MOST = np.log([0.003, 0.08, 0.001]), np.log([0.9, 0.7, 0.25])
 
 
 def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> FieldPrior:
@@ -559,11 +613,11 @@ def _lowest(cost: Callable[[FloatArray], float], begin: FloatArray, steps: tuple
     return here
 
 
-def _first_brightness(problem: _DiskProblem, shape: DiskShape, light: LimbLight) -> float:
+def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:
     plane = problem.pixels
-    near = limb_pixels(shape.outline(problem.silhouette), plane.data_dn.shape, *problem.reach)
+    near = limb_pixels(made.outline(made.shape), plane.data_dn.shape, *problem.reach)
     here = (near.line, near.pixel)
-    model = light.at(near.angle_rad, near.depth_px, light.planes[:1])[0] * plane.use[here]
+    model = made.light.at(near.angle_rad, near.depth_px, made.light.planes[:1])[0] * plane.use[here]
     power = float(model @ model)
     least = float(np.median(plane.noise_dn))
     return max(float(model @ plane.data_dn[here]) / power, least) if power > 0.0 else least

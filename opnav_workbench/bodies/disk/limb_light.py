@@ -16,6 +16,7 @@ Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies 
         albedo of a body varies over arcs of its surface, not over pixels.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,8 +24,8 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies.picture import BodyPicture, displaced_model, picture_axes, pixel_rays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, picture_axes, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.geometry import unit
@@ -50,6 +51,7 @@ GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so fa
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
 COSINE_STEP = 1e-3
+MOST_SHARPENED = 1.5  # logarithm, of a spectrum
 WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
 
 
@@ -120,6 +122,7 @@ def limb_light(
     reach_px: tuple[float, float],
     node_rad: FloatArray,
     law: FloatArray,
+    blur_px2: float = 0.0,
     *,
     fine: bool = False,
 ) -> LimbLight:
@@ -135,6 +138,8 @@ def limb_light(
         Arcs from the limb at which the albedo has nodes, from 0 upward.
     law : (2,) array
         Powers of 2 / (mu0 + mu) and of mu0 mu times the body's own law.
+    blur_px2
+        Variance of the PSF along each axis, beyond its own.
     fine
         As the last solution needs it.
     """
@@ -147,7 +152,7 @@ def limb_light(
     depth = np.arange(first, reach_px[1] + step, step)
     small = radius < PLANE_RADIUS_PX[int(fine)]
     build = _spread_in_plane if small else _spread_along_rays
-    tables = build(picture, model, outline, angle, depth, node_rad, law)
+    tables = build(picture, model, outline, angle, depth, node_rad, law, blur_px2)
     tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
     total = tables[0]
     by_depth = np.gradient(total, step, axis=1)
@@ -164,32 +169,29 @@ def limb_light(
 def _sources(
     picture: BodyPicture,
     model: BodyModel,
-    outline: Outline,
-    offset_px: FloatArray,
+    center_px: FloatArray,
     depth_px: FloatArray,
+    share: FloatArray,
+    rays_at: Callable[[FloatArray, BoolArray], FloatArray],
     step_px: float,
     node_rad: FloatArray,
     law: FloatArray,
 ) -> FloatArray:
-    """Return the light before the PSF (1 + `LINEAR` + k, ...) in cells of `step_px` at offsets (..., 2) from the center.
+    """Return the light before the PSF (1 + `LINEAR` + k, ...) in cells of `step_px` at depths (...).
 
     All of it, its change with the law, and that of each hat. A cell that the limb cuts has the light of the part inside.
+    `share` (...) is the distance from the center over that of the limb; `rays_at` makes rays of those wanted.
     """
-    shape = depth_px.shape
-    covered = np.clip(0.5 - depth_px.ravel() / step_px, 0.0, 1.0)
+    covered = np.clip(0.5 - depth_px / step_px, 0.0, 1.0)
     inside = covered > 0.0
-    offset, depth = offset_px.reshape(-1, 2)[inside], depth_px.ravel()[inside]
-    reach = np.hypot(offset[:, 0], offset[:, 1])
-    limb = reach - depth
-    share = np.minimum(reach / limb, 1.0 - GRAZE)
-    offset = offset * (share * limb / np.maximum(reach, 1e-9))[:, None]
-    rays = pixel_rays(picture, outline.center_px + offset)
+    within = np.clip(share[inside], 0.0, 1.0 - GRAZE)
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
-    changes = _light_changes(picture, body, outline.center_px, rays, law)
-    found = np.concatenate([changes, changes[:1] * _hats(share, node_rad)])
-    out = np.zeros((len(found), covered.size))
-    out[:, inside] = found * covered[inside]
-    return out.reshape(-1, *shape)
+    changes = _light_changes(picture, body, center_px, rays_at(within, inside), law)
+    covered = covered[inside]
+    out = np.zeros((len(changes) + len(node_rad), *depth_px.shape))
+    out[: len(changes), inside] = changes * covered
+    out[len(changes) :, inside] = changes[0] * covered * _hats(within, node_rad)
+    return out
 
 
 def _light_changes(
@@ -280,26 +282,38 @@ def _spread_along_rays(
     depth: FloatArray,
     node_rad: FloatArray,
     law: FloatArray,
+    blur_px2: float,
 ) -> FloatArray:
     limb = outline.radius(angle)
     slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
     step = float(depth[1] - depth[0])
     spreads, half = _spreads(picture.psf.at(outline.center_px), angle, slope, float(np.mean(limb)), step)
     fine = depth[0] + step * np.arange(-half, len(depth) + half)
-    reach = limb[:, None] + fine
-    wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    depths = np.broadcast_to(fine, reach.shape)
+    share = 1.0 + fine / limb[:, None]
+    lowest = float(np.clip(share.min(), 0.0, 1.0))
+    fan = RayFan(picture, outline.center_px, angle, limb, lowest)
+
+    def rays_at(within: FloatArray, inside: BoolArray) -> FloatArray:
+        return fan.at(np.nonzero(inside)[0], within)
+
+    depths = np.broadcast_to(fine, share.shape)
     sources = _sources(
-        picture, model, outline, reach[..., None] * wheel[:, None], depths, step, node_rad, law
+        picture, model, outline.center_px, depths, share, rays_at, step, node_rad, law
     )
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
-    spectrum = fft.rfft(sources, good) * fft.rfft(spreads[:, ::-1], good)
-    variance = (float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2) / float(np.mean(limb)) ** 2
-    wave = np.exp(-0.5 * variance * fft.fftfreq(t, 1.0 / t) ** 2)
-    spectrum = fft.ifft(fft.fft(spectrum, axis=1) * wave[:, None], axis=1)
+    variance = max(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
+    wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
+    sources = fft.irfft(fft.rfft(sources, axis=1) * wave[:, None], t, axis=1)
+    spread = fft.rfft(spreads[:, ::-1], good) * _blurred(TURN * fft.rfftfreq(good, step), blur_px2)
+    spectrum = fft.rfft(sources, good) * spread
     return np.asarray(fft.irfft(spectrum, good)[..., 2 * half : n])
+
+
+def _blurred(wave_per_px: FloatArray, blur_px2: float) -> FloatArray:
+    """Return the factors of a spectrum for a variance more, or less: that far as the PSF has left anything."""
+    return np.asarray(np.exp(np.minimum(-0.5 * blur_px2 * wave_per_px**2, MOST_SHARPENED)))
 
 
 def _spreads(
@@ -363,18 +377,30 @@ def _spread_in_plane(
     depth: FloatArray,
     node_rad: FloatArray,
     law: FloatArray,
+    blur_px2: float,
 ) -> FloatArray:
     psf, step = picture.psf.at(outline.center_px), PLANE_STEP_PX
     per_px = round(1.0 / step)
     half = int(np.ceil((float(outline.radius_px.max()) + 2.0) / step))
     offset = step * np.arange(-half, half + 1)
     x, y = np.meshgrid(offset, offset)
-    depths = np.hypot(x, y) - outline.radius(np.arctan2(y, x))
-    sources = _sources(picture, model, outline, np.stack([x, y], axis=-1), depths, step, node_rad, law)
+    limb, reach = outline.radius(np.arctan2(y, x)), np.hypot(x, y)
+    share = reach / limb
+
+    def rays_at(within: FloatArray, inside: BoolArray) -> FloatArray:
+        length = within / np.maximum(share[inside], 1e-9)
+        away = np.stack([x[inside] * length, y[inside] * length], axis=-1)
+        return pixel_rays(picture, outline.center_px + away)
+
+    sources = _sources(
+        picture, model, outline.center_px, reach - limb, share, rays_at, step, node_rad, law
+    )
     cells = psf.kernel(per_px)
-    reach = float(outline.radius_px.max() + depth[-1]) / step
-    size = fft.next_fast_len(2 * max(half, int(reach)) + len(cells) + per_px + 2, real=True)
-    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * _over_pixel(cells, per_px, size), (size, size))
+    farthest = float(outline.radius_px.max() + depth[-1]) / step
+    size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + per_px + 2, real=True)
+    wave = np.hypot(fft.fftfreq(size, step)[:, None], fft.rfftfreq(size, step)) * TURN
+    spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2)
+    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread, (size, size))
     middle = half + len(cells) // 2 + per_px // 2  # of the body in the spread plane
     away = np.maximum(outline.radius(angle)[:, None] + depth, 0.0) / step
     where = [

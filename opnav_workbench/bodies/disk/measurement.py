@@ -161,7 +161,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
 
     figure = fit.figure
     sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
-    expected = -np.array([fit.shape.log_size, *fit.shape.strain])
+    expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
     crossings = cross_limb(picture, fit.smooth_outline, reach, profiles)
     if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:

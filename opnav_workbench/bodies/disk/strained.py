@@ -1,0 +1,63 @@
+"""A body with another figure than its model: strained by a symmetric matrix, as a picture can tell it.
+
+Frame  x along pixel, y along line, z toward the camera
+Units  strains relative
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.picture import BodyPicture, picture_axes
+from opnav_workbench.geometry import unit
+from opnav_workbench.render import AlbedoMap, BodyModel
+
+__all__ = ["STRAINS", "can_be_strained", "strained_picture"]
+
+# The five that keep the size; their planes follow those of the law in `opnav_workbench.bodies.disk.limb_light.PLANES`.
+STRAINS = np.array(
+    [
+        [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]],
+    ]
+)
+
+
+def can_be_strained(model: BodyModel) -> bool:
+    """Whether a body stays what it is under a strain: an ellipsoid without a pattern of its own."""
+    return model.shape is None and not isinstance(model.albedo, AlbedoMap)
+
+
+def strained_picture(picture: BodyPicture, name: str, strain: FloatArray) -> BodyPicture:
+    """Return the picture with one body strained by the (5,) shares of `STRAINS`; that of other bodies as it is."""
+    model = picture.model(name)
+    if not can_be_strained(model) or not np.any(strain):
+        return picture
+    other = _strained_model(picture, model, np.tensordot(strain, STRAINS, axes=1))
+    return replace(picture, models=tuple(other if m is model else m for m in picture.models))
+
+
+def _strained_model(picture: BodyPicture, model: BodyModel, strain: FloatArray) -> BodyModel:
+    """Return an ellipsoid under a strain (3, 3): its axes are those of the product of both."""
+    target = model.target
+    assert target.radii_km is not None
+    turn = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
+    axes = _axes(picture, model.target.name)
+    whole = (np.eye(3) + axes.T @ strain @ axes) @ turn.T * np.asarray(target.radii_km)
+    square, vectors = np.linalg.eigh(whole @ whole.T)
+    vectors = vectors * np.sign(np.linalg.det(vectors))
+    figure = replace(target, radii_km=np.sqrt(square), body_from_j2000=np.ascontiguousarray(vectors.T))
+    return replace(model, target=figure)
+
+
+def _axes(picture: BodyPicture, name: str) -> FloatArray:
+    """Return x, y and z as rows (3, 3), J2000."""
+    place = picture.center_px(name)
+    sight = np.asarray(picture.camera.unproject(place[None])[0])
+    along = unit(picture_axes(picture.camera, place, sight))
+    across = unit(along[1] - (along[1] @ along[0]) * along[0])
+    return np.asarray(np.stack([along[0], across, -sight]) @ picture.camera_from_j2000)
