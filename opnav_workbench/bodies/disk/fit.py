@@ -321,22 +321,25 @@ class _DiskProblem:
         """Return the uncertainty (p,) of what is shared."""
         figure, free = self.figure, np.inf
         blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE_PX2)
-        size, axes = figure.size_sigma, figure.axes_sigma
         out = np.full(SHARED, free)
-        seen = float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))
-        out[FIGURE] = min(size, seen), axes, axes
+        out[FIGURE] = self._size()[1], figure.axes_sigma, figure.axes_sigma
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
-        out[SHADING] = axes
+        out[SHADING] = figure.axes_sigma
         out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
         out[Unknown.BLUR] = blur
         out[STRAY] = WING_SIGMA
         return out
 
+    def _size(self) -> tuple[float, float]:
+        """Return mean and sigma of the logarithm of the size: what the mission says, and the crossings of the limb."""
+        seen = float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))
+        precision = self.figure.size_sigma**-2.0 + seen**-2.0
+        return float(np.log(self.place.size_ratio)) * seen**-2.0 / precision, precision**-0.5
+
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
-        if self.place.size_sigma < self.figure.size_sigma:
-            mean[Unknown.SIZE] = np.log(self.place.size_ratio)
+        mean[Unknown.SIZE] = self._size()[0]
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
@@ -507,10 +510,15 @@ class _Fitter:
         outline = made.outline(shape)
         near = limb_pixels(outline, plane.data_dn.shape, *problem.reach)
         here = (near.line, near.pixel)
-        tables = light.at(near.angle_rad, near.depth_px, np.concatenate([light.planes, light.parts]))
-        m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
         wave = 2.0 * near.angle_rad
-        size = -slope * near.limb_px
+        # Within the limb the light keeps its share of the radius, outside its distance.
+        inside = np.minimum(near.depth_px, 0.0)
+        away = shape.strain[:2] - made.strain[:2]
+        grown = shape.log_size - made.shape.log_size + away[0] * np.cos(wave) + away[1] * np.sin(wave)
+        depth = near.depth_px + inside * np.expm1(-grown)
+        tables = light.at(near.angle_rad, depth, np.concatenate([light.planes, light.parts]))
+        m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
+        size = -slope * (near.limb_px + inside)
         away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
         columns = [
             m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,

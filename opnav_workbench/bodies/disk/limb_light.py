@@ -25,10 +25,10 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, picture_axes, pixel_rays
+from opnav_workbench.bodies.disk.strained import STRAINS, strain_axes
+from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
-from opnav_workbench.geometry import unit
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel
 from opnav_workbench.render.body import PlacedBody
@@ -50,6 +50,7 @@ PLANE_STEP_PX = 0.25  # an even number of cells a pixel keeps the pixel centered
 GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
+GRAZING = 0.1  # least cosine to the line of sight, for the point that a ray meets under a strain
 COSINE_STEP = 1e-3
 MOST_SHARPENED = 1.5  # logarithm, of a spectrum
 WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
@@ -210,21 +211,10 @@ def _light_changes(
     logs -= (logs @ weight)[:, None] / max(float(weight.sum()), np.finfo(float).tiny)
     light = np.where(lit, shine * np.exp(law @ logs), 0.0)
     rows = [light, *(light * logs)]
-    # A strained body's normals lean by -E n + (n E n) n; what that does to the cosines changes its light.
-    along = np.stack([*unit(picture_axes(picture.camera, center_px, _line_of_sight(picture, center_px)))])
-    axes = (along @ picture.camera_from_j2000) @ body.body_from_j2000.T
-    x, y, z = axes[0] @ normal, axes[1] @ normal, np.einsum("in,in->n", normal, camera)
-    axis_z = camera
     by_mu0, by_mu = _slopes(body, mu0, mu, law)
     scale = np.where(lit, light / np.maximum(_law_value(body, mu0, mu, law), 1e-9), 0.0)
-    sides = [(axes[0] @ side, axes[1] @ side, np.einsum("in,in->n", axis_z, side)) for side in (sun, camera)]
-    for bent in _strained(x, y, z):
-        square = bent[0] * x + bent[1] * y + bent[2] * z
-        leans = [
-            square * cosine - (bent[0] * side[0] + bent[1] * side[1] + bent[2] * side[2])
-            for cosine, side in zip((mu0, mu), sides, strict=True)
-        ]
-        rows.append(scale * (by_mu0 * leans[0] + by_mu * leans[1]))
+    for lean in _leans(picture, body, center_px, met.point, normal):
+        rows.append(scale * sum(slope * np.einsum("in,in->n", side, lean) for slope, side in ((by_mu0, sun), (by_mu, camera))))
     out = np.zeros((len(rows), rays.shape[1]))
     out[:, met.ray] = np.stack(rows)
     return out
@@ -235,14 +225,31 @@ def _toward(place: FloatArray, point: FloatArray) -> FloatArray:
     return np.asarray(away / np.sqrt(np.einsum("in,in->n", away, away)))
 
 
-def _line_of_sight(picture: BodyPicture, center_px: FloatArray) -> FloatArray:
-    return np.asarray(picture.camera.unproject(center_px[None])[0])
+def _leans(
+    picture: BodyPicture, body: PlacedBody, center_px: FloatArray, point: FloatArray, normal: FloatArray
+) -> list[FloatArray]:
+    """Return how the normals (3, n) that a ray meets change with each of `STRAINS`, body-fixed; none of plates.
 
-
-def _strained(x: FloatArray, y: FloatArray, z: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return E n for the strains of `PLANES`, in their order."""
-    none = np.zeros_like(x)
-    return [(x, -y, none), (y, x, none), (none, none, z), (z, none, x), (none, z, y)]
+    Of the ellipsoid x^T Q x = 1 under a strain E: a ray that keeps its share of the outline's radius moves by d across, and
+    its point by dz along the line of sight, so that n (d + dz z) = n E x; and n' ~ Q (x + d + dz z) - (E Q + Q E) x.
+    """
+    axes = strain_axes(picture, center_px) @ body.body_from_j2000.T
+    if body.model.shape is not None:
+        return [np.zeros_like(normal)] * len(STRAINS)
+    square = axes / np.asarray(body.model.target.radii_km) ** 2 @ axes.T
+    x, n = axes @ point, axes @ normal
+    n = n / np.einsum("in,in->n", n, x)  # Q x
+    turn = 2.0 * np.arctan2(x[1], x[0])
+    depth = np.maximum(n[2], GRAZING * np.sqrt(np.einsum("in,in->n", n, n)))
+    leans = []
+    for strain, wave in zip(STRAINS, (np.cos(turn), np.sin(turn), 0.0, 0.0, 0.0), strict=True):
+        moved = strain @ x
+        across = wave * x
+        across[2] = 0.0
+        across[2] = np.einsum("in,in->n", n, moved - across) / depth
+        lean = square @ (across - moved) - strain @ n
+        leans.append(axes.T @ lean / np.sqrt(np.einsum("in,in->n", n, n)))
+    return [lean - normal * np.einsum("in,in->n", normal, lean) for lean in leans]
 
 
 def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
@@ -312,8 +319,9 @@ def _spread_along_rays(
 
 
 def _blurred(wave_per_px: FloatArray, blur_px2: float) -> FloatArray:
-    """Return the factors of a spectrum for a variance more, or less: that far as the PSF has left anything."""
-    return np.asarray(np.exp(np.minimum(-0.5 * blur_px2 * wave_per_px**2, MOST_SHARPENED)))
+    """Return the factors of a spectrum for a variance more, or less: that where the PSF has left anything."""
+    power = -0.5 * blur_px2 * wave_per_px**2
+    return np.asarray(np.exp(np.where(power > 0.0, power * np.exp(-((power / MOST_SHARPENED) ** 2)), power)))
 
 
 def _spreads(

@@ -13,7 +13,7 @@ from opnav_workbench.bodies.picture import BodyPicture, picture_axes
 from opnav_workbench.geometry import unit
 from opnav_workbench.render import AlbedoMap, BodyModel
 
-__all__ = ["STRAINS", "can_be_strained", "strained_picture"]
+__all__ = ["STRAINS", "can_be_strained", "strain_axes", "strained_picture"]
 
 # The five that keep the size; their planes follow those of the law in `opnav_workbench.bodies.disk.limb_light.PLANES`.
 STRAINS = np.array(
@@ -46,7 +46,7 @@ def _strained_model(picture: BodyPicture, model: BodyModel, strain: FloatArray) 
     target = model.target
     assert target.radii_km is not None
     turn = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
-    axes = _axes(picture, model.target.name)
+    axes = strain_axes(picture, picture.center_px(model.target.name))
     whole = (np.eye(3) + axes.T @ strain @ axes) @ turn.T * np.asarray(target.radii_km)
     square, vectors = np.linalg.eigh(whole @ whole.T)
     vectors = vectors * np.sign(np.linalg.det(vectors))
@@ -54,10 +54,9 @@ def _strained_model(picture: BodyPicture, model: BodyModel, strain: FloatArray) 
     return replace(model, target=figure)
 
 
-def _axes(picture: BodyPicture, name: str) -> FloatArray:
-    """Return x, y and z as rows (3, 3), J2000."""
-    place = picture.center_px(name)
-    sight = np.asarray(picture.camera.unproject(place[None])[0])
-    along = unit(picture_axes(picture.camera, place, sight))
+def strain_axes(picture: BodyPicture, place_px: FloatArray) -> FloatArray:
+    """Return x, y and z at a place (2,) of the picture as rows (3, 3), J2000."""
+    sight = np.asarray(picture.camera.unproject(place_px[None])[0])
+    along = unit(picture_axes(picture.camera, place_px, sight))
     across = unit(along[1] - (along[1] @ along[0]) * along[0])
     return np.asarray(np.stack([along[0], across, -sight]) @ picture.camera_from_j2000)
