@@ -12,7 +12,7 @@ means for a limb that is darkened and blurred is asked of the model, whose limb 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import fft
@@ -22,6 +22,7 @@ from skimage.measure import block_reduce
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.render import Lambert, LunarLambert
@@ -43,6 +44,8 @@ class BodyPlace:
         Correlation, -1..1, of what is lit with the model's lit silhouette.
     center_sigma_px, size_sigma
         As the scatter of the limb's crossings has them, size relative; infinite where the limb was not seen.
+    strain : (2,) array
+        Of the outline, as `Outline.strained`.
     """
 
     center_px: FloatArray
@@ -50,6 +53,7 @@ class BodyPlace:
     score: float
     center_sigma_px: float = np.inf
     size_sigma: float = np.inf
+    strain: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -431,22 +435,25 @@ def _crossing_covariance(columns: FloatArray, residual: FloatArray, precision: F
 
 def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     """Move a place onto the limb; what was found stays where the limb is not seen."""
-    silhouette, figure = Silhouette(picture, name), picture.model(name).figure
+    figure = picture.model(name).figure
     sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
     center, size = place.center_px, place.size_ratio
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
-    spread = np.inf, np.inf
+    spread, strain = (np.inf, np.inf), np.zeros(2)
     for _ in range(PLACE_TURNS):
-        outline = silhouette.at(center, 1.0 / size)
-        crossings = cross_limb(picture, outline, 1.5 * near + 3.0, _radiance_profiles(picture, name, size))
+        body = strained_picture(picture, name, np.append(strain, np.zeros(3)))
+        outline = Silhouette(body, name).at(center, 1.0 / size)
+        crossings = cross_limb(picture, outline, 1.5 * near + 3.0, _radiance_profiles(body, name, size))
         if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
             break
-        moved = fit_crossings(crossings, outline, sigma, np.array([-np.log(size), 0.0, 0.0]), near)
+        moved = fit_crossings(crossings, outline, sigma, np.array([-np.log(size), *-strain]), near)
         spread = float(np.sqrt(np.trace(moved.covariance[:2, :2]))), float(np.sqrt(moved.covariance[2, 2]))
         center = center + moved.step_px
         size = size * float(np.exp(np.clip(moved.log_size, -LARGEST_GROWTH, LARGEST_GROWTH)))
-        length = float(np.hypot(*moved.step_px)) + abs(moved.log_size) * 0.5 * outline.diameter_px
+        strain = strain + moved.strain * can_be_strained(picture.model(name))
+        grown = abs(moved.log_size) + float(np.hypot(*moved.strain))
+        length = float(np.hypot(*moved.step_px)) + grown * 0.5 * outline.diameter_px
         if length < PLACED_PX:
             break
         near = max(0.5 * near, min(near, 2.0 * length), LEAST_NEAR_PX)
-    return BodyPlace(center, size, place.score, *spread)
+    return BodyPlace(center, size, place.score, *spread, strain)

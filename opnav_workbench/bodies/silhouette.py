@@ -59,6 +59,12 @@ class Outline:
         wheel = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
         return np.asarray(self.center_px + self.radius(angle_rad)[:, None] * wheel)
 
+    def strained(self, log_size: float, strain: FloatArray, height_px: FloatArray | float = 0.0) -> "Outline":
+        """Return it larger, its radius changed by `strain` (2,) times cos 2a and sin 2a, then by heights (n,)."""
+        wave = strain[0] * np.cos(2.0 * self.angle_rad) + strain[1] * np.sin(2.0 * self.angle_rad)
+        radius = self.radius_px * np.exp(log_size) * (1.0 + wave) + height_px
+        return Outline(self.center_px, self.angle_rad, radius)
+
     @property
     def slope_px(self) -> FloatArray:
         """Change of the radius with the angle (n,), px/rad."""

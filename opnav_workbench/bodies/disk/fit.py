@@ -32,7 +32,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
 )
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
-from opnav_workbench.bodies.disk.strained import can_be_strained, strained_picture
+from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
@@ -136,7 +136,7 @@ class DiskShape:
     log_size
         Logarithm of the size over the model's.
     strain : (5,) array
-        As `opnav_workbench.bodies.disk.strained.STRAINS`; the first two change the outline's radius as cos 2a and sin 2a.
+        As `opnav_workbench.bodies.strained.STRAINS`; the first two change the outline's radius as cos 2a and sin 2a.
     law : (2,) array
         Powers of 2 / (mu0 + mu) and of mu0 mu.
     blur_px2
@@ -173,9 +173,7 @@ class TabulatedDisk:
         plain = self.silhouette.at(shape.center_px)
         angle, n = plain.angle_rad, len(shape.rough_px)
         height = np.interp(np.mod(angle, TURN), piece_angles(n), shape.rough_px, period=TURN) if rough else 0.0
-        more = shape.strain[:2] - self.strain[:2]
-        strain = more[0] * np.cos(2.0 * angle) + more[1] * np.sin(2.0 * angle)
-        return replace(plain, radius_px=plain.radius_px * np.exp(shape.log_size) * (1.0 + strain) + height)
+        return plain.strained(shape.log_size, shape.strain[:2] - self.strain[:2], height)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -366,7 +364,8 @@ def fit_disk(
     problem = _DiskProblem(picture, name, pixels, place)
     none = np.zeros(problem.pieces)
     law = np.array([problem.law_prior[0], 0.0])
-    shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), np.zeros(5), law, 0.0, none)
+    strain = np.append(place.strain, np.zeros(3))
+    shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
     return _Fitter(problem, shape, start).run()
 
 
@@ -568,6 +567,7 @@ class _Fitter:
             turn=problem.turn,
             brightness_dn=self.brightness,
             rough_length_rad=ROUGH_LENGTH_RAD,
+            sharp_px=problem.psf_px,
         )
         return system, (near, every)
 

@@ -25,7 +25,7 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.strained import STRAINS, strain_axes
+from opnav_workbench.bodies.strained import STRAINS, strain_axes
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2

@@ -20,6 +20,8 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 RIDGE = 1e-11  # of a unit diagonal: keeps what nothing tells from becoming infinite
 
 LARGEST_SCALE = 1e9
+# Albedo that changes within the PSF's width of the limb moves what is taken for the limb by so much of that width.
+UNRESOLVED_SHARE = 0.6
 
 __all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
 
@@ -105,6 +107,8 @@ class LimbSystem:
         Angle between pieces of limb about the center, rad.
     brightness_dn
         Of the model: albedo is relative to it.
+    rough_length_rad, sharp_px
+        Over which the limb's heights are correlated; width of the PSF.
     """
 
     data: FloatArray
@@ -118,6 +122,7 @@ class LimbSystem:
     turn: FloatArray
     brightness_dn: float
     rough_length_rad: float
+    sharp_px: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -126,7 +131,8 @@ class LimbSystem:
         """Return K in the order piece, node."""
         j, q = self.data.shape[0], len(self.own)
         albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
-        rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad)
+        hidden = (UNRESOLVED_SHARE * prior.albedo * self.sharp_px) ** 2 * np.exp(-self.turn / prior.length_rad)
+        rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad) + hidden
         whole = np.zeros((j, q, j, q))
         whole[:, :-1, :, :-1] = albedo.reshape(j, q - 1, j, q - 1)
         whole[:, -1, :, -1] = rough

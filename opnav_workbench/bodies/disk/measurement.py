@@ -197,7 +197,12 @@ def _from_crossings(
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return the likelier of a fit and of another that begins where the crossings put the body."""
     size = fit.smooth_outline.diameter_px * np.exp(crossing.log_size) / picture.diameter_px(name)
-    place = BodyPlace(fit.center_px + crossing.step_px, float(np.clip(size, *START_SIZES)), 1.0)
+    place = BodyPlace(
+        fit.center_px + crossing.step_px,
+        float(np.clip(size, *START_SIZES)),
+        1.0,
+        strain=fit.shape.strain[:2] + crossing.strain,
+    )
     try:
         other = fit_disk(picture, name, place, pixels)
     except CenterfindingError:

@@ -15,7 +15,7 @@ from opnav_workbench.render import AlbedoMap, BodyModel
 
 __all__ = ["STRAINS", "can_be_strained", "strain_axes", "strained_picture"]
 
-# The five that keep the size; their planes follow those of the law in `opnav_workbench.bodies.disk.limb_light.PLANES`.
+# The last five planes of `opnav_workbench.bodies.disk.limb_light`.
 STRAINS = np.array(
     [
         [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]],
