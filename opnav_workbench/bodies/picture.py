@@ -250,7 +250,9 @@ def displaced_model(
     return replace(model, target=replace(target, position_km=position, sun_position_km=sun))
 
 
-FAN_NODES = 6  # a ray's direction is a polynomial of the distance from the center: to 1e-9 rad within a body's image
+FAN_NODES = (
+    6  # a ray's direction is a polynomial of the distance from the center: to 1e-9 rad within a body's image
+)
 
 
 class RayFan:
@@ -265,7 +267,13 @@ class RayFan:
     """
 
     def __init__(
-        self, picture: BodyPicture, center_px: FloatArray, angle_rad: FloatArray, limb_px: FloatArray, lowest: float, highest: float = 1.0
+        self,
+        picture: BodyPicture,
+        center_px: FloatArray,
+        angle_rad: FloatArray,
+        limb_px: FloatArray,
+        lowest: float,
+        highest: float = 1.0,
     ) -> None:
         self._middle, self._half = 0.5 * (lowest + highest), max(0.5 * (highest - lowest), 1e-6)
         node = np.cos(np.pi * (np.arange(FAN_NODES) + 0.5) / FAN_NODES)

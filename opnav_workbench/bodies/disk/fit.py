@@ -64,11 +64,15 @@ LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the 
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
-TUNING, LAST_TUNING = ((1.2, 0.6), (1.0, 0.5)), (0.8, 0.4, 0.2)  # steps in the logarithms, for the coarse light and for the fine
+TUNING, LAST_TUNING = (
+    ((1.2, 0.6), (1.0, 0.5)),
+    (0.8, 0.4, 0.2),
+)  # steps in the logarithms, for the coarse light and for the fine
 LEAST_MOVE = 0.2  # of a step
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
 
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
+RIM_SHARE = 1.2
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -172,7 +176,9 @@ class TabulatedDisk:
         """Return the outline of a shape near the tabulated one, with the heights of its pieces or without."""
         plain = self.silhouette.at(shape.center_px)
         angle, n = plain.angle_rad, len(shape.rough_px)
-        height = np.interp(np.mod(angle, TURN), piece_angles(n), shape.rough_px, period=TURN) if rough else 0.0
+        height = (
+            np.interp(np.mod(angle, TURN), piece_angles(n), shape.rough_px, period=TURN) if rough else 0.0
+        )
         return plain.strained(shape.log_size, shape.strain[:2] - self.strain[:2], height)
 
 
@@ -230,8 +236,16 @@ class DiskFit:
 
     @property
     def covariance_px2(self) -> FloatArray:
-        """Covariance of the center (2, 2), marginal over all else."""
-        return self.solution.covariance[np.ix_(CENTER, CENTER)]
+        """Covariance of the center (2, 2), marginal over all else.
+
+        A rim that is dark or bright all around looks like another size; where half of a limb is lit, size and center
+        along the Sun's direction go together. So the size is known no better than `RIM_SHARE` of the PSF's width times
+        the albedo's strength, whatever its own covariance says.
+        """
+        whole = self.solution.covariance
+        with_size = whole[CENTER, Unknown.SIZE] / whole[Unknown.SIZE, Unknown.SIZE]
+        rim = RIM_SHARE * self.prior.albedo * self.system.sharp_px / (0.5 * self.smooth_outline.diameter_px)
+        return np.asarray(whole[np.ix_(CENTER, CENTER)] + rim**2 * np.outer(with_size, with_size))
 
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo."""
@@ -540,7 +554,9 @@ class _Fitter:
         means[moving] *= lit
         means[[*SHARES, *SHADING, *STRAY]] *= self.brightness
         shaded, parts = means[-2:] * self.brightness, means[SHARED + 1 : -2]
-        known = np.array([shape.log_size, *shape.strain[:2], *made.shape.law, *made.strain[2:], made.shape.blur_px2])
+        known = np.array(
+            [shape.log_size, *shape.strain[:2], *made.shape.law, *made.strain[2:], made.shape.blur_px2]
+        )
         data = (
             data
             + np.tensordot(known, means[[*FIGURE, *SHARES, *SHADING, Unknown.BLUR]], axes=1)

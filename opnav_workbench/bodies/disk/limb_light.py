@@ -214,7 +214,12 @@ def _light_changes(
     by_mu0, by_mu = _slopes(body, mu0, mu, law)
     scale = np.where(lit, light / np.maximum(_law_value(body, mu0, mu, law), 1e-9), 0.0)
     for lean in _leans(picture, body, center_px, met.point, normal):
-        rows.append(scale * sum(slope * np.einsum("in,in->n", side, lean) for slope, side in ((by_mu0, sun), (by_mu, camera))))
+        rows.append(
+            scale
+            * sum(
+                slope * np.einsum("in,in->n", side, lean) for slope, side in ((by_mu0, sun), (by_mu, camera))
+            )
+        )
     out = np.zeros((len(rows), rays.shape[1]))
     out[:, met.ray] = np.stack(rows)
     return out
@@ -304,9 +309,7 @@ def _spread_along_rays(
         return fan.at(np.nonzero(inside)[0], within)
 
     depths = np.broadcast_to(fine, share.shape)
-    sources = _sources(
-        picture, model, outline.center_px, depths, share, rays_at, step, node_rad, law
-    )
+    sources = _sources(picture, model, outline.center_px, depths, share, rays_at, step, node_rad, law)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
@@ -400,9 +403,7 @@ def _spread_in_plane(
         away = np.stack([x[inside] * length, y[inside] * length], axis=-1)
         return pixel_rays(picture, outline.center_px + away)
 
-    sources = _sources(
-        picture, model, outline.center_px, reach - limb, share, rays_at, step, node_rad, law
-    )
+    sources = _sources(picture, model, outline.center_px, reach - limb, share, rays_at, step, node_rad, law)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step
     size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + per_px + 2, real=True)

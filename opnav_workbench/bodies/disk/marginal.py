@@ -131,7 +131,9 @@ class LimbSystem:
         """Return K in the order piece, node."""
         j, q = self.data.shape[0], len(self.own)
         albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
-        hidden = (UNRESOLVED_SHARE * prior.albedo * self.sharp_px) ** 2 * np.exp(-self.turn / prior.length_rad)
+        hidden = (UNRESOLVED_SHARE * prior.albedo * self.sharp_px) ** 2 * np.exp(
+            -self.turn / prior.length_rad
+        )
         rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad) + hidden
         whole = np.zeros((j, q, j, q))
         whole[:, :-1, :, :-1] = albedo.reshape(j, q - 1, j, q - 1)
