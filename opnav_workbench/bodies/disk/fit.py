@@ -16,7 +16,7 @@ and of its own each piece has an albedo and a place of its limb: `opnav_workbenc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -32,10 +32,10 @@ from opnav_workbench.bodies.disk.limb_cells import (
 )
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
-from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import FigureUncertainty, Lambert

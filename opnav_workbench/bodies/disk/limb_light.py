@@ -25,9 +25,9 @@ from scipy import fft
 from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.strained import STRAINS, strain_axes
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
+from opnav_workbench.bodies.strained import STRAINS, strain_axes
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel
@@ -214,12 +214,8 @@ def _light_changes(
     by_mu0, by_mu = _slopes(body, mu0, mu, law)
     scale = np.where(lit, light / np.maximum(_law_value(body, mu0, mu, law), 1e-9), 0.0)
     for lean in _leans(picture, body, center_px, met.point, normal):
-        rows.append(
-            scale
-            * sum(
-                slope * np.einsum("in,in->n", side, lean) for slope, side in ((by_mu0, sun), (by_mu, camera))
-            )
-        )
+        change = by_mu0 * np.einsum("in,in->n", sun, lean) + by_mu * np.einsum("in,in->n", camera, lean)
+        rows += [scale * change]
     out = np.zeros((len(rows), rays.shape[1]))
     out[:, met.ray] = np.stack(rows)
     return out
