@@ -19,6 +19,8 @@ which suits a body.
     Which bodies the picture shows, roughly where, and which of them have to be measured together.
 ``silhouette``
     Outlines of ellipsoids and plate models in the picture.
+``strained``
+    A body whose figure is not quite its model's.
 ``scene_fit``
     Rendered bodies fitted to pixels.
 ``neighbours``

@@ -75,7 +75,7 @@ def test_night_page_escapes_and_formats(tmp_path):
     assert 'id="a%20b"' in page
     for text in ("+1.23", "-0.50", "+0.0012", "0.057", "+0.123 ± 0.010", "limb scan", "12.3"):
         assert text in page, text
-    assert "http" not in page
+    assert "://" not in page
 
 
 def test_small_picture_stands_in_the_page(tmp_path, png):
