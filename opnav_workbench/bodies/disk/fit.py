@@ -16,7 +16,7 @@ and of its own each piece has an albedo and a place of its limb: `opnav_workbenc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -55,7 +55,7 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
 PSF_SIGMA, WING_SIGMA = 0.15, 0.15
-MOST_TURNS, MOST_FINE = 6, 2  # turns with one prior and light; times that the fine light is tabulated
+MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
 MOST_HALVINGS = 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
@@ -73,6 +73,11 @@ MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
 
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
 RIM_SHARE = 1.2
+# Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
+SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
+MOST_STRAIN, MOST_LAW = 0.02, 0.2  # a step: as far as their derivatives reach
+MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
+WORSE = 1.1  # chi-squared may become so by light that is tabulated anew
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -336,7 +341,7 @@ class _DiskProblem:
         out = np.full(SHARED, free)
         out[FIGURE] = self._size()[1], figure.axes_sigma, figure.axes_sigma
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
-        out[SHADING] = figure.axes_sigma
+        out[SHADING] = figure.axes_sigma * SHADING_SHARE
         out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
         out[Unknown.BLUR] = blur
         out[STRAY] = WING_SIGMA
@@ -470,9 +475,24 @@ class _Fitter:
             if self.solution.held_chi2 < start.held_chi2 + GROWTH or length < STILL_PX:
                 break
         if not self.made.light.fine and self._stale(NEW):
+            self._tabulate_or_return()
+        return length
+
+    def _tabulate_or_return(self) -> None:
+        """Tabulate the light of the shape; where that explains the pixels worse, stay with half of the way, or none."""
+        then, now, linear, near, solution = self.made, self.shape, self.linear, self.near, self.solution
+        for share in (1.0, 0.5):
+            self.shape = replace(
+                now,
+                strain=then.strain + share * (now.strain - then.strain),
+                law=then.shape.law + share * (now.law - then.shape.law),
+                blur_px2=then.shape.blur_px2 + share * (now.blur_px2 - then.shape.blur_px2),
+            )
             self.made = self.problem.tabulated(self.shape)
             self._solve()
-        return length
+            if self.solution.chi2 < WORSE * solution.chi2 + GROWTH:
+                return
+        self.made, self.shape, self.linear, self.near, self.solution = then, now, linear, near, solution
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""
@@ -492,15 +512,18 @@ class _Fitter:
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
-            shape.strain + part * (theta[STRAINED] - shape.strain),
-            shape.law + most * np.clip(law - shape.law, -0.4, 0.4),
+            shape.strain + part * np.clip(theta[STRAINED] - shape.strain, -MOST_STRAIN, MOST_STRAIN),
+            shape.law + most * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
             self._bounded_blur(shape.blur_px2 + most * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
         albedo = solution.nodes[:, :-1] @ np.exp(-self.problem.node_rad / 0.3)
         albedo = albedo / np.exp(-self.problem.node_rad / 0.3).sum()
         self.piece_albedo = np.maximum(1.0 + albedo / self.brightness, 0.1)
-        self.brightness = max(float(theta[Unknown.BRIGHTNESS]), 0.1 * self.brightness)
+        brightness = float(theta[Unknown.BRIGHTNESS])
+        self.brightness = float(
+            np.clip(brightness, self.brightness / MOST_BRIGHTER, self.brightness * MOST_BRIGHTER)
+        )
         return part * float(np.hypot(*center))
 
     def _bounded_blur(self, blur_px2: float) -> float:
