@@ -1,11 +1,9 @@
 """A kernel of each type of segment that SPICE's own writers make, and what SPICE's readers tell of it.
 
-Types for which CSPICE has no C interface (SPK 1, 19, 21; CK 4, 6) are written by the routines underneath. Run as a
-program it evaluates kernels, one a line, so that a death costs a process of its own.
+Types for which CSPICE has no C interface (SPK 1, 19, 21; CK 4, 6) are written by the routines underneath.
 """
 
 import ctypes
-import sys
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
@@ -186,9 +184,9 @@ def write_segment(folder: Path, kind: str, data_type: int) -> Path:
     return path
 
 
-def evaluate(path: Path, times: int = 40) -> int:
+def evaluate(kernel: Path | str, times: int = 40) -> int:
     """Ask SPICE for all that a kernel claims to cover; return how many answers there were."""
-    answers = 0
+    path, answers = Path(kernel), 0
     try:
         spiceypy.furnsh(LEAP_SECONDS)
         spiceypy.furnsh(str(path))
@@ -221,9 +219,3 @@ def _asked(suffix: str, time: float, codes: list[int]) -> int:
     else:
         spiceypy.tisbod(FRAME, codes[0], time)
     return 1
-
-
-if __name__ == "__main__":
-    for line in sys.stdin:
-        sys.stdout.write(f"{evaluate(Path(line.strip()))}\n")
-        sys.stdout.flush()
