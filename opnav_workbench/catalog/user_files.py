@@ -244,23 +244,8 @@ def _float_rows(values: NDArray[Any], rows: IntArray) -> FloatArray:
 def _names(columns: NpzColumns, rows: IntArray) -> NDArray[np.str_]:
     if "id" in columns:
         return _texts(columns["id"][rows])
-    return _numbered(rows)
-
-
-def _numbered(rows: IntArray) -> NDArray[np.str_]:
-    """Return "row:N" for every row (n,), digit by digit for all at once: of 100,000 stars names cost most otherwise."""
-    if len(rows) == 0:
-        return np.empty(0, dtype="<U5")
-    width = len(str(int(rows.max())))
-    digits = rows[:, None] // 10 ** np.arange(width - 1, -1, -1)
-    first = np.argmax((digits > 0) | (np.arange(width) == width - 1), axis=1)
-    prefix = np.array([ord(letter) for letter in "row:"])
-    text = np.zeros((len(rows), len(prefix) + width), dtype=np.uint32)
-    text[:, : len(prefix)] = prefix
-    for skipped in np.unique(first):  # numbers of equal length
-        which = first == skipped
-        text[which, len(prefix) : len(prefix) + width - skipped] = digits[which, skipped:] % 10 + ord("0")
-    return text.view(f"<U{text.shape[1]}").reshape(-1)
+    width = len(str(rows.max(initial=0)))
+    return np.char.add("row:", rows.astype(f"<U{width}"))  # of 100,000 stars names one by one would cost most
 
 
 def _texts(values: NDArray[Any]) -> NDArray[np.str_]:
