@@ -34,8 +34,15 @@ HASH_CHUNK_BYTES = 1 << 20
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], mode: int = 0o644) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it over `path` when the block ends well.
+
+    Parameters
+    ----------
+    path
+        The file to be.
+    mode
+        Who may read and write it, from its first moment on.
 
     Raises
     ------
@@ -49,7 +56,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{final.stem}-", suffix=final.suffix)
         os.close(handle)
         temporary = Path(name)
-        temporary.chmod(0o644)
+        temporary.chmod(mode)
         yield temporary
         temporary.replace(final)
     except OSError as error:

@@ -16,7 +16,7 @@ from types import MappingProxyType, TracebackType
 from typing import Self
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import make_folder
+from opnav_workbench.files import atomic_path, make_folder
 
 __all__ = ["LabServer"]
 
@@ -24,6 +24,7 @@ STARTS_IN_S = 60.0
 STOPS_IN_S = 10.0
 PRIVATE = ".opnav_lab"  # beside the notebook: settings, layout and log of this JupyterLab
 BROWSER_PAGE = "open_in_browser.html"  # not in the hidden folder: packaged browsers may not look there
+PAGE_MODE = 0o600  # it holds the token
 REDIRECTION = (
     '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0;url={0}">'
     '<a href="{0}">Open the workbench</a>\n'
@@ -115,10 +116,8 @@ class LabServer:
 
         What a browser is started with, every user of the machine can list; so the token stands in the page.
         """
-        self._page.unlink(missing_ok=True)
-        handle = os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(REDIRECTION.format(html.escape(self.url)))
+        with atomic_path(self._page, PAGE_MODE) as temporary:
+            temporary.write_text(REDIRECTION.format(html.escape(self.url)), encoding="utf-8")
         return self._page.resolve().as_uri()
 
     def wait(self) -> None:

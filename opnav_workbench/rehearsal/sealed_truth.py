@@ -167,12 +167,10 @@ def write_key(path: Path, key: bytes) -> None:
     SessionError
         The folder cannot be written.
     """
-    with atomic_path(path) as temporary:
-        temporary.chmod(KEY_MODE)
-        with temporary.open("wb") as stream:
-            stream.write(key + b"\n")
-            stream.flush()
-            os.fsync(stream.fileno())
+    with atomic_path(path, KEY_MODE) as temporary, temporary.open("wb") as stream:
+        stream.write(key + b"\n")
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def reveal(package: "OrtPackage", key: str | os.PathLike[str] | None = None) -> OrtTruth:
