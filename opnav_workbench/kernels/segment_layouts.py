@@ -48,9 +48,13 @@ class _Segment:
 
     def tail(self, count: int) -> tuple[int, ...] | None:
         """Return the last words as whole numbers, None where one is none or the segment is shorter."""
-        words = self.values[-count:] if len(self.values) >= count else np.array([np.nan])
-        whole = (words % 1 == 0) & (np.abs(words) < 2**53)
-        return tuple(int(w) for w in words) if whole.all() else None
+        return _tail(self.values, count)
+
+
+def _tail(values: FloatArray, count: int) -> tuple[int, ...] | None:
+    words = values[-count:] if len(values) >= count else np.array([np.nan])
+    whole = (words % 1 == 0) & (np.abs(words) < 2**53)
+    return tuple(int(w) for w in words) if whole.all() else None
 
 
 def layout_fault(
@@ -151,25 +155,25 @@ def _type_21(segment: _Segment) -> bool:
     return tail is not None and 1 <= tail[0] <= MOST_DIFFERENCES and _difference_lines(segment, tail[0], 2)
 
 
-def _states(segment: _Segment, trailing: int) -> int:
-    """Return the number of states of a table with epochs, 0 where it contradicts the size."""
+def _states(segment: _Segment) -> int:
+    """Return the number of states of a table with epochs and two more words, 0 where it contradicts the size."""
     values, tail = segment.values, segment.tail(1)
     count = 0 if tail is None else tail[0]
-    if count < 1 or 7 * count + _directory(count) + trailing != len(values):
+    if count < 1 or 7 * count + _directory(count) + 2 != len(values):
         return 0
-    return count if _table(values[6 * count : -trailing], count) else 0
+    return count if _table(values[6 * count : -2], count) else 0
 
 
 def _type_5(segment: _Segment) -> bool:
     """States, epochs, directory, GM, count."""
-    return _states(segment, 2) > 0 and bool(segment.values[-2] > 0)
+    return _states(segment) > 0 and bool(segment.values[-2] > 0)
 
 
 def _interpolated(most_points: int) -> Layout:
     """SPK types 9 and 13: states, epochs, directory, number of points less one, count."""
 
     def holds(segment: _Segment) -> bool:
-        count, tail = _states(segment, 2), segment.tail(2)
+        count, tail = _states(segment), segment.tail(2)
         return tail is not None and 1 <= tail[0] + 1 <= min(most_points, count)
 
     return holds
@@ -216,12 +220,8 @@ CK_PACKETS = _Packets({0: 8, 1: 4, 2: 14, 3: 7}, {0: 12, 1: 24, 2: 12, 3: 24})
 
 
 def _type_18(segment: _Segment) -> bool:
-    """Packets, epochs, directory, subtype, points, count."""
-    tail = segment.tail(3)
-    if tail is None:
-        return False
-    subtype, points, count = tail
-    return SPK_18.fit(segment.values, subtype, points, count, 3)
+    """One piece alone."""
+    return _piece(segment.values, SPK_18, 3)
 
 
 def _pieces(packets: _Packets, trailing: int) -> Layout:
@@ -248,7 +248,7 @@ def _pieces(packets: _Packets, trailing: int) -> Layout:
 
 def _piece(values: FloatArray, packets: _Packets, trailing: int) -> bool:
     """Packets, epochs, directory, (rate,) subtype, points, count."""
-    tail = _Segment("", values, 0.0, 0.0).tail(3)
+    tail = _tail(values, 3)
     if tail is None:
         return False
     subtype, points, count = tail
