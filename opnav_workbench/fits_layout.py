@@ -13,7 +13,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-__all__ = ["MOST_PIXELS", "FitsLayoutError", "check_fits_layout"]
+from astropy.io.fits import VerifyError
+
+__all__ = ["FITS_MALFORMED", "MOST_PIXELS", "FitsLayoutError", "check_fits_layout"]
 
 BLOCK_BYTES, CARD_BYTES = 2880, 80
 MOST_AXES = MOST_FIELDS = 999  # by the standard
@@ -29,6 +31,10 @@ STRUCTURE = re.compile(
     re.IGNORECASE,
 )
 LOGICAL = ("GROUPS", "ZIMAGE")
+# What astropy and numpy raise on files that break the standard in other ways.
+FITS_MALFORMED = (
+    OSError, TypeError, ValueError, LookupError, AttributeError, ArithmeticError, MemoryError, VerifyError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +147,8 @@ def _number(keyword: str, text: bytes) -> int | None:
 def _axes_fault(header: _Structure) -> str:
     """Say what is wrong with the numbers by which the next header is found."""
     cards = header.cards
-    if "BITPIX" not in cards or cards["BITPIX"] not in BITS:
-        return f"BITPIX = {cards.get('BITPIX')}, expected one of {', '.join(map(str, BITS))}"
+    if fault := _bits_fault(cards, "BITPIX"):
+        return fault
     for prefix, most in (("NAXIS", MOST_AXES), ("ZNAXIS", MOST_PICTURE_AXES)):
         count = cards.get(prefix, 0)
         if not 0 <= count <= most:
@@ -154,6 +160,11 @@ def _axes_fault(header: _Structure) -> str:
     return f"{negative[0][0]} = {negative[0][1]}, expected none below 0" if negative else ""
 
 
+def _bits_fault(cards: dict[str, int], keyword: str) -> str:
+    bits = cards.get(keyword)
+    return "" if bits in BITS else f"{keyword} = {bits}, expected one of {', '.join(map(str, BITS))}"
+
+
 def _fault(header: _Structure) -> str:
     """Say what else a header announces that cannot be."""
     cards = header.cards
@@ -161,8 +172,8 @@ def _fault(header: _Structure) -> str:
         return f"TFIELDS = {cards['TFIELDS']}, expected at most {MOST_FIELDS}"
     if not cards.get("ZIMAGE"):
         return ""
-    if cards.get("ZBITPIX") not in BITS:
-        return f"ZBITPIX = {cards.get('ZBITPIX')}, expected one of {', '.join(map(str, BITS))}"
+    if fault := _bits_fault(cards, "ZBITPIX"):
+        return fault
     pixels = math.prod(header.axes("ZNAXIS"))
     if pixels > MOST_PIXELS:
         return f"a compressed image of {pixels} pixels, more than {MOST_PIXELS}"

@@ -45,7 +45,7 @@ from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.fits_layout import check_fits_layout
+from opnav_workbench.fits_layout import FITS_MALFORMED, check_fits_layout
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
 
 __all__ = ["open_astrometry_net"]
@@ -58,10 +58,6 @@ BYTE_ORDERS = {"04:03:02:01": "<", "01:02:03:04": ">"}
 UNIT_TOLERANCE = 1e-3  # a direction decoded from 16 bit integers has a length within 3e-5 of one
 RANGE_DOUBLES = 7
 
-# What astropy and numpy raise on files that break the standard.
-INDEX_MALFORMED = (
-    OSError, TypeError, ValueError, LookupError, AttributeError, ArithmeticError, MemoryError, fits.VerifyError,
-)  # fmt: skip
 EPOCHS = (1000.0, 3000.0)  # Julian years
 FitsHeader = Mapping[str, Any]
 
@@ -83,7 +79,7 @@ def read_index(file: Path) -> tuple[FloatArray, float, dict[str, NDArray[Any]]]:
             tags = [hdu for hdu in hdus[1:] if hdu.header.get("AN_FILE") == "TAGALONG"]
             xyz, quantum_mas = _directions(file, hdus[0].header, tables)
             columns = {} if not tags else {c.name: np.asarray(tags[0].data[c.name]) for c in tags[0].columns}
-    except INDEX_MALFORMED as error:
+    except FITS_MALFORMED as error:
         reason = " ".join(str(error).split())
         raise CatalogError(
             f"{file} is not a whole Astrometry.net index file ({reason}); copy it again or narrow the glob."
@@ -228,7 +224,7 @@ def _read_stars(file: Path, epoch: float | None) -> _IndexStars:
     index = read_index(file)
     try:
         stars = _stars_of_columns(file, *index, epoch)
-    except INDEX_MALFORMED as error:  # columns of another length or kind
+    except FITS_MALFORMED as error:  # columns of another length or kind
         reason = " ".join(str(error).split())
         raise CatalogError(f"{file} contradicts itself ({reason}); copy it again.") from error
     timely = (stars.epoch_jyear >= EPOCHS[0]) & (stars.epoch_jyear <= EPOCHS[1])

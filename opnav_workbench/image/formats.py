@@ -24,7 +24,7 @@ from astropy.io import fits
 from astropy.io.fits.card import Undefined
 from numpy.typing import NDArray
 
-from opnav_workbench.fits_layout import FitsLayoutError, check_fits_layout
+from opnav_workbench.fits_layout import FITS_MALFORMED, FitsLayoutError, check_fits_layout
 from opnav_workbench.image.file_bytes import (
     GZIP_START,
     check_size,
@@ -76,18 +76,6 @@ def header_value(value: Any) -> HeaderValue | None:
 Extension: TypeAlias = str | int
 FITS_BLOCK_BYTES = 2880  # the last block of a file may be short
 FITS_COMMENTARY = frozenset({"", "COMMENT", "HISTORY", "END", "CONTINUE"})
-# What astropy raises on files that break the standard.
-FITS_MALFORMED = (
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    AttributeError,
-    OverflowError,
-    MemoryError,
-    fits.VerifyError,
-)
 
 
 def is_fits(data: bytes) -> bool:
