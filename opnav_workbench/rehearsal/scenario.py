@@ -28,7 +28,7 @@ from pydantic import (
 from opnav_workbench.errors import EstimationError, MissionError
 from opnav_workbench.estimation.parameters import parse_groups
 from opnav_workbench.simulation.effects import DetectorEffects
-from opnav_workbench.simulation.scenario import last_of_series
+from opnav_workbench.simulation.scenario import require_short_series
 from opnav_workbench.simulation.scenario_file import BodyAppearance, ScenarioFile, require_distinct
 from opnav_workbench.yaml_file import FileStem, StrictModel, Utc, check_model
 
@@ -222,7 +222,7 @@ class OrtEntry(StrictModel):
         if (self.utc is not None) == any(series) or (any(series) and not all(series)):
             raise ValueError("give either utc, or start, step_s and count")
         if self.start is not None and self.step_s is not None and self.count is not None:
-            last_of_series(self.start, self.step_s, self.count)
+            require_short_series(self.start, self.step_s, self.count)
         return self
 
     @property

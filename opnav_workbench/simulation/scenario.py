@@ -33,6 +33,7 @@ __all__ = [
     "SpacecraftOffset",
     "load_picture_scenario",
     "picture_scenario_names",
+    "require_short_series",
     "varied",
 ]
 
@@ -147,7 +148,7 @@ class ApparentPlaceEffects(StrictModel):
 MOST_OF_SERIES = 10_000  # pictures; more is a misprint
 
 
-def last_of_series(start: datetime, step_s: float, count: float) -> None:
+def require_short_series(start: datetime, step_s: float, count: float) -> None:
     """Refuse a series of more pictures than a person means, or beyond the calendar.
 
     Raises
@@ -185,12 +186,11 @@ class PictureEntry(StrictModel):
         series = [value is not None for value in (self.start, self.stop, self.step_s)]
         if (self.utc is not None) == any(series) or (any(series) and not all(series)):
             raise ValueError("give either utc, or start, stop and step_s")
-        if self.start is not None and self.stop is not None and self.stop < self.start:
-            raise ValueError(f"stop {self.stop.isoformat()} is before start {self.start.isoformat()}")
         if self.start is not None and self.stop is not None and self.step_s is not None:
-            last_of_series(
-                self.start, self.step_s, (self.stop - self.start).total_seconds() / self.step_s + 1
-            )
+            if self.stop < self.start:
+                raise ValueError(f"stop {self.stop.isoformat()} is before start {self.start.isoformat()}")
+            count = (self.stop - self.start).total_seconds() / self.step_s + 1
+            require_short_series(self.start, self.step_s, count)
         return self
 
     def expanded(self) -> tuple[Self, ...]:
