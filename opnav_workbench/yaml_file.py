@@ -209,7 +209,7 @@ def _keys_given_twice(node: yaml.Node | None) -> Iterator[tuple[int, str]]:
     elif isinstance(node, yaml.MappingNode):
         seen = set()
         for key, value in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value != "<<":  # merges may repeat
+            if isinstance(key, yaml.ScalarNode) and key.value != MERGE:  # merges may repeat
                 if key.value in seen:
                     yield key.start_mark.line + 1, key.value
                 seen.add(key.value)

@@ -40,9 +40,8 @@ class _Loader(BASE):  # type: ignore[misc]  # chosen at run time
     }
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        if (
-            isinstance(node, yaml.ScalarNode) and "\0" in node.value
-        ):  # no name of a file, no text of a table has one
+        # No name of a file, no text of a table has one.
+        if isinstance(node, yaml.ScalarNode) and "\0" in node.value:
             raise _at(node, "a text with a NUL character")
         number = node.tag in (f"{TAG}int", f"{TAG}float")
         if number and len(node.value) > LONGEST_NUMBER:
@@ -72,10 +71,11 @@ def yaml_text(path: Path) -> str:
         It is larger than `LARGEST_BYTES`.
     """
     status = path.stat()
-    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):  # a pipe would block
+    if stat.S_ISREG(status.st_mode):
+        if status.st_size > LARGEST_BYTES:
+            raise YamlError(f"{status.st_size} bytes, more than {LARGEST_BYTES}")
+    elif not stat.S_ISDIR(status.st_mode):  # a pipe would block; what a folder is, reading tells
         raise OSError("it is a pipe or device, no file")
-    if stat.S_ISREG(status.st_mode) and status.st_size > LARGEST_BYTES:
-        raise YamlError(f"{status.st_size} bytes, more than {LARGEST_BYTES}")
     return path.read_text(encoding="utf-8")
 
 
