@@ -55,9 +55,7 @@ class Reporter:
         if outcome.failed:
             self._err.print(f"[bold red]failed:[/] {shown(_named_error(outcome))}", highlight=False)
         if outcome.note:
-            self._err.print(
-                f"[yellow]note[/] {shown(outcome.image.stem)}: {shown(outcome.note)}", highlight=False
-            )
+            _print_note(self._err, outcome, outcome.note)
 
     def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
         """Print one row a picture, one row a target, and where the files are."""
@@ -69,15 +67,13 @@ class Reporter:
         for outcome in outcomes:
             if outcome.result["status"] == "partial":
                 for message in outcome.result["messages"]:
-                    self._note(outcome, message)
+                    _print_note(self._out, outcome, message)
         self._out.print(f"Results in {shown(str(out))}/", highlight=False, soft_wrap=True)
 
-    def _note(self, outcome: Outcome, message: str) -> None:
-        self._out.print(
-            f"[yellow]note[/] {shown(outcome.image.stem)}: {shown(message)}",
-            highlight=False,
-            soft_wrap=True,
-        )
+
+def _print_note(console: Console, outcome: Outcome, message: str) -> None:
+    words = f"[yellow]note[/] {shown(outcome.image.stem)}: {shown(message)}"
+    console.print(words, highlight=False, soft_wrap=True)
 
 
 def _named_error(outcome: Outcome) -> str:
