@@ -178,10 +178,6 @@ def sound_journal(path: Path) -> None:
         assert isinstance(entry.parameters, dict)
 
 
-def sound_sequence(path: Path) -> None:
-    load_sequence(path)
-
-
 @dataclass(frozen=True)
 class Reader:
     good: Callable[[Path], bytes]
@@ -210,9 +206,7 @@ READERS = {
     "picture scenario": Reader(
         meta("new_horizons/pictures/pluto_limb.yaml"), ".yaml", load_picture_scenario, text=True
     ),
-    "sequence": Reader(
-        meta("new_horizons/sequences/pluto_approach.yaml"), ".yaml", sound_sequence, text=True
-    ),
+    "sequence": Reader(meta("new_horizons/sequences/pluto_approach.yaml"), ".yaml", load_sequence, text=True),
     "rehearsal": Reader(
         meta("new_horizons/rehearsals/pluto_flyby_targeting.yaml"), ".yaml", load_ort_scenario, text=True
     ),

@@ -1,12 +1,13 @@
 """Limb scans: centers of spheres and ellipsoids, albedo maps, other sizes, scans by hand, and what cannot be measured."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from opnav_workbench.bodies import BodyFlag, Circle, displaced_model
-from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
+from opnav_workbench.bodies.limb_scan.centerfinder import _sky_share, find_limb_scan
 from opnav_workbench.bodies.limb_scan.fan import ScanSampler
 from opnav_workbench.bodies.limb_scan.matching import correlation_peaks
 from opnav_workbench.errors import CenterfindingError
@@ -239,6 +240,20 @@ def test_samples_follow_a_plane_and_know_their_weights():
 def test_peaks_at_the_border_are_none():
     place, _ = correlation_peaks(np.array([[0.1, 0.2, 0.3], [0.3, np.nan, 0.1]]), np.arange(3.0))
     assert np.isnan(place).all()
+
+
+def test_the_limb_without_light_inside_says_nothing_on_the_console():
+    """A body of 1:0.9:0.85 at 110 degrees of phase: what the scans gave overflowed a division, aloud."""
+
+    def run(inside):
+        match = SimpleNamespace(brightness=np.array(inside), background_dn=np.array([5.0, 5.0, 5.0]))
+        view = SimpleNamespace(model=np.ones((3, 4)))
+        evaluation = SimpleNamespace(view=view)
+        solved = SimpleNamespace(used=np.ones(3, bool))
+        return SimpleNamespace(last=SimpleNamespace(match=match, evaluation=evaluation, solved=solved))
+
+    assert _sky_share(run([0.0, 0.0, 1.0])) == np.inf
+    assert _sky_share(run([10.0, 10.0, 10.0])) == 0.5
 
 
 def test_the_fitted_law_goes_from_one_law_to_the_other():

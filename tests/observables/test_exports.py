@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from opnav_workbench.observables import (
     write_ecsv,
     write_observables_json,
 )
-from opnav_workbench.observables.files import observables_of_result
+from opnav_workbench.observables.files import csv_text, observables_of_result
 
 FORMATS = {
     "csv": (write_csv, read_csv),
@@ -82,6 +82,14 @@ def test_csv_explains_itself(approach_observables, tmp_path):
     assert rows[7]["pixel_o"] == ""
     assert not any(word in text for word in ("nan", "inf"))
     assert max(map(len, body.splitlines())) < 4000
+
+
+def test_exported_names_are_no_formulas(approach_observables, tmp_path):
+    observable = replace(approach_observables[0], image="=HYPERLINK(1).fit")
+    write_csv([observable], tmp_path / "o.csv")
+    assert ",=" not in csv_text([observable])
+    assert "\n'=HYPERLINK(1).fit," in csv_text([observable])
+    assert read_csv(tmp_path / "o.csv")[0].image == "=HYPERLINK(1).fit"
 
 
 def test_json_explains_itself(approach_observables, tmp_path):
