@@ -42,7 +42,7 @@ from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_bands, johnson_from_gaia, johnson_from_tycho
 from opnav_workbench.catalog.proper_motion import astrometry_columns
 from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
-from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.catalog.star_table import EPOCHS_JYEAR, StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.fits_layout import FITS_MALFORMED, check_fits_layout
@@ -58,7 +58,6 @@ BYTE_ORDERS = {"04:03:02:01": "<", "01:02:03:04": ">"}
 UNIT_TOLERANCE = 1e-3  # a direction decoded from 16 bit integers has a length within 3e-5 of one
 RANGE_DOUBLES = 7
 
-EPOCHS = (1000.0, 3000.0)  # Julian years
 FitsHeader = Mapping[str, Any]
 
 
@@ -227,7 +226,8 @@ def _read_stars(file: Path, epoch: float | None) -> _IndexStars:
     except FITS_MALFORMED as error:  # columns of another length or kind
         reason = " ".join(str(error).split())
         raise CatalogError(f"{file} contradicts itself ({reason}); copy it again.") from error
-    timely = (stars.epoch_jyear >= EPOCHS[0]) & (stars.epoch_jyear <= EPOCHS[1])
+    first, last = EPOCHS_JYEAR
+    timely = (stars.epoch_jyear >= first) & (stars.epoch_jyear <= last)
     bad = np.isinf(stars.mag) | ~(np.isnan(stars.mag) | (timely & np.isfinite(stars.xyz).all(axis=1)))
     if bad.any():
         row = int(np.argmax(bad))

@@ -17,8 +17,9 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import propagate, propagate_covariance
 
-__all__ = ["StarTable"]
+__all__ = ["EPOCHS_JYEAR", "StarTable"]
 
+EPOCHS_JYEAR = (1000.0, 3000.0)  # of stars that files of others may tell; what lies beyond is no year
 N_PARAMETERS = 5  # RA cos(dec), dec, parallax, motion in RA cos(dec), motion in dec
 _KINDS: dict[str, Any] = {
     "id": np.str_,

@@ -41,7 +41,7 @@ from opnav_workbench.catalog.proper_motion import (
     unstated_parallax_sigma_mas,
 )
 from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
-from opnav_workbench.catalog.star_table import StarTable
+from opnav_workbench.catalog.star_table import EPOCHS_JYEAR, StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.yaml_file import StrictModel, read_model
@@ -70,7 +70,7 @@ RANGES = {
     "parallax_mas": (-1e5, 1e5, "no star is a hundred times as near as Proxima"),
     "rv_km_s": (-3e5, 3e5, "nothing is faster than light"),
     "sigma_mas": (0.0, 1e8, "a sigma is not negative, nor a day's motion of the sky"),
-    "epoch_jyear": (1000.0, 3000.0, "give Julian years such as 2016.0"),
+    "epoch_jyear": (*EPOCHS_JYEAR, "give Julian years such as 2016.0"),
 }
 LARGEST_BYTES = 1 << 32  # thirty million stars with all columns
 # What zipfile, zlib and numpy's reader raise on damage; the last where a header claims more than memory.

@@ -165,9 +165,8 @@ def cone(
 
       opnav catalog cone bundled 268.4475 -34.792 0.3 --epoch 2006.66 --mag 9 --plot m7.png
     """
-    if (
-        not 0.0 <= ra <= 360.0
-    ):  # the catalogs take any angle, and a misprint would show another part of the sky
+    # The catalogs take any angle, and a misprint would show another part of the sky.
+    if not 0.0 <= ra <= 360.0:
         raise CatalogError(f"ra {ra:g} deg is no right ascension; give 0 to 360 deg.")
     if math.isnan(mag):
         raise CatalogError("the magnitude is no number; give the faintest, such as 9.5.")

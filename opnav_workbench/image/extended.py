@@ -148,9 +148,8 @@ def _large_areas(light: BoolArray, radius_px: float) -> IntArray:
     Noise above the sky makes tens of thousands of areas; what is done for each of them would be most of opening a picture.
     """
     areas, _ = ndimage.label(light)
-    large = (
-        np.bincount(areas.ravel()) >= 2 * radius_px - 1
-    )  # a connected area has width + height - 1 pixels or more
+    # A connected area has width + height - 1 pixels or more.
+    large = np.bincount(areas.ravel()) >= 2 * radius_px - 1
     large[0] = False
     return np.asarray(np.where(large, np.cumsum(large), 0)[areas])
 
