@@ -12,6 +12,7 @@ has several radii in one direction (a body that is not star-shaped as seen from 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -169,6 +170,7 @@ def _grid() -> FloatArray:
     return np.linspace(-np.pi, np.pi, ANGLES, endpoint=False)
 
 
+@lru_cache(maxsize=4)  # a body is outlined again and again, strained or not
 def _shared_edges(shape: ShapeModel) -> tuple[IntArray, IntArray]:
     """Return the edges (n, 2) of vertices that two plates share, and those plates (n, 2)."""
     plates = shape.plates
