@@ -250,9 +250,7 @@ def displaced_model(
     return replace(model, target=replace(target, position_km=position, sun_position_km=sun))
 
 
-FAN_NODES = (
-    6  # a ray's direction is a polynomial of the distance from the center: to 1e-9 rad within a body's image
-)
+FAN_NODES = 6  # a ray's direction is a polynomial of the distance: to 1e-9 rad within a body's image
 
 
 class RayFan:
@@ -263,7 +261,7 @@ class RayFan:
     angle_rad, limb_px : (t,) arrays
         Of each line, and the distance on it that is 1.
     lowest
-        Least share of that distance that will be asked for.
+        Least share of that distance that will be asked for; the largest is 1.
     """
 
     def __init__(
@@ -273,9 +271,8 @@ class RayFan:
         angle_rad: FloatArray,
         limb_px: FloatArray,
         lowest: float,
-        highest: float = 1.0,
     ) -> None:
-        self._middle, self._half = 0.5 * (lowest + highest), max(0.5 * (highest - lowest), 1e-6)
+        self._middle, self._half = 0.5 * (lowest + 1.0), max(0.5 * (1.0 - lowest), 1e-6)
         node = np.cos(np.pi * (np.arange(FAN_NODES) + 0.5) / FAN_NODES)
         wheel = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
         reach = limb_px * (self._middle + self._half * node)[:, None]
