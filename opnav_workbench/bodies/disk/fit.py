@@ -67,12 +67,12 @@ PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
 TUNING, LAST_TUNING = (
     ((1.2, 0.6), (1.0, 0.5)),
     (0.8, 0.4, 0.2),
-)  # steps in the logarithms, for the coarse light and for the fine
+)  # steps in the logarithms: coarse light, fine light
 LEAST_MOVE = 0.2  # of a step
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
-
+RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
-RIM_SHARE = 1.2
+RIM_SHARE = 1.2  # of the PSF's width, by a rim that is dark or bright all around: `DiskFit.covariance_px2`
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
 MOST_STRAIN, MOST_LAW = 0.02, 0.2  # a step: as far as their derivatives reach
@@ -123,6 +123,7 @@ STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
 TABLES = len(PLANES)
+MOVING = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]  # columns of what moves with the limb
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,11 +231,6 @@ class DiskFit:
         freeze_arrays(self)
 
     @property
-    def light(self) -> LimbLight:
-        """Tables that the solution rests on."""
-        return self.made.light
-
-    @property
     def center_px(self) -> FloatArray:
         """Center of figure (2,)."""
         return self.shape.center_px
@@ -309,12 +305,14 @@ class _DiskProblem:
         self.figure: FigureUncertainty = model.figure
         self.law_prior = UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
         self.psf_px = float(np.max(picture.psf.sigma_px))
+        self.psf_variance_px2 = self.psf_px**2 + PIXEL_VARIANCE_PX2
         inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
         self.node_rad = np.linspace(0.0, deepest, NODES)
+        self.rim_weight = np.exp(-self.node_rad / RIM_RAD)
         self.rough_px = self.figure.limb_roughness * radius_px
         angle = piece_angles(self.pieces)
         turn = np.abs(angle[:, None] - angle)
@@ -337,13 +335,12 @@ class _DiskProblem:
     def prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared."""
         figure, free = self.figure, np.inf
-        blur = 2.0 * PSF_SIGMA * (self.psf_px**2 + PIXEL_VARIANCE_PX2)
         out = np.full(SHARED, free)
         out[FIGURE] = self._size()[1], figure.axes_sigma, figure.axes_sigma
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHADING] = figure.axes_sigma * SHADING_SHARE
         out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
-        out[Unknown.BLUR] = blur
+        out[Unknown.BLUR] = 2.0 * PSF_SIGMA * self.psf_variance_px2
         out[STRAY] = WING_SIGMA
         return out
 
@@ -392,6 +389,15 @@ def _bounded(law: FloatArray) -> FloatArray:
     return np.clip(law, [-0.4, -0.4], [1.6, 0.4])
 
 
+class _LinearDisk(NamedTuple):
+    """A disk linearized about a shape: its system, the pixels with their columns as in `DiskFit`, and the solution."""
+
+    system: LimbSystem
+    pixels: LimbPixels
+    columns: FloatArray
+    solution: MarginalSolution
+
+
 class _Fitter:
     def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
         self.problem, self.started = problem, start is not None
@@ -432,10 +438,7 @@ class _Fitter:
             made=self.made,
             brightness_dn=self.brightness,
             prior=self.prior,
-            system=self.linear,
-            solution=self.solution,
-            pixels=self.near[0],
-            columns=self.near[1],
+            **self.linear._asdict(),
             piece_albedo=self.piece_albedo,
             figure=self.problem.figure,
             reach_px=self.problem.reach,
@@ -444,35 +447,37 @@ class _Fitter:
         )
 
     def _solve(self) -> None:
-        self.linear, self.near = self.system()
-        self.solution = self.linear.solve(self.prior, self._held())
+        near, columns = self._columns()
+        system = self._system(near, columns)
+        self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
 
     def _tune(self, steps: tuple[float, ...]) -> None:
-        self.prior = tuned(self.linear, self.prior, self.problem.rough_px, steps)
-        self.solution = self.linear.solve(self.prior, self._held())
+        system = self.linear.system
+        self.prior = tuned(system, self.prior, self.problem.rough_px, steps)
+        self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
 
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most."""
         for _ in range(most):
             length = self._step()
             self.lengths.append(length)
-            sigma = float(np.sqrt(self.solution.covariance[CENTER, CENTER].max()))
-            self.converged = (
-                length < max(NEAR_PX, NEAR_SIGMAS * sigma) and self.solution.theta[Unknown.BRIGHTNESS] > 0.0
-            )
+            solution = self.linear.solution
+            sigma = float(np.sqrt(solution.covariance[CENTER, CENTER].max()))
+            near = length < max(NEAR_PX, NEAR_SIGMAS * sigma)
+            self.converged = near and bool(solution.theta[Unknown.BRIGHTNESS] > 0.0)
             if length < max(STILL_PX, STILL_SIGMAS * sigma):
                 return
 
     def _step(self) -> float:
         """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
         before = self.shape, self.brightness, self.piece_albedo
-        start = self.solution
+        start = self.linear.solution
         for halving in range(MOST_HALVINGS):
             if halving:
                 self.shape, self.brightness, self.piece_albedo = before
             length = self._move(start, 0.5**halving)
             self._solve()
-            if self.solution.held_chi2 < start.held_chi2 + GROWTH or length < STILL_PX:
+            if self.linear.solution.held_chi2 < start.held_chi2 + GROWTH or length < STILL_PX:
                 break
         if not self.made.light.fine and self._stale(NEW):
             self._tabulate_or_return()
@@ -480,7 +485,7 @@ class _Fitter:
 
     def _tabulate_or_return(self) -> None:
         """Tabulate the light of the shape; where that explains the pixels worse, stay with half of the way, or none."""
-        then, now, linear, near, solution = self.made, self.shape, self.linear, self.near, self.solution
+        then, now, linear = self.made, self.shape, self.linear
         for share in (1.0, 0.5):
             self.shape = replace(
                 now,
@@ -490,9 +495,9 @@ class _Fitter:
             )
             self.made = self.problem.tabulated(self.shape)
             self._solve()
-            if self.solution.chi2 < WORSE * solution.chi2 + GROWTH:
+            if self.linear.solution.chi2 < WORSE * linear.solution.chi2 + GROWTH:
                 return
-        self.made, self.shape, self.linear, self.near, self.solution = then, now, linear, near, solution
+        self.made, self.shape, self.linear = then, now, linear
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""
@@ -517,8 +522,8 @@ class _Fitter:
             self._bounded_blur(shape.blur_px2 + most * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
-        albedo = solution.nodes[:, :-1] @ np.exp(-self.problem.node_rad / 0.3)
-        albedo = albedo / np.exp(-self.problem.node_rad / 0.3).sum()
+        weight = self.problem.rim_weight
+        albedo = solution.nodes[:, :-1] @ weight / weight.sum()
         self.piece_albedo = np.maximum(1.0 + albedo / self.brightness, 0.1)
         brightness = float(theta[Unknown.BRIGHTNESS])
         self.brightness = float(
@@ -527,32 +532,30 @@ class _Fitter:
         return part * float(np.hypot(*center))
 
     def _bounded_blur(self, blur_px2: float) -> float:
-        whole = self.problem.psf_px**2 + PIXEL_VARIANCE_PX2
+        whole = self.problem.psf_variance_px2
         return float(np.clip(blur_px2, -MOST_BLUR[0] * whole, MOST_BLUR[1] * whole))
 
     def _stale(self, bounds: Changes) -> bool:
         """Whether the light was tabulated for another shape than the present one."""
         now, then = self.shape, self.made.shape
         strain = float(np.abs(now.strain - self.made.strain).max()) if self.problem.can_be_strained else 0.0
-        blur = abs(now.blur_px2 - then.blur_px2) / (self.problem.psf_px**2 + PIXEL_VARIANCE_PX2)
+        blur = abs(now.blur_px2 - then.blur_px2) / self.problem.psf_variance_px2
         size = abs(now.log_size - then.log_size)
         law = float(np.abs(now.law - then.law).max())
         return law > bounds.law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
-    def system(self) -> tuple[LimbSystem, tuple[LimbPixels, FloatArray]]:
-        """Return the linear system about the present shape."""
-        problem, shape, made = self.problem, self.shape, self.made
-        plane, light = problem.pixels, made.light
+    def _columns(self) -> tuple[LimbPixels, FloatArray]:
+        """Return the pixels about the present outline, and the derivatives of their light: `DiskFit.columns`."""
+        shape, made = self.shape, self.made
         outline = made.outline(shape)
-        near = limb_pixels(outline, plane.data_dn.shape, *problem.reach)
-        here = (near.line, near.pixel)
+        near = limb_pixels(outline, self.problem.pixels.data_dn.shape, *self.problem.reach)
         wave = 2.0 * near.angle_rad
         # Within the limb the light keeps its share of the radius, outside its distance.
         inside = np.minimum(near.depth_px, 0.0)
-        away = shape.strain[:2] - made.strain[:2]
-        grown = shape.log_size - made.shape.log_size + away[0] * np.cos(wave) + away[1] * np.sin(wave)
+        strain = shape.strain[:2] - made.strain[:2]
+        grown = shape.log_size - made.shape.log_size + strain[0] * np.cos(wave) + strain[1] * np.sin(wave)
         depth = near.depth_px + inside * np.expm1(-grown)
-        tables = light.at(near.angle_rad, depth, np.concatenate([light.planes, light.parts]))
+        tables = made.light.at(near.angle_rad, depth)
         m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
         size = -slope * (near.limb_px + inside)
         away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
@@ -560,21 +563,23 @@ class _Fitter:
             m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
             *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
         ]  # fmt: skip
-        every = np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
-        variance = plane.noise_dn[here] ** 2 + np.maximum(self.brightness * m0, 0.0) / plane.gain_e_per_dn
+        return near, np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
+
+    def _cells(self, near: LimbPixels, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return weights, data and columns of the cells (j, c)."""
+        problem, plane, here = self.problem, self.problem.pixels, (near.line, near.pixel)
+        light = np.maximum(self.brightness * columns[Unknown.BRIGHTNESS], 0.0)
+        variance = plane.noise_dn[here] ** 2 + light / plane.gain_e_per_dn
         weight = np.where(plane.use[here], 1.0 / variance, 0.0)
         cell = cell_of(near, problem.pieces, problem.edges)
-        whole, data, means = gathered(
-            cell,
-            weight,
-            plane.data_dn[here],
-            every,
-            problem.pieces,
-            problem.edges,
-        )
+        return gathered(cell, weight, plane.data_dn[here], columns, problem.pieces, problem.edges)
+
+    def _system(self, near: LimbPixels, columns: FloatArray) -> LimbSystem:
+        """Return the linear system of the cells: what the present shape has of theta stands on the side of the data."""
+        problem, shape, made = self.problem, self.shape, self.made
+        whole, data, means = self._cells(near, columns)
         lit = self.brightness * self.piece_albedo[:, None]
-        moving = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]
-        means[moving] *= lit
+        means[MOVING] *= lit
         means[[*SHARES, *SHADING, *STRAY]] *= self.brightness
         shaded, parts = means[-2:] * self.brightness, means[SHARED + 1 : -2]
         known = np.array(
@@ -588,16 +593,11 @@ class _Fitter:
         )
         means[FIGURE[1:]] += shaded  # the outline has its strain, the shading that of the tables
         usable = whole > 0.0
-        system = LimbSystem(
+        light = lit * np.maximum(means[0], means[0] + means[Unknown.WINGS] / self.brightness)
+        return LimbSystem(
             data=data,
             variance=np.where(usable, 1.0 / np.where(usable, whole, 1.0), np.inf),
-            light=np.where(
-                usable,
-                np.maximum(
-                    lit * np.maximum(means[0], means[0] + means[Unknown.WINGS] / self.brightness), 0.0
-                ),
-                0.0,
-            ),
+            light=np.where(usable, np.maximum(light, 0.0), 0.0),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
             prior_mean=problem.prior_mean(shape.center_px),
@@ -608,7 +608,6 @@ class _Fitter:
             rough_length_rad=ROUGH_LENGTH_RAD,
             sharp_px=problem.psf_px,
         )
-        return system, (near, every)
 
 
 # ---- Hyperparameters: what the data speak for, within what surfaces are like.
@@ -664,7 +663,7 @@ def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:
     plane = problem.pixels
     near = limb_pixels(made.outline(made.shape), plane.data_dn.shape, *problem.reach)
     here = (near.line, near.pixel)
-    model = made.light.at(near.angle_rad, near.depth_px, made.light.planes[:1])[0] * plane.use[here]
+    model = made.light.at(near.angle_rad, near.depth_px, 1)[0] * plane.use[here]
     power = float(model @ model)
     least = float(np.median(plane.noise_dn))
     return max(float(model @ plane.data_dn[here]) / power, least) if power > 0.0 else least

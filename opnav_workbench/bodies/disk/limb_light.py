@@ -64,13 +64,11 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    planes : (13, t, n) array
-        As `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each axis), with
-        the shares of light that go to wings and to a halo, with the two shares of the law, and with the shading of a
-        strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy
-        and xy.
-    parts : (k, t, n) array
-        Light of each hat function of the albedo; their sum is the light.
+    tables : (13 + k, t, n) array
+        First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
+        axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
+        shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
+        plane, xx = -yy and xy. Then the light of each hat function of the albedo; their sum is the light.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
     fine
@@ -79,16 +77,16 @@ class LimbLight:
 
     first_px: float
     step_px: float
-    planes: FloatArray
-    parts: FloatArray
+    tables: FloatArray
     node_rad: FloatArray
     fine: bool
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def at(self, angle_rad: FloatArray, depth_px: FloatArray, tables: FloatArray) -> FloatArray:
-        """Return tables (p, t, n) at m places as (p, m)."""
+    def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
+        """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
+        tables = self.tables[:first]
         count, t, n = tables.shape
         row = np.mod(angle_rad, TURN) * (t / TURN)
         column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
@@ -161,10 +159,9 @@ def limb_light(
     reach = np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
     bend = (np.roll(total, 1, axis=0) + np.roll(total, -1, axis=0) - 2.0 * total) * (directions / TURN) ** 2
     blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
-    own = tables[1 : 1 + LINEAR]
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
-    planes = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), own])
-    return LimbLight(float(first), float(step), planes, tables[1 + LINEAR :], node_rad, fine)
+    every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
+    return LimbLight(float(first), float(step), every, node_rad, fine)
 
 
 def _sources(

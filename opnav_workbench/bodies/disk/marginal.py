@@ -168,15 +168,7 @@ class LimbSystem:
         right = information[:p, p] + self.prior_precision * self.prior_mean
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
         least = np.maximum(self.prior_precision, RIDGE * np.diag(plain)[:p])
-        scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.diag(normal), least), 1e-300))
-        scaled = normal * scale[:, None] * scale
-        scaled[np.diag_indices(p)] += RIDGE
-        value, vector = np.linalg.eigh(scaled)
-        value = np.maximum(value, RIDGE)
-        inverse = (vector / value) @ vector.T
-        scale = np.minimum(scale, LARGEST_SCALE)  # of what no pixel depends on
-        theta = scale * (inverse @ (scale * right))
-        covariance = scale[:, None] * inverse * scale
+        theta, covariance, value, scale = _solved(normal, right, least)
         chi2 = float(information[p, p] + self.prior_precision @ self.prior_mean**2 - right @ theta)
         whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
         held_chi2 = chi2 if held is None else _held(normal, right, whole, held)
@@ -192,6 +184,23 @@ class LimbSystem:
         return MarginalSolution(
             -0.5 * (chi2 + log_determinants), theta, covariance, nodes.reshape(j, q), chi2, held_chi2
         )
+
+
+def _solved(
+    normal: FloatArray, right: FloatArray, least: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return solution and covariance of normal equations whose diagonal counts as `least` (p,) at least.
+
+    With them the eigenvalues (p,) of the matrix scaled to a unit diagonal, and the scale (p,).
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.diag(normal), least), 1e-300))
+    scaled = normal * scale[:, None] * scale
+    scaled[np.diag_indices(len(scale))] += RIDGE
+    value, vector = np.linalg.eigh(scaled)
+    value = np.maximum(value, RIDGE)
+    inverse = (vector / value) @ vector.T
+    scale = np.minimum(scale, LARGEST_SCALE)  # of what no pixel depends on
+    return scale * (inverse @ (scale * right)), scale[:, None] * inverse * scale, value, scale
 
 
 def _held(normal: FloatArray, right: FloatArray, whole: float, held: Mapping[int, float]) -> float:

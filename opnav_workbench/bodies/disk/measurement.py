@@ -156,7 +156,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
 
     def profiles(_: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
         places = np.broadcast_arrays(angle[:, None], depth)
-        table = fit.light.at(places[0].ravel(), places[1].ravel(), fit.light.planes[:1])
+        table = fit.made.light.at(places[0].ravel(), places[1].ravel(), 1)
         return np.asarray(table[0].reshape(places[0].shape))
 
     figure = fit.figure
