@@ -20,9 +20,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_dilation, find_objects, label
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays, gauss_legendre
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.psf import covariance_from_shape
 from opnav_workbench.robust import moment_excess
@@ -132,20 +132,17 @@ def fit_wings(
     raw = np.asarray(image_dn, dtype=float)
     pixels = check_image(raw, noise_dn, bad, saturated)
     places, others = check_points(start_pixel_line), check_points(neighbors_px, "neighbors_px")
-    cores = np.asarray(label(pixels.saturated, structure=np.ones((3, 3)))[0], np.int64)
+    cores = _Cores(pixels.saturated)
     columns_lost = _bled_columns(cores)
-    ends_lost = columns_lost | binary_dilation(cores > 0, ABOVE_AND_BELOW)
+    ends_lost = columns_lost | binary_dilation(pixels.saturated, ABOVE_AND_BELOW)
     fits = []
     for place in places:
-        found = NO_FIT
-        for lost in (
-            ends_lost,
-            columns_lost,
-        ):  # beside a small core the pixels of its ends are half of what there is
-            if not np.isfinite(found[0]).all():
-                box = _cut(raw, pixels.noise_dn, cores, lost, place, others, prior)
-                found = _fit_one(box, prior, noise_model)
-        fits.append(found if np.isfinite(found[0]).all() else _clipped_middle(box))
+        # Beside a small core the pixels of its ends are half of what there is.
+        boxes = [
+            _cut(raw, pixels.noise_dn, cores, lost, place, others, prior)
+            for lost in (ends_lost, columns_lost)
+        ]
+        fits.append(_measured(boxes, prior, noise_model))
     columns = (np.array([fit[k] for fit in fits]) for k in range(5))
     center, covariance, flux, flux_sigma, error = columns
     n = len(fits)
@@ -169,35 +166,53 @@ class _Box:
     core: BoolArray  # the star's saturated pixels
 
 
-def _bled_columns(cores: IntArray) -> BoolArray:
+class _Cores:
+    """The picture's saturated pixels, those that touch counted as one core."""
+
+    def __init__(self, saturated: BoolArray) -> None:
+        self.numbers = np.asarray(label(saturated, structure=np.ones((3, 3)))[0], np.int64)  # 0 elsewhere
+        self.regions = find_objects(self.numbers)
+        self._line, self._pixel = np.nonzero(self.numbers)
+
+    def nearest(self, place: FloatArray) -> int:
+        """Return the number of the core nearest to a place; 0 where none is near."""
+        if len(self._line) == 0:
+            return 0
+        distance = np.hypot(self._pixel - place[0], self._line - place[1])
+        nearest = int(distance.argmin())
+        if distance[nearest] > CORE_REACH_PX:
+            return 0
+        return int(self.numbers[self._line[nearest], self._pixel[nearest]])
+
+    def middle_and_radius(self, number: int) -> tuple[FloatArray, float]:
+        """Return the middle (2,) of a core, and half its shorter side."""
+        region = self.regions[number - 1]
+        line, pixel = np.nonzero(self.numbers[region] == number)
+        middle = np.array([(pixel + region[1].start).mean(), (line + region[0].start).mean()])
+        return middle, 0.5 * (min(np.ptp(line), np.ptp(pixel)) + 1.0)
+
+
+def _bled_columns(cores: _Cores) -> BoolArray:
     """True for saturated pixels and the columns along which charge has visibly spilled."""
-    lost = cores > 0
-    for core in range(1, int(cores.max(initial=0)) + 1):
-        line, pixel = np.nonzero(cores == core)
-        height, width = np.ptp(line) + 1, np.ptp(pixel) + 1
+    lost = cores.numbers > 0
+    for lines, columns in cores.regions:
+        height, width = lines.stop - lines.start, columns.stop - columns.start
         if height > BLEEDING_RATIO * width + BLEEDING_PX:
-            lost[:, pixel.min() : pixel.max() + 1] = True
+            lost[:, columns] = True
         elif width > BLEEDING_RATIO * height + BLEEDING_PX:  # a detector mounted across its read-out
-            lost[line.min() : line.max() + 1, :] = True
+            lost[lines, :] = True
     return np.asarray(lost)
 
 
 def _cut(
-    raw: FloatArray, noise: FloatArray, cores: IntArray, lost: BoolArray, place: FloatArray, others: FloatArray,
+    raw: FloatArray, noise: FloatArray, cores: _Cores, lost: BoolArray, place: FloatArray, others: FloatArray,
     prior: ShapePrior,
 ) -> _Box | None:  # fmt: skip
     """Return the pixels around the core nearest to a place; None where there is none."""
-    line, pixel = np.nonzero(cores)
-    if len(line) == 0:
+    number = cores.nearest(place)
+    if number == 0:
         return None
-    distance = np.hypot(pixel - place[0], line - place[1])
-    nearest = int(distance.argmin())
-    if distance[nearest] > CORE_REACH_PX:
-        return None
-    own = cores == cores[line[nearest], pixel[nearest]]
-    line, pixel = np.nonzero(own)
-    radius = 0.5 * (min(np.ptp(line), np.ptp(pixel)) + 1.0)
-    middle = np.array([pixel.mean(), line.mean()])
+    middle, radius = cores.middle_and_radius(number)
     half = min(int(np.ceil(WING_CORES * radius + WING_SIGMAS * prior.sigma_px + 1.0)), MAX_HALF_PX)
     corner = np.maximum(np.rint(middle).astype(int) - half, 0)
     window = np.s_[
@@ -210,7 +225,17 @@ def _cut(
     for other in far:
         foreign |= np.hypot(x - other[0], y - other[1]) < 1.0 + 3.0 * prior.sigma_px
     usable = np.where(lost[window].ravel() | foreign, np.inf, noise[window].ravel())
-    return _Box(middle, radius, x, y, raw[window].ravel(), usable, own[window].ravel())
+    own = cores.numbers[window] == number
+    return _Box(middle, radius, x, y, raw[window].ravel(), usable, own.ravel())
+
+
+def _measured(boxes: list[_Box | None], prior: ShapePrior, noise_model: NoiseModel | None) -> Fit:
+    """Return the first fit that describes its box; where none does, the middle of the last one's clipped light."""
+    for box in boxes:
+        found = _fit_one(box, prior, noise_model)
+        if np.isfinite(found[0]).all():
+            return found
+    return _clipped_middle(boxes[-1])
 
 
 def _fit_one(box: _Box | None, prior: ShapePrior, noise_model: NoiseModel | None) -> Fit:
@@ -299,7 +324,7 @@ class _WingModel:
         self.usable = np.isfinite(box.noise)
         self.error = 0.2
         self.variance = np.where(self.usable, box.noise, 1.0) ** 2
-        nodes, weights = np.polynomial.legendre.leggauss(5 if sigma_px < UNDERSAMPLED_PX else 3)
+        nodes, weights = gauss_legendre(5 if sigma_px < UNDERSAMPLED_PX else 3)
         self._u, self._v = (a.ravel() for a in np.meshgrid(0.5 * nodes, 0.5 * nodes))
         self._share = 0.25 * np.outer(weights, weights).ravel()
 
