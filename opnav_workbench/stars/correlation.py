@@ -208,9 +208,33 @@ def correlate(
     weight = boxes.weight
     if matched:
         weight = weight * _in_circle(boxes, start, search_radius_px + template.size / 2)
+    filtered = _filtered(boxes, weight, template, matched)
+    surface = filtered.surface
+    origin = boxes.first + template.center - _middle(template)  # detector position of a star at index 0
+    row, column, inside = _largest_samples(
+        surface, filtered.covered & _search_area(surface.shape, origin, start, search_radius_px)
+    )
+    offset, _ = refine_peaks(surface, row, column)
+    center = origin + np.stack([column, row], axis=1) + np.where(inside[:, None], offset, 0.0)
+    return _star_centers(boxes, filtered, template, center, (row, column), inside, method)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Filtered:
+    """What the filters say of a star at each sample of boxes (n, s, s)."""
+
+    weight: FloatArray  # (n, s, s)
+    median: FloatArray  # (n,)
+    data: FloatArray  # (n, s, s) without the median, 0 where unusable
+    covered: BoolArray  # (n, s, s) where enough of a star would be usable
+    sigma: FloatArray  # (n, s, s) of its flux
+    snr: FloatArray  # (n, s, s)
+    surface: FloatArray  # (n, s, s) whose peak is the star
+
+
+def _filtered(boxes: Boxes, weight: FloatArray, template: StarTemplate, matched: bool) -> _Filtered:
     median = _box_medians(boxes.data_dn, weight)
     data = np.where(weight > 0.0, boxes.data_dn - median[:, None, None], 0.0)
-
     information = np.maximum(
         _correlate_fft(weight, template.values**2, template), 0.0
     )  # of a star's flux at each lag
@@ -218,38 +242,40 @@ def correlate(
     sigma = 1.0 / np.sqrt(np.where(covered, information, np.inf))
     snr = _correlate_fft(weight * data, template.values, template) * sigma
     surface = snr if matched else _correlate_fft(data, template.values, template)
-    origin = boxes.first + template.center - _middle(template)  # detector position of a star at index 0
-    row, column, inside = _largest_samples(
-        surface, covered & _search_area(surface.shape, origin, start, search_radius_px)
-    )
-    offset, _ = refine_peaks(surface, row, column)
-    center = origin + np.stack([column, row], axis=1) + np.where(inside[:, None], offset, 0.0)
+    return _Filtered(weight, median, data, covered, sigma, snr, surface)
 
-    at = np.arange(len(start)), row, column
-    finite = covered[at]
+
+def _star_centers(
+    boxes: Boxes, filtered: _Filtered, template: StarTemplate, center: FloatArray,
+    sample: tuple[IntArray, IntArray], inside: BoolArray, method: str,
+) -> StarCenters:  # fmt: skip
+    """Return what the boxes tell of stars at `center` (n, 2), whose peaks lie at the samples (row, column)."""
+    at = np.arange(len(center)), *sample
+    snr, sigma, finite = filtered.snr[at], filtered.sigma[at], filtered.covered[at]
     blank = np.where(finite, 1.0, np.nan)
-    freedom = np.maximum((weight > 0.0).sum(axis=(1, 2)) - 4.0, 0.0)  # flux, center, background
-    chi2 = np.sum(weight * data**2, axis=(1, 2)) - snr[at] ** 2
+    usable = filtered.weight > 0.0
+    freedom = np.maximum(usable.sum(axis=(1, 2)) - 4.0, 0.0)  # flux, center, background
+    chi2 = np.sum(filtered.weight * filtered.data**2, axis=(1, 2)) - snr**2
+    drawn = (snr * sigma)[:, None, None] * _drawn_template(template, center - boxes.first, boxes.size)
     return StarCenters(
         pixel_line=center * blank[:, None],
-        covariance_px2=_covariance(template, snr[at]) * blank[:, None, None],
-        flux_dn=snr[at] * sigma[at] * blank,
-        flux_sigma_dn=sigma[at] * blank,
-        background_dn=median * blank,
+        covariance_px2=_covariance(template, snr) * blank[:, None, None],
+        flux_dn=snr * sigma * blank,
+        flux_sigma_dn=sigma * blank,
+        background_dn=filtered.median * blank,
         shape=template.ellipse * blank[:, None],
-        shape_covariance=np.zeros((len(start), 3, 3)),
+        shape_covariance=np.zeros((len(center), 3, 3)),
         chi2_reduced=chi2 / np.maximum(freedom, 1.0) * blank,
-        snr=snr[at] * blank,
+        snr=snr * blank,
         degrees_of_freedom=freedom,
-        flags=_flags(boxes, center, inside, snr[at], finite),
+        flags=_flags(boxes, center, inside, snr, finite),
         method=method,
         images=StarImages(
             first=boxes.first,
             data_dn=np.where(np.isfinite(boxes.variance_dn2), boxes.data_dn, np.nan),
-            model_dn=median[:, None, None]
-            + (snr[at] * sigma[at])[:, None, None] * _drawn_template(template, center - boxes.first, size),
-            sigma_dn=np.where(weight > 0.0, np.sqrt(boxes.variance_dn2), np.inf),
-            surface=np.where(covered, surface, np.nan),
+            model_dn=filtered.median[:, None, None] + drawn,
+            sigma_dn=np.where(usable, np.sqrt(boxes.variance_dn2), np.inf),
+            surface=np.where(filtered.covered, filtered.surface, np.nan),
         ),
     )
 
