@@ -35,13 +35,12 @@ from opnav_workbench.stars.lost_in_space import (
     solve_lost,
 )
 
-__all__ = ["lost_field", "open_inputs", "turned_words"]
+__all__ = ["lost_field", "open_inputs"]
 
 FOCAL_PX = (
     1.0  # what another focal length may move a star at the picture's edge, and a camera file still be right
 )
 FOCAL_SIGMAS = 3.0
-QUARTERS = {90: "turned by 90 deg", 180: "turned by 180 deg", 270: "turned by 270 deg"}
 MIRRORS = {
     0: "along line",
     180: "along pixel",
@@ -154,18 +153,7 @@ def _with_focal_length(context: Context, answer: LostAnswer) -> tuple[Context, s
     return replace(context, camera=camera, settings=settings), said
 
 
-# ---- How a picture is turned or mirrored against what was expected.
-
-
-def turned_words(twist_rad: float) -> str:
-    """Return how a picture is turned, in words; empty where it is by no quarter turn.
-
-    Examples
-    --------
-    >>> turned_words(3.14), turned_words(0.01)
-    ('turned by 180 deg', '')
-    """
-    return QUARTERS.get(_quarter(twist_rad), "")
+# ---- How a picture is mirrored against what was expected.
 
 
 def mirrored_words(camera: Camera, a_priori: FloatArray, mirrored: FloatArray) -> str:
