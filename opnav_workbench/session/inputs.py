@@ -32,6 +32,7 @@ from opnav_workbench.targets import TargetState
 
 __all__ = [
     "ATTITUDE_SOURCES",
+    "AttitudeOrigin",
     "AttitudeSource",
     "InputSource",
     "Inputs",
@@ -48,6 +49,11 @@ __all__ = [
     "with_target",
     "with_wide_stars",
 ]
+
+
+AttitudeOrigin = Literal["kernels", "header", "none"]  # what told an a priori attitude; none: the stars did
+AttitudeSource = Literal["auto", AttitudeOrigin]
+ATTITUDE_SOURCES: tuple[AttitudeSource, ...] = get_args(AttitudeSource)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +84,8 @@ class Inputs:
     et
         Mid-exposure, TDB seconds past J2000.
     a_priori_camera_from_j2000 : (3, 3) array
-    attitude_source
-        "kernels" or "header", or "none" where there was none and the stars told it (`lost`).
+    attitude_source : {"kernels", "header", "none"}
+        None where there was none and the stars told it (`lost`).
     stars
         Catalog rows around the a priori field.
     targets : mapping of str to TargetState
@@ -95,15 +101,20 @@ class Inputs:
     utc: str
     observer: Observer
     a_priori_camera_from_j2000: FloatArray
-    attitude_source: str
+    attitude_source: AttitudeOrigin
     stars: StarTable
     targets: MappingProxyType[str, TargetState]
     wide_stars: StarTable | None = None
     shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
-    lost: "LostField | None" = None
+    lost: LostField | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
+
+    @property
+    def told_by_stars(self) -> bool:
+        """Whether nothing but the stars tells the a priori attitude."""
+        return self.attitude_source == "none"
 
 
 # ---- From kernels, image header, catalog and target lists.
@@ -119,10 +130,6 @@ class NoAttitudeError(ImageError):
 
 class NoAttitudeKernelError(KernelError):
     """The kernels have a gap where the attitude should be."""
-
-
-AttitudeSource = Literal["auto", "kernels", "header", "none"]
-ATTITUDE_SOURCES: tuple[AttitudeSource, ...] = get_args(AttitudeSource)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +176,7 @@ def collect_inputs(
         Nothing tells it.
     """
     et = _et(context)
+    origin: AttitudeOrigin
     if lost is None or lost.camera_from_j2000 is None:
         attitude, origin = _attitude(context, source.attitude, et)
     else:
@@ -275,7 +283,7 @@ def _observer(context: Context, et: float) -> Observer:
     return observer_from_header(context.picture, et)
 
 
-def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, str]:
+def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, AttitudeOrigin]:
     kernels, frame_name = KernelSet.active(), context.camera.frame
     if wanted == "none":
         raise NoAttitudeError("the stars alone shall tell the attitude.")

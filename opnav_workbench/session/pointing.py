@@ -192,7 +192,7 @@ def _solved(
 
 def _start(context: Context, inputs: Inputs, state: SessionState, a_priori: bool) -> dict[str, Any]:
     """How far the a priori attitude is to be trusted: not at all where the field was found far from it."""
-    if inputs.attitude_source == "none" or not _near_a_priori(context, state):
+    if inputs.told_by_stars or not _near_a_priori(context, state):
         return {"twist_sigma_rad": np.pi, "start": "svd"}
     camera = context.camera
     twist = {"twist_sigma_rad": camera.a_priori_sigma_rad[2]}

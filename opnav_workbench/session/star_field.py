@@ -58,7 +58,6 @@ __all__ = [
 # A proposal less sure than this is a guess. One star by nearness and brightness reaches 0.9; in fields that have nothing
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
-NO_ATTITUDE = "none"  # the source of an a priori attitude that the stars told
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
 # An analyst brings the field nearer than this to its stars; the pattern then says how near.
 HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
@@ -109,7 +108,7 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         wide = _from_wide_search(context, inputs, state, detections, inputs.wide_stars)
         if wide is not None:
             return wide
-    if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and inputs.attitude_source != NO_ATTITUDE:
+    if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and not inputs.told_by_stars:
         return _from_sky_search(context, inputs, state, detections, inputs.lost)
     if near.confidence < MIN_CONFIDENCE:
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))

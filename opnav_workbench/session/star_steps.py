@@ -121,7 +121,7 @@ def predict(
 
 
 def _no_attitude(inputs: Inputs) -> list[str]:
-    return [inputs.lost.message] if inputs.lost is not None and inputs.attitude_source == "none" else []
+    return [inputs.lost.message] if inputs.lost is not None and inputs.told_by_stars else []
 
 
 def _empty_field(stars: StarPrediction) -> list[str]:
