@@ -49,6 +49,7 @@ from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import write_text
 from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.history import JournalEntry
+from opnav_workbench.session.inputs import AttitudeOrigin
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.yaml_file import StrictModel, line_of, read_model
 
@@ -202,7 +203,7 @@ class PictureDecisions(StrictModel):
     when: datetime | None = None
     mission: str = ""
     catalog: str = ""
-    attitude: Literal["", "kernels", "header"] = ""
+    attitude: Literal["", AttitudeOrigin] = ""
     settings: Annotated[dict[str, int | float], AfterValidator(_known_settings)] = Field(default_factory=dict)
     reject: tuple[StarDecision, ...] = ()
     accept: tuple[StarDecision, ...] = ()
@@ -449,7 +450,7 @@ class Decisions(BaseModel):
             when=session.standing[-1].time_utc if session.standing else None,  # type: ignore[arg-type]
             mission=session.context.mission.name,
             catalog=session.source.catalog,
-            attitude=session.inputs.attitude_source,  # type: ignore[arg-type]
+            attitude=session.inputs.attitude_source,
             settings={key: value for key, value in own.items() if value != usual[key]},
             **{section: tuple(items) for section, items in sections.items()},  # type: ignore[arg-type]
         )
@@ -572,9 +573,13 @@ def _check_opened(session: "ImageSession", picture: PictureDecisions) -> None:
         )
     if picture.attitude and picture.attitude != session.inputs.attitude_source:
         raise SessionError(
-            f"the decisions on {name} were made with the a priori attitude of the {picture.attitude}, this run has that "
-            f"of the {session.inputs.attitude_source}; give the same (--kernels, --attitude)."
+            f"the decisions on {name} were made with the a priori attitude of the {_told_by(picture.attitude)}, this run "
+            f"has that of the {_told_by(session.inputs.attitude_source)}; give the same (--kernels, --attitude)."
         )
+
+
+def _told_by(origin: AttitudeOrigin) -> str:
+    return "stars" if origin == "none" else origin
 
 
 def load_decisions(path: str | Path) -> Decisions:

@@ -85,7 +85,7 @@ class Inputs:
         Mid-exposure, TDB seconds past J2000.
     a_priori_camera_from_j2000 : (3, 3) array
     attitude_source : {"kernels", "header", "none"}
-        None where there was none and the stars told it (`lost`).
+        What told the attitude; "none": neither of the two, but the stars (`lost`).
     stars
         Catalog rows around the a priori field.
     targets : mapping of str to TargetState

@@ -12,7 +12,7 @@ from opnav_workbench.geometry import rotation_from_vector
 from opnav_workbench.mission import load_mission
 from opnav_workbench.processing import process
 from opnav_workbench.rehearsal import DEMO_PICTURES
-from opnav_workbench.session import ImageSession, Settings
+from opnav_workbench.session import ImageSession, Settings, load_decisions
 
 MISSION = load_mission("new_horizons")
 CAMERA = MISSION.camera_for(DEMO_PICTURES[0].header)
@@ -90,7 +90,7 @@ def error_px(session, true):
 
 @pytest.mark.slow(keep=["none"])
 @pytest.mark.parametrize("attitude", ["none", "auto"])
-def test_stars_tell_an_attitude_that_nobody_told(paint, sky, attitude):
+def test_stars_tell_an_attitude_that_nobody_told(paint, sky, attitude, tmp_path):
     path, true, n_stars = paint((0.7, -0.5, 140.0), attitude="silent")
     session = solved(ImageSession.open(path, MISSION, catalog=sky[0], attitude=attitude))
     result = session.result()
@@ -98,6 +98,9 @@ def test_stars_tell_an_attitude_that_nobody_told(paint, sky, attitude):
     assert any("no a priori attitude" in message for message in result["messages"])
     assert result["pointing"]["n_stars"] >= 0.7 * n_stars
     assert error_px(session, true) < 0.2
+    again = ImageSession.open(path, MISSION, catalog=sky[0], attitude=attitude)
+    load_decisions(session.write_decisions(tmp_path / "decisions.yaml")).apply(again)
+    np.testing.assert_array_equal(again.camera_from_j2000, session.camera_from_j2000)
 
 
 def test_header_proven_wrong(paint, sky):
