@@ -32,6 +32,7 @@ from opnav_workbench.stars.lost_in_space import (
     index_of_catalog,
     is_index_at_hand,
     no_patterns,
+    right_handed_axes,
     solve_lost,
 )
 
@@ -158,8 +159,7 @@ def _with_focal_length(context: Context, answer: LostAnswer) -> tuple[Context, s
 
 def mirrored_words(camera: Camera, a_priori: FloatArray, mirrored: FloatArray) -> str:
     """Return along what a picture is mirrored, by the attitude it should have (camera from J2000)."""
-    focal = camera.focal_from_camera
-    axes = focal if np.linalg.det(focal) > 0.0 else focal * np.array([[1.0], [-1.0], [1.0]])
+    axes = right_handed_axes(camera)
     between = axes @ mirrored @ a_priori.T @ axes.T
     twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
     near = between[2, 2] > np.cos(max(10.0 * camera.half_diagonal_rad, np.radians(5.0)))

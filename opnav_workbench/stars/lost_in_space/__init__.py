@@ -17,7 +17,13 @@ Enter by `solve_lost`, with the index of a catalog (`index_of_catalog`).
 """
 
 from opnav_workbench.stars.lost_in_space.catalog_index import index_of_catalog, is_index_at_hand
-from opnav_workbench.stars.lost_in_space.search import FOCAL_ERROR, LostAnswer, no_patterns, solve_lost
+from opnav_workbench.stars.lost_in_space.search import (
+    FOCAL_ERROR,
+    LostAnswer,
+    no_patterns,
+    right_handed_axes,
+    solve_lost,
+)
 from opnav_workbench.stars.lost_in_space.sky_index import SkyIndex, index_of_stars
 from opnav_workbench.stars.lost_in_space.verification import SURE_LOG_ODDS
 
@@ -30,5 +36,6 @@ __all__ = [
     "index_of_stars",
     "is_index_at_hand",
     "no_patterns",
+    "right_handed_axes",
     "solve_lost",
 ]

@@ -13,11 +13,16 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["ORDERS", "STARS", "code_of", "named_orders"]
+__all__ = ["ORDERS", "STARS", "code_of", "named_orders", "triples"]
 
 STARS = 4
 ORDERS = np.array(list(permutations(range(STARS))), dtype=np.int64)  # (24, 4): which of four is A, B, C, D
 PAIRS = tuple(combinations(range(STARS), 2))
+
+
+def triples(n: int) -> IntArray:
+    """Return all sets of three (k, 3) of n things, that a fourth makes patterns with."""
+    return np.array(list(combinations(range(n), STARS - 1)), dtype=np.int64)
 
 
 def code_of(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:

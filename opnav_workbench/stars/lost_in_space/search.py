@@ -17,7 +17,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import unit
 from opnav_workbench.stars.detection import Detections
 from opnav_workbench.stars.flags import StarFlag
-from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders, triples
 from opnav_workbench.stars.lost_in_space.sky_index import BANDS, Band, SkyIndex
 from opnav_workbench.stars.lost_in_space.verification import (
     MIN_STARS,
@@ -28,7 +28,7 @@ from opnav_workbench.stars.lost_in_space.verification import (
     promising,
 )
 
-__all__ = ["FOCAL_ERROR", "LostAnswer", "no_patterns", "solve_lost"]
+__all__ = ["FOCAL_ERROR", "LostAnswer", "no_patterns", "right_handed_axes", "solve_lost"]
 
 FOCAL_ERROR = 0.05  # of the camera file's focal length
 MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
@@ -108,8 +108,8 @@ def solve_lost(
         Stars are compared by their catalog directions: the attitude is that of the apparent sky to half a minute of
         arc of aberration, for a picture's stars to be identified with.
     """
-    if no_patterns(camera) is not None:
-        return _no_answer(f"{no_patterns(camera)}.")
+    if (why := no_patterns(camera)) is not None:
+        return _no_answer(f"{why}.")
     plane = _plane(detections, camera, focal_error)
     if len(plane.places) < MIN_STARS:
         return _no_answer(f"{len(plane.places)} detections are too few; {MIN_STARS} are the least.")
@@ -195,7 +195,7 @@ def _rounds(plane: Plane) -> Iterator[IntArray]:
     for wanted in ROUNDS:
         count = min(wanted, len(plane.places))
         new = [
-            np.column_stack([_combinations(last, STARS - 1), np.full(_count(last), last)])
+            np.column_stack([sets := triples(last), np.full(len(sets), last)])
             for last in range(max(before, STARS - 1), count)
         ]
         before = count
@@ -206,14 +206,6 @@ def _rounds(plane: Plane) -> Iterator[IntArray]:
         widest = sides.max(axis=0)
         reach = PATTERN_REACH * width / np.sqrt(quads[:, -1] + 1.0)
         yield quads[(widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > 0.02 * widest)]
-
-
-def _combinations(n: int, k: int) -> IntArray:
-    return np.array(list(combinations(range(n), k)), dtype=np.int64)
-
-
-def _count(n: int) -> int:
-    return n * (n - 1) * (n - 2) // 6
 
 
 def _proposals(
@@ -257,11 +249,15 @@ def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatAr
 # ---- What is told.
 
 
+def right_handed_axes(camera: Camera) -> FloatArray:
+    """Return the focal axes (3, 3) from the camera's frame; of a detector read out mirrored, with line reversed."""
+    focal = camera.focal_from_camera
+    return focal if np.linalg.det(focal) > 0.0 else focal * np.array([[1.0], [-1.0], [1.0]])
+
+
 def _attitude(camera: Camera, rotation: FloatArray) -> FloatArray:
     """Return camera from J2000, from the rotation to the plane's right-handed axes."""
-    focal = camera.focal_from_camera
-    axes = focal if np.linalg.det(focal) > 0.0 else focal * np.array([[1.0], [-1.0], [1.0]])
-    return np.asarray(axes.T @ rotation)
+    return np.asarray(right_handed_axes(camera).T @ rotation)
 
 
 def _answer(camera: Camera, verdict: Verdict) -> LostAnswer:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,9 @@ from scipy.spatial import cKDTree
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.resources import cache_root
 from opnav_workbench.stars.lost_in_space.index_file import read_arrays, write_arrays
-from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, code_of, named_orders, triples
 
-__all__ = ["BANDS", "Band", "SkyIndex", "index_of_stars"]
+__all__ = ["BANDS", "Band", "SkyIndex", "index_of_stars", "patterns_folder"]
 
 FORMAT = 1  # raise it whenever the same stars would make another index
 
@@ -87,9 +87,13 @@ class Band:
     def stars_of(self, packed: NDArray[np.uint64]) -> IntArray:
         """Return the stars (c, 4) of packed patterns."""
         number, which, order = _unpacked(packed)
-        slots = np.array(list(combinations(range(self.neighbors.shape[1]), STARS - 1)), dtype=np.int64)
-        members = np.column_stack([number + self.first, self.neighbors[number[:, None], slots[which]]])
-        return np.take_along_axis(members.astype(np.int64), ORDERS[order], axis=1)
+        return np.take_along_axis(_members(self.neighbors, self.first, number, which), ORDERS[order], axis=1)
+
+
+def _members(neighbors: NDArray[np.uint32], first: int, number: IntArray, which: IntArray) -> IntArray:
+    """Return the stars (c, 4) of patterns: those of these numbers in their band, and three neighbors of each."""
+    slots = triples(neighbors.shape[1])
+    return np.column_stack([number + first, neighbors[number[:, None], slots[which]]]).astype(np.int64)
 
 
 def _packed(number: IntArray, which: IntArray, order: IntArray) -> NDArray[np.uint64]:
@@ -142,11 +146,11 @@ def _patterns(
     vectors: NDArray[np.float32], neighbors: NDArray[np.uint32], first: int
 ) -> Iterator[tuple[NDArray[np.uint64], NDArray[np.uint64]]]:
     """Yield packed patterns and the hashes of their cells."""
-    slots = np.array(list(combinations(range(neighbors.shape[1]), STARS - 1)), dtype=np.int64)
+    sets = np.arange(len(triples(neighbors.shape[1])))
     for begin in range(0, len(neighbors), CHUNK):
         number = np.arange(begin, min(begin + CHUNK, len(neighbors)))
-        number, which = (part.ravel() for part in np.meshgrid(number, np.arange(len(slots)), indexing="ij"))
-        members = np.column_stack([number + first, neighbors[number[:, None], slots[which]]]).astype(np.int64)
+        number, which = (part.ravel() for part in np.meshgrid(number, sets, indexing="ij"))
+        members = _members(neighbors, first, number, which)
         whole = (members[:, 1:] != members[:, :1]).all(axis=1)
         number, which, members = number[whole], which[whole], members[whole]
         if len(number) == 0:
@@ -218,7 +222,7 @@ class SkyIndex:
         Unit vectors, J2000, brightest star first.
     mag : (n,) ndarray
     folder
-        Where bands are kept; None: made anew in every process.
+        Where bands are kept.
     progress : callable, optional
         Told what is made, as this takes seconds.
     """
@@ -227,7 +231,7 @@ class SkyIndex:
         self,
         vectors: NDArray[np.float32],
         mag: NDArray[np.float32],
-        folder: Path | None,
+        folder: Path,
         progress: Callable[[str], None] | None = None,
     ) -> None:
         self.vectors, self.mag = vectors, mag
@@ -259,19 +263,17 @@ class SkyIndex:
     def band(self, number: int) -> Band:
         """Return a band, read or made at its first use."""
         if number not in self._bands:
-            rule = BANDS[number]
-            path = (
-                None if self._folder is None else self._folder / f"{self.digest[:16]}-band{number}.opnavindex"
-            )
+            path = self._folder / f"{self.digest[:16]}-band{number}.opnavindex"
             identity = {"digest": self.digest, "band": number}
-            arrays = None if path is None else read_arrays(path, identity)
+            arrays = read_arrays(path, identity)
             if arrays is None:
                 if self._progress is not None:
                     self._progress(f"making the index of star patterns, band {number + 1} of {len(BANDS)}")
-                arrays = make_band(self.vectors, rule)
-                if path is not None:
-                    write_arrays(path, identity, arrays)
-            self._bands[number] = Band(arrays["neighbors"], arrays["patterns"], arrays["starts"], rule.first)
+                arrays = make_band(self.vectors, BANDS[number])
+                write_arrays(path, identity, arrays)
+            self._bands[number] = Band(
+                arrays["neighbors"], arrays["patterns"], arrays["starts"], BANDS[number].first
+            )
         return self._bands[number]
 
     def brightest_tree(self, wanted: float) -> cKDTree:
@@ -283,6 +285,11 @@ class SkyIndex:
         if size not in self._trees:
             self._trees[size] = cKDTree(self.vectors[:size], balanced_tree=False, compact_nodes=False)
         return self._trees[size]
+
+
+def patterns_folder() -> Path:
+    """Return where indexes stand in the user's cache."""
+    return cache_root() / "star_patterns"
 
 
 def index_of_stars(
@@ -306,5 +313,5 @@ def index_of_stars(
         Told in words what is made.
     """
     order = np.lexsort((vectors[:, 0], mag))[: int(np.isfinite(mag).sum())]
-    where = cache_root() / "star_patterns" if folder is None else folder
+    where = folder or patterns_folder()
     return SkyIndex(vectors[order].astype(np.float32), mag[order].astype(np.float32), where, progress)
