@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from opnav_workbench.files import digest
 from opnav_workbench.geometry import et_from_jyear
 from opnav_workbench.resources import cache_root
 from opnav_workbench.stars.lost_in_space.index_file import read_arrays, write_arrays
-from opnav_workbench.stars.lost_in_space.sky_index import BANDS, SkyIndex, index_of_stars
+from opnav_workbench.stars.lost_in_space.sky_index import BANDS, SkyIndex, index_of_stars, patterns_folder
 
 __all__ = ["index_of_catalog", "is_index_at_hand"]
 
@@ -38,41 +39,36 @@ def index_of_catalog(catalog: Catalog, progress: Callable[[str], None] | None = 
     CatalogError
         The catalog cannot be asked for the whole sky.
     """
-    return _opened(_Asked(catalog, digest(_identity(catalog)), progress))
+    return _opened(_Asked(f"{digest(_identity(catalog))} {cache_root()}", catalog, progress))
 
 
 def is_index_at_hand(catalog: Catalog, camera: Camera) -> bool:
     """Tell whether the index for pictures of a camera is made already, or in seconds."""
-    path = _stars_path(f"{digest(_identity(catalog))} {cache_root()}")
+    path = _stars_path(digest(_identity(catalog)))
     part = camera.n_pixel * camera.n_line * camera.pixel_scale_rad**2 / (4.0 * math.pi)
     needed = min(int(catalog.describe().get("n_stars", MOST_STARS)), int(MOST_IN_FIELD / part))
     return needed <= QUICK_STARS or path.is_file()
 
 
 def _stars_path(key: str) -> Path:
-    return cache_root() / "star_patterns" / f"{key[:16]}-stars.opnavindex"
+    return patterns_folder() / f"{key[:16]}-stars.opnavindex"
 
 
+@dataclass(frozen=True, slots=True)
 class _Asked:
     """A catalog, known by its identity: what the index of one process is kept for."""
 
-    def __init__(self, catalog: Catalog, key: str, progress: Callable[[str], None] | None) -> None:
-        self.catalog, self.key, self.progress = catalog, f"{key} {cache_root()}", progress
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Asked) and other.key == self.key
+    key: str
+    catalog: Catalog = field(compare=False)
+    progress: Callable[[str], None] | None = field(compare=False)
 
 
 @lru_cache(maxsize=2)
 def _opened(asked: _Asked) -> SkyIndex:
-    folder = cache_root() / "star_patterns"
     path, identity = _stars_path(asked.key), {"catalog": asked.key}
     arrays = read_arrays(path, identity)
     if arrays is not None:
-        return SkyIndex(arrays["vectors"], arrays["mag"], folder, asked.progress)
+        return SkyIndex(arrays["vectors"], arrays["mag"], patterns_folder(), asked.progress)
     many = int(asked.catalog.describe().get("n_stars", 0)) > MOST_STARS
     limit = DEEP_CATALOG_MAG if many else math.inf
     stars = asked.catalog.cone(0.0, 0.0, math.pi, limit)
