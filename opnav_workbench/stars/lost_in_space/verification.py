@@ -66,6 +66,11 @@ class Plane:
         return float(np.arctan(np.hypot(*self.corners.T).max() * (1.0 + self.focal_error)))
 
     @property
+    def first_reach_px(self) -> float:
+        """How far from its place a detection may lie with a proposal from four stars."""
+        return FIRST_REACH_PX + FIRST_REACH_SHARE * float(np.sqrt(self.area_px2))
+
+    @property
     def area_px2(self) -> float:
         """Area of the detector."""
         x, y = self.corners.T
@@ -121,8 +126,7 @@ def promising(
     stars = index.vectors[np.concatenate([*near, []]).astype(np.int64)].astype(np.float64)
     turned = np.einsum("cij,cj->ci", rotations[which], stars)
     places = turned[:, :2] / turned[:, 2:] / scales[which, None]
-    reach = (FIRST_REACH_PX + FIRST_REACH_SHARE * np.sqrt(plane.area_px2)) * plane.scale_rad
-    apart, found = _nearest(plane, places, reach)
+    apart, found = _nearest(plane, places, plane.first_reach_px * plane.scale_rad)
     hit = np.isfinite(apart)
     pairs = np.unique(which[hit] * len(plane.places) + found[hit])  # a detection counts once
     hits = np.bincount(pairs // len(plane.places), minlength=len(near))
@@ -141,16 +145,17 @@ def judge(index: SkyIndex, plane: Plane, proposal: Proposal) -> Verdict | None:
     tree = index.brightest_tree(enough_stars(index, plane))
     rows = np.sort(tree.query_ball_point(proposal.rotation[2], 2.0 * np.sin(0.5 * plane.reach_rad)))
     stars = index.vectors[rows].astype(np.float64)
-    reach_px = FIRST_REACH_PX + FIRST_REACH_SHARE * np.sqrt(plane.area_px2)
+    reach_px = plane.first_reach_px
     for _ in range(REFINEMENTS):
-        star, detection, apart = _matches(plane, proposal, stars, reach_px)
+        star, detection, _ = _matches(plane, proposal, stars, reach_px)
         if len(star) < MIN_STARS:
             return None
         proposal = _fitted(plane, proposal, stars[star], plane.places[detection])
         apart = _residuals_px(plane, proposal, stars[star], plane.places[detection])
         reach_px = min(max(MATCH_SIGMAS * 1.05 * float(np.median(apart)), 1.5), reach_px)
+    on = plane.inside(_places(proposal, stars))
     return max(
-        (_weighed(index, plane, proposal, stars, rows, scatter) for scatter in SCATTERS_PX),
+        (_weighed(index, plane, proposal, stars[on], rows[on], scatter) for scatter in SCATTERS_PX),
         key=lambda v: v.log_odds,
     )
 
@@ -199,12 +204,12 @@ def _fitted(plane: Plane, proposal: Proposal, stars: FloatArray, seen: FloatArra
 def _weighed(
     index: SkyIndex, plane: Plane, proposal: Proposal, stars: FloatArray, rows: IntArray, scatter_px: float
 ) -> Verdict:
-    on = np.flatnonzero(plane.inside(_places(proposal, stars)))
-    star, detection, apart = _matches(plane, proposal, stars[on], MATCH_SIGMAS * scatter_px)
+    """Weigh a refined proposal by the stars on the detector: directions (n, 3) and rows of the index, brightest first."""
+    star, detection, apart = _matches(plane, proposal, stars, MATCH_SIGMAS * scatter_px)
     nothing = Verdict(proposal, rows[:0], rows[:0], scatter_px, np.nan, -np.inf)
     if len(star) < MIN_STARS or abs(proposal.scale - 1.0) > 1.1 * plane.focal_error:
         return nothing
-    gain = np.full(len(on), np.log(1.0 - SEEN))
+    gain = np.full(len(stars), np.log(1.0 - SEEN))
     peak = SEEN * plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
     gain[star] = np.log(peak * np.exp(-0.5 * (apart / scatter_px) ** 2) + 1.0 - SEEN)
     total = np.cumsum(gain)
@@ -213,12 +218,10 @@ def _weighed(
     if len(star) < MIN_STARS:
         return nothing
     spread_px = _spread_px(plane, plane.places[detection])
-    log_odds = float(total[depth]) - np.log(len(on)) - np.log(len(SCATTERS_PX))
+    log_odds = float(total[depth]) - np.log(len(stars)) - np.log(len(SCATTERS_PX))
     log_odds -= _cost_of_freedom(plane, len(star), spread_px, scatter_px)
-    log_odds += _brightness_odds(
-        index.mag[rows[on[: depth + 1]]].astype(np.float64), plane.mag, star, detection
-    )
-    return Verdict(proposal, rows[on[star]], detection, scatter_px, scatter_px / spread_px, log_odds)
+    log_odds += _brightness_odds(index.mag[rows[: depth + 1]].astype(np.float64), plane.mag, star, detection)
+    return Verdict(proposal, rows[star], detection, scatter_px, scatter_px / spread_px, log_odds)
 
 
 def _spread_px(plane: Plane, seen: FloatArray) -> float:
