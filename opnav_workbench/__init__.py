@@ -83,6 +83,8 @@ this list to its top; a package imports what stands below it.
     HTML templates: one environment for each folder of them, everything escaped.
 ``files``
     Files written whole or not at all.
+``mapped_file``
+    Arrays mapped into memory: the header of their files.
 ``processes``
     Many items on several processes, each of which opens what it needs once.
 ``supervised``

@@ -3,26 +3,23 @@
 A record is what `StarTable` says of a star, in small types, and takes 108 bytes; the columns are in rad and rad/yr.
 Records are sorted by their place on the sky; names are made from a number only when a star is asked for.
 
-Layout of a file: 8 bytes ``OPNAVSTR``, length and CRC-32 of the header (two little-endian u4), the header (JSON,
-padded to `HEADER_BYTES`), n sort keys (f8), n records (`STAR_RECORD`). The header says what the file was made from
-(`identity`: format, versions, or names, sizes and times of the source files), the CRC-32 of all that follows it,
-and what a catalog tells of itself, so that opening reads no star. A file that fails any check is built anew; one
-that cannot be written is done without. It is written under another name and renamed, so that two processes may
-build at once.
+Layout of a file: the header (`mapped_file`, padded to `HEADER_BYTES`), n sort keys (f8), n records (`STAR_RECORD`).
+The header says what the file was made from (`identity`: format, versions, or names, sizes and times of the source
+files), the CRC-32 of all that follows it, and what a catalog tells of itself, so that opening reads no star. A file
+that fails any check is built anew; one that cannot be written is done without. It is written under another name and
+renamed, so that two processes may build at once.
 """
 
 import contextlib
-import json
 import math
 import os
-import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +29,7 @@ from opnav_workbench.catalog.star_store import Candidates, SkyIndex, sort_keys
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError, SessionError
 from opnav_workbench.files import atomic_path
+from opnav_workbench.mapped_file import header_bytes, mapped_array, read_header
 from opnav_workbench.resources import cache_root
 
 __all__ = [
@@ -160,7 +158,6 @@ Progress = Callable[[float], None]  # told the fraction done, 0 to 1
 
 MAGIC = b"OPNAVSTR"
 LAYOUT = 1  # raise it whenever `STAR_RECORD` or the meaning of one of its columns changes
-PREFIX = struct.Struct("<8sII")
 HEADER_BYTES = 1 << 16
 CHUNK_BYTES = 1 << 23
 
@@ -238,7 +235,7 @@ def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
     """Return the stars of a whole file of this identity, else None."""
     try:
         with path.open("rb") as stream:
-            header = _header(stream)
+            header = read_header(stream.read(HEADER_BYTES), MAGIC)
             if header is None or header["identity"] != identity:
                 return None
             n, status = int(header["n"]), os.fstat(stream.fileno())
@@ -246,21 +243,11 @@ def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
                 return None
             if _crc(path, status.st_ino, status.st_mtime_ns, status.st_ctime_ns) != header["crc"]:
                 return None
-        keys = np.memmap(path, dtype="<f8", mode="r", offset=HEADER_BYTES, shape=(n,))
-        records = np.memmap(path, dtype=STAR_RECORD, mode="r", offset=HEADER_BYTES + 8 * n, shape=(n,))
-        # Plain views: every element of a memmap object would cost a microsecond more.
-        return CachedStars(records.view(np.ndarray), keys.view(np.ndarray), **header["facts"])
+        keys = mapped_array(path, "<f8", HEADER_BYTES, (n,))
+        records = mapped_array(path, STAR_RECORD, HEADER_BYTES + 8 * n, (n,))
+        return CachedStars(records, keys, **header["facts"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def _header(stream: BinaryIO) -> dict[str, Any] | None:
-    start = stream.read(HEADER_BYTES)
-    if len(start) != HEADER_BYTES:
-        return None
-    magic, length, crc = PREFIX.unpack_from(start)
-    text = start[PREFIX.size : PREFIX.size + length]
-    return json.loads(text) if magic == MAGIC and zlib.crc32(text) == crc else None
 
 
 @lru_cache(maxsize=64)
@@ -287,11 +274,8 @@ def _write_cache(
                 crc = zlib.crc32(chunk, crc)
                 stream.write(chunk)
         header = {"identity": identity, "n": len(order), "crc": crc, "facts": _catalog_facts(records)}
-        text = json.dumps(header, allow_nan=False).encode()
-        if len(text) > HEADER_BYTES - PREFIX.size:
-            raise OSError(f"header of {len(text)} bytes is larger than {HEADER_BYTES}")
         stream.seek(0)
-        stream.write(PREFIX.pack(MAGIC, len(text), zlib.crc32(text)) + text)
+        stream.write(header_bytes(MAGIC, header, HEADER_BYTES))
 
 
 def _catalog_facts(records: Records) -> dict[str, Any]:

@@ -1,14 +1,11 @@
 """Arrays in one memory-mapped file, whole or not there.
 
-Layout: 8 bytes ``OPNAVIDX``, length and CRC-32 of the header (two little-endian u4), the header (JSON, padded to
-`HEADER_BYTES`), then the arrays, each from a multiple of `ALIGNMENT` on. The header says what the file was made from
-(`identity`), and of each array name, type, shape, place and CRC-32. What fails a check is not there, and is made anew;
-it is written under another name and renamed.
+Layout: the header (`mapped_file`, padded to `HEADER_BYTES`), then the arrays, each from a multiple of `ALIGNMENT` on.
+The header says what the file was made from (`identity`), and of each array name, type, shape, place and CRC-32. What
+fails a check is not there, and is made anew; it is written under another name and renamed.
 """
 
 import contextlib
-import json
-import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,11 +16,11 @@ from numpy.typing import NDArray
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path
+from opnav_workbench.mapped_file import header_bytes, mapped_array, read_header
 
 __all__ = ["read_arrays", "write_arrays"]
 
 MAGIC = b"OPNAVIDX"
-PREFIX = struct.Struct("<8sII")
 HEADER_BYTES, ALIGNMENT = 4096, 64
 
 
@@ -36,10 +33,10 @@ def write_arrays(path: Path, identity: Mapping[str, Any], arrays: Mapping[str, N
         crc = zlib.crc32(data.data) if data.size else 0
         table[name] = {"type": data.dtype.str, "shape": list(data.shape), "place": place, "crc": crc}
         place += -(-data.nbytes // ALIGNMENT) * ALIGNMENT
-    text = json.dumps({"identity": identity, "size": place, "arrays": table}).encode()
+    header = {"identity": identity, "size": place, "arrays": table}
     with contextlib.suppress(SessionError):
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
-            stream.write(PREFIX.pack(MAGIC, len(text), zlib.crc32(text)) + text)
+            stream.write(header_bytes(MAGIC, header, HEADER_BYTES))
             for name, array in arrays.items():
                 stream.seek(table[name]["place"])
                 stream.write(np.ascontiguousarray(array).data)
@@ -52,16 +49,11 @@ def read_arrays(path: Path, identity: Mapping[str, Any]) -> dict[str, NDArray[An
     """Return the arrays of a whole file of this identity, memory-mapped, else None."""
     try:
         with path.open("rb") as stream:
-            start = stream.read(HEADER_BYTES)
-        magic, length, crc = PREFIX.unpack_from(start)
-        text = start[PREFIX.size : PREFIX.size + length]
-        if magic != MAGIC or zlib.crc32(text) != crc:
-            return None
-        header = json.loads(text)
-        if header["identity"] != dict(identity) or path.stat().st_size != header["size"]:
+            header = read_header(stream.read(HEADER_BYTES), MAGIC)
+        if header is None or header["identity"] != dict(identity) or path.stat().st_size != header["size"]:
             return None
         arrays = {name: _mapped(path, told) for name, told in header["arrays"].items()}
-    except (OSError, ValueError, KeyError, TypeError, struct.error):
+    except (OSError, ValueError, KeyError, TypeError):
         return None
     whole = all(_crc(arrays[name]) == told["crc"] for name, told in header["arrays"].items())
     return arrays if whole else None
@@ -71,9 +63,7 @@ def _mapped(path: Path, told: Mapping[str, Any]) -> NDArray[Any]:
     shape = tuple(int(n) for n in told["shape"])
     if 0 in shape:
         return np.empty(shape, np.dtype(told["type"]))
-    # A plain view: every element of a memmap object would cost a microsecond more.
-    mapped = np.memmap(path, np.dtype(told["type"]), mode="r", offset=int(told["place"]), shape=shape)
-    return mapped.view(np.ndarray)
+    return mapped_array(path, told["type"], int(told["place"]), shape)
 
 
 def _crc(array: NDArray[Any]) -> int:
