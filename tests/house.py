@@ -97,7 +97,7 @@ def circles(graph: Graph) -> list[list[str]]:
     return found
 
 
-def _between_modules(graph: Graph, found: dict[str, Module]) -> Graph:
+def between_modules(graph: Graph, found: dict[str, Module]) -> Graph:
     """Return the graph without the packages' `__init__`, whose imports stand for those of the modules they name."""
     return {
         name: {o for o in others if not found[o].is_package}
@@ -169,7 +169,7 @@ def report(checkout: Path) -> dict[str, int | float]:
     """Return the figures of a checkout."""
     found = modules(checkout)
     graph = import_graph(found)
-    plain = _between_modules(graph, found)
+    plain = between_modules(graph, found)
     users = {name: sum(name in others for others in plain.values()) for name in plain}
     return {
         "modules": len(plain),

@@ -112,6 +112,7 @@ def spoil(team: Path, **changes):
     path.write_text(json.dumps(content))
 
 
+@pytest.mark.slow
 def test_report_stands_alone(team):
     package, folder = team
     answer, _ = scored(package, folder)
@@ -143,6 +144,7 @@ def test_overconfident_solution_gets_a_bad_grade(team):
     assert score.solution.sigma_ratio == pytest.approx((0.01, 0.01), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_solution_and_unreported_pictures(team):
     package, folder = team
     (folder / "solution.json").unlink()

@@ -202,8 +202,9 @@ def test_a_cluster_survives_a_worker_that_is_killed(tmp_path, stand_in):
         assert one.digest() == other.digest()
 
 
-def test_a_scheduler_that_does_not_answer_is_one_line():
+def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
     pytest.importorskip("distributed", reason="the cluster extra is not installed")
+    monkeypatch.setattr(night_workers, "CONNECT_S", 1)
     with pytest.raises(SessionError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         ClusterPool("tcp://127.0.0.1:1")
 
