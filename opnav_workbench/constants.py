@@ -27,6 +27,7 @@ __all__ = [
     "SOLAR_CONSTANT_W_M2",
     "SOLAR_SYSTEM_BARYCENTER_ID",
     "SPEED_OF_LIGHT_KM_S",
+    "SUN_GM_KM3_S2",
     "SUN_ID",
     "SUN_RADIUS_KM",
 ]
@@ -54,6 +55,7 @@ SPEED_OF_LIGHT_KM_S = 299_792.458  # exact: SI
 AU_KM = 149_597_870.7  # exact: IAU 2012 resolution B2
 KM_S_PER_AU_YEAR = AU_KM / JULIAN_YEAR_S  # 4.7404705, which the Hipparcos volumes call A_V
 SUN_RADIUS_KM = 695_700.0  # nominal: IAU 2015 resolution B3
+SUN_GM_KM3_S2 = 1.3271244e11  # nominal: IAU 2015 resolution B3
 SOLAR_CONSTANT_W_M2 = 1361.0  # at 1 au, nominal: IAU 2015 resolution B3
 OBLIQUITY_J2000_RAD = math.radians(84_381.448 / HOUR_S)  # IAU 1976, as SPICE's ECLIPJ2000
 FASTEST_STAR_RAD_YR = (

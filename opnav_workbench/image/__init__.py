@@ -16,6 +16,8 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
     `Header` and `KeywordMap`: which keywords hold what; pointing and trajectory from them, to the barycenter.
 ``planes``
     Picture, error and masks of one shape from the stored arrays; squeezed values expanded.
+``contradictions``
+    What a header says against itself, or against what any spacecraft can do.
 ``masks``
     What the bits of quality planes mean, as data.
 ``background``

@@ -30,6 +30,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.constants import AU_KM, DAY_S, J2000_JD
 from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import matrix_from_quaternion
+from opnav_workbench.image.contradictions import believed_state
 from opnav_workbench.image.masks import QUALITY_TABLES
 
 __all__ = [
@@ -103,15 +104,18 @@ class HeaderGeometry:
     camera_from_j2000 : (3, 3) array or None
         Attitude, so that ``v_camera = camera_from_j2000 @ v_j2000``; None where the header tells none.
     spacecraft_from_sun_km, spacecraft_velocity_km_s : (3,) array or None
-        Spacecraft with respect to the Sun, J2000.
+        Spacecraft with respect to the Sun, J2000; zeros where what is stated cannot be.
     quality
         What the header says of its own geometry ("PREDICT", "RECONSTRUCTED"), or "".
+    velocity_sigma_km_s
+        Of each axis, where the velocity cannot be what is stated and is not known; else 0.
     """
 
     camera_from_j2000: FloatArray | None
     spacecraft_from_sun_km: FloatArray | None
     spacecraft_velocity_km_s: FloatArray | None
     quality: str
+    velocity_sigma_km_s: float = 0.0
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -142,6 +146,9 @@ class KeywordMap:
         Time of the picture: TDB seconds past J2000, UTC text, spacecraft clock.
     time_reference
         What `et` and `utc` refer to; a start time is shifted by half the exposure.
+    begin, end
+        When the exposure began and ended, in UTC or in seconds of any clock: what exposure and time are held against.
+        Unless named, the standards' own words: ``DATE-BEG`` and ``DATE-END`` (FITS), ``START_TIME`` and ``STOP_TIME`` (PDS).
     quaternion : sequence of 4 str
         SPICE order, scalar first; its sense is `quaternion_sense`.
     sun_position, sun_velocity : sequence of 3 str
@@ -184,6 +191,8 @@ class KeywordMap:
     utc: str | None = None
     sclk: str | None = None
     time_reference: Literal["middle", "start"] = "middle"
+    begin: str | None = None
+    end: str | None = None
     quaternion: Sequence[str] | None = None
     quaternion_sense: Literal["camera_to_j2000", "j2000_to_camera"] = "camera_to_j2000"
     sun_position: Sequence[str] | None = None
@@ -263,8 +272,17 @@ SYSTEM_REMARK = (
 )
 
 
-def header_geometry(header: Header, keywords: KeywordMap) -> tuple[HeaderGeometry | None, tuple[str, ...]]:
-    """Return what the header says of pointing and trajectory, None without a usable one of either, and remarks.
+@dataclass(frozen=True, slots=True, eq=False)
+class GeometryRead:
+    """What a header says of pointing and trajectory (None: nothing usable), remarks, and what contradicts itself."""
+
+    geometry: HeaderGeometry | None
+    messages: tuple[str, ...] = ()
+    contradictions: tuple[str, ...] = ()
+
+
+def header_geometry(header: Header, keywords: KeywordMap) -> GeometryRead:
+    """Return what the header says of pointing and trajectory, as far as it can be believed.
 
     Notes
     -----
@@ -272,27 +290,39 @@ def header_geometry(header: Header, keywords: KeywordMap) -> tuple[HeaderGeometr
     100 km by which the trajectories differ), so the vector turned round is the spacecraft's place.
     """
     messages = _system_remarks(header)
-    attitude, problem = None, ""
-    if keywords.quaternion is not None:
-        attitude, problem = _header_attitude(header, keywords)
-    messages = (*messages, problem) if problem else messages
-    position = _from_sun(header, keywords, "sun_position")
-    if attitude is None and position is None:
-        return None, messages
-    quality = str(keywords.value(header, "geometry_quality") or "")
-    return HeaderGeometry(attitude, position, _from_sun(header, keywords, "sun_velocity"), quality), messages
-
-
-def _header_attitude(header: Header, keywords: KeywordMap) -> tuple[FloatArray | None, str]:
-    names = ", ".join(keywords.quaternion or ())
     quaternion = _header_vector(header, keywords, "quaternion")
-    if quaternion is None:
-        return None, f"no header pointing: {names} are not all in the header"
+    wrong = () if quaternion is None else _no_rotation(quaternion, keywords)
+    if keywords.quaternion is not None and quaternion is None:
+        names = ", ".join(keywords.quaternion)
+        messages = (*messages, f"no header pointing: {names} are not all in the header")
+    attitude = None if quaternion is None or wrong else _header_attitude(quaternion, keywords)
+    state = believed_state(
+        _from_sun(header, keywords, "sun_position"),
+        _from_sun(header, keywords, "sun_velocity"),
+        (", ".join(keywords.sun_position or ()), ", ".join(keywords.sun_velocity or ())),
+    )
+    contradictions = (*wrong, *state.contradictions)
+    if attitude is None and state.position_km is None:
+        return GeometryRead(None, messages, contradictions)
+    quality = str(keywords.value(header, "geometry_quality") or "")
+    geometry = HeaderGeometry(
+        attitude, state.position_km, state.velocity_km_s, quality, state.velocity_sigma_km_s
+    )
+    return GeometryRead(geometry, messages, contradictions)
+
+
+def _no_rotation(quaternion: FloatArray, keywords: KeywordMap) -> tuple[str, ...]:
+    """Return why four numbers are no rotation; nothing where they are one."""
     length = float(np.linalg.norm(quaternion))
-    if not abs(length - 1.0) <= QUATERNION_NORM_TOLERANCE:
-        return None, f"no header pointing: the quaternion {names} has length {length:.6g} instead of 1"
+    if abs(length - 1.0) <= QUATERNION_NORM_TOLERANCE:
+        return ()
+    names = ", ".join(keywords.quaternion or ())
+    return (f"no header pointing: the quaternion {names} has length {length:.6g} instead of 1",)
+
+
+def _header_attitude(quaternion: FloatArray, keywords: KeywordMap) -> FloatArray:
     matrix = matrix_from_quaternion(quaternion)
-    return (matrix.T if keywords.quaternion_sense == "camera_to_j2000" else matrix), ""
+    return matrix.T if keywords.quaternion_sense == "camera_to_j2000" else matrix
 
 
 def _from_sun(header: Header, keywords: KeywordMap, name: str) -> FloatArray | None:

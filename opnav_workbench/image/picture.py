@@ -2,9 +2,9 @@
 
 Flow    file -> `StoredPicture` (`formats`) -> planes and masks (`planes`) -> time, pointing (`header`) -> `Picture`
 
-Enter by `read_image`. Times are mid-exposure: a start time is shifted by half the exposure, and two statements of time in
-one header must agree to 2 ms, as UTC texts are printed to a millisecond. Warnings of the libraries below do not escape;
-they end in ``Picture.messages``.
+Enter by `read_image`. Times are mid-exposure: a start time is shifted by half the exposure. Two statements of time in one
+header must agree to their last printed digits; what contradicts itself is kept as such (`contradictions`). Warnings of the
+libraries below do not escape; they end in ``Picture.messages``.
 """
 
 import hashlib
@@ -13,6 +13,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,11 +23,13 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import ImageError, plain_line
 from opnav_workbench.geometry.times import et_from_text, text_from_et
+from opnav_workbench.image.contradictions import check_exposure, time_tolerance_s
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats import StoredPicture, read_stored
 from opnav_workbench.image.header import (
     Header,
     HeaderGeometry,
+    HeaderValue,
     KeywordMap,
     header_geometry,
     header_matches,
@@ -65,6 +68,11 @@ class Picture:
         Spacecraft clock as the header has it, never shifted to mid-exposure.
     messages
         What a navigator should know about the file: masked pixels, departures from the standard, doubts.
+    contradictions
+        Which of the header's facts contradict each other, or cannot be (see `opnav_workbench.image.contradictions`); but
+        for ET against UTC, on which a clock may decide: `rival_et`.
+    rival_et
+        Mid-exposure by the header's UTC, where its ET states another time; None where they agree.
     """
 
     path: Path
@@ -80,6 +88,8 @@ class Picture:
     sclk: str | None
     header_geometry: HeaderGeometry | None
     messages: tuple[str, ...]
+    contradictions: tuple[str, ...] = ()
+    rival_et: float | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -108,8 +118,8 @@ class Picture:
 
 # ---- From the arrays and header of a file to a `Picture`: mission, planes, exposure, mid-exposure time.
 
-# s: UTC texts are printed to a millisecond, and two sources of leap seconds agree to less.
-TIME_DISAGREEMENT_S = 0.002
+# s past J2000: from Sputnik's launch to a century and a half of J2000 on; other numbers count something else.
+FIRST_PICTURE_ET, LAST_PICTURE_ET = -1_333_000_000.0, 4_733_000_000.0
 ISO_CALENDAR = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}(\.\d+)?")
 
 
@@ -127,8 +137,9 @@ def picture_from_stored(
     _check_mission(name, header, keywords)
     planes = make_planes(name, source, header, keywords, saturation_dn)
     exposure_s = _exposure(name, header, keywords)
-    et, utc, time_remarks = _time(name, header, keywords, exposure_s)
-    geometry, geometry_remarks = header_geometry(header, keywords)
+    time = _time(name, header, keywords, exposure_s)
+    read = header_geometry(header, keywords)
+    wrong = (*_exposure_contradictions(header, keywords, exposure_s, time), *read.contradictions)
     sclk = keywords.value(header, "sclk")
     return Picture(
         path=path,
@@ -139,11 +150,13 @@ def picture_from_stored(
         saturated=planes.saturated,
         header=header,
         exposure_s=exposure_s,
-        et=et,
-        utc=utc,
+        et=time.et,
+        utc=time.utc,
         sclk=None if sclk is None else str(sclk),
-        header_geometry=geometry,
-        messages=(*planes.messages, *time_remarks, *geometry_remarks),
+        header_geometry=read.geometry,
+        messages=(*planes.messages, *time.messages, *read.messages, *wrong),
+        contradictions=(*time.contradictions, *wrong),
+        rival_et=time.rival_et,
     )
 
 
@@ -179,26 +192,48 @@ def _exposure(name: str, header: Header, keywords: KeywordMap) -> float:
     return seconds * keywords.exposure_scale
 
 
-def _time(
-    name: str, header: Header, keywords: KeywordMap, exposure_s: float
-) -> tuple[float | None, str | None, list[str]]:
-    """Return mid-exposure et and UTC; both None where only a spacecraft clock is known."""
-    et = header_number(keywords.value(header, "et"))
-    et = et if et is not None and math.isfinite(et) else None
+@dataclass(frozen=True, slots=True)
+class _StatedTime:
+    """Mid-exposure et and UTC, None where only a clock is known; `rival_et`: by the UTC, where that is another time."""
+
+    et: float | None
+    utc: str | None
+    messages: tuple[str, ...] = ()
+    rival_et: float | None = None
+    contradictions: tuple[str, ...] = ()
+
+
+def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) -> _StatedTime:
+    et, impossible = _stated_et(name, header, keywords)
     text = keywords.value(header, "utc")
     stated = None if text is None else _et_of(name, str(text), keywords)
     known = et if et is not None else stated
     if known is None:
-        return None, None, [_without_time(name, header, keywords)]
-    messages = []
-    agree = stated is None or abs(known - stated) <= TIME_DISAGREEMENT_S
-    if stated is not None and not agree:
-        messages.append(
-            f"{keywords.et} and {keywords.utc} differ by {known - stated:+.3f} s; {keywords.et} is used"
-        )
+        return _StatedTime(None, None, (*impossible, _without_time(name, header, keywords)), None, impossible)
     shift_s = _half_exposure(name, keywords, exposure_s)
+    off = 0.0 if stated is None else known - stated
+    agree = abs(off) <= time_tolerance_s(text, keywords.value(header, "et"))
     keep = agree and shift_s == 0.0 and text is not None and ISO_CALENDAR.fullmatch(str(text))
-    return known + shift_s, str(text) if keep else _utc_of(name, known + shift_s), messages
+    utc = str(text) if keep else _utc_of(name, known + shift_s)
+    if agree or stated is None:
+        return _StatedTime(known + shift_s, utc, impossible, None, impossible)
+    differ = f"{keywords.et} and {keywords.utc} differ by {off:+.3f} s; {keywords.et} is used"
+    return _StatedTime(known + shift_s, utc, (differ,), stated + shift_s)
+
+
+def _stated_et(name: str, header: Header, keywords: KeywordMap) -> tuple[float | None, tuple[str, ...]]:
+    """Return what the header states as ET, None where that is no time of a picture, and why."""
+    et = header_number(keywords.value(header, "et"))
+    if et is None or not math.isfinite(et):
+        return None, ()
+    if FIRST_PICTURE_ET < et < LAST_PICTURE_ET:
+        return et, ()
+    if keywords.value(header, "utc") is None:
+        raise image_error(
+            name,
+            f"{keywords.et} = {et:g} s past J2000 is no date of a picture from space; correct the header.",
+        )
+    return None, (f"{keywords.et} = {et:g} is no date of a picture from space; {keywords.utc} is used",)
 
 
 def _et_of(name: str, text: str, keywords: KeywordMap) -> float:
@@ -217,6 +252,38 @@ def _utc_of(name: str, et: float) -> str:
         raise image_error(
             name, f"the time {et:g} s past J2000 is no date ({error}); correct the header."
         ) from error
+
+
+# What the standards of files call the begin and the end of an exposure (FITS 4.0, PDS data dictionary).
+STANDARD_SPANS = (("DATE-BEG", "DATE-END"), ("START_TIME", "STOP_TIME"))
+
+
+def _exposure_contradictions(
+    header: Header, keywords: KeywordMap, exposure_s: float, time: _StatedTime
+) -> list[str]:
+    if math.isnan(exposure_s) or keywords.exposure_s is None:
+        return []
+    named = (keywords.begin, keywords.end)
+    for begin, end in (named,) if all(named) else STANDARD_SPANS:
+        stated = (keywords.known(header, str(begin)), keywords.known(header, str(end)))
+        times = [_seconds(value) for value in stated]
+        if None not in times:
+            as_utc = time.et is not None and all(isinstance(value, str) for value in stated)
+            tolerance_s = time_tolerance_s(*stated, *([time.utc] if as_utc else []))
+            span_s = (times[0], times[1])
+            middle_s = time.et if as_utc else math.nan
+            return check_exposure(keywords.exposure_s, exposure_s, span_s, tolerance_s, middle_s)
+    return check_exposure(keywords.exposure_s, exposure_s, None, 0.0, math.nan)
+
+
+def _seconds(value: HeaderValue | None) -> float | None:
+    """Return a time as seconds: of UTC past J2000, or of a clock's count; None where it is neither."""
+    if isinstance(value, str) and ":" in value:
+        with suppress(ValueError):
+            return et_from_text(value)
+        return None
+    seconds = header_number(value)
+    return seconds if seconds is not None and math.isfinite(seconds) else None
 
 
 def _half_exposure(name: str, keywords: KeywordMap, exposure_s: float) -> float:

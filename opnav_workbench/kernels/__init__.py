@@ -92,8 +92,10 @@ from opnav_workbench.kernels.states import (
 )
 from opnav_workbench.kernels.text_kernels import write_text_kernel
 from opnav_workbench.kernels.time import (
+    clock_tolerance_s,
     et_from_sclk,
     et_from_utc,
+    knows_clock,
     packaged_leap_seconds,
     sclk_from_et,
     utc_from_et,
@@ -132,6 +134,7 @@ __all__ = [
     "camera_rate",
     "check_kernels",
     "ck_structure",
+    "clock_tolerance_s",
     "et_from_sclk",
     "et_from_utc",
     "fetch_kernels",
@@ -140,6 +143,7 @@ __all__ = [
     "kernel_sets",
     "kernels_folder",
     "known_names",
+    "knows_clock",
     "knows_frame",
     "load_manifest",
     "make_kernels",

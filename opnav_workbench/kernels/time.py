@@ -12,18 +12,22 @@ from decimal import Decimal
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import spiceypy
 
 from opnav_workbench.constants import DAY_S, J2000_JD
 from opnav_workbench.errors import KernelError
+from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call
 
 __all__ = [
+    "clock_tolerance_s",
     "et_from_jd",
     "et_from_sclk",
     "et_from_tdb_datetime",
     "et_from_utc",
     "et_from_utc_datetime",
+    "knows_clock",
     "packaged_leap_seconds",
     "sclk_from_et",
     "utc_from_et",
@@ -106,6 +110,50 @@ def sclk_from_et(spacecraft_id: int, et: float) -> str:
     """
     with spice_call(SpiceRequest(f"reading of clock {spacecraft_id}", et), needs_kernels=True):
         return str(spiceypy.sce2s(spacecraft_id, et))
+
+
+LAST_RATES = 10  # of a clock kernel: how they scatter is how well the next one is known
+LAST_FIELD = re.compile(r"\d+(?=\D*$)")
+
+
+def knows_clock(spacecraft_id: int) -> bool:
+    """Tell whether a loaded kernel describes a spacecraft's clock."""
+    with spice_call(f"clock {spacecraft_id}", needs_kernels=True):
+        return pool.pool_value(f"SCLK_DATA_TYPE_{abs(spacecraft_id)}") is not None
+
+
+def clock_tolerance_s(spacecraft_id: int, sclk: str, et: float) -> float:
+    """Return by how much the time of a clock reading may be off: one count of its last field, and the clock's drift.
+
+    The drift is what the kernel's last rates lead apart by beyond its last record; up to there the clock was held to
+    that of the ground.
+
+    Parameters
+    ----------
+    et
+        Of the reading, TDB s past J2000.
+
+    Raises
+    ------
+    KernelError
+        As `et_from_sclk`.
+    """
+    count = abs(et_from_sclk(spacecraft_id, _one_count_on(sclk)) - et_from_sclk(spacecraft_id, sclk))
+    with spice_call(f"clock {spacecraft_id}", needs_kernels=True):
+        records = pool.pool_value(f"SCLK01_COEFFICIENTS_{abs(spacecraft_id)}") or ()
+    numbers = np.array(records, dtype=np.float64).reshape(
+        -1, 3
+    )  # ticks, parallel time, seconds a whole count
+    if len(numbers) < 2:
+        return count
+    rates = numbers[-LAST_RATES:, 2]
+    beyond_s = max(et - float(numbers[-1, 1]), 0.0)
+    return count + float(np.ptp(rates) / np.median(rates)) * beyond_s
+
+
+def _one_count_on(sclk: str) -> str:
+    """Return a reading whose last field is one more; SPICE carries what is over."""
+    return LAST_FIELD.sub(lambda field: str(int(field[0]) + 1).zfill(len(field[0])), sclk, count=1)
 
 
 # ---- The leap seconds that come with the package, for when a person's kernels bring none.

@@ -36,11 +36,14 @@ class Observer:
         With respect to the solar-system barycenter, J2000.
     source
         "kernels" or "header", for the record.
+    velocity_sigma_km_s
+        Of each axis, where the velocity is not known; 0 where it is.
     """
 
     position_km: FloatArray
     velocity_km_s: FloatArray
     source: str
+    velocity_sigma_km_s: float = 0.0
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
@@ -79,7 +82,7 @@ def observer_from_header(picture: Picture, et: float) -> Observer:
     position, velocity = barycentric_from_heliocentric(
         np.asarray(geometry.spacecraft_from_sun_km), np.asarray(geometry.spacecraft_velocity_km_s), et
     )
-    return Observer(position, velocity, "header")
+    return Observer(position, velocity, "header", geometry.velocity_sigma_km_s)
 
 
 # ---- Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry.

@@ -17,6 +17,8 @@ function of that name, keeps the state it makes, and writes the journal.
     The attitude from the stars alone, where header and kernels are silent or wrong.
 ``settings``
     Thresholds of a session.
+``contradictions``
+    What the header says against the kernels: clock, trajectory, attitude.
 ``star_field``
     Which detection is which star: by pattern, by two marked stars, by hand.
 ``star_measurement``

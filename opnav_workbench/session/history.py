@@ -21,7 +21,7 @@ from opnav_workbench.files import digest, plain_values
 from opnav_workbench.session import body_steps, pointing, star_field, star_steps
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
-from opnav_workbench.session.state import SessionState
+from opnav_workbench.session.state import HEADER_TOPIC, SessionState
 
 __all__ = [
     "JOURNAL_FILE",
@@ -267,7 +267,7 @@ class History:
     def __init__(self, context: Context, inputs: Inputs) -> None:
         self.inputs = inputs
         self._context = context
-        self._first = SessionState()
+        self._first = SessionState().with_notes(HEADER_TOPIC, *inputs.contradictions)
         self._standing: list[_StepTaken] = []
         self._undone: list[_StepTaken] = []  # the next to be repeated is the last
         self._journal: list[JournalEntry] = []

@@ -5,7 +5,7 @@ resumes without any of these.  Later steps may add targets and, for a wide searc
 values they stand in ``session.json`` whole, and in ``journal.jsonl`` as what a step added.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from opnav_workbench.scene import (
     star_target_at,
 )
 from opnav_workbench.session.context import Context, faintest_magnitude
+from opnav_workbench.session.contradictions import attitude_contradiction, settled_time
 from opnav_workbench.targets import TargetState
 
 __all__ = [
@@ -95,6 +96,8 @@ class Inputs:
         Shape models of targets, where the kernels hold one.
     lost
         What a search of the whole sky gave, where one was needed.
+    contradictions
+        Which facts of the header contradict each other or the kernels, and what is used (`contradictions`).
     """
 
     et: float
@@ -107,6 +110,7 @@ class Inputs:
     wide_stars: StarTable | None = None
     shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
     lost: LostField | None = None
+    contradictions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
@@ -175,7 +179,8 @@ def collect_inputs(
     NoAttitudeError
         Nothing tells it.
     """
-    et = _et(context)
+    time = settled_time(context, _et(context))
+    et = time.et
     origin: AttitudeOrigin
     if lost is None or lost.camera_from_j2000 is None:
         attitude, origin = _attitude(context, source.attitude, et)
@@ -183,13 +188,18 @@ def collect_inputs(
         attitude, origin = lost.camera_from_j2000, "none"
     inputs = Inputs(
         et=et,
-        utc=context.picture.utc or "",
+        utc=time.utc,
         observer=_observer(context, et),
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
         stars=StarTable.empty(),
         targets=MappingProxyType({}),
         lost=lost,
+        contradictions=(
+            *context.picture.contradictions,
+            *time.contradictions,
+            *attitude_contradiction(context, et),
+        ),
     )
     return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
 
@@ -296,10 +306,14 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
     geometry = context.picture.header_geometry
     if geometry is None or geometry.camera_from_j2000 is None:
         raise NoAttitudeError(
-            f"{context.picture.name}: the header gives no attitude; "
+            f"{context.picture.name}: the header gives no attitude{_because(context.picture.contradictions)}; "
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
     return np.asarray(geometry.camera_from_j2000), "header"
+
+
+def _because(contradictions: Sequence[str]) -> str:
+    return f" ({'; '.join(contradictions)})" if contradictions else ""
 
 
 def _stars(context: Context, catalog: Catalog, inputs: Inputs) -> StarTable:
@@ -348,7 +362,9 @@ def inputs_dict(inputs: Inputs) -> dict[str, Any]:
         "wide_stars": None if inputs.wide_stars is None else _columns(inputs.wide_stars),
         "targets": {name: _columns(target) for name, target in inputs.targets.items()},
         "shapes": dict(inputs.shapes),
-    } | ({} if inputs.lost is None else {"lost": _columns(inputs.lost)})
+        **({} if inputs.lost is None else {"lost": _columns(inputs.lost)}),
+        **({"contradictions": inputs.contradictions} if inputs.contradictions else {}),
+    }
 
 
 def _columns(instance: Any) -> dict[str, Any]:
@@ -368,6 +384,7 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
         wide_stars=None if data.get("wide_stars") is None else _star_table(data["wide_stars"]),
         shapes=_path_mapping(data.get("shapes", {})),
         lost=_lost_field(data.get("lost")),
+        contradictions=tuple(data.get("contradictions", ())),
     )
 
 

@@ -5,12 +5,14 @@ Observables rest on the attitude, so they are computed here and follow every new
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies import BodyCenter, JointCenters
+from opnav_workbench.constants import ARCSEC_PER_RAD, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable, center_cross, observe
 from opnav_workbench.scene import predict_body
@@ -25,7 +27,7 @@ from opnav_workbench.session.state import (
     has_center,
     with_decisions,
 )
-from opnav_workbench.stars.pointing import MotionTails, solve_pointing
+from opnav_workbench.stars.pointing import MotionTails, PointingSolution, solve_pointing
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 
 __all__ = [
@@ -70,7 +72,9 @@ def pointing_doubt(state: SessionState) -> str:
     """
     if state.pointing is None:
         return "the pointing is not solved from stars"
-    return "" if field_is_sure(state) else "the star field is not identified for sure"
+    if not field_is_sure(state):
+        return "the star field is not identified for sure"
+    return "the header contradicts itself or the kernels" if state.contradictions else ""
 
 
 def field_is_sure(state: SessionState) -> bool:
@@ -187,7 +191,24 @@ def _solved(
             state.status, usable, solution.used, solution.reasons, strict=True
         )
     )
-    return state.replace(pointing=solution, status=status).with_notes("pointing", *solution.messages)
+    widened, said = _widened(context, inputs, solution)
+    return state.replace(pointing=widened, status=status).with_notes("pointing", *solution.messages, *said)
+
+
+def _widened(
+    context: Context, inputs: Inputs, solution: PointingSolution
+) -> tuple[PointingSolution, tuple[str, ...]]:
+    """Return a pointing whose covariance holds the aberration that nobody knows: it turns all stars alike."""
+    sigma = inputs.observer.velocity_sigma_km_s / SPEED_OF_LIGHT_KM_S
+    if sigma == 0.0:
+        return solution, ()
+    across = np.eye(3) - np.outer(context.camera.boresight, context.camera.boresight)
+    covariance = solution.covariance_rad2 + sigma**2 * across
+    said = (
+        f"the spacecraft's velocity is not known: no aberration is removed, and {sigma * ARCSEC_PER_RAD:.1f} arcsec of it "
+        "are in the pointing's covariance"
+    )
+    return replace(solution, covariance_rad2=covariance), (said,)
 
 
 def _start(context: Context, inputs: Inputs, state: SessionState, a_priori: bool) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from opnav_workbench.session.star_measurement import (
 )
 from opnav_workbench.session.state import (
     ACCEPTED,
+    HEADER_TOPIC,
     MEASURED_STATUSES,
     REJECTED,
     FieldMatch,
@@ -102,7 +103,7 @@ def predict(
     )
     stars = brightest(stars, context.settings.max_stars)
     status = unsearched_statuses(stars.on_detector)
-    topics = {skipped_topic(name) for name in state.skipped_targets}
+    topics = {HEADER_TOPIC, *(skipped_topic(name) for name in state.skipped_targets)}
     fresh = SessionState(
         a_priori=stars,
         found_status=status,

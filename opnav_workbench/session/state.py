@@ -22,6 +22,7 @@ from opnav_workbench.stars.pointing import PointingSolution
 __all__ = [
     "ACCEPTED",
     "BY_HAND",
+    "HEADER_TOPIC",
     "LOST",
     "MARKED",
     "MEASURED_STATUSES",
@@ -44,6 +45,7 @@ __all__ = [
 ]
 
 
+HEADER_TOPIC = "header"  # of the notes that say what contradicts itself
 EXAMPLE_NAMES = 3  # names that a message gives as examples
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
@@ -210,6 +212,11 @@ class SessionState:
     def replace(self, **changes: Any) -> "SessionState":
         """Return a copy with some fields changed."""
         return replace(self, **changes)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Which facts of the header contradict each other or the kernels, and what is used."""
+        return self.notes.get(HEADER_TOPIC, ())
 
     @property
     def messages(self) -> tuple[str, ...]:
