@@ -69,6 +69,8 @@ def _long_ago(good: Path, bad: Path) -> None:
     with fits.open(good) as hdus:
         header = hdus[0].header.copy()
         header["SPCSCET"] = header["SPCSCET"] + 5.0 * 86400.0
+        for key in ("SPCUTCAL", "SPCSCLK"):  # which tell the true time, and would be taken
+            header.remove(key)
         fits.PrimaryHDU(hdus[0].data, header).writeto(bad)
 
 

@@ -1,0 +1,152 @@
+"""Headers that contradict themselves or the kernels: the picture is partial, and nothing is silently believed."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.image.contradictions import believed_state, printed_unit_s
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.processing import Processing, process_image
+from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
+from opnav_workbench.session import ImageSession
+
+DAY_S = 86400.0
+VELOCITY = ("SPCSSCVX", "SPCSSCVY", "SPCSSCVZ")
+PLACE = ("SPCSSCX", "SPCSSCY", "SPCSSCZ")
+
+
+@pytest.fixture
+def told(truth, tmp_path):
+    """A copy of the demo picture whose header says something else; a function changes each keyword's value."""
+
+    def write(**changes):
+        path = shutil.copy(truth.picture, tmp_path / "told.fit")
+        with fits.open(path, mode="update") as hdus:
+            for keyword, change in changes.items():
+                hdus[0].header[keyword] = change(hdus[0].header[keyword])
+        return path
+
+    return write
+
+
+def contradictions(path):
+    return ImageSession.open(path, "new_horizons", catalog=DEMO_CATALOG).inputs.contradictions
+
+
+def test_a_good_header_contradicts_nothing(truth, kernels):
+    assert contradictions(truth.picture) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"SPCSCET": lambda et: et - 5.0}, "SPCSCET and SPCUTCAL differ by -5.000 s"),
+        (dict.fromkeys(VELOCITY, lambda _: 0.0), "state a velocity of 0 km/s"),
+        (dict.fromkeys(VELOCITY, lambda v: 1e3 * v), "faster than any spacecraft there"),
+        (dict.fromkeys(VELOCITY, lambda v: v / 1731.5), "falls into the Sun"),  # au a day
+        (dict.fromkeys(PLACE, lambda x: 1e3 * x), "where no spacecraft is"),
+        (dict.fromkeys(PLACE, lambda x: x / 1.496e8), "where no spacecraft is"),
+        ({"EXPTIME": lambda t: 1e6 * t}, "longer than a day"),
+    ],
+)
+def test_a_header_against_itself(told, changes, said):
+    (line,) = contradictions(told(**changes))
+    assert said in line
+
+
+def test_an_exposure_longer_than_from_begin_to_end(told):
+    path = told()
+    fits.setval(path, "DATE-BEG", value="2015-04-15T02:00:00.000")
+    fits.setval(path, "DATE-END", value="2015-04-15T02:00:00.500")
+    longer, outside = contradictions(path)
+    assert "an exposure of 1 s, but the header's begin and end lie 0.5 s apart" in longer
+    assert "the middle of the exposure lies" in outside
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"SPCSCLK": lambda s: s.replace("3/02908939", "3/02908949")}, "the clock reading SPCSCLK"),
+        ({"SPCSSCX": lambda x: x + 1e5}, "the header's position (SPCSSCX, SPCSSCY, SPCSSCZ) by "),
+        ({"SPCSSCVY": lambda v: v + 0.5}, "the header's velocity (SPCSSCVX, SPCSSCVY, SPCSSCVZ) by 0.5 km/s"),
+        ({"SPCQX": lambda q: -q}, "the header's attitude is turned by"),
+        ({"SPCQX": lambda q: 3.0 * q}, "instead of 1"),
+    ],
+)
+def test_a_header_against_the_kernels(told, kernels, changes, said):
+    (line,) = contradictions(told(**changes))
+    assert said in line
+
+
+@pytest.mark.parametrize("wrong", ["SPCSCET", "SPCUTCAL"])
+def test_clock_and_trajectory_settle_which_time_is_right(truth, told, kernels, wrong):
+    true = ImageSession.open(truth.picture, "new_horizons", catalog=DEMO_CATALOG).inputs
+    later = {
+        "SPCSCET": lambda et: et + 0.5 * DAY_S,
+        "SPCUTCAL": lambda utc: f"{utc[:11]}{(int(utc[11:13]) + 7) % 24:02d}{utc[13:]}",
+    }
+    session = ImageSession.open(told(**{wrong: later[wrong]}), "new_horizons", catalog=DEMO_CATALOG)
+    assert session.inputs.et == pytest.approx(true.et, abs=0.001)
+    assert session.inputs.utc == true.utc
+    (line,) = session.inputs.contradictions
+    assert "with which the spacecraft clock and the header's position agree" in line
+
+
+@pytest.mark.slow
+def test_a_velocity_of_zero_is_not_believed(truth, told):
+    """The stars then give an attitude that is off by the aberration: its sigma says so."""
+    path = told(**dict.fromkeys(VELOCITY, lambda _: 0.0))
+    session = ImageSession.open(path, "new_horizons", catalog=DEMO_CATALOG)
+    session.predict()
+    session.find_stars()
+    session.repoint()
+    pointing = session.state.pointing
+    error = vector_from_rotation(pointing.camera_from_j2000 @ truth.camera_from_j2000.T)
+    assert error @ np.linalg.solve(pointing.formal_covariance_rad2, error) > 100.0
+    assert error @ np.linalg.solve(pointing.covariance_rad2, error) < 9.0
+    assert any("no aberration is removed" in message for message in session.state.messages)
+
+
+@pytest.mark.slow
+def test_it_stands_in_everything_that_is_written(told, tmp_path):
+    """Status, messages and observables of a picture that would be ok; and a session that is opened again."""
+    policy = Processing(mission="new_horizons", catalog=DEMO_CATALOG, targets=("PLUTO",)).opened()
+    with KernelSet(DEMO_KERNELS):
+        outcome = process_image(told(SPCSCET=lambda et: et + 7.0), policy, tmp_path / "run")
+    result = json.loads((outcome.folder / "result.json").read_text())
+    assert result["status"] == "partial"
+    assert result["messages"][0].startswith("SPCSCET and SPCUTCAL differ by +7.000 s")
+    (body,) = result["bodies"]
+    assert body["status"] == "uncertain"
+    assert "the header contradicts itself or the kernels" in body["messages"]
+    again = ImageSession.resume(outcome.folder)
+    assert again.state.contradictions == again.inputs.contradictions != ()
+
+
+@pytest.mark.parametrize(
+    ("distance_km", "speed_km_s"),
+    [
+        (6.9e6, 192.0),  # Parker Solar Probe, the fastest
+        (4.6e7, 59.0),  # MESSENGER
+        (7.78e8, 72.0),  # Juno at Jupiter's clouds
+        (2.57e10, 16.9),  # Voyager 1
+        (7.05e9, 13.7),  # New Horizons
+    ],
+)
+def test_what_spacecraft_do_is_believed(distance_km, speed_km_s):
+    across = np.array([0.6, 0.8, 0.0])
+    state = believed_state(np.array([distance_km, 0.0, 0.0]), speed_km_s * across, ("X", "V"))
+    assert state.contradictions == ()
+    np.testing.assert_array_equal(state.velocity_km_s, speed_km_s * across)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit"),
+    [("2015-170T16:15:46.345", 1e-3), ("2015-06-03T04:02", 60.0), (640822081.5339231, 1e-7), (5.0, 1.0)],
+)
+def test_the_last_printed_digit(value, unit):
+    assert printed_unit_s(value) == pytest.approx(unit)
