@@ -217,7 +217,7 @@ def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) ->
     utc = str(text) if keep else _utc_of(name, known + shift_s)
     if agree or stated is None:
         return _StatedTime(known + shift_s, utc, impossible, None, impossible)
-    differ = f"{keywords.et} and {keywords.utc} differ by {off:+.3f} s; {keywords.et} is used"
+    differ = f"{keywords.et} and {keywords.utc} differ by {off:+.3f} s"
     return _StatedTime(known + shift_s, utc, (differ,), stated + shift_s)
 
 
