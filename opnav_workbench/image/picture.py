@@ -266,13 +266,12 @@ def _exposure_contradictions(
     named = (keywords.begin, keywords.end)
     for begin, end in (named,) if all(named) else STANDARD_SPANS:
         stated = (keywords.known(header, str(begin)), keywords.known(header, str(end)))
-        times = [_seconds(value) for value in stated]
-        if None not in times:
+        first, last = (_seconds(value) for value in stated)
+        if first is not None and last is not None:
             as_utc = time.et is not None and all(isinstance(value, str) for value in stated)
             tolerance_s = time_tolerance_s(*stated, *([time.utc] if as_utc else []))
-            span_s = (times[0], times[1])
-            middle_s = time.et if as_utc else math.nan
-            return check_exposure(keywords.exposure_s, exposure_s, span_s, tolerance_s, middle_s)
+            middle_s = time.et if as_utc and time.et is not None else math.nan
+            return check_exposure(keywords.exposure_s, exposure_s, (first, last), tolerance_s, middle_s)
     return check_exposure(keywords.exposure_s, exposure_s, None, 0.0, math.nan)
 
 

@@ -134,7 +134,7 @@ def _against_trajectory(context: Context, keywords: KeywordMap, et: float) -> st
     velocity = geometry.spacecraft_velocity_km_s
     with_velocity = velocity is not None and geometry.velocity_sigma_km_s == 0.0
     position_km, velocity_km_s = barycentric_from_heliocentric(
-        geometry.spacecraft_from_sun_km, velocity if with_velocity else np.zeros(3), et
+        geometry.spacecraft_from_sun_km, np.zeros(3) if velocity is None else velocity, et
     )
     far = float(np.linalg.norm(position_km - known.position_km))
     fast = float(np.linalg.norm(velocity_km_s - known.velocity_km_s)) if with_velocity else 0.0
