@@ -6,12 +6,20 @@ Enter by `Camera`: `Camera.from_yaml` for a camera file, `Camera.from_ik` for a 
     `Camera`: direction to (pixel, line) and back, with Jacobians; place on the detector to the sky.
 ``distortion``
     The distortion models, one direction as published, the other by Newton's method, and how far each holds.
+``lens_models``
+    More of them: radial as in ISIS, polynomials, fisheye, CAHVOR.
 ``response``
     `CameraResponse`: what a camera makes of light; magnitudes to electrons.
 ``priors``
     What is believed of PSF, attitude and exposures before pictures are measured.
 ``camera_file``
     The schema of camera files, and reading one.
+``support_data``
+    Community Sensor Model image support data: camera, attitude and states of one picture, read and written.
+``saving``
+    Cameras into camera files.
+``origins``
+    Which values were known, derived or guessed.
 ``instrument_kernel``
     Cameras from the ``INS<id>_*`` variables of SPICE instrument kernels.
 """
@@ -25,7 +33,15 @@ from opnav_workbench.camera.distortion import (
     OwenDistortion,
     SipDistortion,
 )
+from opnav_workbench.camera.lens_models import (
+    CahvorDistortion,
+    FisheyeDistortion,
+    RadialDistortion,
+    RationalDistortion,
+    TaylorDistortion,
+)
 from opnav_workbench.camera.model import Camera
+from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
 from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
 
@@ -33,14 +49,20 @@ __all__ = [
     "UNKNOWN_COLOR",
     "AttitudeSigma",
     "BrownDistortion",
+    "CahvorDistortion",
     "Camera",
     "CameraResponse",
     "Distortion",
     "ExposureLimits",
+    "FisheyeDistortion",
     "ForwardSipDistortion",
     "LegendreDistortion",
     "NoDistortion",
+    "Origin",
     "OwenDistortion",
     "PsfPrior",
+    "RadialDistortion",
+    "RationalDistortion",
     "SipDistortion",
+    "TaylorDistortion",
 ]

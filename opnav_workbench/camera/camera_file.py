@@ -21,6 +21,14 @@ from opnav_workbench.camera.distortion import (
     OwenDistortion,
     SipDistortion,
 )
+from opnav_workbench.camera.lens_models import (
+    CahvorDistortion,
+    FisheyeDistortion,
+    RadialDistortion,
+    RationalDistortion,
+    TaylorDistortion,
+)
+from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
 from opnav_workbench.errors import CameraError
 from opnav_workbench.photometry import Bandpass, ColorResponse
@@ -35,6 +43,8 @@ __all__ = ["camera_fields"]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(ge=0.0, lt=1.0)]
 Terms = Annotated[tuple[float, ...], Field(min_length=20, max_length=20)]
+TaylorTerms = Annotated[tuple[float, ...], Field(min_length=10, max_length=10)]
+QuadraticTerms = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
 
 
 def _powers(value: Any) -> Any:
@@ -122,8 +132,84 @@ class _Legendre(StrictModel):
         )
 
 
+class _Radial(StrictModel):
+    """As ISIS has it: ideal = distorted (1 - k0 - k1 r^2 - ...), r mm as measured."""
+
+    model: Literal["radial"]
+    k0: float = 0.0
+    k1_per_mm2: float = 0.0
+    k2_per_mm4: float = 0.0
+    k3_per_mm6: float = 0.0
+
+    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return RadialDistortion(**self.model_dump(exclude={"model"}))
+
+
+class _Taylor(StrictModel):
+    """Coefficients of 1, x, y, x^2, x y, y^2, x^3, x^2 y, x y^2, y^3 (mm), distorted from ideal."""
+
+    model: Literal["taylor"]
+    x_coefficients: TaylorTerms
+    y_coefficients: TaylorTerms
+
+    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return TaylorDistortion(np.array(self.x_coefficients), np.array(self.y_coefficients))
+
+
+class _Rational(StrictModel):
+    """Coefficients of x^2, x y, y^2, x, y, 1 (mm), ideal from distorted."""
+
+    model: Literal["rational"]
+    x_numerator: QuadraticTerms
+    y_numerator: QuadraticTerms
+    denominator: QuadraticTerms
+
+    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return RationalDistortion(
+            *(np.array(v) for v in (self.x_numerator, self.y_numerator, self.denominator))
+        )
+
+
+class _Fisheye(StrictModel):
+    """Kannala-Brandt: OpenCV's coefficients of the angle."""
+
+    model: Literal["fisheye"]
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+
+    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return FisheyeDistortion(focal_mm=focal_mm, **self.model_dump(exclude={"model"}))
+
+
+class _Cahvor(StrictModel):
+    """The O and R of CAHVOR and CAHVORE; `axis` in focal axes (pixel, line, boresight)."""
+
+    model: Literal["cahvor"]
+    axis: Vector3 = (0.0, 0.0, 1.0)
+    r0: float = 0.0
+    r1: float = 0.0
+    r2: float = 0.0
+    linearity: Annotated[float, Field(ge=-1.0, le=1.0)] = 1.0
+
+    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return CahvorDistortion(focal_mm, np.array(self.axis), self.r0, self.r1, self.r2, self.linearity)
+
+
 AnyDistortion = Annotated[
-    _NoDistortion | _Owen | _Brown | _Sip | _ForwardSip | _Legendre, Field(discriminator="model")
+    _NoDistortion
+    | _Owen
+    | _Brown
+    | _Sip
+    | _ForwardSip
+    | _Legendre
+    | _Radial
+    | _Taylor
+    | _Rational
+    | _Fisheye
+    | _Cahvor,
+    Field(discriminator="model"),
 ]
 
 
@@ -203,13 +289,25 @@ class _Attitude(StrictModel):
     twist_deg: PositiveFloat
 
 
+class _Origin(StrictModel):
+    field: str
+    how: Literal["known", "derived", "guessed"]
+    text: str
+
+
 class CameraFile(StrictModel):
-    """One camera in one readout mode, as a YAML file describes it."""
+    """One camera in one readout mode, as a YAML file describes it.
+
+    `confirmed_by` says which pictures or labels have shown that it is right; `origins` which values were known, derived or
+    guessed, where a program wrote the file.
+    """
 
     name: str
     frame: str
     instrument_id: int
     source: str
+    confirmed_by: str = ""
+    origins: tuple[_Origin, ...] = ()
     optics: _Optics
     detector: _Detector
     psf: _Psf
@@ -222,7 +320,7 @@ class CameraFile(StrictModel):
         optics, detector = self.optics, self.detector
         matrix = np.array(optics.pixel_from_mm)
         copied: tuple[tuple[BaseModel, tuple[str, ...]], ...] = (
-            (self, ("name", "frame", "instrument_id", "source")),
+            (self, ("name", "frame", "instrument_id", "source", "confirmed_by")),
             (optics, ("focal_length_mm", "aperture_m", "obscuration", "pixel_from_mm", "focal_from_camera")),
             (detector, ("n_pixel", "n_line", "center_pixel_line", "bits")),
             (detector, ("gain_e_per_dn", "read_noise_dn", "saturation_dn", "bias_dn", "full_well_e")),
@@ -239,6 +337,7 @@ class CameraFile(StrictModel):
             "color_response": None if photometry.color is None else photometry.color.build(),
             "attitude_sigma": AttitudeSigma(self.attitude_sigma.cross_px, self.attitude_sigma.twist_deg),
             "exposure_limits": detector.exposure_limits(),
+            "origins": tuple(Origin(o.field, o.how, o.text) for o in self.origins),
         }
 
 

@@ -8,6 +8,7 @@ Units  mm in and out; what the coefficients carry stands with each model
 `BrownDistortion`       Brown-Conrady in OpenCV's full form (OSIRIS-REx)
 `SipDistortion`, `ForwardSipDistortion`    the SIP polynomials of FITS headers, reverse and forward
 `LegendreDistortion`    the series of New Horizons' MVIC
+More stand in `lens_models`: radial as in ISIS, polynomials in mm, fisheye, CAHVOR.
 
 A model is written in one direction, the one its coefficients are published in; the other is found by Newton's method with
 the analytic Jacobian. A polynomial folds back far from the detector; `reach_mm` says how far from the boresight it holds,
@@ -32,6 +33,7 @@ __all__ = [
     "DirectDistortion",
     "Distortion",
     "ForwardSipDistortion",
+    "InverseDistortion",
     "LegendreDistortion",
     "NoDistortion",
     "OwenDistortion",
@@ -51,6 +53,8 @@ class Distortion(ABC):
     """An optical distortion; every method takes (..., 2) mm, and a point it cannot map becomes nan."""
 
     __slots__ = ()
+
+    least_stretch: ClassVar[float] = 0.1  # d(distorted)/d(ideal) below this is no camera's any more, and soon folds
 
     @abstractmethod
     def distort(self, xy_mm: ArrayLike) -> FloatArray:
@@ -515,7 +519,6 @@ def _both_axes(x: FloatArray, y: FloatArray, series: FloatArray) -> FloatArray:
 
 # ---- How far from the boresight a distortion model holds.
 
-MIN_STRETCH = 0.1  # d(distorted)/d(ideal) below this is no camera's any more, and soon folds
 REACH_RAYS = 16
 REACH_RADII = 200
 MIN_TANGENT, MAX_TANGENT = 1e-3, 20.0  # of the angle from the boresight: up to 87 deg, in steps of 5 %
@@ -530,7 +533,7 @@ def reach_mm(distortion: Distortion, focal_length_mm: float) -> float:
     angles = np.linspace(0.0, 2.0 * np.pi, REACH_RAYS, endpoint=False)
     points = radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     with np.errstate(all="ignore"):
-        folded = ~(_least_stretch(distortion.jacobian(points)) > MIN_STRETCH).all(axis=1)
+        folded = ~(_least_stretch(distortion.jacobian(points)) > distortion.least_stretch).all(axis=1)
     return float(radii[max(int(folded.argmax()) - 1, 0)]) if folded.any() else np.inf
 
 

@@ -1,24 +1,30 @@
 """Cameras from SPICE instrument kernels: ``INS<id>_*`` pool variables in, the fields of a `Camera` out.
 
-What a kernel gives is used in this order:
+Kernels of NAIF, addenda of ISIS and what missions add to both are read; what a kernel gives is used in this order:
 
-optics    ``OOC_*`` (Owen and O'Connell: LORRI), ``OPENCV_OD_*`` (OSIRIS-REx NAV team's Brown model),
-          ``FOCAL_LENGTH`` with ``PIXEL_SIZE``, ``IFOV``, and last the field of view with the number of pixels
-axes      ``SPOC_FITS_NAXIS1/2``, else pixel along ``FOV_REF_VECTOR`` and line along pixel x boresight (the
-          sky is seen upright in a display with lines upward, as LORRI and OCAMS have it)
+optics      ``OOC_*`` (Owen and O'Connell: LORRI), ``OPENCV_OD_*`` (OSIRIS-REx NAV team's Brown model), ``FOCAL_LENGTH`` with
+            ``TRANSX/Y`` or ``ITRANSS/L``, with ``PIXEL_PITCH`` or ``PIXEL_SIZE``, ``IFOV``, last the field of view
+axes        ``SPOC_FITS_NAXIS1/2``, ``TRANSX/Y`` (ISIS: focal plane X, Y mm from sample, line), ``OOC_KMAT``
+center      ``OOC_CCD_CENTER``, ``OPENCV_OD_C``, ``DISTORTION_X/Y``, ``BORESIGHT_SAMPLE/LINE``, ``FOV_CENTER_PIXEL``,
+            ``CCD_CENTER``, ``CENTER``
+distortion  those of the optics, ``OD_T_X/Y``, ``OD_A1..3_CORR``, ``DISTORTION_K1/K2``, ``RAD_DIST_COEFF``, ``OD_K``, ``K1``
 
-Kernels state ``PIXEL_SIZE`` in micrometers, ``IFOV`` in microradians and pixels from 0. Photometry, PSF and
-attitude errors are not in kernels: give them as overrides.
+Nothing is guessed silently: every field has an `Origin`. Where no kernel says how the detector lies, pixel is guessed
+along ``FOV_REF_VECTOR`` and line along boresight x pixel: a picture with its first line on top, as archives show most, is
+then not mirrored. Photometry, PSF and attitude errors are not in kernels: give them as overrides.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.camera.distortion import BrownDistortion, OwenDistortion
+from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion, OwenDistortion
+from opnav_workbench.camera.lens_models import RadialDistortion, RationalDistortion, TaylorDistortion
+from opnav_workbench.camera.origins import How, Origin
 from opnav_workbench.constants import ARCSEC_PER_RAD, RAD_PER_DEG
 from opnav_workbench.errors import CameraError
 
@@ -26,7 +32,6 @@ __all__ = ["camera_fields_from_ik"]
 
 Values = Mapping[str, tuple[Any, ...]]
 
-MM_PER_UM = 1e-3
 PER_MICRO = 1e6
 LENGTH_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "millimeters": 1.0, "meters": 1000.0}
 ANGLE_IN_RAD = {
@@ -35,11 +40,33 @@ ANGLE_IN_RAD = {
     "ARCMINUTES": 60.0 / ARCSEC_PER_RAD,
     "ARCSECONDS": 1.0 / ARCSEC_PER_RAD,
 }
-IFOV_TOLERANCE = (
-    0.03  # pixel size over focal length and IFOV differ by up to 0.3 % in flight kernels; a wrong unit by 10x
-)
+IFOV_TOLERANCE = 0.03  # pitch over focal length and IFOV differ by up to 0.3 % in flight kernels; a wrong unit by 10x
+UNIT_TOLERANCE = 3.0  # a field of view tells meters from millimeters, whatever part of the detector it is of
 NOMINAL_FOCAL_MM = 100.0  # where only angles are known, any focal length does: pixels per mm follow from it
 PARALLEL = 0.7  # |cosine| that tells along from across
+ALONG_Z = 1e-6  # sine of the angle from Z up to which a boresight lies along it
+PITCH_MM = (1e-3, 0.2)  # of a detector's pixel, the largest range; units of length lie 1000 apart
+SIZE_UNITS = (("mm", 1.0), ("um", 1e-3), ("m", 1e3))
+SHORTEST_FOCAL_MM = 1.0
+COUNTS = {
+    "n_pixel": ("PIXEL_SAMPLES", "FRAME_SAMPLES", "FILTER_SAMPLES", "S_MAX"),
+    "n_line": ("PIXEL_LINES", "FRAME_LINES", "FILTER_LINES", "L_MAX"),
+}
+
+
+@dataclass(slots=True)
+class _Kernel:
+    """The variables of an instrument, what the caller says instead, and where each field came from."""
+
+    pool: Values
+    frames: Values
+    instrument_id: int
+    overrides: Mapping[str, Any]
+    origins: list[Origin] = field(default_factory=list)
+
+    def note(self, how: How, name: str, text: str) -> None:
+        if name not in self.overrides:
+            self.origins.append(Origin(name, how, text))
 
 
 def camera_fields_from_ik(
@@ -51,40 +78,50 @@ def camera_fields_from_ik(
     **overrides: Any,
 ) -> dict[str, Any]:
     """Return the fields of `Camera`; see `Camera.from_ik`."""
-    pool = _without_prefix(values, instrument_id)
-    axes = overrides.get("focal_from_camera")
-    axes = (
-        _axes(pool, pixel_direction, line_direction) if axes is None else np.asarray(axes, dtype=np.float64)
-    )
-    size = tuple(overrides.get(name) or _count(pool, key, name) for name, key in _SIZES)
+    pool, frames = _without_prefix(values, instrument_id)
+    kernel = _Kernel(pool, frames, instrument_id, overrides)
+    size = (_count(kernel, "n_pixel"), _count(kernel, "n_line"))
+    frame, axes, matrix, offset_px = _orientation(kernel, pixel_direction, line_direction)
     fields: dict[str, Any] = {
-        "name": _text(pool, "INSTRUMENT_NAME", _text(pool, "FOV_FRAME", f"instrument {instrument_id}")),
-        "frame": overrides["frame"] if "frame" in overrides else _text(pool, "FOV_FRAME"),
+        "name": _name(kernel, frame),
+        "frame": frame,
         "instrument_id": instrument_id,
         "n_pixel": size[0],
         "n_line": size[1],
         "focal_from_camera": axes,
-        "center_pixel_line": _center(pool, size),
         "source": f"instrument kernel, INS{instrument_id}",
     }
-    if "APERTURE_DIAMETER" in pool:
-        fields["aperture_m"] = _length_mm(pool, "APERTURE_DIAMETER", "APERTURE_DIAM_UNITS") / 1000.0
-    return fields | _optics(pool, axes, size) | overrides
+    fields |= _optics(kernel, axes, size, matrix)
+    if "center_pixel_line" not in fields:
+        fields["center_pixel_line"] = _center(kernel, size) + offset_px
+    fields |= _aperture(kernel, fields) | overrides
+    given = tuple(Origin(name, "known", "given by the caller") for name in overrides)
+    return fields | {"origins": (*kernel.origins, *given)}
 
 
-_SIZES = (("n_pixel", "PIXEL_SAMPLES"), ("n_line", "PIXEL_LINES"))
+# ---- The variables.
 
 
-def _without_prefix(values: Mapping[str, Sequence[Any]], instrument_id: int) -> dict[str, tuple[Any, ...]]:
-    prefix = f"INS{instrument_id}_"
-    pool = {key.removeprefix(prefix): value for key, value in values.items()}
+def _without_prefix(values: Mapping[str, Sequence[Any]], instrument_id: int) -> tuple[Values, Values]:
+    """The instrument's own variables without their prefix, and those of frames by their full names."""
+    prefixes = (f"INS{instrument_id}_", f"INS_{instrument_id}_")
+    pool: dict[str, tuple[Any, ...]] = {}
+    frames: dict[str, tuple[Any, ...]] = {}
+    for key, value in values.items():
+        bare = next((key.removeprefix(p) for p in prefixes if key.startswith(p)), key)
+        whole = (value,) if isinstance(value, str | float | int) else tuple(value)
+        if bare.startswith(("FRAME_", "TKFRAME_")) and bare != "FRAME_ID" and not bare.startswith(_OWN_FRAME_KEYS):
+            frames[bare] = whole
+        elif not bare.startswith("INS"):
+            pool[bare] = whole
     if not pool:
-        raise CameraError(f"no {prefix}* variables; load the instrument kernel that defines {instrument_id}.")
-    return {
-        key: (value,) if isinstance(value, str | float | int) else tuple(value)
-        for key, value in pool.items()
-        if not key.startswith("INS-")
-    }
+        raise CameraError(
+            f"no {prefixes[0]}* variables; load the instrument kernel that defines {instrument_id}."
+        )
+    return pool, frames
+
+
+_OWN_FRAME_KEYS = ("FRAME_SAMPLES", "FRAME_LINES")
 
 
 def _numbers(pool: Values, key: str, count: int) -> FloatArray:
@@ -109,33 +146,184 @@ def _text(pool: Values, key: str, default: str | None = None) -> str:
     return default
 
 
-def _count(pool: Values, key: str, name: str) -> int:
-    if key not in pool:
-        raise CameraError(f"the instrument kernel gives no {key}; give {name} as an argument.")
-    return round(float(_numbers(pool, key, 1)[0]))
+def _count(kernel: _Kernel, name: str) -> int:
+    given = kernel.overrides.get(name)
+    if given:
+        return int(given)
+    for key in COUNTS[name]:
+        if key in kernel.pool:
+            count = round(float(_numbers(kernel.pool, key, 1)[0]))
+            kernel.note("known", name, f"{count}, {key}")
+            return count
+    raise CameraError(f"the instrument kernel gives no {COUNTS[name][0]}; give {name} as an argument.")
 
 
-def _axes(pool: Values, pixel_direction: ArrayLike | None, line_direction: ArrayLike | None) -> FloatArray:
+def _name(kernel: _Kernel, frame: str) -> str:
+    for key in ("INSTRUMENT_NAME", "NAME", "FOV_FRAME"):
+        if key in kernel.pool:
+            return _text(kernel.pool, key)
+    return frame or f"instrument {kernel.instrument_id}"
+
+
+# ---- Frame and axes.
+
+
+def _orientation(
+    kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: ArrayLike | None
+) -> tuple[str, FloatArray, FloatArray | None, FloatArray]:
+    """Frame, focal axes, px/mm where ISIS' matrices give it, and how far the boresight lies from ISIS' origin, px."""
+    pool = kernel.pool
+    isis = _isis_mm_from_pixel(pool)
+    axes = kernel.overrides.get("focal_from_camera")
+    told = axes is not None or pixel_direction is not None or "SPOC_FITS_NAXIS1" in pool or "OOC_KMAT" in pool
+    if isis is None or told:
+        frame = _frame(kernel)
+        found = (
+            _axes(kernel, pixel_direction, line_direction)
+            if axes is None
+            else np.asarray(axes, dtype=np.float64)
+        )
+        return frame, found, None, np.zeros(2)
+    frame, boresight = _isis_frame(kernel)
+    shift_mm, mm_from_pixel = isis
+    # The axis of the focal plane that runs most along pixel, and the other one, with the signs that make K positive
+    along = int(np.abs(mm_from_pixel[:, 0]).argmax())
+    turn = np.zeros((2, 2))
+    for row, axis in enumerate((along, 1 - along)):
+        turn[row, axis] = np.sign(mm_from_pixel[axis, row])
+    pixel_from_mm = np.linalg.inv(turn @ mm_from_pixel)
+    rows = np.hstack([turn, np.zeros((2, 1))])
+    names = ", ".join("{}{}".format("+" if s > 0 else "-", "XY"[int(np.abs(r).argmax())]) for r in turn for s in [r.sum()])
+    kernel.note("known", "focal_from_camera", f"pixel, line along {names} of {frame}: TRANSX, TRANSY")
+    kernel.note("known", "pixel_from_mm", f"{_short(pixel_from_mm)} px/mm: TRANSX, TRANSY")
+    offset_px = -np.linalg.inv(mm_from_pixel) @ shift_mm
+    return frame, np.vstack([rows, boresight]), pixel_from_mm, offset_px
+
+
+def _isis_mm_from_pixel(pool: Values) -> tuple[FloatArray, FloatArray] | None:
+    """Offset (2,) mm and matrix (2, 2) mm/px of ISIS: focal plane X, Y from sample and line."""
+    if "TRANSX" in pool and "TRANSY" in pool:
+        rows = np.stack([_numbers(pool, "TRANSX", 3), _numbers(pool, "TRANSY", 3)])
+        shift, matrix = rows[:, 0], rows[:, 1:]
+    elif "ITRANSS" in pool and "ITRANSL" in pool:
+        rows = np.stack([_numbers(pool, "ITRANSS", 3), _numbers(pool, "ITRANSL", 3)])
+        if np.linalg.det(rows[:, 1:]) == 0.0:
+            raise CameraError("ITRANSS and ITRANSL of the instrument kernel are singular; give pixel_from_mm.")
+        matrix = np.linalg.inv(rows[:, 1:])
+        shift = -matrix @ rows[:, 0]
+    else:
+        return None
+    if np.linalg.det(matrix) == 0.0:
+        raise CameraError("TRANSX and TRANSY of the instrument kernel are singular; give pixel_from_mm.")
+    return shift, matrix
+
+
+def _isis_frame(kernel: _Kernel) -> tuple[str, FloatArray]:
+    """The frame whose X and Y are ISIS' focal plane, and the boresight in it, +Z or -Z."""
+    own = _frame(kernel)
+    if "BORESIGHT" not in kernel.pool or _looks_along_z(kernel):
+        kernel.note("derived", "boresight", "+Z of the frame, as ISIS' cameras look along theirs")
+        return own, np.array([0.0, 0.0, 1.0])
+    boresight = _unit(_numbers(kernel.pool, "BORESIGHT", 3), "BORESIGHT")
+    frames = {own: boresight} if own == _text(kernel.pool, "FOV_FRAME", own) else {own: np.array([0.0, 0.0, 1.0])}
+    for name, turned in [*frames.items(), *_fixed_frames(kernel, boresight).items()]:
+        if np.hypot(*turned[:2]) < ALONG_Z:
+            if name != own:
+                kernel.note("derived", "frame", f"{name}, which the addendum defines and whose Z is the boresight")
+            return name, np.array([0.0, 0.0, np.sign(turned[2])])
+    raise CameraError(
+        f"TRANSX and TRANSY suit a camera that looks along Z, but BORESIGHT is {boresight.tolist()} in {own}; "
+        "give frame and focal_from_camera (rows: pixel, line, boresight) as arguments."
+    )
+
+
+def _looks_along_z(kernel: _Kernel) -> bool:
+    """Whether BORESIGHT is a part of the field's own, while the kernel's projection divides by Z."""
+    return "DISTORTION_X" in kernel.pool or "OD_A1_CORR" in kernel.pool
+
+
+def _frame(kernel: _Kernel) -> str:
+    """Name of the frame: the caller's, the one an addendum names, the field of view's, the instrument's own."""
+    if "frame" in kernel.overrides:
+        return str(kernel.overrides["frame"])
+    pool = kernel.pool
+    if "FRAME_ID" in pool:
+        number = round(float(_numbers(pool, "FRAME_ID", 1)[0]))
+        if f"FRAME_{number}_NAME" in kernel.frames:
+            name = _text(kernel.frames, f"FRAME_{number}_NAME")
+            kernel.note("known", "frame", f"{name}, FRAME_ID")
+            return name
+    for source, key in ((pool, "FOV_FRAME"), (pool, "FRAME"), (kernel.frames, f"FRAME_{kernel.instrument_id}_NAME")):
+        if key in source:
+            kernel.note("known", "frame", f"{_text(source, key)}, {key}")
+            return _text(source, key)
+    return _text(pool, "FOV_FRAME")
+
+
+def _fixed_frames(kernel: _Kernel, boresight: FloatArray) -> dict[str, FloatArray]:
+    """The boresight in each frame that is fixed to the field of view's and defined beside it."""
+    found: dict[str, FloatArray] = {}
+    own = _text(kernel.pool, "FOV_FRAME", "")
+    for key, value in kernel.frames.items():
+        if not (key.startswith("TKFRAME_") and key.endswith("_RELATIVE") and str(value[0]).strip() == own):
+            continue
+        number = key.removeprefix("TKFRAME_").removesuffix("_RELATIVE")
+        turned = _relative_from_frame(kernel.frames, number)
+        if turned is not None and f"FRAME_{number}_NAME" in kernel.frames:
+            found[_text(kernel.frames, f"FRAME_{number}_NAME")] = turned.T @ boresight
+    return found
+
+
+def _relative_from_frame(frames: Values, number: str) -> FloatArray | None:
+    """The rotation of a frame of fixed offset, from its angles (SPICE's Frames Required Reading); None for other forms."""
+    keys = [f"TKFRAME_{number}_{name}" for name in ("ANGLES", "AXES")]
+    if any(key not in frames for key in keys):
+        return None
+    degrees = _text(frames, f"TKFRAME_{number}_UNITS", "RADIANS").upper().startswith("DEG")
+    angles = _numbers(frames, keys[0], 3) * (RAD_PER_DEG if degrees else 1.0)
+    result = np.eye(3)
+    for angle, axis in zip(angles, _numbers(frames, keys[1], 3), strict=True):
+        i, j = (int(axis) % 3), ((int(axis) + 1) % 3)
+        turn = np.eye(3)
+        turn[i, i] = turn[j, j] = np.cos(angle)
+        turn[i, j], turn[j, i] = np.sin(angle), -np.sin(angle)
+        result = result @ turn
+    return result
+
+
+def _axes(kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: ArrayLike | None) -> FloatArray:
+    pool = kernel.pool
     boresight = _unit(_numbers(pool, "BORESIGHT", 3), "BORESIGHT")
     if pixel_direction is not None:
-        pixel = np.asarray(pixel_direction, dtype=np.float64)
+        pixel, how = np.asarray(pixel_direction, dtype=np.float64), "given by the caller"
     elif "SPOC_FITS_NAXIS1" in pool:
-        pixel = _numbers(pool, "SPOC_FITS_NAXIS1", 3)
+        pixel, how = _numbers(pool, "SPOC_FITS_NAXIS1", 3), "SPOC_FITS_NAXIS1"
+    elif "OOC_KMAT" in pool:  # the kernel's own code takes X and Y of the frame for pixel and line
+        pixel, how = np.array([1.0, 0.0, 0.0]), "OOC_KMAT"
+        line_direction = [0.0, 1.0, 0.0] if line_direction is None else line_direction
     else:
-        pixel = _numbers(pool, "FOV_REF_VECTOR", 3)
+        pixel, how = _numbers(pool, "FOV_REF_VECTOR", 3), ""
     pixel = _unit(pixel - (pixel @ boresight) * boresight, "the pixel direction")
     if line_direction is None and pixel_direction is None and "SPOC_FITS_NAXIS2" in pool:
         line_direction = _numbers(pool, "SPOC_FITS_NAXIS2", 3)
-    line = np.cross(pixel, boresight)
+    line = np.cross(boresight, pixel)
     if line_direction is not None:
-        along = float(np.asarray(line_direction, dtype=np.float64) @ line)
-        if abs(along) < PARALLEL * float(np.linalg.norm(line_direction)):
-            raise CameraError(
-                f"line direction {np.asarray(line_direction).tolist()} and pixel direction {pixel.tolist()} "
-                "are not at right angles; give two vectors across the boresight."
-            )
-        line = line * np.sign(along)
+        line = line * _sense(line_direction, line, pixel)
+        kernel.note("known", "focal_from_camera", f"pixel and line: {how or 'given by the caller'}")
+    else:
+        guess = f"pixel {_short(pixel)} ({how or 'FOV_REF_VECTOR'}), line {_short(line)} (boresight x pixel)"
+        kernel.note("guessed", "focal_from_camera", f"{guess}; no keyword says how the detector lies")
     return np.stack([pixel, line, boresight])
+
+
+def _sense(line_direction: ArrayLike, line: FloatArray, pixel: FloatArray) -> float:
+    along = float(np.asarray(line_direction, dtype=np.float64) @ line)
+    if abs(along) < PARALLEL * float(np.linalg.norm(line_direction)):
+        raise CameraError(
+            f"line direction {np.asarray(line_direction).tolist()} and pixel direction {pixel.tolist()} "
+            "are not at right angles; give two vectors across the boresight."
+        )
+    return float(np.sign(along))
 
 
 def _unit(vector: FloatArray, what: str) -> FloatArray:
@@ -147,29 +335,82 @@ def _unit(vector: FloatArray, what: str) -> FloatArray:
     return np.asarray(vector / length)
 
 
-def _center(pool: Values, size: tuple[int, ...]) -> FloatArray:
-    for key in ("OOC_CCD_CENTER", "CCD_CENTER", "FOV_CENTER_PIXEL"):
+def _short(array: FloatArray) -> str:
+    return np.array2string(np.round(array, 7) + 0.0, separator=", ").replace("\n", "")
+
+
+# ---- Where the boresight falls.
+
+
+def _center(kernel: _Kernel, size: tuple[int, int]) -> FloatArray:
+    """Pixel and line of the boresight, counted from 0."""
+    pool, middle = kernel.pool, 0.5 * (np.array(size, dtype=np.float64) - 1.0)
+    if "OOC_CCD_CENTER" in pool:
+        return _told(kernel, "OOC_CCD_CENTER", _numbers(pool, "OOC_CCD_CENTER", 2), 0.0)
+    if "DISTORTION_X" in pool and "DISTORTION_Y" in pool:
+        place = [float(_numbers(pool, f"DISTORTION_{axis}", 1)[0]) for axis in "XY"]
+        return _told(kernel, "DISTORTION_X, DISTORTION_Y", np.array(place), 0.5)
+    if "BORESIGHT_SAMPLE" in pool and "BORESIGHT_LINE" in pool:
+        place = [float(_numbers(pool, f"BORESIGHT_{axis}", 1)[0]) for axis in ("SAMPLE", "LINE")]
+        return _counted(kernel, "BORESIGHT_SAMPLE, BORESIGHT_LINE", np.array(place), middle, "known", 1.0)
+    if "FOV_CENTER_PIXEL" in pool:
+        return _told(kernel, "FOV_CENTER_PIXEL", _numbers(pool, "FOV_CENTER_PIXEL", 2), 0.0)
+    for key in ("CCD_CENTER", "CENTER"):
         if key in pool:
-            return _numbers(pool, key, 2)
-    return 0.5 * (np.array(size, dtype=np.float64) - 1.0)
+            return _counted(kernel, key, _numbers(pool, key, 2), middle, "guessed", 0.0)
+    kernel.note("guessed", "center_pixel_line", f"{middle.tolist()}, the middle of the detector")
+    return middle
 
 
-def _optics(pool: Values, axes: FloatArray, size: tuple[int, ...]) -> dict[str, Any]:
+def _told(kernel: _Kernel, key: str, place: FloatArray, first: float) -> FloatArray:
+    found = np.asarray(place - first)
+    kernel.note("known", "center_pixel_line", f"{found.tolist()}: {key}, whose first pixel is {first:g}")
+    return found
+
+
+def _counted(
+    kernel: _Kernel, key: str, place: FloatArray, middle: FloatArray, how: How, first: float
+) -> FloatArray:
+    """A place whose first pixel is 0 or 1: told where one of both makes it the middle of the detector."""
+    for number in (0.0, 1.0):
+        if np.array_equal(place - number, middle):
+            kernel.note(
+                "derived",
+                "center_pixel_line",
+                f"{middle.tolist()}: {key} {place.tolist()} is the middle, counted from {number:g}",
+            )
+            return middle
+    convention = "ISIS counts from 1" if how == "known" else f"taken as counted from {first:g}"
+    kernel.note(how, "center_pixel_line", f"{(place - first).tolist()}: {key} {place.tolist()}, {convention}")
+    return np.asarray(place - first)
+
+
+# ---- Focal length, scale and distortion.
+
+
+def _optics(
+    kernel: _Kernel, axes: FloatArray, size: tuple[int, int], matrix: FloatArray | None
+) -> dict[str, Any]:
     """Focal length, px/mm and distortion from the best description that the kernel has."""
-    builders: tuple[tuple[str, Callable[[Values], dict[str, Any]]], ...] = (
-        ("OOC_EM", _owen),
-        ("OPENCV_OD_K", _opencv),
-        ("FOCAL_LENGTH", _pinhole),
-        ("IFOV", _angular),
-    )
-    for key, build in builders:
-        if key in pool:
-            return build(pool)
-    return _field_of_view(pool, axes, size)
+    pool = kernel.pool
+    if "OOC_EM" in pool:
+        return _owen(kernel)
+    if "OPENCV_OD_K" in pool:
+        return _opencv(kernel)
+    focal_key = next((key for key in ("FOCAL_LENGTH", "DEFAULT_FOCAL_LENGTH") if key in pool), "")
+    if "focal_length_mm" in kernel.overrides or focal_key:
+        return _with_focal_length(kernel, axes, size, matrix, focal_key)
+    if matrix is not None:
+        raise CameraError("the instrument kernel gives no FOCAL_LENGTH; give focal_length_mm as an argument.")
+    if "IFOV" in pool:
+        return _angular(kernel)
+    return _field_of_view(kernel, axes, size)
 
 
-def _owen(pool: Values) -> dict[str, Any]:
+def _owen(kernel: _Kernel) -> dict[str, Any]:
+    pool = kernel.pool
     e2, e5, e6 = _numbers(pool, "OOC_EM", 3)
+    kernel.note("known", "focal_length_mm, pixel_from_mm, distortion", "OOC_FOCAL_LENGTH, OOC_KMAT, OOC_EM (Owen)")
     # The kernel's own code hands KMAT to a Fortran matrix product: Kx, Kyx, Kxy, Ky.
     return {
         "focal_length_mm": float(_numbers(pool, "OOC_FOCAL_LENGTH", 1)[0]),
@@ -178,53 +419,132 @@ def _owen(pool: Values) -> dict[str, Any]:
     }
 
 
-def _opencv(pool: Values) -> dict[str, Any]:
+def _opencv(kernel: _Kernel) -> dict[str, Any]:
+    pool = kernel.pool
     focal_mm = _length_mm(pool, "FOCAL_LENGTH", "FOCAL_LENGTH_UNITS")
     k1, k2, k3, k4, k5, k6 = _numbers(pool, "OPENCV_OD_K", 6)
     p1, p2 = _numbers(pool, "OPENCV_OD_P", 2)
+    kernel.note("known", "pixel_from_mm, distortion", "OPENCV_OD_F, OPENCV_OD_K, OPENCV_OD_P (Brown)")
+    kernel.note("known", "center_pixel_line", "OPENCV_OD_C, counted from 1 as ISIS reads it")
     return {
         "focal_length_mm": focal_mm,
         "pixel_from_mm": np.diag(_numbers(pool, "OPENCV_OD_F", 2) / focal_mm),
-        "center_pixel_line": _numbers(pool, "OPENCV_OD_C", 2) - 1.0,  # counted from 1, as ISIS reads it
+        "center_pixel_line": _numbers(pool, "OPENCV_OD_C", 2) - 1.0,
         "distortion": BrownDistortion(focal_mm, k1, k2, k3, k4, k5, k6, p1, p2),
     }
 
 
-def _pinhole(pool: Values) -> dict[str, Any]:
-    focal_mm = _length_mm(pool, "FOCAL_LENGTH", "FOCAL_LENGTH_UNITS")
-    if "PIXEL_SIZE" not in pool:
-        pitch_mm = np.full(2, focal_mm * float(_numbers(pool, "IFOV", 1)[0]) / PER_MICRO)
+def _with_focal_length(
+    kernel: _Kernel, axes: FloatArray, size: tuple[int, int], matrix: FloatArray | None, focal_key: str
+) -> dict[str, Any]:
+    told = kernel.overrides.get("focal_length_mm")
+    pitch_mm = _pitch_mm(kernel) if matrix is None else 1.0 / np.sqrt(abs(np.linalg.det(matrix))) * np.ones(2)
+    if told is not None:
+        focal_mm = float(told)
     else:
-        pitch_mm = np.broadcast_to(np.array(pool["PIXEL_SIZE"], dtype=np.float64), (2,)) * MM_PER_UM
-        _check_ifov(pool, focal_mm, float(pitch_mm[0]))
-    return {"focal_length_mm": focal_mm, "pixel_from_mm": np.diag(1.0 / pitch_mm)}
+        focal_mm = _focal_mm(kernel, focal_key, axes, size, pitch_mm)
+    if pitch_mm is None:
+        pitch_mm = np.full(2, focal_mm * float(_numbers(kernel.pool, "IFOV", 1)[0]) / PER_MICRO)
+        kernel.note("derived", "pixel_from_mm", "FOCAL_LENGTH times IFOV")
+    if matrix is None:
+        matrix = np.diag(1.0 / pitch_mm)
+        _check_ifov(kernel.pool, focal_mm, float(pitch_mm[0]))
+    return {
+        "focal_length_mm": focal_mm,
+        "pixel_from_mm": matrix,
+        "distortion": _distortion(kernel, focal_mm, float(pitch_mm[0])),
+    }
+
+
+def _pitch_mm(kernel: _Kernel) -> FloatArray | None:
+    """Size of a pixel, mm; None where the kernel does not say."""
+    pool = kernel.pool
+    for key in ("PIXEL_PITCH", "PIXEL_SIZE"):
+        if key not in pool:
+            continue
+        try:
+            stated = np.broadcast_to(np.array(pool[key], dtype=np.float64), (2,))
+        except ValueError as error:
+            raise CameraError(f"{key} of the instrument kernel is not one or two numbers: {pool[key]!r}.") from error
+        for unit, scale in SIZE_UNITS:
+            if PITCH_MM[0] <= float(stated[0]) * scale <= PITCH_MM[1]:
+                kernel.note("derived", "pixel_from_mm", f"{key} {stated.tolist()}, in {unit}: no other unit gives a pixel")
+                return np.asarray(stated * scale)
+        raise CameraError(f"{key} of the instrument kernel is {stated.tolist()}: no size of a pixel in um, mm or m.")
+    return None
+
+
+def _focal_mm(
+    kernel: _Kernel, key: str, axes: FloatArray, size: tuple[int, int], pitch_mm: FloatArray | None
+) -> float:
+    """The focal length, mm; in meters where only these agree with the field of view, as Hayabusa's kernels have it."""
+    pool = kernel.pool
+    if "FOCAL_LENGTH_UNITS" in pool:
+        focal_mm = _length_mm(pool, key, "FOCAL_LENGTH_UNITS")
+        kernel.note("known", "focal_length_mm", f"{focal_mm:g}, {key}")
+        return focal_mm
+    stated = float(_numbers(pool, key, 1)[0])
+    expected = None if pitch_mm is None else _focal_of_field(kernel, axes, size, pitch_mm)
+    in_meters = stated < SHORTEST_FOCAL_MM and (
+        expected is None or max(stated * 1e3 / expected, expected / (stated * 1e3)) < UNIT_TOLERANCE
+    )
+    if in_meters:
+        how: How = "guessed" if expected is None else "derived"
+        why = "too short for mm" if expected is None else "as the field of view has it"
+        kernel.note(how, "focal_length_mm", f"{stated * 1e3:g}: {key} {stated:g} taken in meters, {why}")
+        return stated * 1e3
+    kernel.note("known", "focal_length_mm", f"{stated:g}, {key}, in mm as kernels have it")
+    filters = sorted(name for name in pool if name.endswith("_FOCAL_LENGTH") and name != key)
+    if filters:
+        kernel.note("known", "focal_length_mm", f"{len(filters)} filters have lengths of their own: {filters[0]}, ...")
+    if "FL_TEMP_COEFFS" in pool:
+        kernel.note("known", "focal_length_mm", "depends on temperature: FL_TEMP_COEFFS")
+    return stated
+
+
+def _focal_of_field(
+    kernel: _Kernel, axes: FloatArray, size: tuple[int, int], pitch_mm: FloatArray
+) -> float | None:
+    try:
+        tangents = _tangents(kernel.pool, axes)
+    except CameraError:
+        return None
+    return float((0.5 * size[0] * pitch_mm[0]) / tangents[0]) if tangents[0] > 0.0 else None
 
 
 def _check_ifov(pool: Values, focal_mm: float, pitch_mm: float) -> None:
     if "IFOV" not in pool:
         return
-    # One value, or one along each axis; microradians as a rule, radians in Dawn's kernels.
-    stated, computed = (
-        float(np.array(pool["IFOV"], dtype=np.float64).flat[0]),
-        pitch_mm / focal_mm * PER_MICRO,
-    )
-    if all(abs(value - computed) > IFOV_TOLERANCE * computed for value in (stated, stated * PER_MICRO)):
+    # One value, or one along each axis; microradians as a rule, radians in Dawn's kernels; negative: not known.
+    stated = float(np.array(pool["IFOV"], dtype=np.float64).flat[0])
+    computed = pitch_mm / focal_mm * PER_MICRO
+    if stated > 0.0 and all(
+        abs(value - computed) > IFOV_TOLERANCE * computed for value in (stated, stated * PER_MICRO)
+    ):
         raise CameraError(
-            f"IFOV {stated} microrad in the instrument kernel is not PIXEL_SIZE {pitch_mm / MM_PER_UM} um "
+            f"IFOV {stated} microrad in the instrument kernel is not the pixel's size {pitch_mm * 1e3:g} um "
             f"over FOCAL_LENGTH {focal_mm} mm = {computed:.4g} microrad; check units, or give pixel_from_mm."
         )
 
 
-def _angular(pool: Values) -> dict[str, Any]:
-    pixels_per_mm = PER_MICRO / float(_numbers(pool, "IFOV", 1)[0]) / NOMINAL_FOCAL_MM
+def _angular(kernel: _Kernel) -> dict[str, Any]:
+    pixels_per_mm = PER_MICRO / float(_numbers(kernel.pool, "IFOV", 1)[0]) / NOMINAL_FOCAL_MM
+    kernel.note("derived", "pixel_from_mm", f"IFOV, with a nominal focal length of {NOMINAL_FOCAL_MM:g} mm")
     return {"focal_length_mm": NOMINAL_FOCAL_MM, "pixel_from_mm": pixels_per_mm * np.eye(2)}
 
 
-def _field_of_view(pool: Values, axes: FloatArray, size: tuple[int, ...]) -> dict[str, Any]:
+def _field_of_view(kernel: _Kernel, axes: FloatArray, size: tuple[int, int]) -> dict[str, Any]:
     """Pinhole whose detector edges lie on the field of view's."""
-    tangents = _corner_tangents(pool, axes) if "FOV_BOUNDARY_CORNERS" in pool else _angle_tangents(pool, axes)
-    pixels_per_mm = 0.5 * np.array(size, dtype=np.float64) / (tangents * NOMINAL_FOCAL_MM)
+    pixels_per_mm = 0.5 * np.array(size, dtype=np.float64) / (_tangents(kernel.pool, axes) * NOMINAL_FOCAL_MM)
+    kernel.note(
+        "derived", "pixel_from_mm", f"the field of view, with a nominal focal length of {NOMINAL_FOCAL_MM:g} mm"
+    )
     return {"focal_length_mm": NOMINAL_FOCAL_MM, "pixel_from_mm": np.diag(pixels_per_mm)}
+
+
+def _tangents(pool: Values, axes: FloatArray) -> FloatArray:
+    """Tangents of half the field of view along pixel and line."""
+    return _corner_tangents(pool, axes) if "FOV_BOUNDARY_CORNERS" in pool else _angle_tangents(pool, axes)
 
 
 def _angle_tangents(pool: Values, axes: FloatArray) -> FloatArray:
@@ -249,3 +569,112 @@ def _length_mm(pool: Values, key: str, unit_key: str) -> float:
     if unit not in LENGTH_IN_MM:
         raise CameraError(f"{unit_key} {unit!r}; one of {', '.join(LENGTH_IN_MM)} expected.")
     return float(_numbers(pool, key, 1)[0]) * LENGTH_IN_MM[unit]
+
+
+def _aperture(kernel: _Kernel, fields: Mapping[str, Any]) -> dict[str, float]:
+    pool = kernel.pool
+    if "APERTURE_DIAMETER" in pool:
+        kernel.note("known", "aperture_m", "APERTURE_DIAMETER")
+        return {"aperture_m": _length_mm(pool, "APERTURE_DIAMETER", "APERTURE_DIAM_UNITS") / 1000.0}
+    for key in ("F/RATIO", "F/NUMBER", "F_NUMBER"):
+        if key in pool and "focal_length_mm" in fields and fields["focal_length_mm"] != NOMINAL_FOCAL_MM:
+            ratio = float(_numbers(pool, key, 1)[0])
+            if ratio > 0.0:
+                kernel.note("derived", "aperture_m", f"focal length over {key} {ratio:g}")
+                return {"aperture_m": float(fields["focal_length_mm"]) / ratio / 1000.0}
+    return {}
+
+
+# ---- Distortion.
+
+
+def _distortion(kernel: _Kernel, focal_mm: float, pitch_mm: float) -> Distortion:
+    """The distortion of the first keyword that the kernel has."""
+    if "distortion" in kernel.overrides:
+        return kernel.overrides["distortion"]  # type: ignore[no-any-return]
+    for key, read in DISTORTIONS:
+        if key in kernel.pool:
+            return read(kernel, focal_mm, pitch_mm)
+    kernel.note("guessed", "distortion", "none: no keyword of the kernel describes one")
+    return NoDistortion()
+
+
+def _taylor(kernel: _Kernel, _focal_mm: float, _pitch_mm: float) -> Distortion:
+    kernel.note("known", "distortion", "OD_T_X, OD_T_Y: polynomials of third degree, mm")
+    return TaylorDistortion(_numbers(kernel.pool, "OD_T_X", 10), _numbers(kernel.pool, "OD_T_Y", 10))
+
+
+def _rational(kernel: _Kernel, _focal_mm: float, _pitch_mm: float) -> Distortion:
+    kernel.note("known", "distortion", "OD_A1_CORR, OD_A2_CORR, OD_A3_CORR: quotients of polynomials, mm")
+    return RationalDistortion(*(_numbers(kernel.pool, f"OD_A{n}_CORR", 6) for n in (1, 2, 3)))
+
+
+def _pixel_radial(kernel: _Kernel, focal_mm: float, pitch_mm: float) -> Distortion:
+    """JunoCam: distorted = ideal (1 + K1 r^2 + K2 r^4), r px."""
+    k1, k2 = (float(_numbers(kernel.pool, f"DISTORTION_K{n}", 1)[0]) for n in (1, 2))
+    kernel.note("known", "distortion", "DISTORTION_K1, DISTORTION_K2: distorted from ideal, px")
+    focal_px = focal_mm / pitch_mm
+    return BrownDistortion(focal_mm, k1=k1 * focal_px**2, k2=k2 * focal_px**4)
+
+
+def _forward_radial(kernel: _Kernel, focal_mm: float, _pitch_mm: float) -> Distortion:
+    """Dawn: distorted = ideal (1 + E1 r^2), r mm."""
+    e1 = float(_numbers(kernel.pool, "RAD_DIST_COEFF", 1)[0])
+    kernel.note("known", "distortion", f"RAD_DIST_COEFF {e1:g} /mm^2, distorted from ideal")
+    return BrownDistortion(focal_mm, k1=e1 * focal_mm**2)
+
+
+def _one_radial(kernel: _Kernel, _focal_mm: float, _pitch_mm: float) -> Distortion:
+    """ISIS: ideal = distorted (1 + K1 r^2), r mm."""
+    k1 = float(_numbers(kernel.pool, "K1", 1)[0])
+    kernel.note("derived", "distortion", f"K1 {k1:g} /mm^2, ideal = distorted (1 + K1 r^2) as ISIS computes it")
+    return RadialDistortion(k1_per_mm2=-k1)
+
+
+def _radial(kernel: _Kernel, _focal_mm: float, pitch_mm: float) -> Distortion:
+    """``OD_K``: ISIS' polynomial, or what the comments of the mission's kernel say."""
+    if len(kernel.pool["OD_K"]) != 3:
+        raise CameraError(
+            f"OD_K of the instrument kernel has {len(kernel.pool['OD_K'])} values, 3 make a radial distortion; "
+            "give distortion as an argument."
+        )
+    k = _numbers(kernel.pool, "OD_K", 3)
+    if not k.any():
+        kernel.note("known", "distortion", "none: OD_K is zero")
+        return NoDistortion()
+    meaning, terms = OD_K_OF_SPACECRAFT.get(abs(kernel.instrument_id) // 1000, ISIS_OD_K)
+    kernel.note("derived", "distortion", f"OD_K {k.tolist()}: {meaning}")
+    return RadialDistortion(*terms(k, pitch_mm))
+
+
+Terms = tuple[float, float, float, float]
+
+
+def _isis_terms(k: FloatArray, _pitch_mm: float) -> Terms:
+    return float(k[0]), float(k[1]), float(k[2]), 0.0
+
+
+def _lro_terms(k: FloatArray, _pitch_mm: float) -> Terms:
+    return 0.0, -float(k[0]), -float(k[1]), -float(k[2])
+
+
+def _hayabusa2_terms(k: FloatArray, pitch_mm: float) -> Terms:
+    return 1.0 - float(k[0]), -float(k[1]) / pitch_mm**2, -float(k[2]) / pitch_mm**4, 0.0
+
+
+ISIS_OD_K = ("ideal = distorted (1 - k0 - k1 r^2 - k2 r^4), r mm, as ISIS computes it", _isis_terms)
+# What the keyword means stands in the comments of kernels only: lro_lroc_v18.ti ("Distortion Model Parameters"), and
+# hyb2oncAddendum0001.ti after the ONC bundle of DARTS.
+OD_K_OF_SPACECRAFT: dict[int, tuple[str, Callable[[FloatArray, float], Terms]]] = {
+    85: ("ideal = distorted (1 + k0 r^2 + k1 r^4 + k2 r^6), r mm, as the comments of LROC's kernel say", _lro_terms),
+    37: ("ideal = distorted (k0 + k1 r^2 + k2 r^4), r px, as the comments of ONC's addendum say", _hayabusa2_terms),
+}
+Reader = Callable[[_Kernel, float, float], Distortion]
+DISTORTIONS: tuple[tuple[str, Reader], ...] = (
+    ("OD_T_X", _taylor),
+    ("OD_A1_CORR", _rational),
+    ("DISTORTION_K1", _pixel_radial),
+    ("RAD_DIST_COEFF", _forward_radial),
+    ("OD_K", _radial),
+    ("K1", _one_radial),
+)

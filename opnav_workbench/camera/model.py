@@ -14,6 +14,7 @@ Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -23,8 +24,10 @@ from opnav_workbench.arrays import BoolArray, FloatArray, readonly
 from opnav_workbench.camera.camera_file import camera_fields
 from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2, reach_mm
 from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
+from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma
 from opnav_workbench.camera.response import CameraResponse
+from opnav_workbench.camera.saving import write_camera_yaml
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.geometry.rotations import checked_rotation, unit
@@ -61,6 +64,10 @@ class Camera(CameraResponse):
         One-sigma errors of the a priori attitude.
     source
         Where the values come from.
+    confirmed_by
+        Which pictures or labels have shown that the camera is right; empty: none is known to have.
+    origins
+        Which fields were known, derived or guessed, where a program made the camera (`from_ik`); `guesses` are the last.
 
     Raises
     ------
@@ -90,6 +97,8 @@ class Camera(CameraResponse):
     distortion: Distortion = field(default_factory=NoDistortion)
     attitude_sigma: AttitudeSigma = field(default_factory=AttitudeSigma)
     source: str = ""
+    confirmed_by: str = ""
+    origins: tuple[Origin, ...] = ()
     _reach_mm: float = field(
         init=False, repr=False, default=np.inf
     )  # ideal radius up to which distortion holds
@@ -142,14 +151,32 @@ class Camera(CameraResponse):
         """
         return cls(**camera_fields(path))
 
+    def to_yaml(self, path: str | PathLike[str]) -> None:
+        """Write a camera file that `from_yaml` reads as this camera; what was guessed stands in it.
+
+        Raises
+        ------
+        CameraError
+            The point spread function is one that stands in a file of its own.
+        """
+        write_camera_yaml(self, Path(path))
+
+    @property
+    def guesses(self) -> tuple[Origin, ...]:
+        """What nobody has stated of this camera and was guessed; a picture must show whether it is right."""
+        return tuple(origin for origin in self.origins if origin.how == "guessed")
+
     @classmethod
     def from_ik(cls, values: Mapping[str, Sequence[Any]], instrument_id: int, **overrides: Any) -> Self:
-        """Build a camera from the ``INS<id>_*`` variables of a SPICE instrument kernel.
+        """Build a camera from the ``INS<id>_*`` variables of a SPICE instrument kernel, and of an ISIS addendum to it.
+
+        Nothing is guessed silently: `origins` says of every field whether it was known, derived or guessed.
 
         Parameters
         ----------
         values
-            Pool variables, with or without the ``INS<id>_`` prefix.
+            Pool variables, with or without the ``INS<id>_`` prefix; those of the instrument's frames (``FRAME_*``,
+            ``TKFRAME_*``) where an addendum gives the camera a frame of its own.
         instrument_id
             NAIF id, such as -98301.
         **overrides

@@ -99,7 +99,10 @@ def knows_frame(frame: str) -> bool:
 
 
 def instrument_values(instrument_id: int) -> Mapping[str, tuple[float, ...] | tuple[str, ...]]:
-    """Return all pool variables of an instrument, ``INS<id>_*``, by their full names.
+    """Return all pool variables of an instrument, ``INS<id>_*``, by their full names, and of the frames that are its own.
+
+    These are the one of the instrument's number, the one that an ISIS addendum names, and those fixed to the frame of its
+    field of view: ``FRAME_*_NAME`` and ``TKFRAME_*``.
 
     Parameters
     ----------
@@ -119,5 +122,21 @@ def instrument_values(instrument_id: int) -> Mapping[str, tuple[float, ...] | tu
                 f"no loaded kernel describes instrument {instrument_id} ({prefix}*); "
                 f"load its IK. {loaded_text()}"
             )
+        names += pool.pool_names(f"INS_{instrument_id}_*")  # as an addendum of Cassini's has it
+        names += _frame_names(instrument_id)
         found = {name: pool.pool_value(name) for name in names}
     return MappingProxyType({name: value for name, value in found.items() if value is not None})
+
+
+def _frame_names(instrument_id: int) -> list[str]:
+    """The variables of frames that belong to an instrument."""
+    numbers = [str(instrument_id)]
+    told = pool.pool_value(f"INS_{instrument_id}_FRAME_ID") or pool.pool_value(f"INS{instrument_id}_FRAME_ID")
+    if told:
+        numbers.append(str(round(float(told[0]))))
+    field = pool.pool_value(f"INS{instrument_id}_FOV_FRAME")
+    for name in pool.pool_names("TKFRAME_*_RELATIVE"):
+        if field is not None and pool.pool_value(name) == field:
+            numbers.append(name.removeprefix("TKFRAME_").removesuffix("_RELATIVE"))
+    names = [name for number in numbers for name in pool.pool_names(f"TKFRAME_{number}_*")]
+    return names + [name for number in numbers for name in pool.pool_names(f"FRAME_{number}_NAME")]

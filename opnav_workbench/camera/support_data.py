@@ -1,0 +1,340 @@
+"""Community Sensor Model image support data: camera, attitude and states of one picture in a JSON file.
+
+ALE makes these files for ISIS' users; mapping programs take pointing from them. `read_support_data` reads one, and
+`support_data` says one for a picture whose attitude is known.
+
+Lines and samples there count 0.5 at the first pixel's center, focal planes have mm, quaternions are SPICE's (J2000 to
+frame), positions are km in J2000 and count from the target: the spacecraft's, and the Sun's.
+
+Source: DOI-USGS/ale (CC0), ``formatters/formatter.py``; DOI-USGS/usgscsm, ``Distortion.cpp``.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from opnav_workbench.arrays import FloatArray, readonly
+from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion
+from opnav_workbench.camera.lens_models import RadialDistortion, TaylorDistortion
+from opnav_workbench.camera.model import Camera
+from opnav_workbench.errors import CameraError, OpNavError
+from opnav_workbench.files import read_json
+from opnav_workbench.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
+
+__all__ = ["SupportData", "read_support_data", "support_data"]
+
+FRAME_MODEL = "USGS_ASTRO_FRAME_SENSOR_MODEL"
+FIRST_CENTER = 0.5  # line and sample of the first pixel's center in a Community Sensor Model
+SHORTEST_FOCAL_MM = 1.0
+J2000 = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SupportData:
+    """Camera, attitude and states of one picture.
+
+    Attributes
+    ----------
+    et
+        Middle of the exposure, TDB s past J2000.
+    camera_from_j2000 : (3, 3) array
+    position_km, velocity_km_s, sun_position_km : (3,) arrays or None
+        Of the spacecraft and of the Sun, from the target, J2000.
+    body_from_j2000 : (3, 3) array or None
+    radii_km : (2,) array or None
+        Equatorial and polar radius of the target.
+    spacecraft, sensor
+        Their names.
+    """
+
+    camera: Camera
+    et: float
+    camera_from_j2000: FloatArray
+    position_km: FloatArray | None = None
+    velocity_km_s: FloatArray | None = None
+    sun_position_km: FloatArray | None = None
+    body_from_j2000: FloatArray | None = None
+    radii_km: FloatArray | None = None
+    spacecraft: str = ""
+    sensor: str = ""
+
+
+# ---- Reading.
+
+
+def read_support_data(path: str | PathLike[str]) -> SupportData:
+    """Read image support data of a frame camera.
+
+    Raises
+    ------
+    CameraError
+        The file is no such JSON, is of another kind of sensor, or describes no camera; the message says why.
+    """
+    try:
+        data = read_json(path, "give image support data as ALE writes them")
+        return _read(data)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise CameraError(f"{Path(path)}: image support data lack or spoil {error}.") from error
+    except OpNavError as error:
+        raise CameraError(f"{Path(path)}: {error}") from error
+
+
+def _read(data: Mapping[str, Any]) -> SupportData:
+    model = data.get("name_model")
+    if model != FRAME_MODEL:
+        raise CameraError(f"image support data of a {model}; only frame cameras ({FRAME_MODEL}) are read.")
+    et = float(data["center_ephemeris_time"])
+    position = _states(data.get("instrument_position"), et)
+    sun = _states(data.get("sun_position"), et)
+    radii = data.get("radii")
+    return SupportData(
+        camera=_camera(data),
+        et=et,
+        camera_from_j2000=_attitude(data["instrument_pointing"], et),
+        position_km=None if position is None else position[0],
+        velocity_km_s=None if position is None else position[1],
+        sun_position_km=None if sun is None else sun[0],
+        body_from_j2000=_attitude(data["body_rotation"], et) if "body_rotation" in data else None,
+        radii_km=None if radii is None else _vector([radii["semimajor"], radii["semiminor"]], 2) * _km(radii),
+        spacecraft=str(data.get("name_platform", "")),
+        sensor=str(data.get("name_sensor", "")),
+    )
+
+
+def _km(values: Mapping[str, Any]) -> float:
+    return 1e-3 if values.get("unit") == "m" else 1.0
+
+
+def _vector(values: Any, count: int) -> FloatArray:
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (count,) or not np.isfinite(vector).all():
+        raise CameraError(f"image support data: {values!r} should be {count} finite numbers.")
+    return readonly(vector)
+
+
+def _camera(data: Mapping[str, Any]) -> Camera:
+    focal_mm = float(data["focal_length_model"]["focal_length"])
+    if focal_mm < SHORTEST_FOCAL_MM:
+        raise CameraError(f"image support data: focal_length is {focal_mm:g} mm; it seems to be in m.")
+    rows = np.array([data["focal2pixel_samples"], data["focal2pixel_lines"]], dtype=np.float64)
+    summing = np.array([float(data.get(f"detector_{axis}_summing") or 1) for axis in ("sample", "line")])
+    start = np.array([float(data.get(f"starting_detector_{axis}") or 0) for axis in ("sample", "line")])
+    center = np.array([float(data["detector_center"][axis]) for axis in ("sample", "line")])
+    focal_axes, matrix = _aligned(rows[:, 1:])
+    frame = data["instrument_pointing"].get("constant_frames") or data["instrument_pointing"]["time_dependent_frames"]
+    return Camera(
+        name=str(data.get("name_sensor", "camera")),
+        frame=f"FRAME {frame[0]}",
+        instrument_id=int(frame[0]),
+        n_pixel=int(data["image_samples"]),
+        n_line=int(data["image_lines"]),
+        focal_length_mm=focal_mm,
+        center_pixel_line=(center + rows[:, 0] - start) / summing - FIRST_CENTER,
+        pixel_from_mm=matrix / summing[:, None],
+        focal_from_camera=focal_axes,
+        distortion=_distortion(data.get("optical_distortion") or {}, focal_mm, focal_axes),
+        source="image support data of a Community Sensor Model",
+    )
+
+
+def _aligned(pixel_from_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Focal axes along X and Y of the sensor's frame as sample and line run most along them, and px/mm in these."""
+    along = int(np.abs(pixel_from_xy[0]).argmax())
+    turn = np.zeros((2, 2))
+    for row, axis in enumerate((along, 1 - along)):
+        turn[row, axis] = np.sign(pixel_from_xy[row, axis]) or 1.0
+    axes = np.eye(3)
+    axes[:2, :2] = turn
+    return axes, pixel_from_xy @ turn.T
+
+
+def _distortion(told: Mapping[str, Any], focal_mm: float, axes: FloatArray) -> Distortion:
+    kind = next(iter(told), "radial")
+    values = told.get(kind, {})
+    coefficients = values.get("coefficients", [v for v in values.values() if not isinstance(v, list)])
+    if kind == "transverse":
+        if not np.array_equal(axes, np.eye(3)):
+            raise CameraError("image support data: transverse distortion on a turned detector is not read.")
+        return TaylorDistortion(_vector(values["x"], 10), _vector(values["y"], 10))
+    if not any(coefficients):
+        return NoDistortion()
+    if kind == "radial":
+        return RadialDistortion(*(float(c) for c in coefficients[:4]))
+    if kind == "dawnfc":
+        return BrownDistortion(focal_mm, k1=float(coefficients[0]) * focal_mm**2)
+    raise CameraError(f"image support data: a distortion of type {kind} is not read; radial, transverse and dawnfc are.")
+
+
+def _attitude(told: Mapping[str, Any], et: float) -> FloatArray:
+    """Rotation of a frame from J2000 at a time: the turning part, then the constant one."""
+    if told.get("reference_frame", J2000) != J2000:
+        raise CameraError(f"image support data: attitude from frame {told['reference_frame']}; J2000 (1) is read.")
+    times = np.array(told["ephemeris_times"], dtype=np.float64)
+    matrices = np.stack([matrix_from_quaternion(q) for q in told["quaternions"]])
+    if len(times) != len(matrices):
+        raise CameraError("image support data: as many quaternions as ephemeris_times are needed.")
+    if len(times) > 1:
+        turning = Slerp(times, Rotation.from_matrix(matrices))(np.clip(et, times[0], times[-1])).as_matrix()
+    else:
+        turning = matrices[0]
+    constant = told.get("constant_rotation")
+    fixed = np.eye(3) if constant is None else _vector(constant, 9).reshape(3, 3)
+    return readonly(fixed @ turning)
+
+
+def _states(told: Mapping[str, Any] | None, et: float) -> tuple[FloatArray, FloatArray | None] | None:
+    """Position km and velocity km/s at a time, between the two nearest."""
+    if not told or not told.get("positions"):
+        return None
+    times = np.array(told["ephemeris_times"], dtype=np.float64)
+    positions = np.array(told["positions"], dtype=np.float64) * _km(told)
+    velocities = told.get("velocities")
+    at = float(np.clip(et, times[0], times[-1]))
+    place = readonly(np.array([np.interp(at, times, column) for column in positions.T]))
+    if not velocities:
+        return place, None
+    speeds = np.array(velocities, dtype=np.float64) * _km(told)
+    return place, readonly(np.array([np.interp(at, times, column) for column in speeds.T]))
+
+
+# ---- Writing.
+
+
+def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
+    """Return image support data as ALE writes them, for a picture whose attitude is known.
+
+    Parameters
+    ----------
+    data
+        `body_from_j2000`, the positions and `radii_km` are needed: mapping programs place the picture on the target.
+    target_frame
+        SPICE number of the target's frame, told only.
+
+    Raises
+    ------
+    CameraError
+        Something is missing, or the camera's distortion is none that a Community Sensor Model knows.
+    """
+    missing = [
+        name
+        for name in ("position_km", "sun_position_km", "body_from_j2000", "radii_km")
+        if getattr(data, name) is None
+    ]
+    if missing:
+        raise CameraError(f"image support data need {', '.join(missing)}; load the kernels that give them.")
+    camera = data.camera
+    attitude = _sensor_axes(camera) @ data.camera_from_j2000
+    matrix = camera.pixel_from_mm * _handedness(camera)
+    return {
+        "isis_camera_version": 1,
+        "image_lines": camera.n_line,
+        "image_samples": camera.n_pixel,
+        "name_platform": data.spacecraft,
+        "name_sensor": data.sensor or camera.name,
+        "reference_height": {"maxheight": 1000, "minheight": -1000, "unit": "m"},
+        "name_model": FRAME_MODEL,
+        "interpolation_method": "lagrange",
+        "center_ephemeris_time": data.et,
+        "starting_ephemeris_time": data.et,
+        "radii": {**dict(zip(("semimajor", "semiminor"), _list(data.radii_km), strict=True)), "unit": "km"},
+        "body_rotation": _turning(data.body_from_j2000, data.et, target_frame),
+        "instrument_pointing": {
+            **_turning(attitude, data.et, camera.instrument_id),
+            "constant_frames": [camera.instrument_id],
+            "constant_rotation": np.eye(3).ravel().tolist(),
+        },
+        "naif_keywords": {},
+        "detector_sample_summing": 1,
+        "detector_line_summing": 1,
+        "focal_length_model": {"focal_length": camera.focal_length_mm},
+        "detector_center": {
+            "line": float(camera.center_pixel_line[1]) + FIRST_CENTER,
+            "sample": float(camera.center_pixel_line[0]) + FIRST_CENTER,
+        },
+        "starting_detector_line": 0,
+        "starting_detector_sample": 0,
+        "focal2pixel_samples": [0.0, *matrix[0].tolist()],
+        "focal2pixel_lines": [0.0, *matrix[1].tolist()],
+        "optical_distortion": _told_distortion(camera),
+        "instrument_position": _moving(data.position_km, data.velocity_km_s, data.et),
+        "sun_position": _moving(data.sun_position_km, None, data.et),
+    }
+
+
+def _sensor_axes(camera: Camera) -> FloatArray:
+    """The sensor's frame: Z to the sky, X along increasing pixel, Y making it right-handed."""
+    return np.append(_handedness(camera), 1.0)[:, None] * camera.focal_from_camera
+
+
+def _handedness(camera: Camera) -> FloatArray:
+    """Signs of the sensor's X and Y along pixel and line: Y runs against the lines of a mirrored camera."""
+    return np.array([1.0, np.sign(np.linalg.det(camera.focal_from_camera))])
+
+
+def _told_distortion(camera: Camera) -> dict[str, Any]:
+    model = camera.distortion
+    if isinstance(model, NoDistortion):
+        return {"radial": {"coefficients": [0.0, 0.0, 0.0]}}
+    if isinstance(model, RadialDistortion) and model.k3_per_mm6 == 0.0:
+        return {"radial": {"coefficients": [model.k0, model.k1_per_mm2, model.k2_per_mm4]}}
+    return {"transverse": _as_taylor(camera)}
+
+
+def _as_taylor(camera: Camera) -> dict[str, list[float]]:
+    """The camera's distortion over its detector as polynomials of third degree, if these hold it to a hundredth pixel."""
+    grid = np.stack(
+        np.meshgrid(*(np.linspace(-0.5, n - 0.5, TAYLOR_GRID) for n in (camera.n_pixel, camera.n_line))), axis=-1
+    ).reshape(-1, 2)
+    mm = (grid - camera.center_pixel_line) @ np.linalg.inv(camera.pixel_from_mm).T
+    signs = _handedness(camera)
+    x, y = (camera.distortion.undistort(mm) * signs).T
+    measured = mm * signs
+    terms = np.stack([x**0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=-1)
+    scale = np.abs(terms).max(axis=0)
+    fit = np.linalg.lstsq(terms / scale, measured, rcond=None)[0] / scale[:, None]
+    worst = float(np.abs(((terms @ fit - measured) * signs) @ camera.pixel_from_mm.T).max())
+    if not worst < TAYLOR_PX:
+        raise CameraError(
+            f"{camera.name}: a Community Sensor Model's polynomials hold its distortion to {worst:.2g} px only."
+        )
+    return {"x": fit[:, 0].tolist(), "y": fit[:, 1].tolist()}
+
+
+TAYLOR_GRID = 41
+TAYLOR_PX = 0.01
+
+
+def _list(array: FloatArray | None) -> list[float]:
+    return [] if array is None else [float(v) for v in array]
+
+
+def _turning(rotation: FloatArray | None, et: float, frame: int) -> dict[str, Any]:
+    matrix = np.eye(3) if rotation is None else rotation
+    return {
+        "time_dependent_frames": [frame, J2000],
+        "ck_table_start_time": et,
+        "ck_table_end_time": et,
+        "ck_table_original_size": 1,
+        "ephemeris_times": [et],
+        "quaternions": [quaternion_from_matrix(matrix).tolist()],
+        "angular_velocities": [[0.0, 0.0, 0.0]],
+        "reference_frame": J2000,
+    }
+
+
+def _moving(position_km: FloatArray | None, velocity_km_s: FloatArray | None, et: float) -> dict[str, Any]:
+    velocity: Sequence[float] = [0.0, 0.0, 0.0] if velocity_km_s is None else _list(velocity_km_s)
+    return {
+        "spk_table_start_time": et,
+        "spk_table_end_time": et,
+        "spk_table_original_size": 1,
+        "ephemeris_times": [et],
+        "positions": [_list(position_km)],
+        "velocities": [list(velocity)],
+        "reference_frame": J2000,
+    }
