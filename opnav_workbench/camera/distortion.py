@@ -54,7 +54,9 @@ class Distortion(ABC):
 
     __slots__ = ()
 
-    least_stretch: ClassVar[float] = 0.1  # d(distorted)/d(ideal) below this is no camera's any more, and soon folds
+    least_stretch: ClassVar[float] = (
+        0.1  # d(distorted)/d(ideal) below this is no camera's any more, and soon folds
+    )
 
     @abstractmethod
     def distort(self, xy_mm: ArrayLike) -> FloatArray:

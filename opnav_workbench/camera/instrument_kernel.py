@@ -40,14 +40,21 @@ ANGLE_IN_RAD = {
     "ARCMINUTES": 60.0 / ARCSEC_PER_RAD,
     "ARCSECONDS": 1.0 / ARCSEC_PER_RAD,
 }
-IFOV_TOLERANCE = 0.03  # pitch over focal length and IFOV differ by up to 0.3 % in flight kernels; a wrong unit by 10x
+IFOV_TOLERANCE = (
+    0.03  # pitch over focal length and IFOV differ by up to 0.3 % in flight kernels; a wrong unit by 10x
+)
 UNIT_TOLERANCE = 3.0  # a field of view tells meters from millimeters, whatever part of the detector it is of
 NOMINAL_FOCAL_MM = 100.0  # where only angles are known, any focal length does: pixels per mm follow from it
 PARALLEL = 0.7  # |cosine| that tells along from across
+WIDEST_RAD = 87.0 * RAD_PER_DEG  # from the boresight: what lies farther has no gnomonic coordinates
 ALONG_Z = 1e-6  # sine of the angle from Z up to which a boresight lies along it
 PITCH_MM = (1e-3, 0.2)  # of a detector's pixel, the largest range; units of length lie 1000 apart
 SIZE_UNITS = (("mm", 1.0), ("um", 1e-3), ("m", 1e3))
 SHORTEST_FOCAL_MM = 1.0
+XY_CODE = (
+    "OOC_KMAT",
+    "DISTORTION_X",
+)  # of kernels whose comments project X and Y of the frame onto pixel and line
 COUNTS = {
     "n_pixel": ("PIXEL_SAMPLES", "FRAME_SAMPLES", "FILTER_SAMPLES", "S_MAX"),
     "n_line": ("PIXEL_LINES", "FRAME_LINES", "FILTER_LINES", "L_MAX"),
@@ -110,7 +117,11 @@ def _without_prefix(values: Mapping[str, Sequence[Any]], instrument_id: int) -> 
     for key, value in values.items():
         bare = next((key.removeprefix(p) for p in prefixes if key.startswith(p)), key)
         whole = (value,) if isinstance(value, str | float | int) else tuple(value)
-        if bare.startswith(("FRAME_", "TKFRAME_")) and bare != "FRAME_ID" and not bare.startswith(_OWN_FRAME_KEYS):
+        if (
+            bare.startswith(("FRAME_", "TKFRAME_"))
+            and bare != "FRAME_ID"
+            and not bare.startswith(_OWN_FRAME_KEYS)
+        ):
             frames[bare] = whole
         elif not bare.startswith("INS"):
             pool[bare] = whole
@@ -175,7 +186,11 @@ def _orientation(
     pool = kernel.pool
     isis = _isis_mm_from_pixel(pool)
     axes = kernel.overrides.get("focal_from_camera")
-    told = axes is not None or pixel_direction is not None or "SPOC_FITS_NAXIS1" in pool or "OOC_KMAT" in pool
+    told = (
+        axes is not None
+        or pixel_direction is not None
+        or any(key in pool for key in ("SPOC_FITS_NAXIS1", "OOC_KMAT"))
+    )
     if isis is None or told:
         frame = _frame(kernel)
         found = (
@@ -184,20 +199,24 @@ def _orientation(
             else np.asarray(axes, dtype=np.float64)
         )
         return frame, found, None, np.zeros(2)
+    return _isis_orientation(kernel, *isis)
+
+
+def _isis_orientation(
+    kernel: _Kernel, shift_mm: FloatArray, mm_from_pixel: FloatArray
+) -> tuple[str, FloatArray, FloatArray, FloatArray]:
+    """As `_orientation`: focal axes along X and Y of the frame, with the signs that make the scale positive."""
     frame, boresight = _isis_frame(kernel)
-    shift_mm, mm_from_pixel = isis
-    # The axis of the focal plane that runs most along pixel, and the other one, with the signs that make K positive
-    along = int(np.abs(mm_from_pixel[:, 0]).argmax())
-    turn = np.zeros((2, 2))
+    along = int(np.abs(mm_from_pixel[:, 0]).argmax())  # X or Y, whichever runs most along pixel
+    turn = np.zeros((2, 3))
     for row, axis in enumerate((along, 1 - along)):
         turn[row, axis] = np.sign(mm_from_pixel[axis, row])
-    pixel_from_mm = np.linalg.inv(turn @ mm_from_pixel)
-    rows = np.hstack([turn, np.zeros((2, 1))])
-    names = ", ".join("{}{}".format("+" if s > 0 else "-", "XY"[int(np.abs(r).argmax())]) for r in turn for s in [r.sum()])
+    pixel_from_mm: FloatArray = np.asarray(np.linalg.inv(turn[:, :2] @ mm_from_pixel), dtype=np.float64)
+    names = ", ".join(f"{'-' if row.sum() < 0.0 else '+'}{'XY'[int(np.abs(row).argmax())]}" for row in turn)
     kernel.note("known", "focal_from_camera", f"pixel, line along {names} of {frame}: TRANSX, TRANSY")
     kernel.note("known", "pixel_from_mm", f"{_short(pixel_from_mm)} px/mm: TRANSX, TRANSY")
     offset_px = -np.linalg.inv(mm_from_pixel) @ shift_mm
-    return frame, np.vstack([rows, boresight]), pixel_from_mm, offset_px
+    return frame, np.vstack([turn, boresight]), pixel_from_mm, np.asarray(offset_px, dtype=np.float64)
 
 
 def _isis_mm_from_pixel(pool: Values) -> tuple[FloatArray, FloatArray] | None:
@@ -208,8 +227,10 @@ def _isis_mm_from_pixel(pool: Values) -> tuple[FloatArray, FloatArray] | None:
     elif "ITRANSS" in pool and "ITRANSL" in pool:
         rows = np.stack([_numbers(pool, "ITRANSS", 3), _numbers(pool, "ITRANSL", 3)])
         if np.linalg.det(rows[:, 1:]) == 0.0:
-            raise CameraError("ITRANSS and ITRANSL of the instrument kernel are singular; give pixel_from_mm.")
-        matrix = np.linalg.inv(rows[:, 1:])
+            raise CameraError(
+                "ITRANSS and ITRANSL of the instrument kernel are singular; give pixel_from_mm."
+            )
+        matrix = np.asarray(np.linalg.inv(rows[:, 1:]), dtype=np.float64)
         shift = -matrix @ rows[:, 0]
     else:
         return None
@@ -225,11 +246,15 @@ def _isis_frame(kernel: _Kernel) -> tuple[str, FloatArray]:
         kernel.note("derived", "boresight", "+Z of the frame, as ISIS' cameras look along theirs")
         return own, np.array([0.0, 0.0, 1.0])
     boresight = _unit(_numbers(kernel.pool, "BORESIGHT", 3), "BORESIGHT")
-    frames = {own: boresight} if own == _text(kernel.pool, "FOV_FRAME", own) else {own: np.array([0.0, 0.0, 1.0])}
+    frames = (
+        {own: boresight} if own == _text(kernel.pool, "FOV_FRAME", own) else {own: np.array([0.0, 0.0, 1.0])}
+    )
     for name, turned in [*frames.items(), *_fixed_frames(kernel, boresight).items()]:
         if np.hypot(*turned[:2]) < ALONG_Z:
             if name != own:
-                kernel.note("derived", "frame", f"{name}, which the addendum defines and whose Z is the boresight")
+                kernel.note(
+                    "derived", "frame", f"{name}, which the addendum defines and whose Z is the boresight"
+                )
             return name, np.array([0.0, 0.0, np.sign(turned[2])])
     raise CameraError(
         f"TRANSX and TRANSY suit a camera that looks along Z, but BORESIGHT is {boresight.tolist()} in {own}; "
@@ -253,7 +278,11 @@ def _frame(kernel: _Kernel) -> str:
             name = _text(kernel.frames, f"FRAME_{number}_NAME")
             kernel.note("known", "frame", f"{name}, FRAME_ID")
             return name
-    for source, key in ((pool, "FOV_FRAME"), (pool, "FRAME"), (kernel.frames, f"FRAME_{kernel.instrument_id}_NAME")):
+    for source, key in (
+        (pool, "FOV_FRAME"),
+        (pool, "FRAME"),
+        (kernel.frames, f"FRAME_{kernel.instrument_id}_NAME"),
+    ):
         if key in source:
             kernel.note("known", "frame", f"{_text(source, key)}, {key}")
             return _text(source, key)
@@ -293,13 +322,16 @@ def _relative_from_frame(frames: Values, number: str) -> FloatArray | None:
 
 def _axes(kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: ArrayLike | None) -> FloatArray:
     pool = kernel.pool
-    boresight = _unit(_numbers(pool, "BORESIGHT", 3), "BORESIGHT")
+    own_code = next((key for key in XY_CODE if key in pool), "")
+    boresight = np.array([0.0, 0.0, 1.0])
+    if not _looks_along_z(kernel):
+        boresight = _unit(_numbers(pool, "BORESIGHT", 3), "BORESIGHT")
     if pixel_direction is not None:
         pixel, how = np.asarray(pixel_direction, dtype=np.float64), "given by the caller"
     elif "SPOC_FITS_NAXIS1" in pool:
         pixel, how = _numbers(pool, "SPOC_FITS_NAXIS1", 3), "SPOC_FITS_NAXIS1"
-    elif "OOC_KMAT" in pool:  # the kernel's own code takes X and Y of the frame for pixel and line
-        pixel, how = np.array([1.0, 0.0, 0.0]), "OOC_KMAT"
+    elif own_code:
+        pixel, how = np.array([1.0, 0.0, 0.0]), f"{own_code}, whose code takes X and Y of the frame"
         line_direction = [0.0, 1.0, 0.0] if line_direction is None else line_direction
     else:
         pixel, how = _numbers(pool, "FOV_REF_VECTOR", 3), ""
@@ -347,11 +379,15 @@ def _center(kernel: _Kernel, size: tuple[int, int]) -> FloatArray:
     pool, middle = kernel.pool, 0.5 * (np.array(size, dtype=np.float64) - 1.0)
     if "OOC_CCD_CENTER" in pool:
         return _told(kernel, "OOC_CCD_CENTER", _numbers(pool, "OOC_CCD_CENTER", 2), 0.0)
-    if "DISTORTION_X" in pool and "DISTORTION_Y" in pool:
-        place = [float(_numbers(pool, f"DISTORTION_{axis}", 1)[0]) for axis in "XY"]
-        return _told(kernel, "DISTORTION_X, DISTORTION_Y", np.array(place), 0.5)
+    own = [float(_numbers(pool, f"DISTORTION_{a}", 1)[0]) for a in "XY"] if "DISTORTION_Y" in pool else None
+    if own is not None and "BORESIGHT_SAMPLE" not in pool:
+        return _told(kernel, "DISTORTION_X, DISTORTION_Y", np.array(own), 0.5)
     if "BORESIGHT_SAMPLE" in pool and "BORESIGHT_LINE" in pool:
         place = [float(_numbers(pool, f"BORESIGHT_{axis}", 1)[0]) for axis in ("SAMPLE", "LINE")]
+        if (
+            own is not None and own[0] == place[0]
+        ):  # the addendum repeats the kernel's number, whose first pixel is 0.5
+            return _told(kernel, "BORESIGHT_SAMPLE, BORESIGHT_LINE", np.array(place), 0.5)
         return _counted(kernel, "BORESIGHT_SAMPLE, BORESIGHT_LINE", np.array(place), middle, "known", 1.0)
     if "FOV_CENTER_PIXEL" in pool:
         return _told(kernel, "FOV_CENTER_PIXEL", _numbers(pool, "FOV_CENTER_PIXEL", 2), 0.0)
@@ -410,7 +446,9 @@ def _optics(
 def _owen(kernel: _Kernel) -> dict[str, Any]:
     pool = kernel.pool
     e2, e5, e6 = _numbers(pool, "OOC_EM", 3)
-    kernel.note("known", "focal_length_mm, pixel_from_mm, distortion", "OOC_FOCAL_LENGTH, OOC_KMAT, OOC_EM (Owen)")
+    kernel.note(
+        "known", "focal_length_mm, pixel_from_mm, distortion", "OOC_FOCAL_LENGTH, OOC_KMAT, OOC_EM (Owen)"
+    )
     # The kernel's own code hands KMAT to a Fortran matrix product: Kx, Kyx, Kxy, Ky.
     return {
         "focal_length_mm": float(_numbers(pool, "OOC_FOCAL_LENGTH", 1)[0]),
@@ -443,7 +481,13 @@ def _with_focal_length(
         focal_mm = float(told)
     else:
         focal_mm = _focal_mm(kernel, focal_key, axes, size, pitch_mm)
-    if pitch_mm is None:
+    if pitch_mm is None and "pixel_from_mm" in kernel.overrides:
+        pitch_mm = 1.0 / np.abs(np.diag(np.asarray(kernel.overrides["pixel_from_mm"], dtype=np.float64)))
+    elif pitch_mm is None and "IFOV" not in kernel.pool:
+        raise CameraError(
+            "the instrument kernel gives no TRANSX, PIXEL_PITCH, PIXEL_SIZE or IFOV; give pixel_from_mm as an argument."
+        )
+    elif pitch_mm is None:
         pitch_mm = np.full(2, focal_mm * float(_numbers(kernel.pool, "IFOV", 1)[0]) / PER_MICRO)
         kernel.note("derived", "pixel_from_mm", "FOCAL_LENGTH times IFOV")
     if matrix is None:
@@ -465,12 +509,20 @@ def _pitch_mm(kernel: _Kernel) -> FloatArray | None:
         try:
             stated = np.broadcast_to(np.array(pool[key], dtype=np.float64), (2,))
         except ValueError as error:
-            raise CameraError(f"{key} of the instrument kernel is not one or two numbers: {pool[key]!r}.") from error
+            raise CameraError(
+                f"{key} of the instrument kernel is not one or two numbers: {pool[key]!r}."
+            ) from error
         for unit, scale in SIZE_UNITS:
             if PITCH_MM[0] <= float(stated[0]) * scale <= PITCH_MM[1]:
-                kernel.note("derived", "pixel_from_mm", f"{key} {stated.tolist()}, in {unit}: no other unit gives a pixel")
+                kernel.note(
+                    "derived",
+                    "pixel_from_mm",
+                    f"{key} {stated.tolist()}, in {unit}: no other unit gives a pixel",
+                )
                 return np.asarray(stated * scale)
-        raise CameraError(f"{key} of the instrument kernel is {stated.tolist()}: no size of a pixel in um, mm or m.")
+        raise CameraError(
+            f"{key} of the instrument kernel is {stated.tolist()}: no size of a pixel in um, mm or m."
+        )
     return None
 
 
@@ -496,7 +548,9 @@ def _focal_mm(
     kernel.note("known", "focal_length_mm", f"{stated:g}, {key}, in mm as kernels have it")
     filters = sorted(name for name in pool if name.endswith("_FOCAL_LENGTH") and name != key)
     if filters:
-        kernel.note("known", "focal_length_mm", f"{len(filters)} filters have lengths of their own: {filters[0]}, ...")
+        kernel.note(
+            "known", "focal_length_mm", f"{len(filters)} filters have lengths of their own: {filters[0]}, ..."
+        )
     if "FL_TEMP_COEFFS" in pool:
         kernel.note("known", "focal_length_mm", "depends on temperature: FL_TEMP_COEFFS")
     return stated
@@ -537,7 +591,9 @@ def _field_of_view(kernel: _Kernel, axes: FloatArray, size: tuple[int, int]) -> 
     """Pinhole whose detector edges lie on the field of view's."""
     pixels_per_mm = 0.5 * np.array(size, dtype=np.float64) / (_tangents(kernel.pool, axes) * NOMINAL_FOCAL_MM)
     kernel.note(
-        "derived", "pixel_from_mm", f"the field of view, with a nominal focal length of {NOMINAL_FOCAL_MM:g} mm"
+        "derived",
+        "pixel_from_mm",
+        f"the field of view, with a nominal focal length of {NOMINAL_FOCAL_MM:g} mm",
     )
     return {"focal_length_mm": NOMINAL_FOCAL_MM, "pixel_from_mm": np.diag(pixels_per_mm)}
 
@@ -555,12 +611,20 @@ def _angle_tangents(pool: Values, axes: FloatArray) -> FloatArray:
     along = float(_numbers(pool, "FOV_REF_ANGLE", 1)[0])
     across = float(_numbers(pool, "FOV_CROSS_ANGLE", 1)[0]) if "FOV_CROSS_ANGLE" in pool else along  # circle
     reference = _unit(_numbers(pool, "FOV_REF_VECTOR", 3), "FOV_REF_VECTOR")
-    angles = (along, across) if abs(axes[0] @ reference) > PARALLEL else (across, along)
-    return np.tan(np.array(angles) * ANGLE_IN_RAD[unit])
+    angles = np.array((along, across) if abs(axes[0] @ reference) > PARALLEL else (across, along))
+    if not (angles * ANGLE_IN_RAD[unit] < WIDEST_RAD).all():
+        raise CameraError(
+            f"a field of view {angles.max():g} {unit} from its middle to its edge is no camera's."
+        )
+    return np.tan(angles * ANGLE_IN_RAD[unit])
 
 
 def _corner_tangents(pool: Values, axes: FloatArray) -> FloatArray:
     corners = np.array(pool["FOV_BOUNDARY_CORNERS"], dtype=np.float64).reshape(-1, 3) @ axes.T
+    if not (corners[:, 2] > 0.0).all():
+        raise CameraError(
+            "FOV_BOUNDARY_CORNERS of the instrument kernel reach 90 deg from the boresight: no camera's."
+        )
     return np.asarray(np.abs(corners[:, :2] / corners[:, 2:]).max(axis=0))
 
 
@@ -627,7 +691,9 @@ def _forward_radial(kernel: _Kernel, focal_mm: float, _pitch_mm: float) -> Disto
 def _one_radial(kernel: _Kernel, _focal_mm: float, _pitch_mm: float) -> Distortion:
     """ISIS: ideal = distorted (1 + K1 r^2), r mm."""
     k1 = float(_numbers(kernel.pool, "K1", 1)[0])
-    kernel.note("derived", "distortion", f"K1 {k1:g} /mm^2, ideal = distorted (1 + K1 r^2) as ISIS computes it")
+    kernel.note(
+        "derived", "distortion", f"K1 {k1:g} /mm^2, ideal = distorted (1 + K1 r^2) as ISIS computes it"
+    )
     return RadialDistortion(k1_per_mm2=-k1)
 
 
@@ -666,8 +732,14 @@ ISIS_OD_K = ("ideal = distorted (1 - k0 - k1 r^2 - k2 r^4), r mm, as ISIS comput
 # What the keyword means stands in the comments of kernels only: lro_lroc_v18.ti ("Distortion Model Parameters"), and
 # hyb2oncAddendum0001.ti after the ONC bundle of DARTS.
 OD_K_OF_SPACECRAFT: dict[int, tuple[str, Callable[[FloatArray, float], Terms]]] = {
-    85: ("ideal = distorted (1 + k0 r^2 + k1 r^4 + k2 r^6), r mm, as the comments of LROC's kernel say", _lro_terms),
-    37: ("ideal = distorted (k0 + k1 r^2 + k2 r^4), r px, as the comments of ONC's addendum say", _hayabusa2_terms),
+    85: (
+        "ideal = distorted (1 + k0 r^2 + k1 r^4 + k2 r^6), r mm, as the comments of LROC's kernel say",
+        _lro_terms,
+    ),
+    37: (
+        "ideal = distorted (k0 + k1 r^2 + k2 r^4), r px, as the comments of ONC's addendum say",
+        _hayabusa2_terms,
+    ),
 }
 Reader = Callable[[_Kernel, float, float], Distortion]
 DISTORTIONS: tuple[tuple[str, Reader], ...] = (

@@ -10,7 +10,7 @@ Units, axes and the two directions are those of `opnav_workbench.camera.distorti
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -158,7 +158,8 @@ class RationalDistortion(InverseDistortion):
         low, ideal = terms @ self.denominator, self.undistort(xy)
         rows = [
             np.stack(
-                [(s @ top - ideal[..., axis] * (s @ self.denominator)) / low for s in (along_x, along_y)], axis=-1
+                [(s @ top - ideal[..., axis] * (s @ self.denominator)) / low for s in (along_x, along_y)],
+                axis=-1,
             )
             for axis, top in enumerate((self.x_numerator, self.y_numerator))
         ]
@@ -283,7 +284,9 @@ class CahvorDistortion(DirectDistortion):
         _set_coefficients(self, {"axis": 3})
         length = float(np.linalg.norm(self.axis))
         if not (self.focal_mm > 0.0 and length > 0.0 and -1.0 <= self.linearity <= 1.0):
-            raise CameraError("CAHVOR: give a positive focal_mm, an axis with a direction, linearity from -1 to 1.")
+            raise CameraError(
+                "CAHVOR: give a positive focal_mm, an axis with a direction, linearity from -1 to 1."
+            )
         object.__setattr__(self, "axis", readonly(self.axis / length, (3,), "axis"))
 
     def distort(self, xy_mm: ArrayLike) -> FloatArray:
@@ -305,21 +308,27 @@ class CahvorDistortion(DirectDistortion):
                 columns.append((self.focal_mm * moved[..., :2] / moved[..., 2:]).imag / COMPLEX_STEP)
         return np.stack(columns, axis=-1)
 
-    def _parts(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _parts(self, xy: Any) -> tuple[Any, Any]:
         """A direction's length along the axis (...), and its part across (..., 3)."""
         vectors = np.concatenate([xy / self.focal_mm, np.ones((*xy.shape[:-1], 1))], axis=-1)
         along = vectors @ self.axis
         return along, vectors - along[..., None] * self.axis
 
-    def _moved(self, along: FloatArray, across: FloatArray) -> FloatArray:
-        tangent2 = (across * across).sum(axis=-1) / along**2  # of the angle from the axis; no square root at its zero
+    def _moved(self, along: Any, across: Any) -> Any:
+        tangent2 = (across * across).sum(
+            axis=-1
+        ) / along**2  # of the angle from the axis; no square root at its zero
         if self.linearity == 1.0:
             chi2, depth = tangent2, along
         else:
             tangent = np.sqrt(tangent2 + TINY)
             angle = np.arctan(tangent)
             part = self.linearity
-            chi = np.sin(part * angle) / part if part < 0.0 else (np.tan(part * angle) / part if part else angle)
+            chi = (
+                np.sin(part * angle) / part
+                if part < 0.0
+                else (np.tan(part * angle) / part if part else angle)
+            )
             chi2, depth = chi * chi, along * tangent / chi
         mu = self.r0 + chi2 * (self.r1 + chi2 * self.r2)
         return np.asarray(depth[..., None] * self.axis + (1.0 + mu)[..., None] * across)

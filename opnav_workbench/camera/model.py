@@ -112,7 +112,8 @@ class Camera(CameraResponse):
         object.__setattr__(self, "_reach_mm", reach_mm(self.distortion, self.focal_length_mm))
         if not np.isfinite(self.unproject(self._corners())).all():
             raise CameraError(
-                f"{self.name}: distortion folds over inside the detector; check its coefficients and units."
+                f"{self.name}: distortion folds over inside the detector; check its coefficients and units, "
+                "or give the part of the detector that is read (n_pixel, n_line, center_pixel_line)."
             )
 
     def _set_array(self, name: str, shape: tuple[int, ...]) -> None:

@@ -53,7 +53,9 @@ class _Dumper(yaml.SafeDumper):
     """Lists in one line, mappings as blocks."""
 
 
-_Dumper.add_representer(list, lambda d, data: d.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True))
+_Dumper.add_representer(
+    list, lambda d, data: d.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
+)
 _Dumper.add_representer(
     float, lambda d, number: d.represent_scalar("tag:yaml.org,2002:float", _float_text(float(number)))
 )
@@ -123,7 +125,9 @@ def _distortion(model: Distortion) -> dict[str, Any]:
     if name is None:
         raise CameraError(f"a {type(model).__name__} cannot be written into a camera file.")
     terms = {f.name: (getattr(model, f.name), f.default) for f in fields(model) if f.name != "focal_mm"}  # type: ignore[arg-type]
-    return {"model": name} | {n: v for n, (v, usual) in terms.items() if isinstance(v, np.ndarray) or v != usual}
+    return {"model": name} | {
+        n: v for n, (v, usual) in terms.items() if isinstance(v, np.ndarray) or v != usual
+    }
 
 
 def _powers(coefficients: Any) -> dict[str, float]:
@@ -186,10 +190,14 @@ def _photometry(camera: "Camera") -> dict[str, Any]:
     return _plain(told)
 
 
-def _plain(value: Any) -> Any:
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
     """Arrays and numpy numbers as lists and numbers."""
+    return {name: _plain_value(value) for name, value in values.items()}
+
+
+def _plain_value(value: Any) -> Any:
     if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
+        return _plain(value)
     if isinstance(value, np.ndarray | list | tuple):
-        return [_plain(item) for item in np.asarray(value).tolist()]
+        return [_plain_value(item) for item in np.asarray(value).tolist()]
     return value.item() if isinstance(value, np.generic) else value

@@ -32,6 +32,11 @@ FRAME_MODEL = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 FIRST_CENTER = 0.5  # line and sample of the first pixel's center in a Community Sensor Model
 SHORTEST_FOCAL_MM = 1.0
 J2000 = 1
+FIT_POINTS, FIT_PX = 41, 0.01  # along an edge of the detector; what a description of distortion may be off
+# Of X and Y in the terms of transverse distortion
+TAYLOR_POWERS = np.array(
+    [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)], dtype=np.float64
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +131,10 @@ def _camera(data: Mapping[str, Any]) -> Camera:
     start = np.array([float(data.get(f"starting_detector_{axis}") or 0) for axis in ("sample", "line")])
     center = np.array([float(data["detector_center"][axis]) for axis in ("sample", "line")])
     focal_axes, matrix = _aligned(rows[:, 1:])
-    frame = data["instrument_pointing"].get("constant_frames") or data["instrument_pointing"]["time_dependent_frames"]
+    frame = (
+        data["instrument_pointing"].get("constant_frames")
+        or data["instrument_pointing"]["time_dependent_frames"]
+    )
     return Camera(
         name=str(data.get("name_sensor", "camera")),
         frame=f"FRAME {frame[0]}",
@@ -158,22 +166,31 @@ def _distortion(told: Mapping[str, Any], focal_mm: float, axes: FloatArray) -> D
     values = told.get(kind, {})
     coefficients = values.get("coefficients", [v for v in values.values() if not isinstance(v, list)])
     if kind == "transverse":
-        if not np.array_equal(axes, np.eye(3)):
-            raise CameraError("image support data: transverse distortion on a turned detector is not read.")
-        return TaylorDistortion(_vector(values["x"], 10), _vector(values["y"], 10))
+        signs = np.diag(axes)[:2]
+        if not signs.all():
+            raise CameraError(
+                "image support data: transverse distortion on a detector turned by 90 deg is not read."
+            )
+        mirrored = signs[0] ** TAYLOR_POWERS[:, 0] * signs[1] ** TAYLOR_POWERS[:, 1]
+        x, y = (_vector(values[name], 10) * mirrored for name in "xy")
+        return TaylorDistortion(x * signs[0], y * signs[1])
     if not any(coefficients):
         return NoDistortion()
     if kind == "radial":
         return RadialDistortion(*(float(c) for c in coefficients[:4]))
     if kind == "dawnfc":
         return BrownDistortion(focal_mm, k1=float(coefficients[0]) * focal_mm**2)
-    raise CameraError(f"image support data: a distortion of type {kind} is not read; radial, transverse and dawnfc are.")
+    raise CameraError(
+        f"image support data: a distortion of type {kind} is not read; radial, transverse and dawnfc are."
+    )
 
 
 def _attitude(told: Mapping[str, Any], et: float) -> FloatArray:
     """Rotation of a frame from J2000 at a time: the turning part, then the constant one."""
     if told.get("reference_frame", J2000) != J2000:
-        raise CameraError(f"image support data: attitude from frame {told['reference_frame']}; J2000 (1) is read.")
+        raise CameraError(
+            f"image support data: attitude from frame {told['reference_frame']}; J2000 (1) is read."
+        )
     times = np.array(told["ephemeris_times"], dtype=np.float64)
     matrices = np.stack([matrix_from_quaternion(q) for q in told["quaternions"]])
     if len(times) != len(matrices):
@@ -277,36 +294,41 @@ def _handedness(camera: Camera) -> FloatArray:
 
 
 def _told_distortion(camera: Camera) -> dict[str, Any]:
-    model = camera.distortion
-    if isinstance(model, NoDistortion):
+    """The first form of a Community Sensor Model that holds the distortion over the detector to `FIT_PX`."""
+    if isinstance(camera.distortion, NoDistortion):
         return {"radial": {"coefficients": [0.0, 0.0, 0.0]}}
-    if isinstance(model, RadialDistortion) and model.k3_per_mm6 == 0.0:
-        return {"radial": {"coefficients": [model.k0, model.k1_per_mm2, model.k2_per_mm4]}}
-    return {"transverse": _as_taylor(camera)}
-
-
-def _as_taylor(camera: Camera) -> dict[str, list[float]]:
-    """The camera's distortion over its detector as polynomials of third degree, if these hold it to a hundredth pixel."""
-    grid = np.stack(
-        np.meshgrid(*(np.linspace(-0.5, n - 0.5, TAYLOR_GRID) for n in (camera.n_pixel, camera.n_line))), axis=-1
-    ).reshape(-1, 2)
+    signs, corners = _handedness(camera), (camera.n_pixel, camera.n_line)
+    axes = (np.linspace(-0.5, n - 0.5, FIT_POINTS) for n in corners)
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     mm = (grid - camera.center_pixel_line) @ np.linalg.inv(camera.pixel_from_mm).T
-    signs = _handedness(camera)
-    x, y = (camera.distortion.undistort(mm) * signs).T
-    measured = mm * signs
-    terms = np.stack([x**0, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=-1)
+    ideal, measured = camera.distortion.undistort(mm) * signs, mm * signs
+    scale_px = float(np.abs(camera.pixel_from_mm).max())
+    radial, worst = _radial_fit(ideal, measured)
+    if worst * scale_px < FIT_PX:
+        return {"radial": {"coefficients": radial}}
+    transverse, worst = _taylor_fit(ideal, measured)
+    if worst * scale_px < FIT_PX:
+        return {"transverse": transverse}
+    raise CameraError(
+        f"{camera.name}: the polynomials of a Community Sensor Model hold its distortion to {worst * scale_px:.2g} px only."
+    )
+
+
+def _radial_fit(ideal: FloatArray, measured: FloatArray) -> tuple[list[float], float]:
+    """k0, k1, k2 of ``ideal = measured (1 - k0 - k1 r^2 - k2 r^4)``, and the largest error, mm."""
+    r2 = (measured * measured).sum(axis=-1)
+    terms = np.stack([r2**n for n in range(3)], axis=-1)[:, None, :] * measured[..., None]
+    design, scale = terms.reshape(-1, 3), r2.max() ** np.arange(3)
+    fit = np.linalg.lstsq(design / scale, (measured - ideal).ravel(), rcond=None)[0] / scale
+    return fit.tolist(), float(np.abs(design @ fit - (measured - ideal).ravel()).max())
+
+
+def _taylor_fit(ideal: FloatArray, measured: FloatArray) -> tuple[dict[str, list[float]], float]:
+    """Coefficients of polynomials of third degree, measured of ideal, and the largest error, mm."""
+    terms = (ideal[:, None, :] ** TAYLOR_POWERS).prod(axis=-1)
     scale = np.abs(terms).max(axis=0)
     fit = np.linalg.lstsq(terms / scale, measured, rcond=None)[0] / scale[:, None]
-    worst = float(np.abs(((terms @ fit - measured) * signs) @ camera.pixel_from_mm.T).max())
-    if not worst < TAYLOR_PX:
-        raise CameraError(
-            f"{camera.name}: a Community Sensor Model's polynomials hold its distortion to {worst:.2g} px only."
-        )
-    return {"x": fit[:, 0].tolist(), "y": fit[:, 1].tolist()}
-
-
-TAYLOR_GRID = 41
-TAYLOR_PX = 0.01
+    return {"x": fit[:, 0].tolist(), "y": fit[:, 1].tolist()}, float(np.abs(terms @ fit - measured).max())
 
 
 def _list(array: FloatArray | None) -> list[float]:

@@ -135,8 +135,8 @@ def _frame_names(instrument_id: int) -> list[str]:
     if told:
         numbers.append(str(round(float(told[0]))))
     field = pool.pool_value(f"INS{instrument_id}_FOV_FRAME")
-    for name in pool.pool_names("TKFRAME_*_RELATIVE"):
-        if field is not None and pool.pool_value(name) == field:
-            numbers.append(name.removeprefix("TKFRAME_").removesuffix("_RELATIVE"))
+    relatives = pool.pool_names("TKFRAME_*_RELATIVE") if field is not None else []
+    fixed = [name for name in relatives if pool.pool_value(name) == field]
+    numbers += [name.removeprefix("TKFRAME_").removesuffix("_RELATIVE") for name in fixed]
     names = [name for number in numbers for name in pool.pool_names(f"TKFRAME_{number}_*")]
     return names + [name for number in numbers for name in pool.pool_names(f"FRAME_{number}_NAME")]

@@ -19,6 +19,14 @@ FOV = {
     "INS-999100_PIXEL_LINES": (1024.0,),
 }
 
+ADDENDUM = FOV | {
+    "INS-999100_FOCAL_LENGTH": (150.0,),
+    "INS-999100_TRANSX": (0.0, 0.0, 0.014),
+    "INS-999100_TRANSY": (0.0, -0.014, 0.0),
+    "INS-999100_BORESIGHT_SAMPLE": (1024.5,),
+    "INS-999100_BORESIGHT_LINE": (512.0,),
+}
+
 
 def with_changes(**changes):
     values = FOV | {f"INS-999100_{key}": value for key, value in changes.items()}
@@ -120,6 +128,65 @@ def test_ocams_without_distortion_is_near_our_camera_file(pool, instrument_id, f
     assert difference_px(ours, camera) < tolerance_px
 
 
+def test_an_addendum_of_isis_says_how_the_detector_lies():
+    """X = 0.014 line, Y = -0.014 sample: pixels run along -Y, lines along +X; samples and lines count from 1."""
+    camera = Camera.from_ik(ADDENDUM | {"INS-999100_OD_K": (0.0, 2e-5, 0.0)}, -999100)
+    np.testing.assert_array_equal(camera.focal_from_camera, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(camera.center_pixel_line, [1023.5, 511.0])
+    sample = camera.project([0.0, -0.014 * 100 * (1 - 2e-5 * 1.4**2) / 150.0, 1.0])
+    np.testing.assert_allclose(sample, [1123.5, 511.0], rtol=0, atol=1e-9)
+    assert not camera.guesses
+    assert {origin.field for origin in camera.origins} >= {
+        "focal_from_camera",
+        "center_pixel_line",
+        "distortion",
+    }
+
+
+def test_what_was_guessed_stands_in_the_camera_file(tmp_path):
+    camera = Camera.from_ik(FOV, -999100)
+    camera.to_yaml(tmp_path / "camera.yaml")
+    assert Camera.from_yaml(tmp_path / "camera.yaml").guesses == camera.guesses != ()
+
+
+DAWN = "slices/FC21A0038582_15170161546F6F"
+INSTRUMENTS = "instruments"
+FLIGHT = {  # kernels in loading order, instrument: pixel and line axes, center counted from 0, distortion
+    "Dawn FC2": (
+        [f"{DAWN}/dawn_fc_v10.ti", f"{DAWN}/dawnfcAddendum002.ti"], -203120, [[1, 0, 0], [0, 1, 0]], (511.5, 511.5), 8.4e-6
+    ),
+    "AMICA": (
+        [f"{INSTRUMENTS}/hayabusa_amica/amica31.ti", f"{INSTRUMENTS}/hayabusa_amica/amicaAddendum002.ti"],
+        -130102, [[1, 0, 0], [0, -1, 0]], (511.5, 511.5), 2.8e-5,
+    ),
+    "UVVIS A": (
+        [f"{INSTRUMENTS}/clementine_uvvis/clem_uvvis_beta_ik_v04.ti"], -40021, [[1, 0, 0], [0, 1, 0]], (191.5, 143.5), None
+    ),
+    "ONC-T": (
+        ["slices/hyb2_onc_20151203_084458_w2f_l2a/hyb2_onc_v00.ti",
+         "slices/hyb2_onc_20151203_084458_w2f_l2a/hyb2oncAddendum0001.ti"],
+        -37100, [[1, 0, 0], [0, 1, 0]], (522.9, 489.5), 9.28e-9 / 0.013**2,
+    ),
+    "JunoCam blue": (
+        [f"{INSTRUMENTS}/juno_junocam/juno_junocam_v03.ti", f"{INSTRUMENTS}/juno_junocam/junoAddendum005.ti"],
+        -61501, [[1, 0, 0], [0, 1, 0]], (813.71, 157.98), -5.9624209455667325e-08 / 0.0074**2,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", FLIGHT)
+def test_flight_kernels_are_read_with_axes_center_and_distortion(pool, name):
+    """What the comments of each kernel say, checked by hand; the cubic term is (distorted - ideal) / r^3, per mm^2."""
+    files, number, axes, center, cubic = FLIGHT[name]
+    camera = Camera.from_ik(pool(files, number), number)
+    np.testing.assert_array_equal(camera.focal_from_camera[:2], axes)
+    np.testing.assert_allclose(camera.center_pixel_line, center, rtol=0, atol=1e-9)
+    if cubic is not None:
+        shift = camera.distortion.distort([0.5, 0.0])[0] - 0.5
+        assert shift / 0.5**3 == pytest.approx(cubic, rel=0.01)
+
+
 @pytest.mark.realdata
 def test_mvic_from_its_field_of_view_and_pixel_angle(pool):
     values = pool(["generic/nh_ralph_v100u.ti"], -98203)
@@ -140,7 +207,10 @@ def test_field_of_view_edges_are_detector_edges():
     assert isinstance(camera.distortion, NoDistortion)
     edges = np.tan(np.radians([2.0, 1.0]))
     np.testing.assert_allclose(camera.project([edges[0], 0.0, 1.0]), [2047.5, 511.5], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(camera.project([0.0, -edges[1], 1.0]), [1023.5, 1023.5], rtol=0, atol=1e-9)
+    # Unless told, lines run along boresight x pixel: shown with the first line on top, the picture is not mirrored.
+    np.testing.assert_allclose(camera.project([0.0, edges[1], 1.0]), [1023.5, 1023.5], rtol=0, atol=1e-9)
+    (guess,) = [origin for origin in camera.guesses if origin.field == "focal_from_camera"]
+    assert "no keyword says how the detector lies" in guess.text
 
 
 def test_axes_can_be_given():
@@ -195,11 +265,21 @@ def test_overrides_replace_what_the_kernel_gives():
         (with_changes(FOV_REF_ANGLE=None), "no FOV_REF_ANGLE"),
         (with_changes(FOV_ANGLE_UNITS=("GRADS",)), "FOV_ANGLE_UNITS 'GRADS'; one of DEGREES"),
         (with_changes(FOV_REF_ANGLE=("wide",)), "FOV_REF_ANGLE .* not numeric"),
-        (with_changes(FOCAL_LENGTH=(500.0,), PIXEL_SIZE=(0.010,), IFOV=(20.0,)), "IFOV 20.0 .* check units"),
+        # 0.010 can only be mm, and would be right
+        (with_changes(FOCAL_LENGTH=(500.0,), PIXEL_SIZE=(0.020,), IFOV=(20.0,)), "IFOV 20.0 .* check units"),
+        (with_changes(FOCAL_LENGTH=(500.0,), PIXEL_SIZE=(0.5,)), "no size of a pixel in um, mm or m"),
+        (
+            with_changes(FOCAL_LENGTH=(500.0,)),
+            "no TRANSX, PIXEL_PITCH, PIXEL_SIZE or IFOV; give pixel_from_mm",
+        ),
+        (ADDENDUM | {"INS-999100_FOCAL_LENGTH": None}, "no FOCAL_LENGTH; give focal_length_mm"),
+        (ADDENDUM | {"INS-999100_OD_K": (1e-5,)}, "OD_K .* 1 values, 3 make"),
+        (ADDENDUM | {"INS-999100_BORESIGHT": (1.0, 0.0, 0.0)}, "TRANSX and TRANSY suit .* looks along Z"),
         (with_changes(FOCAL_LENGTH=(1.0,), FOCAL_LENGTH_UNITS=("feet",)), "FOCAL_LENGTH_UNITS 'feet'"),
     ],
 )
 def test_what_is_missing_or_wrong_is_named(values, message):
+    values = {key: value for key, value in values.items() if value is not None}
     with pytest.raises(CameraError, match=message):
         Camera.from_ik(values, -999100)
 

@@ -9,12 +9,17 @@ from scipy.special import eval_legendre
 
 from opnav_workbench.camera import (
     BrownDistortion,
+    CahvorDistortion,
     Camera,
+    FisheyeDistortion,
     ForwardSipDistortion,
     LegendreDistortion,
     NoDistortion,
     OwenDistortion,
+    RadialDistortion,
+    RationalDistortion,
     SipDistortion,
+    TaylorDistortion,
 )
 from opnav_workbench.errors import CameraError
 from opnav_workbench.resources import kernels_meta_dir
@@ -32,6 +37,35 @@ REVERSE_B = {(2, 1): 4.6e-9, (0, 3): 4.6e-9, (0, 2): -2.5e-7, (1, 1): -3.7e-7}
 # (of x, of y), written out from the ISIS camera model
 MVIC_DEGREES = [(0, 1), (1, 0), (0, 2), (1, 1), (2, 0), (0, 3), (1, 2), (2, 1), (3, 0), (0, 4)]
 MVIC_DEGREES += [(1, 3), (2, 2), (3, 1), (4, 0), (0, 5), (1, 4), (2, 3), (3, 2), (4, 1), (5, 0)]
+# Of MESSENGER MDIS NAC (as ALE has it) and of TGO CaSSIS
+TAYLOR_X = (0.0, 1.0018542696, 0.0, 0.0, -5.0944404749e-4, 0.0, 1.0040104715e-5, 0.0, 1.0040104715e-5, 0.0)
+TAYLOR_Y = (0.0, 0.0, 1.0, 9.060010595e-4, 0.0, 3.5748426266e-4, 0.0, 1.0040104715e-5, 0.0, 1.0040104715e-5)
+CASSIS = (
+    (
+        0.00376130530948266,
+        -0.0134154156065812,
+        -1.86749521007237e-05,
+        1.00021352681836,
+        -4.32362371703953e-04,
+        -9.48e-4,
+    ),
+    (
+        9.9842559363676e-05,
+        0.00373543707958162,
+        -0.0133299918873929,
+        -2.15311328389359e-04,
+        0.995296015537294,
+        -0.01835,
+    ),
+    (
+        -3.13320167004204e-05,
+        -7.35655125749807e-06,
+        -1.57664245066771e-05,
+        0.00373549465439151,
+        -0.0141671946930935,
+        1.0,
+    ),
+)
 
 
 def mvic() -> LegendreDistortion:
@@ -49,6 +83,19 @@ MODELS = {
     "sip, reverse": (SipDistortion.from_coefficients(SIP_MATRIX, REVERSE, REVERSE_B), (7.0, 7.0)),
     "sip, forward": (ForwardSipDistortion.from_coefficients(SIP_MATRIX, REVERSE, REVERSE_B), (7.0, 7.0)),
     "legendre": (mvic(), (32.0, 0.82)),
+    "radial, four terms": (RadialDistortion(-0.014, 1e-4, -2e-6, 1e-8), (7.0, 7.0)),
+    "taylor, MDIS": (TaylorDistortion(TAYLOR_X, TAYLOR_Y), (7.2, 7.2)),
+    "rational, CaSSIS": (RationalDistortion(*CASSIS), (10.0, 10.0)),
+    "fisheye": (FisheyeDistortion(8.0, -0.02, 0.004, -0.001, 2e-4), (4.0, 4.0)),
+    "cahvor": (CahvorDistortion(34.0, [0.02, -0.01, 1.0], 1e-4, 0.05, -0.3), (6.0, 6.0)),
+    "cahvore, by angle": (
+        CahvorDistortion(8.0, [0.02, -0.01, 1.0], 1e-4, 0.02, -0.01, linearity=0.0),
+        (3.5, 3.5),
+    ),
+    "cahvore, by sine": (
+        CahvorDistortion(8.0, [0.02, -0.01, 1.0], 0.0, 0.02, 0.0, linearity=-0.6),
+        (3.5, 3.5),
+    ),
 }
 each_model = pytest.mark.parametrize(("model", "half_mm"), MODELS.values(), ids=MODELS.keys())
 
@@ -118,6 +165,34 @@ def test_brown_follows_the_opencv_documentation():
         v = y * ratio + m.p1 * (r2 + 2 * y**2) + 2 * m.p2 * x * y + m.s3 * r2 + m.s4 * r2**2
         result = m.distort(np.array([x, y]) * m.focal_mm) / m.focal_mm
         np.testing.assert_allclose(result, [u, v], rtol=0, atol=1e-15)
+
+
+def test_a_fisheye_sees_equal_angles_at_equal_distances():
+    """Kannala and Brandt: the radius is the focal length times the angle, with the odd polynomial of OpenCV's fisheye."""
+    lens = FisheyeDistortion(8.0, -0.02, 0.004)
+    for degrees in (1.0, 30.0, 60.0, 80.0):
+        angle = np.radians(degrees)
+        place = 8.0 * np.tan(angle) * np.array([0.6, -0.8])
+        radius = 8.0 * angle * (1.0 - 0.02 * angle**2 + 0.004 * angle**4)
+        np.testing.assert_allclose(lens.distort(place), radius * np.array([0.6, -0.8]), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(lens.undistort(lens.distort(place)), place, rtol=1e-10)
+    assert np.isnan(
+        FisheyeDistortion(8.0).undistort([8.0 * np.radians(91.0), 0.0])
+    ).all()  # behind the image plane
+
+
+def test_cahvor_moves_what_lies_across_its_axis():
+    """As Di and Li write it: P' = P + mu lambda, lambda across O, mu of |lambda|^2 over (P . O)^2."""
+    axis = np.array([0.02, -0.01, 1.0]) / np.linalg.norm([0.02, -0.01, 1.0])
+    direction = np.array([0.1, 0.05, 1.0])
+    along = direction @ axis
+    across = direction - along * axis
+    ratio = across @ across / along**2
+    moved = direction + (1e-4 + 0.05 * ratio - 0.3 * ratio**2) * across
+    lens = CahvorDistortion(34.0, axis, 1e-4, 0.05, -0.3)
+    np.testing.assert_allclose(
+        lens.distort(34.0 * direction[:2]), 34.0 * moved[:2] / moved[2], rtol=0, atol=1e-12
+    )
 
 
 def test_radial_owen_is_radial_brown_with_k1_of_e2_times_focal_squared():
@@ -219,6 +294,9 @@ def test_any_small_owen_distortion_is_inverted(coefficients, x, y):
             r"x_coefficients has shape \(19,\)",
         ),
         (lambda: LegendreDistortion([32.5, 0.0], np.zeros(20), np.zeros(20)), "half_size_mm has a zero"),
+        (lambda: FisheyeDistortion(-1.0), "focal_mm is -1"),
+        (lambda: TaylorDistortion(np.zeros(9), np.zeros(10)), "give 10 numbers"),
+        (lambda: CahvorDistortion(34.0, [0.0, 0.0, 0.0]), "an axis with a direction"),
         (lambda: SipDistortion.from_coefficients(np.eye(2), {(6, 4): 1.0}, {(1, 1): 0.0}), "order 10"),
     ],
 )
