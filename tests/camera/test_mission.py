@@ -75,7 +75,7 @@ def test_an_unknown_mission_lists_the_known_ones(asked, hint):
         ({"cameras": []}, "cameras: .*at least 1"),
         ({"clock_id": "x"}, "clock_id: .*integer"),
         ({"extra": 1}, "extra: unknown field"),
-        ({"keywords": {"exposure": "EXPTIME"}}, "keywords: .*unknown exposure; known are bits, "),
+        ({"keywords": {"exposure": "EXPTIME"}}, "keywords: .*unknown exposure; known are .*bits, "),
         ({"keywords": {"quaternion": ["A", "B"]}}, "keywords: .*quaternion .*list of 4 keywords"),
         ({"keywords": {"exposure_scale": "ms"}}, "keywords.exposure_scale: .*valid number"),
         ({"target_surfaces": {"A": {"size_sigma": 0.0}}}, "target_surfaces.A.size_sigma: .*greater than 0"),
