@@ -77,6 +77,8 @@ this list to its top; a package imports what stands below it.
     YAML files into validated models, with errors that name line and field.
 ``fits_layout``
     FITS headers looked at before a library believes them.
+``format_versions``
+    What a file's `format_version` promises; files of older versions read.
 ``yaml_nodes``
     YAML text into nodes and plain values, bounded in depth, count, aliases, numbers and tags.
 ``templating``

@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.format_versions import FORMAT_KEY, as_of_today
 from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
 __all__ = [
@@ -143,13 +144,23 @@ def line_of(path: str | PathLike[str], location: Location) -> int:
 def _validated(
     content: Any, model: type[Model], label: str, failure: type[OpNavError], node: yaml.Node | None
 ) -> Model:
+    content = _without_version({} if content is None else content, label, failure, node)
     try:
-        return model.model_validate({} if content is None else content)
+        return model.model_validate(content)
     except ValidationError as error:
         problems = error.errors(include_url=False)
         shown = [_text(problem, model, content, node) for problem in problems[:ERRORS_SHOWN]]
         more = [f"and {len(problems) - len(shown)} more"] if len(problems) > len(shown) else []
         raise failure(f"{label}: {'; '.join(shown + more)}") from error
+
+
+def _without_version(content: Any, label: str, failure: type[OpNavError], node: yaml.Node | None) -> Any:
+    """Return the content as the present version has it, without the version: that is of files, not of models."""
+    if not isinstance(content, Mapping) or FORMAT_KEY not in content:
+        return content
+    line = "" if node is None else f": line {_line(node, (FORMAT_KEY,))}"
+    today = as_of_today("yaml", content, f"{label}{line}", failure)
+    return {key: value for key, value in today.items() if key != FORMAT_KEY}
 
 
 def _text(problem: Mapping[str, Any], model: type[BaseModel], content: Any, node: yaml.Node | None) -> str:

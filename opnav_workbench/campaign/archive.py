@@ -15,18 +15,20 @@ from astropy.table import QTable, Table
 
 from opnav_workbench.campaign.database import ARCHIVE_FILE, Database
 from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
-from opnav_workbench.campaign.queries import query_observables, query_plain, query_table
+from opnav_workbench.campaign.queries import query_observables, query_origins, query_plain, query_table
 from opnav_workbench.campaign.run_folder import find_runs, read_run, without_times
 from opnav_workbench.campaign.schema import PARTS, tables
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path, digest
 from opnav_workbench.observables import (
     Observable,
+    Origin,
     table_observables,
     write_csv,
     write_observables_json,
     write_tdm,
 )
+from opnav_workbench.observables.explanation import explanation, together
 from opnav_workbench.session.storage import SESSION_FILE
 
 __all__ = ["ARCHIVE_FILE", "EXPORT_FORMATS", "Campaign", "ImageEntry", "export_observables"]
@@ -236,6 +238,15 @@ class Campaign:
         """Return version, kernels, catalog and settings of every picture."""
         return self._plain("provenance")
 
+    def origins(self, images: Iterable[str]) -> tuple[Origin, ...]:
+        """Return how the observables of pictures came about: mission, camera, program, catalog, kernels."""
+        wanted = {str(image) for image in images}
+        with self._database.read() as connection:
+            rows = query_origins(connection)
+        return together(
+            Origin.of_result({**row, "provenance": row}) for row in rows if row["image"] in wanted
+        )
+
     def history(self) -> list[dict[str, Any]]:
         """Return what stood before and was replaced, oldest first."""
         return self._plain("history")
@@ -281,7 +292,7 @@ class Campaign:
 
 # ---- All observables of a campaign as one file.
 
-WRITERS: dict[str, Callable[[Sequence[Observable], Path], None]] = {
+WRITERS: dict[str, Callable[[Sequence[Observable], Path, Sequence[Origin]], None]] = {
     "csv": write_csv,
     "json": write_observables_json,
     "tdm": write_tdm,
@@ -316,9 +327,11 @@ def export_observables(
     table = campaign.observables(**filters)
     if not len(table):
         raise SessionError("no observable to export; `opnav campaign query bodies` shows what there is.")
+    origins = campaign.origins(table["image"])
     if name == "ecsv":
+        table.meta.update(explanation(origins))
         with atomic_path(target) as temporary:
             table.write(temporary, format="ascii.ecsv", overwrite=True)
     else:
-        WRITERS[name](table_observables(table), target)
+        WRITERS[name](table_observables(table), target, origins)
     return len(table)

@@ -13,7 +13,7 @@ from opnav_workbench.campaign.run_folder import ObservableColumn, observables_fr
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, Column, tables
 from opnav_workbench.errors import SessionError
 
-__all__ = ["QUESTIONS", "query_observables", "query_plain", "query_table"]
+__all__ = ["QUESTIONS", "query_observables", "query_origins", "query_plain", "query_table"]
 
 QUESTIONS = ("images", "pointings", "stars", "bodies", "decisions", "journal", "provenance", "history")
 DECISIONS = (
@@ -111,6 +111,21 @@ def query_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:
     own = [column for column in table.c if column.name != "image_id"]
     query = sa.select(images.c.image, *own).join_from(images, table)
     return [dict(row) for row in connection.execute(_ordered(query, table)).mappings()]
+
+
+def query_origins(connection: sa.Connection) -> list[dict[str, Any]]:
+    """Return mission, camera, program, catalog and kernels of every picture."""
+    images, made = tables["images"], tables["provenance"]
+    columns = (
+        images.c.image,
+        images.c.mission,
+        images.c.camera,
+        made.c.version,
+        made.c.catalog,
+        made.c.kernels,
+    )
+    query = sa.select(*columns).join_from(images, made)
+    return [dict(row) for row in connection.execute(_ordered(query, made)).mappings()]
 
 
 def query_observables(connection: sa.Connection, filters: Mapping[str, str | None]) -> QTable:

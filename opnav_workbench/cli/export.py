@@ -16,10 +16,12 @@ from opnav_workbench.files import files_named
 from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import (
     Observable,
+    Origin,
     TdmOptions,
     read_csv,
     read_ecsv,
     read_json,
+    read_origins,
     write_csv,
     write_ecsv,
     write_observables_json,
@@ -94,20 +96,20 @@ def export(
     """
     format_ = _format(format_, out)
     path = out or Path(f"observables.{format_}")
-    found = [o for source in sources for o in _read_observables(source)]
+    found, origins = _all_observables(sources)
     chosen = sorted(_select(found, targets, methods), key=lambda o: (o.et, o.image))
     if spacecraft is not None:
         chosen = [replace(o, observer=spacecraft) for o in chosen]
     options = TdmOptions(
         aberration=aberration, frame=frame, originator=originator, validated_by=validated_by.strip()
     )
-    writers: dict[str, Callable[[Sequence[Observable], Path], None]] = {
+    writers: dict[str, Callable[[Sequence[Observable], Path, Sequence[Origin]], None]] = {
         "tdm": partial(write_tdm, options=options),
         "csv": write_csv,
         "json": write_observables_json,
         "ecsv": write_ecsv,
     }
-    writers[format_](chosen, path)
+    writers[format_](chosen, path, _origins_of(chosen, origins))
     Console(soft_wrap=True).print(_summary(chosen, path), highlight=False)
 
 
@@ -117,6 +119,33 @@ def _format(wanted: str | None, out: Path | None) -> str:
         what = f"unknown format {name!r}" if name else "no format given"
         raise SessionError(f"{what}; choose --format {' | '.join(FORMATS)}, or a file name that ends so.")
     return name
+
+
+def _all_observables(sources: Sequence[Path]) -> tuple[list[Observable], list[Origin]]:
+    """Observables of all sources, and how those of each file came about."""
+    found: list[Observable] = []
+    origins: list[Origin] = []
+    for source in sources:
+        found += _read_observables(source)
+        files = files_named(source, TABLE) if source.is_dir() else [source]
+        origins += [origin for file in files for origin in _origins_in(file)]
+    return found, origins
+
+
+def _origins_in(file: Path) -> tuple[Origin, ...]:
+    """How observables came about: as their own file tells it, else as the result beside it does."""
+    result = file.parent / RESULT
+    told = read_origins(file) if file.name != RESULT else ()
+    if told or not result.is_file():
+        return told
+    return (Origin.of_result(read_result(result)),)
+
+
+def _origins_of(observables: Sequence[Observable], origins: Sequence[Origin]) -> list[Origin]:
+    """Origins, with the pictures of chosen observables only."""
+    chosen = {o.image for o in observables}
+    named = [origin for origin in origins if chosen & set(origin.images)]
+    return [replace(origin, images=tuple(i for i in origin.images if i in chosen)) for origin in named]
 
 
 def _read_observables(source: Path) -> tuple[Observable, ...]:

@@ -23,6 +23,7 @@ from typing import Any
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import write_json, write_text
+from opnav_workbench.format_versions import stamped
 from opnav_workbench.headless.faults import FAULTS
 from opnav_workbench.headless.night import NightPlan
 from opnav_workbench.headless.night_workers import NotebookOutcome
@@ -143,7 +144,7 @@ class NightWatch:
         rate = done / max(now - self._began, 1e-9) * 60.0
         left = todo - done
         ready = _utc(now + left / rate * 60.0) if rate > 0.0 and self._state == "running" else None
-        return {
+        content = {
             "version": __version__,
             "state": self._state,
             "running": int(self._state == "running"),
@@ -166,6 +167,7 @@ class NightWatch:
             "last": self._last,
             "disk_free_mb": _free_mb(self._plan.out),
         }
+        return stamped("status", content)
 
     def line(self) -> str:
         """Return the same in a line."""

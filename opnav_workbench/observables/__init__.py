@@ -11,12 +11,15 @@ Enter by `observe`, which makes an `Observable` of a measured center; by `write_
     How the center moves when spacecraft, target or camera move: by differences and analytically.
 ``columns``
     Names, units and descriptions of an observable's values in files; an observable as a row, and back.
+``explanation``
+    What every file of observables says of itself: conventions, program, camera, kernels.
 ``files``
     ECSV, CSV and JSON, written and read back; observables of a ``result.json``.
 ``tdm``
     The CCSDS Tracking Data Message, written and read back.
 """
 
+from opnav_workbench.observables.explanation import Origin
 from opnav_workbench.observables.files import (
     csv_text,
     observables_dict,
@@ -24,6 +27,7 @@ from opnav_workbench.observables.files import (
     read_csv,
     read_ecsv,
     read_json,
+    read_origins,
     table_observables,
     write_csv,
     write_ecsv,
@@ -49,6 +53,7 @@ from opnav_workbench.observables.tdm import (
 
 __all__ = [
     "Observable",
+    "Origin",
     "TdmOptions",
     "TrackingMessage",
     "analytic_position_partials",
@@ -66,6 +71,7 @@ __all__ = [
     "read_csv",
     "read_ecsv",
     "read_json",
+    "read_origins",
     "read_tdm",
     "table_observables",
     "tdm_table",

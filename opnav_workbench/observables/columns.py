@@ -13,6 +13,7 @@ import numpy as np
 from astropy import units as u
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.observables.explanation import ASTROMETRIC
 from opnav_workbench.observables.observable import Observable
 
 __all__ = ["ALWAYS_ARRAYS", "COLUMNS", "FIELDS", "ExportColumn", "row_of", "rows_to_observables"]
@@ -191,14 +192,14 @@ FIELDS: tuple[ExportField, ...] = (
     ),
     _sky_field(),
     _attitude_field(),
+    _number_field("ra_deg", u.deg, f"observed right ascension, J2000, {ASTROMETRIC}", "ra"),
+    _number_field("dec_deg", u.deg, f"observed declination, J2000, {ASTROMETRIC}", "dec"),
     _number_field(
-        "ra_deg", u.deg, "observed right ascension, J2000, stellar aberration removed, light time not", "ra"
+        "apparent_ra_deg", u.deg, "observed right ascension, J2000, apparent: as seen", "apparent_ra"
     ),
     _number_field(
-        "dec_deg", u.deg, "observed declination, J2000, stellar aberration removed, light time not", "dec"
+        "apparent_dec_deg", u.deg, "observed declination, J2000, apparent: as seen", "apparent_dec"
     ),
-    _number_field("apparent_ra_deg", u.deg, "observed right ascension, J2000, as seen", "apparent_ra"),
-    _number_field("apparent_dec_deg", u.deg, "observed declination, J2000, as seen", "apparent_dec"),
     _vector_field(
         "residual_arcsec",
         u.arcsec,
@@ -227,9 +228,7 @@ FIELDS: tuple[ExportField, ...] = (
     ),
     _number_field("range_sigma_km", u.km, "1 sigma of the measured distance", "sigma_range"),
     _xyz_field("range_partials", u.km / u.km, "d(range)/d(spacecraft position), km/km", "drange_d{}"),
-    _xyz_field(
-        "position_km", u.km, "spacecraft to body, light time removed, no stellar aberration", "position_{}"
-    ),
+    _xyz_field("position_km", u.km, f"computed, spacecraft to body, {ASTROMETRIC}", "position_{}"),
     _xyz_field(
         "observer_velocity_km_s",
         u.km / u.s,

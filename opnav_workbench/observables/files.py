@@ -26,6 +26,7 @@ from astropy.table import QTable
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path, given_cell, plain_cell, write_json, write_text
+from opnav_workbench.format_versions import FORMAT_KEY, as_of_today
 from opnav_workbench.observables.columns import (
     ALWAYS_ARRAYS,
     COLUMNS,
@@ -34,6 +35,7 @@ from opnav_workbench.observables.columns import (
     row_of,
     rows_to_observables,
 )
+from opnav_workbench.observables.explanation import Origin, explanation, explanation_lines, origins_of_table
 from opnav_workbench.observables.observable import Observable
 
 __all__ = [
@@ -44,6 +46,7 @@ __all__ = [
     "read_csv",
     "read_ecsv",
     "read_json",
+    "read_origins",
     "read_result",
     "table_observables",
     "write_csv",
@@ -57,10 +60,11 @@ __all__ = [
 ECSV_NO_TEXT = "-"  # ECSV cannot tell an empty text from a masked value
 
 
-def observables_table(observables: Sequence[Observable]) -> QTable:
+def observables_table(observables: Sequence[Observable], origins: Sequence[Origin] = ()) -> QTable:
     """Return observables as a table: one row each, every column with description and, for numbers, unit.
 
-    Unknown numbers are nan. An empty text is written as "-": ECSV cannot tell it from a masked value.
+    Unknown numbers are nan. An empty text is written as "-": ECSV cannot tell it from a masked value. The table's metadata
+    say what a stranger must know of it (`explanation`), with the `origins` of the observables.
 
     Examples
     --------
@@ -75,6 +79,7 @@ def observables_table(observables: Sequence[Observable]) -> QTable:
         else:
             table[column.name] = u.Quantity(np.array(values, dtype=float), column.unit)
         table[column.name].info.description = column.description
+    table.meta.update(explanation(origins))
     return table
 
 
@@ -107,10 +112,10 @@ def _ecsv_cell(value: Any, unit: Any) -> Any:
     return "" if str(value) == ECSV_NO_TEXT else str(value)
 
 
-def write_ecsv(observables: Sequence[Observable], path: str | Path) -> None:
+def write_ecsv(observables: Sequence[Observable], path: str | Path, origins: Sequence[Origin] = ()) -> None:
     """Write `observables_table` as ECSV, whole or not at all."""
     with atomic_path(path) as temporary:
-        observables_table(observables).write(temporary, format="ascii.ecsv", overwrite=True)
+        observables_table(observables, origins).write(temporary, format="ascii.ecsv", overwrite=True)
 
 
 def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
@@ -134,22 +139,34 @@ def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
         raise SessionError(
             f"no observables can be read from {path}: {reason}. Give an ECSV file of observables."
         ) from error
+    as_of_today("observables", _versioned(table.meta), str(path), SessionError)
     return table_observables(table, str(path))
+
+
+def _versioned(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of version 0 said nothing of themselves, not even a schema."""
+    return dict(meta) if FORMAT_KEY in meta else {"schema": JSON_SCHEMA}
+
+
+def read_origins(path: str | Path) -> tuple[Origin, ...]:
+    """Return how the observables of a file came about, as the file tells it; empty where it does not."""
+    name, found = Path(path), ()
+    try:
+        if name.suffix == ".ecsv":
+            table = QTable.read(path, format="ascii.ecsv")
+            return origins_of_table(table.meta, dict.fromkeys(map(str, table["image"])))
+        if name.suffix == ".json":
+            data = json.loads(name.read_text(encoding="utf-8"))
+            return origins_of_table(data, dict.fromkeys(str(o["image"]) for o in data["observables"]))
+    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError):
+        return found  # whoever reads the observables is told
+    return found
 
 
 # ---- Observables as CSV.
 
-CONVENTIONS = (
-    "pixel is horizontal, line vertical; both 0-based, an integer is a pixel's center",
-    "observed minus computed; computed with the solved pointing, center of figure",
-    "vectors and directions: J2000 as in SPICE (ICRF axes); times: TDB seconds past J2000, and UTC",
-    "ra, dec: stellar aberration removed, light time not: from the spacecraft to where the light left the body",
-    "apparent_ra, apparent_dec: as seen, stellar aberration not removed",
-    "partials: bodies are held fixed among each other, so those of any body are of its own place",
-)
 
-
-def csv_text(observables: Sequence[Observable]) -> str:
+def csv_text(observables: Sequence[Observable], origins: Sequence[Origin] = ()) -> str:
     """Return observables as CSV text.
 
     Examples
@@ -159,7 +176,7 @@ def csv_text(observables: Sequence[Observable]) -> str:
     """
     stream = io.StringIO()
     stream.write("# Optical navigation observables of opnav_workbench\n")
-    stream.writelines(f"# {line}\n" for line in CONVENTIONS)
+    stream.writelines(f"# {' '.join(line.split())}\n" for line in explanation_lines(origins))
     stream.writelines(f"# {_column_comment(column)}\n" for column in COLUMNS)
     writer = csv.DictWriter(stream, [column.name for column in COLUMNS], lineterminator="\n")
     writer.writeheader()
@@ -179,9 +196,9 @@ def _csv_cell(value: Any) -> str:
     return "" if np.isnan(value) else repr(float(value))
 
 
-def write_csv(observables: Sequence[Observable], path: str | Path) -> None:
+def write_csv(observables: Sequence[Observable], path: str | Path, origins: Sequence[Origin] = ()) -> None:
     """Write observables as CSV, whole or not at all."""
-    write_text(path, csv_text(observables))
+    write_text(path, csv_text(observables, origins))
 
 
 def read_csv(path: str | Path) -> tuple[Observable, ...]:
@@ -217,7 +234,7 @@ FIELD_TYPES = get_type_hints(Observable)
 FIELD_SHAPES = {field.name: field.shape for field in FIELDS}
 
 
-def observables_dict(observables: Sequence[Observable]) -> dict[str, Any]:
+def observables_dict(observables: Sequence[Observable], origins: Sequence[Origin] = ()) -> dict[str, Any]:
     """Return observables as plain values with a header that explains them.
 
     Examples
@@ -227,8 +244,7 @@ def observables_dict(observables: Sequence[Observable]) -> dict[str, Any]:
     """
     return {
         "format": JSON_FORMAT,
-        "schema": JSON_SCHEMA,
-        "conventions": list(CONVENTIONS),
+        **explanation(origins),
         "fields": {
             field.name: {
                 "unit": None if field.unit is None else field.unit.to_string(),
@@ -241,9 +257,11 @@ def observables_dict(observables: Sequence[Observable]) -> dict[str, Any]:
     }
 
 
-def write_observables_json(observables: Sequence[Observable], path: str | Path) -> None:
+def write_observables_json(
+    observables: Sequence[Observable], path: str | Path, origins: Sequence[Origin] = ()
+) -> None:
     """Write observables as JSON, whole or not at all."""
-    write_json(path, observables_dict(observables))
+    write_json(path, observables_dict(observables, origins))
 
 
 def read_json(path: str | Path) -> tuple[Observable, ...]:
@@ -260,10 +278,9 @@ def read_json(path: str | Path) -> tuple[Observable, ...]:
         raise SessionError(
             f"no observables can be read from {path}: {error}. Give a JSON file of observables."
         ) from error
-    if not isinstance(data, dict) or data.get("format") != JSON_FORMAT or data.get("schema") != JSON_SCHEMA:
-        raise SessionError(
-            f"{path} holds no observables of schema {JSON_SCHEMA}; give a file that opnav export --format json wrote."
-        )
+    if not isinstance(data, dict) or data.get("format") != JSON_FORMAT:
+        raise SessionError(f"{path} holds no observables; give a file that opnav export --format json wrote.")
+    data = as_of_today("observables", data, str(path), SessionError)
     try:
         return tuple(Observable(**_json_values(item)) for item in data["observables"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -327,7 +344,7 @@ def read_result(path: str | Path) -> dict[str, Any]:
         ) from error
     if not isinstance(data, dict) or "bodies" not in data or "pointing" not in data:
         raise SessionError(f"{path} is no result of opnav process (no bodies or pointing in it).")
-    return data
+    return as_of_today("result", data, str(path), SessionError)
 
 
 def observables_of_result(result: Mapping[str, Any], source: str = "result.json") -> tuple[Observable, ...]:

@@ -58,7 +58,7 @@ class Observable:
     apparent_ra_deg, apparent_dec_deg
         Observed direction, J2000, through the solved attitude.
     ra_deg, dec_deg
-        The same with stellar aberration removed.
+        The same with stellar aberration removed: astrometric, as `position_km`.
     residual_arcsec : (2,) array or None
         Observed minus predicted direction: (RA cos dec, Dec), aberration removed from both.
     observer
@@ -66,7 +66,8 @@ class Observable:
     light_time : {"fixed", "solved"}
         Whether the partials hold the light time fixed (as the paper) or solve it anew, see `partials`.
     position_km : (3,) array or None
-        Predicted, spacecraft to body, J2000: light time removed, stellar aberration not applied.
+        Predicted, J2000, astrometric: from the spacecraft at `et` to where the body was one light time before, without
+        stellar aberration; what `ra_deg` and `dec_deg` are compared with.
     observer_velocity_km_s, target_velocity_km_s : (3,) array or None
         With respect to the solar-system barycenter, J2000, at mid-exposure and when the light left.
     target_partials_px_per_km, target_partials_px_per_km_s : (2, 3) array or None

@@ -63,7 +63,7 @@ def numerical_position_partials(
     Parameters
     ----------
     position_km : (3,) array_like
-        Spacecraft to body, J2000, light time removed, no stellar aberration.
+        From the spacecraft to where the body was when the light left, J2000, no stellar aberration.
     velocity_km_s : (3,) array_like
         Spacecraft with respect to the solar-system barycenter.
     camera_from_j2000 : (3, 3) array_like

@@ -28,8 +28,11 @@ from astropy.table import QTable
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import write_text
+from opnav_workbench.format_versions import FORMAT_KEY, PRESENT_VERSION
 from opnav_workbench.geometry.times import et_from_text, text_from_et
+from opnav_workbench.observables.explanation import ASTROMETRIC, Origin, origin_lines
 from opnav_workbench.observables.observable import Observable
+from opnav_workbench.version import __version__
 
 __all__ = ["TdmOptions", "TrackingMessage", "parse_tdm", "read_tdm", "tdm_table", "tdm_text", "write_tdm"]
 
@@ -88,8 +91,10 @@ class TdmOptions:
                 )
 
 
-def tdm_text(observables: Sequence[Observable], options: TdmOptions | None = None) -> str:
-    """Return the message; observables without a center are left out.
+def tdm_text(
+    observables: Sequence[Observable], options: TdmOptions | None = None, origins: Sequence[Origin] = ()
+) -> str:
+    """Return the message; observables without a center are left out. Comments say how they came about (`origins`).
 
     Raises
     ------
@@ -104,15 +109,20 @@ def tdm_text(observables: Sequence[Observable], options: TdmOptions | None = Non
             "message needs one."
         )
     lines = [
-        *_header_lines(options),
+        *_header_lines(options, origins),
         *(line for group in segments for line in _segment_lines(group, options)),
     ]
     return "\n".join(_ascii(line) for line in lines) + "\n"
 
 
-def write_tdm(observables: Sequence[Observable], path: str | Path, options: TdmOptions | None = None) -> None:
+def write_tdm(
+    observables: Sequence[Observable],
+    path: str | Path,
+    origins: Sequence[Origin] = (),
+    options: TdmOptions | None = None,
+) -> None:
     """Write observables as a CCSDS Tracking Data Message (KVN), whole or not at all; see `tdm_text`."""
-    write_text(path, tdm_text(observables, options))
+    write_text(path, tdm_text(observables, options, origins))
 
 
 def _segments(observables: Sequence[Observable]) -> list[list[Observable]]:
@@ -130,9 +140,11 @@ def _segments(observables: Sequence[Observable]) -> list[list[Observable]]:
     return [layer for key in sorted(groups) for layer in groups[key]]
 
 
-def _header_lines(options: TdmOptions) -> Iterable[str]:
+def _header_lines(options: TdmOptions, origins: Sequence[Origin]) -> Iterable[str]:
     yield f"CCSDS_TDM_VERS = {TDM_VERSION}"
     yield from (f"COMMENT {words}" for words in options.comments)
+    yield f"COMMENT Written by opnav_workbench {__version__}, {FORMAT_KEY} {PRESENT_VERSION['observables']}"
+    yield from (f"COMMENT {line}" for line in origin_lines(origins))
     yield f"CREATION_DATE = {options.creation_date or datetime.now(UTC).strftime('%Y-%m-%dT%H:%M:%S')}"
     yield f"ORIGINATOR = {options.originator}"
     if options.message_id:
@@ -173,11 +185,13 @@ def _quality(first: Observable, options: TdmOptions) -> str:
 def _convention_comments(first: Observable, options: TdmOptions, with_range: bool) -> Iterable[str]:
     yield f"COMMENT Center of figure of {first.name}, measured in pictures with stars, method {first.method}"
     if options.aberration == "removed":
-        yield "COMMENT Stellar aberration is removed from the angles (SPICE STELAB, spacecraft relative to the SSB)"
+        yield f"COMMENT Angles are {ASTROMETRIC}"
+        yield "COMMENT Stellar aberration is removed as SPICE's STELAB has it, spacecraft relative to the SSB"
     else:
-        yield "COMMENT Angles are as seen: stellar aberration is not removed"
-    yield "COMMENT Light time is not removed: direction from the spacecraft at the time tag to where the light left"
-    yield "COMMENT Time tags are mid-exposure at the spacecraft"
+        yield "COMMENT Angles are apparent, as seen: stellar aberration is not removed"
+        yield "COMMENT The body is seen where it was one light time before the time tag"
+    yield "COMMENT Axes of the frame are those of SPICE's J2000 (ICRF)"
+    yield "COMMENT Time tags are the middle of the exposure, at the spacecraft, in UTC"
     if options.validated_by and first.status == "ok":
         yield f"COMMENT Validated by {options.validated_by}"
     if with_range:

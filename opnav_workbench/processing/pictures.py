@@ -16,6 +16,7 @@ from typing import Any
 from opnav_workbench import report
 from opnav_workbench.errors import OpNavError, SessionError, plain_line
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json, write_text
+from opnav_workbench.format_versions import stamped
 from opnav_workbench.processing.automatic import Progress, open_picture, run_policy, silent
 from opnav_workbench.processing.model import OpenedProcessing, Processing
 from opnav_workbench.session import RESULT_FILE
@@ -242,7 +243,7 @@ def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:
     with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
         if image.is_file():  # a pipe would block, a device never end
             result["sha256"] = sha256_of(image)
-    return result
+    return stamped("result", result)
 
 
 def _recorded_failure(path: Path, folder: Path | None, opened: OpenedProcessing, reason: str) -> Outcome:

@@ -1,7 +1,7 @@
 """The two ends of a line of sight as values: the spacecraft that observes, and the targets it sees.
 
 The observer's state with respect to the solar-system barycenter comes from kernels or from the image header; targets are
-solar-system bodies through SPICE, with light time removed, or stars through their astrometry.
+solar-system bodies through SPICE, where their light left them, or stars through their astrometry.
 
 Frame  J2000
 Units  km, km/s, rad
@@ -89,7 +89,7 @@ def observer_from_header(picture: Picture, et: float) -> Observer:
 
 
 def body_target(name: str, spacecraft: int, et: float) -> TargetState:
-    """Return a solar-system body's state from the active `KernelSet`, light time removed by iteration (``CN``).
+    """Return a solar-system body's state from the active `KernelSet`: where it was when the light left (``CN``).
 
     Radii and orientation are each taken where a PCK has them; a body without radii is a point.
 

@@ -13,9 +13,10 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, describe_body_flags
 from opnav_workbench.bodies.results import DiskReading, LimbScans
 from opnav_workbench.camera import Camera
+from opnav_workbench.format_versions import stamped
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.observables import Observable
+from opnav_workbench.observables import Observable, Origin
 from opnav_workbench.observables.observing import is_outside
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs, InputSource
@@ -24,7 +25,7 @@ from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, has_c
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
 
-__all__ = ["body_results", "kernel_entries", "result_dict"]
+__all__ = ["body_results", "kernel_entries", "origin_of", "result_dict"]
 
 
 # ---- Bodies.
@@ -95,7 +96,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
     """Return everything found as plain values; residual = observed minus predicted, missing values are None."""
     frame = context.picture
     observables = current_observables(context, inputs, state)
-    return {
+    found = {
         "image": frame.name,
         "sha256": frame.sha256,
         "utc": inputs.utc,
@@ -111,6 +112,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "bodies": body_results(observables, state.bodies),
         "provenance": _provenance(context, source, inputs, state),
     }
+    return stamped("result", found)
 
 
 def overall_status(camera: Camera, state: SessionState, observables: Sequence[Observable]) -> str:
@@ -215,6 +217,18 @@ def kernel_entries() -> list[dict[str, str]]:
     """Return name and SHA-256 of every kernel that is loaded."""
     active = KernelSet.active()
     return [] if active is None else [{"file": k.path.name, "sha256": k.sha256} for k in active.kernels()]
+
+
+def origin_of(context: Context, source: InputSource) -> Origin:
+    """Return what observables of a session say of their origin."""
+    return Origin(
+        mission=context.mission.name,
+        camera=context.camera.name,
+        version=__version__,
+        catalog=source.catalog,
+        kernels=tuple((entry["file"], entry["sha256"]) for entry in kernel_entries()),
+        images=(context.picture.name,),
+    )
 
 
 def _provenance(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from opnav_workbench.session.inputs import Inputs, InputSource
 from opnav_workbench.session.lost import lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
-from opnav_workbench.session.result import result_dict
+from opnav_workbench.session.result import origin_of, result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox, star_boxes
 from opnav_workbench.session.star_field import catalog_stars, nudge_reach_px, unknown_star_ids
@@ -629,7 +629,7 @@ class ImageSession:
             One row a body and method: O, C, O-C, sigmas, partials, with units and descriptions.
         """
         self._step("observables", {})
-        return observables_table(self.state.observables)
+        return observables_table(self.state.observables, (origin_of(self.context, self.source),))
 
     # -- files ---------------------------------------------------------------------------------------------------
 

@@ -15,9 +15,10 @@ from typing import Any
 
 from opnav_workbench.errors import CatalogError, KernelError, SessionError
 from opnav_workbench.files import atomic_path, json_text, read_json
+from opnav_workbench.format_versions import as_of_today, stamped
 from opnav_workbench.image.picture_files import FolderOwner
 from opnav_workbench.mission import Mission, load_mission, mission_names
-from opnav_workbench.observables import Observable, observables_table
+from opnav_workbench.observables import Observable, Origin, observables_table
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.history import (
     JOURNAL_FILE,
@@ -48,7 +49,6 @@ __all__ = [
 ]
 
 
-SCHEMA = 1
 ATTIC = ".attic"  # what was found where something else had to go
 SESSION_FILE = "session.json"
 RESULT_FILE = "result.json"
@@ -59,8 +59,7 @@ def session_dict(
     context: Context, source: InputSource, inputs: Inputs, journal: Iterable[JournalEntry], session: str
 ) -> dict[str, Any]:
     """Return a session as plain values."""
-    return {
-        "schema": SCHEMA,
+    content = {
         "version": __version__,
         "session": session,
         "image": str(context.picture.path.resolve()),
@@ -73,6 +72,7 @@ def session_dict(
         "inputs": inputs_dict(inputs),
         "journal": [item.to_dict() for item in journal],
     }
+    return stamped("session", content)
 
 
 def _mission_spec(mission: Mission) -> str:
@@ -96,7 +96,7 @@ def write_session(
     write_together(
         {
             target / RESULT_FILE: partial(write_data, result),
-            target / TABLE_FILE: partial(write_table, observables),
+            target / TABLE_FILE: partial(write_table, observables, Origin.of_result(result)),
             target / SESSION_FILE: partial(write_data, saved),
         }
     )
@@ -124,9 +124,9 @@ def write_data(data: Mapping[str, Any], path: Path) -> None:
         os.fsync(stream.fileno())
 
 
-def write_table(observables: Sequence[Observable], path: Path) -> None:
+def write_table(observables: Sequence[Observable], origin: Origin, path: Path) -> None:
     """Write `observables_table` as ECSV."""
-    observables_table(observables).write(path, format="ascii.ecsv", overwrite=True)
+    observables_table(observables, (origin,)).write(path, format="ascii.ecsv", overwrite=True)
 
 
 # ---- Sessions read back from their folders.
@@ -276,9 +276,7 @@ def session_owner(folder: Path) -> FolderOwner | None:
 
 def _session_file(path: Path) -> dict[str, Any]:
     data = read_json(path, "give a folder that save() wrote.")
-    if data.get("schema") != SCHEMA:
-        raise SessionError(f"{path} is not a session of schema {SCHEMA}; use the version that wrote it.")
-    return data
+    return as_of_today("session", data, str(path), SessionError)
 
 
 def _reopened_context(data: Mapping[str, Any], image: str | Path | None) -> Context:

@@ -129,7 +129,7 @@ def true_observer(spacecraft: int, et: float, truth: Perturbations) -> Observer:
 
 
 def true_target(name: str, spacecraft: int, et: float, truth: Perturbations) -> TargetState:
-    """Return a body's true state as the spacecraft truly sees it, light time removed.
+    """Return a body's true state as the spacecraft truly sees it: where its light left it.
 
     Raises
     ------

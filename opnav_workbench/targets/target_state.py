@@ -30,7 +30,7 @@ class TargetState:
     Attributes
     ----------
     position_km : (3,) array
-        Spacecraft to body center, J2000: light time removed, stellar aberration not applied.
+        From the spacecraft to where the body's center was when the light left, J2000, stellar aberration not applied.
     radii_km : (3,) array or None
         Semi-axes along the body's x, y, z; None for a star or a body of unknown size.
     body_from_j2000 : (3, 3) array or None

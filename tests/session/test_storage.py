@@ -185,11 +185,24 @@ def test_not_a_session(tmp_path, content):
     _one_line(caught)
 
 
-@pytest.mark.parametrize("schema", [2, None, "1"])
-def test_another_schema(folder, tmp_path, schema):
-    with pytest.raises(SessionError, match="schema 1; use the version that wrote it") as caught:
-        ImageSession.resume(_spoil(folder, tmp_path, schema=schema))
+@pytest.mark.parametrize("version", [2, None, "1", -1, True])
+def test_another_format_version(folder, tmp_path, version):
+    with pytest.raises(SessionError, match=r"session\.json: format_version: ") as caught:
+        ImageSession.resume(_spoil(folder, tmp_path, format_version=version))
     _one_line(caught)
+
+
+@pytest.mark.parametrize("schema", [1, 2, None, "1"])
+def test_session_written_before_files_said_their_version(folder, tmp_path, schema):
+    """Version 0 had ``schema: 1`` in place of ``format_version``."""
+    old = json.loads((_spoil(folder, tmp_path, schema=schema) / "session.json").read_text())
+    del old["format_version"]
+    (tmp_path / "session.json").write_text(json.dumps(old))
+    if schema == 1:
+        assert len(ImageSession.resume(tmp_path).journal) == len(old["journal"])
+    else:
+        with pytest.raises(SessionError, match="format_version is missing"):
+            ImageSession.resume(tmp_path)
 
 
 DAMAGED = {

@@ -19,8 +19,9 @@ from opnav_workbench.campaign.stacking.combining import Stacked
 from opnav_workbench.campaign.stacking.pictures import StackPicture
 from opnav_workbench.errors import CenterfindingError, counted
 from opnav_workbench.files import atomic_path, make_folder, sha256_of
+from opnav_workbench.format_versions import stamped
 from opnav_workbench.geometry.times import text_from_et
-from opnav_workbench.observables import Observable, observe
+from opnav_workbench.observables import Observable, Origin, observe
 from opnav_workbench.session.result import body_results, kernel_entries
 from opnav_workbench.session.storage import RESULT_FILE, TABLE_FILE, write_data, write_table, write_together
 from opnav_workbench.version import __version__
@@ -149,7 +150,7 @@ def write_stack(
     write_together(
         {
             folder / RESULT_FILE: partial(write_data, result),
-            folder / TABLE_FILE: partial(write_table, observables),
+            folder / TABLE_FILE: partial(write_table, observables, Origin.of_result(result)),
         }
     )
     return StackProducts(folder, picture, result, observable)
@@ -171,7 +172,7 @@ def _result(
     messages = [*stacked.messages, *(f"{Path(run).name} left out: {reason}" for run, reason in left_out)]
     if judged is not None and judged.status != "ok":
         messages += [f"{judged.name}: {message}" for message in judged.messages]
-    return {
+    found = {
         "image": picture.name,
         "sha256": sha256_of(picture),
         "utc": utc,
@@ -189,6 +190,7 @@ def _result(
             "kernels": kernel_entries(),
         },
     }
+    return stamped("result", found)
 
 
 def _stack_facts(stacked: Stacked) -> dict[str, Any]:
