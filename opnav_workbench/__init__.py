@@ -19,6 +19,8 @@ this list to its top; a package imports what stands below it.
 
 ``cli``
     The ``opnav`` program.
+``contracts``
+    What files hold: their JSON Schemas, and a check of any file.
 ``workbench``
     The workbench in JupyterLab: pictures, marks, plots, keys. Every button calls one method of `ImageSession`.
 ``headless``
@@ -118,6 +120,8 @@ a field of a result
     ``session.result``
 a step of a session
     its method in ``session.session``, its function and line in ``session.history``'s table of steps
+a kind of file, its schema and its check
+    ``contracts.kinds``; layouts of JSON files: ``contracts.layouts``
 an option of processing
     its field in ``processing.model``: program, notebooks, nights and queues follow
 a camera or a mission

@@ -15,10 +15,18 @@ FORMAT_KEY = "format_version"
 PRESENT_VERSION: Mapping[str, int] = MappingProxyType(
     {"result": 1, "session": 1, "status": 1, "observables": 1, "yaml": 1}
 )
-PROMISE = (
+_COMMON = (
     "Within one format_version fields may be added, and nothing else: none is removed or renamed, none gets another "
-    "unit, sign, frame or meaning. Readers pass over fields that they do not know. Any other change raises "
-    "format_version by one; this program reads every version up to its own."
+    "unit, sign, frame or meaning. Any other change raises format_version by one; this program reads every version up "
+    "to its own. "
+)
+# By whether people write the files (YAML) or the program does.
+PROMISE: Mapping[bool, str] = MappingProxyType(
+    {
+        False: _COMMON + "Whoever reads these files passes over fields that he does not know.",
+        True: _COMMON
+        + "A file without format_version is of the newest; an unknown field is an error, for it is a misspelt one.",
+    }
 )
 
 

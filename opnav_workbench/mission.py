@@ -102,7 +102,7 @@ def _keyword_map() -> TypeAdapter[KeywordMap]:
     return TypeAdapter(KeywordMap)
 
 
-class _MissionFile(StrictModel):
+class MissionFile(StrictModel):
     name: str
     spacecraft: _Spacecraft
     clock_id: int
@@ -269,7 +269,7 @@ def load_mission(name_or_path: str | PathLike[str]) -> Mission:
     -64
     """
     path = _find_mission_file(name_or_path)
-    return _mission(read_model(path, _MissionFile, "mission file", MissionError), path.resolve())
+    return _mission(read_model(path, MissionFile, "mission file", MissionError), path.resolve())
 
 
 def _find_mission_file(name_or_path: str | PathLike[str]) -> Path:
@@ -288,7 +288,7 @@ def _find_mission_file(name_or_path: str | PathLike[str]) -> Path:
     )
 
 
-def _mission(file: _MissionFile, path: Path) -> Mission:
+def _mission(file: MissionFile, path: Path) -> Mission:
     folder = path.parent
     return Mission(
         name=file.name,

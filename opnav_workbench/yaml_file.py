@@ -14,15 +14,19 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    GetJsonSchemaHandler,
     StringConstraints,
     ValidationError,
 )
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.format_versions import FORMAT_KEY, as_of_today
 from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
 __all__ = [
+    "Also",
     "CalendarTime",
     "FileStem",
     "Location",
@@ -31,7 +35,9 @@ __all__ = [
     "Utc",
     "Vector3",
     "check_model",
+    "file_faults",
     "line_of",
+    "read_content",
     "read_model",
 ]
 
@@ -50,6 +56,19 @@ class StrictModel(BaseModel):
 
 
 # ---- Types of fields that several kinds of file have.
+
+
+@dataclass(frozen=True, slots=True)
+class Also:
+    """Beside a validator that lets something shorter stand for a value: the JSON types of that, for the schema."""
+
+    types: tuple[str, ...]
+
+    def __get_pydantic_json_schema__(
+        self, core: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """Return the value's own schema, or one of the types."""
+        return {"anyOf": [handler(core), *({"type": name} for name in self.types)]}
 
 
 def _calendar(moment: Any) -> Any:
@@ -92,6 +111,44 @@ def read_model(path: str | PathLike[str], model: type[Model], what: str, failure
         has the line, the field and what may stand there.
     """
     label = f"{what} {path}"
+    content, node = _read(path, label, failure)
+    for fault in _twice(node):
+        raise failure(f"{label}: {fault}.")
+    return _validated(content, model, label, failure, node)
+
+
+def read_content(path: str | PathLike[str], what: str, failure: type[OpNavError]) -> Any:
+    """Return the plain content of a YAML file, whatever it is of; parameters and errors as of `read_model`."""
+    return _read(path, f"{what} {path}", failure)[0]
+
+
+def file_faults(
+    path: str | PathLike[str], model: type[BaseModel], what: str, failure: type[OpNavError]
+) -> list[str]:
+    """Return every fault of a YAML file, one line each with line and field; none where `read_model` would read it.
+
+    Parameters
+    ----------
+    path, model, what, failure
+        As of `read_model`.
+
+    Raises
+    ------
+    OpNavError
+        Of type `failure`: the file cannot be read, is not YAML, or is of a version that is not known.
+    """
+    label = f"{what} {path}"
+    content, node = _read(path, label, failure)
+    faults = _twice(node)
+    content = _without_version({} if content is None else content, label, failure, node)
+    try:
+        model.model_validate(content)
+    except ValidationError as error:
+        faults += [_text(problem, model, content, node) for problem in error.errors(include_url=False)]
+    return faults
+
+
+def _read(path: str | PathLike[str], label: str, failure: type[OpNavError]) -> tuple[Any, yaml.Node | None]:
     try:
         text = yaml_text(Path(path))
     except (OSError, UnicodeDecodeError) as error:
@@ -101,12 +158,13 @@ def read_model(path: str | PathLike[str], model: type[Model], what: str, failure
     try:
         node = compose(text)
         # A node is changed where values are merged into it; the one that lines are looked up in stays as written.
-        content = plain_value(compose(text) if MERGE in text else node)
+        return plain_value(compose(text) if MERGE in text else node), node
     except YamlError as error:
         raise failure(f"{label} is not YAML: {error}; correct the file.") from error
-    for line, key in _keys_given_twice(node):
-        raise failure(f"{label}: line {line}: {key} is given twice; keep one of them.")
-    return _validated(content, model, label, failure, node)
+
+
+def _twice(node: yaml.Node | None) -> list[str]:
+    return [f"line {line}: {key} is given twice; keep one of them" for line, key in _keys_given_twice(node)]
 
 
 def check_model(

@@ -274,7 +274,7 @@ class _Star(StrictModel):
     source: str = ""
 
 
-class _StarList(StrictModel):
+class StarList(StrictModel):
     stars: list[_Star] = Field(min_length=1)
 
 
@@ -295,7 +295,7 @@ def read_star_list(path: str | Path) -> StarTable:
     CatalogError
         The file is missing, is not YAML, or a value is absent or out of range (named).
     """
-    return _table_of_stars(read_model(path, _StarList, "star list", CatalogError).stars)
+    return _table_of_stars(read_model(path, StarList, "star list", CatalogError).stars)
 
 
 def _table_of_stars(stars: list[_Star]) -> StarTable:

@@ -20,6 +20,8 @@ One module a command or group of commands; nothing else in the package imports t
     Hundreds of pictures headless, continued at will.
 ``export``
     Observables of many pictures as one file.
+``check``
+    Files held against what they must be; their JSON Schemas.
 ``simulate``
     Pictures with known truth from a scenario.
 ``plan``

@@ -49,6 +49,9 @@ COMMANDS = {
         "Process many pictures headless: the notebook of each, an archive, and a page that tells what came out.",
     ),
     "export": CommandEntry("export", "export", "Export observables of many pictures to one file."),
+    "check": CommandEntry(
+        "check", "check", "Check files that opnav reads or writes: one line for each fault, with its field."
+    ),
     "simulate": CommandEntry("simulate", "simulate", "Simulate pictures, each with its truth and a preview."),
     "plan": CommandEntry(
         "plan",

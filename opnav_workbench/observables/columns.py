@@ -331,7 +331,10 @@ def _number_in(row: Mapping[str, Any], column: ExportColumn) -> float:
     value = row.get(column.name, np.nan)
     if value is None or value == "":
         return np.nan
-    return float(value)
+    try:
+        return float(value)
+    except ValueError as error:
+        raise ValueError(f"{column.name}: {value!r} is no number") from error
 
 
 def _text_value(field: ExportField, text: str) -> Any:

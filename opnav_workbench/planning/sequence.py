@@ -26,7 +26,7 @@ from opnav_workbench.errors import MissionError
 from opnav_workbench.simulation import PictureScenario
 from opnav_workbench.simulation.scenario import MotionPlan, PictureEntry
 from opnav_workbench.simulation.scenario_file import PicturesFile, require_distinct
-from opnav_workbench.yaml_file import FileStem, Pair, StrictModel, Utc
+from opnav_workbench.yaml_file import Also, FileStem, Pair, StrictModel, Utc
 
 __all__ = [
     "ApproachSearch",
@@ -50,7 +50,7 @@ def _one_or_more(value: Any) -> Any:
     return (value,) if isinstance(value, str) else value
 
 
-Names = Annotated[tuple[str, ...], BeforeValidator(_one_or_more)]
+Names = Annotated[tuple[str, ...], BeforeValidator(_one_or_more), Also(("string",))]
 
 
 class PlannedPointing(StrictModel):
@@ -91,7 +91,7 @@ def _bare_kernels(value: Any) -> Any:
     return {"kernels": True} if value == "kernels" else value
 
 
-PlannedPointingField = Annotated[PlannedPointing, BeforeValidator(_bare_kernels)]
+PlannedPointingField = Annotated[PlannedPointing, BeforeValidator(_bare_kernels), Also(("string",))]
 
 
 class PlannedPicture(PictureEntry):

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, get_args
+from typing import Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
@@ -24,7 +24,7 @@ from opnav_workbench.session.decisions import Decisions, load_decisions
 from opnav_workbench.session.inputs import AttitudeSource
 from opnav_workbench.session.star_measurement import FinalMethod, InitialMethod
 from opnav_workbench.stars.pointing.attitude_steps import PointingModel
-from opnav_workbench.yaml_file import check_model
+from opnav_workbench.yaml_file import Also, check_model
 
 __all__ = ["NO_TARGETS", "OpenedProcessing", "Processing", "allowed_values", "named_targets", "targets_text"]
 
@@ -165,13 +165,15 @@ class Processing(BaseModel):
     mission: str = Field(description="Mission name or mission YAML.")
     kernels: str | None = Field(default=None, description="Metakernel, kernel folder or kernel-set name.")
     catalog: str = Field(default="bundled", description="Catalog spec; see opnav catalog list.")
-    targets: tuple[str, ...] | None = Field(
+    targets: Annotated[tuple[str, ...] | None, Also(("string",))] = Field(
         default=None,
         description="Targets, comma-separated, each with its method if wanted (PLUTO:limb_scan,CHARON), or none; "
         "default the mission's, with kernels.",
     )
     method: BodyMethod = Field(default="auto", description="Body centers")
-    methods: dict[str, BodyMethod] = Field(default={}, description="Body centers of single targets, by name.")
+    methods: Annotated[dict[str, BodyMethod], Also(("string",))] = Field(
+        default={}, description="Body centers of single targets, by name."
+    )
     target_stars: str | None = Field(default=None, description="YAML star list for stars that are targets.")
     decisions: str | None = Field(
         default=None, description="YAML of an analyst's decisions on stars, bodies and scans."
@@ -180,7 +182,7 @@ class Processing(BaseModel):
     initial: InitialMethod = Field(default="matched_filter", description="Coarse star centers")
     centers: FinalMethod = Field(default="least_squares", description="Star centers")
     model: PointingModel = Field(default="euler", description="Pointing model")
-    settings: dict[str, float | int] = Field(
+    settings: Annotated[dict[str, float | int], Also(("string",))] = Field(
         default={},
         description="Limits of searches and other thresholds, comma-separated (max_shift_px=200,max_stars=50).",
     )

@@ -30,7 +30,7 @@ from opnav_workbench.estimation.parameters import parse_groups
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario import require_short_series
 from opnav_workbench.simulation.scenario_file import BodyAppearance, ScenarioFile, require_distinct
-from opnav_workbench.yaml_file import FileStem, StrictModel, Utc, check_model
+from opnav_workbench.yaml_file import Also, FileStem, StrictModel, Utc, check_model
 
 __all__ = [
     "Distribution",
@@ -69,7 +69,7 @@ def _bare_number(value: Any) -> Any:
     return value
 
 
-Amount = Annotated[Distribution, BeforeValidator(_bare_number)]
+Amount = Annotated[Distribution, BeforeValidator(_bare_number), Also(("number",))]
 Three = tuple[Amount, Amount, Amount]
 NOTHING = Distribution(uniform=(0.0, 0.0))
 

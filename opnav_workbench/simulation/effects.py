@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from opnav_workbench.yaml_file import StrictModel
+from opnav_workbench.yaml_file import Also, StrictModel
 
 __all__ = ["CosmicRays", "DetectorEffects", "LostData", "Sky"]
 
@@ -23,7 +23,7 @@ def _switched(value: Any) -> Any:
     return value
 
 
-Switch = Annotated[Effect | None, BeforeValidator(_switched)]
+Switch = Annotated[Effect | None, BeforeValidator(_switched), Also(("boolean",))]
 
 
 class ReadNoise(StrictModel):

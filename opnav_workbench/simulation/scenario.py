@@ -18,7 +18,7 @@ from opnav_workbench.errors import MissionError
 from opnav_workbench.simulation.attitude_path import CameraMotion
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario_file import BodyAppearance, PicturesFile, require_distinct, word_for
-from opnav_workbench.yaml_file import FileStem, Pair, StrictModel, Utc, Vector3, check_model
+from opnav_workbench.yaml_file import Also, FileStem, Pair, StrictModel, Utc, Vector3, check_model
 
 __all__ = [
     "ActualAttitude",
@@ -103,8 +103,10 @@ class MotionPlan(StrictModel):
 class AttitudePlan(StrictModel):
     """Predicted attitude (it stands in the header), true one, and motion during the exposure."""
 
-    predicted: Annotated[PredictedAttitude, word_for("source")] = PredictedAttitude(source="kernels")
-    actual: Annotated[ActualAttitude, word_for("source")] = ActualAttitude(source="random")
+    predicted: Annotated[PredictedAttitude, word_for("source"), Also(("string",))] = PredictedAttitude(
+        source="kernels"
+    )
+    actual: Annotated[ActualAttitude, word_for("source"), Also(("string",))] = ActualAttitude(source="random")
     motion: MotionPlan = MotionPlan()
 
 

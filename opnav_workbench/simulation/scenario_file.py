@@ -27,7 +27,7 @@ from opnav_workbench.errors import MissionError, OpNavError
 from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.targets import Photometry
-from opnav_workbench.yaml_file import Location, StrictModel, check_model, line_of, read_model
+from opnav_workbench.yaml_file import Also, Location, StrictModel, check_model, line_of, read_model
 
 __all__ = [
     "Albedo",
@@ -90,6 +90,7 @@ class _Hapke(StrictModel):
 Law = Annotated[
     Annotated[_Lambert | _LommelSeeliger | _LunarLambert | _Minnaert | _Hapke, Field(discriminator="law")],
     word_for("law"),
+    Also(("string",)),
 ]
 
 
@@ -151,6 +152,7 @@ def _number_or_word(value: Any) -> Any:
 Albedo = Annotated[
     Annotated[UniformAlbedo | AlbedoFile | AlbedoPackage | Mottled, Field(discriminator="map")],
     BeforeValidator(_number_or_word),
+    Also(("number", "string")),
 ]
 
 
@@ -186,7 +188,7 @@ class BodyAppearance(StrictModel):
     name: Annotated[str, Field(min_length=1)]
     law: Law = _Lambert(law="lambert")
     albedo: Albedo = UniformAlbedo(map="uniform", value=0.5)
-    brightness: Annotated[Brightness | None, word_for("source")] = (
+    brightness: Annotated[Brightness | None, word_for("source"), Also(("string",))] = (
         None  # None: the mission's, else the albedo
     )
     shape: ShapeFile | None = None  # None: the ellipsoid of the kernels

@@ -67,6 +67,7 @@ def _angle(one, other) -> float:
     return float(np.linalg.norm(np.cross(one, other)) / np.linalg.norm(one) / np.linalg.norm(other))
 
 
+@pytest.mark.slow
 def test_words_of_directions_are_what_kernels_say(solved):
     """Position and RA, Dec are one direction: to where the body was when the light left, not to where it is."""
     table, _, kinds = solved
@@ -85,6 +86,7 @@ def test_words_of_directions_are_what_kernels_say(solved):
         assert "light time removed" not in table[column].info.description
 
 
+@pytest.mark.slow
 def test_signs_are_those_that_are_told(solved):
     """O-C is observed minus computed; partials are of the computed place, so that O-C falls where it rises."""
     row = solved[0][0]
@@ -101,13 +103,14 @@ def test_signs_are_those_that_are_told(solved):
     assert (sky @ shift)[0] == pytest.approx(100.0 * np.linalg.norm(toward), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_session_table_tells_its_origin(solved):
     table, kernels, _ = solved
     assert table.meta["format_version"] == 1
     assert table.meta["written_by"] == f"opnav_workbench {__version__}"
     (origin,) = table.meta["origins"]
     assert {k["file"]: k["sha256"] for k in origin["kernels"]} == kernels
-    assert (origin["mission"], origin["camera"]) == ("new_horizons", "lorri_4x4")
+    assert (origin["mission"], origin["camera"]) == ("new_horizons", "LORRI 4x4")
     assert "images" not in origin  # the tables of a night share their header: it is read once
 
 
