@@ -117,7 +117,7 @@ def test_files_of_a_processed_picture_are_sound(demo_truths, tmp_path):
     for name in ("result", "session"):
         content = json.loads((folder / f"{name}.json").read_text())
         assert refusals(KINDS[name], content) == []
-        assert unnamed(KINDS[name].model, content) == []
+        assert unnamed(KINDS[name].model, content) == [], "describe it in contracts.layouts"
     answer = CliRunner().invoke(
         app, ["check", *map(str, folder.glob("*.json")), str(folder / "observables.ecsv")]
     )
