@@ -31,7 +31,7 @@ def check(
         typer.Option(help="Write the JSON Schema of every kind into this folder.", show_default=False),
     ] = None,
 ) -> None:
-    """Check files: one line for each fault, with its field; exit status 2 if there is any.
+    """Check files that opnav reads or writes: one line for each fault, with its field.
 
     [bold]Examples[/]
 
@@ -39,7 +39,8 @@ def check(
 
       opnav check --schemas schemas   # for editors and other programs
 
-    YAML files are also read as the program would read them: what they name must be there.
+    YAML files are also read as the program would read them: what they name must be there. The exit status is 2 if anything is
+    wrong.
     """
     console = Console(soft_wrap=True)
     if not files and schemas is None:

@@ -297,7 +297,9 @@ class ObserverState(Layout):
     position_km: Triple | None = Field(description="km.")
     velocity_km_s: Triple | None = Field(description="km/s.")
     source: str = Field(description="kernels or header.")
-    velocity_sigma_km_s: Number = Field(default=None, description="1 sigma of each component of the velocity; km/s.")
+    velocity_sigma_km_s: Number = Field(
+        default=None, description="1 sigma of each component of the velocity; km/s."
+    )
 
 
 class SessionInputs(Layout):
