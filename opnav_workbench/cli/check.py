@@ -39,8 +39,8 @@ def check(
 
       opnav check --schemas schemas   # for editors and other programs
 
-    YAML files are also read as the program would read them: what they name must be there. The exit status is 2 if anything is
-    wrong.
+    YAML files are also read as the program would read them: what they name must be there. Exit status 2: something
+    is wrong.
     """
     console = Console(soft_wrap=True)
     if not files and schemas is None:
