@@ -10,6 +10,7 @@ import io
 import json
 import resource
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +18,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import vicar
 from astropy.io import fits
+from PIL import Image
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import open_catalog
@@ -36,6 +37,10 @@ from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.session.decisions import load_decisions
 from opnav_workbench.session.history import read_journal_file
 from opnav_workbench.simulation import load_picture_scenario
+
+sys.path.insert(0, str(Path(__file__).parent / "image"))
+
+from picture_bytes import isis_bytes, pds4_label, vicar_bytes, voyager_bytes
 
 SECONDS = 10.0  # of one input: a hang; good ones take milliseconds
 GROWTH_MB = 1500  # of the process over all its inputs
@@ -63,11 +68,24 @@ def fits_bytes(*more: Any) -> bytes:
     return stream.getvalue()
 
 
-def vicar_bytes(folder: Path) -> bytes:
-    image = vicar.VicarImage.from_array(PIXELS.astype(np.int16))
-    image["EXPTIME"], image["UTC"] = 1200.0, "2005-068T04:09:08.968Z"
-    image.write_file(folder / "good.img")
-    return (folder / "good.img").read_bytes()
+def image_bytes(kind: str) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(PIXELS.astype(np.uint16 if kind != "JPEG" else np.uint8)).save(stream, kind)
+    return stream.getvalue()
+
+
+def with_beside(folder: Path, name: str, beside: bytes, good: bytes) -> bytes:
+    """Write what lies beside the file that is changed."""
+    (folder / name).write_bytes(beside)
+    return good
+
+
+SIDECAR = b"""{"utc": "2030-01-01T00:00:00", "exposure_s": 2.0, "attitude": [0.5, 0.5, -0.5, 0.5], "lines": 12,
+"samples": 20, "sample_type": "int16", "byte_order": "big", "position_km": [1.5e8, 0, 0],
+"file": "raw.dat", "EXPTIME": 3, "x": {"y": [1]}}
+"""
+VICAR_WORDS = {"EXPTIME": 1200.0, "UTC": "2005-068T04:09:08.968Z"}
+RAW = PIXELS.astype(">i2").tobytes()
 
 
 PDS = """PDS_VERSION_ID = PDS3
@@ -128,8 +146,12 @@ BODY999_POLE_RA = ( 132.993 0. 0. )
 # ---- Readers: what they are given, how they are asked, and what must be true of what they take.
 
 
-def sound_picture(path: Path) -> None:
-    picture = read_image(path, KEYWORDS)
+def bare_picture(path: Path) -> None:
+    sound_picture(path, KeywordMap())
+
+
+def sound_picture(path: Path, keywords: KeywordMap = KEYWORDS) -> None:
+    picture = read_image(path, keywords)
     assert np.isfinite(picture.image_dn).all()
     assert picture.image_dn.ndim == 2
     assert picture.image_dn.shape == picture.bad.shape == picture.saturated.shape
@@ -196,7 +218,34 @@ READERS = {
         lambda _: fits_bytes(fits.CompImageHDU(PIXELS.astype(np.int16))), ".fits", sound_picture
     ),
     "fits zipped": Reader(lambda _: gzip.compress(fits_bytes()), ".fit.gz", sound_picture),
-    "vicar": Reader(vicar_bytes, ".img", sound_picture),
+    "vicar": Reader(
+        lambda _: vicar_bytes(PIXELS.astype(np.int16), later={"A": 1}, **VICAR_WORDS), ".img", sound_picture
+    ),
+    "voyager": Reader(lambda _: voyager_bytes(PIXELS.astype(np.uint8)), ".imq", bare_picture),
+    "isis": Reader(lambda _: isis_bytes(PIXELS[None], "Real", (5, 8)), ".cub", bare_picture),
+    "pds4": Reader(
+        lambda folder: with_beside(folder, "a.dat", RAW, pds4_label("a.dat", (12, 20), "SignedMSB2")),
+        ".xml",
+        bare_picture,
+        text=True,
+    ),
+    "png": Reader(lambda _: image_bytes("PNG"), ".png", bare_picture),
+    "tiff": Reader(lambda _: image_bytes("TIFF"), ".tif", bare_picture),
+    "jpeg": Reader(lambda _: image_bytes("JPEG"), ".jpg", bare_picture),
+    "sidecar": Reader(
+        lambda folder: with_beside(folder, "raw.dat", RAW, SIDECAR), ".json", sound_picture, text=True
+    ),
+    "sidecar table": Reader(
+        lambda folder: with_beside(
+            folder,
+            "raw.dat",
+            RAW,
+            b"file,raw.dat\nlines,12\nsamples,20\nEXPTIME,2\nUTC,2030-01-01T00:00:00\n",
+        ),
+        ".csv",
+        sound_picture,
+        text=True,
+    ),
     "pds": Reader(lambda _: pds_bytes(), ".lbl", sound_picture, text=True),
     "npz": Reader(lambda _: npz_bytes(), ".npz", sound_catalog),
     "star list": Reader(lambda _: STARS, ".yaml", sound_stars, text=True),

@@ -7,11 +7,11 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
 ``file_bytes``
     The bytes of a picture file, bounded.
 ``formats``
-    FITS, VICAR and PDS3 files, told by content; every failure one line.
+    FITS, VICAR, PDS3, PDS4, ISIS cubes, PNG, TIFF, JPEG and raw files, told by content; every failure one line.
 ``picture_trial``
     Compressed images tried out in a supervised process.
 ``pds_label``
-    PDS3 labels read in one pass: their values, and where the picture is.
+    Labels of PDS3 files and ISIS cubes read in one pass: their values, and where the picture is.
 ``header``
     `Header` and `KeywordMap`: which keywords hold what; pointing and trajectory from them, to the barycenter.
 ``planes``

@@ -157,6 +157,8 @@ class KeywordMap:
         Text about the picture.
     bits
         Bits of the digitizer: the highest value that they can hold is saturated.
+    channel
+        Which channel of a picture of several is taken, by name (red, green, blue) or number from 1.
     image_extension, error_extension, quality_extension
         FITS extensions by name or index; the image is the first two-dimensional one unless named.
     quality_table
@@ -201,6 +203,7 @@ class KeywordMap:
     instrument: str | None = None
     geometry_quality: str | None = None
     bits: str | None = None
+    channel: str | int | None = None
     image_extension: str | int | None = None
     error_extension: str | int | None = None
     quality_extension: str | int | None = None

@@ -312,12 +312,12 @@ def _without_time(name: str, header: Header, keywords: KeywordMap) -> str:
 def read_image(
     path: str | os.PathLike[str], keywords: KeywordMap, *, saturation_dn: float | None = None
 ) -> Picture:
-    """Read a picture, told by content: FITS (also gzipped), VICAR, PDS3 with attached or detached label.
+    """Read a picture, told by content: FITS (also gzipped), VICAR, PDS3, PDS4, ISIS cube, PNG, TIFF, JPEG; raw by sidecar.
 
     Parameters
     ----------
     path : path-like
-        Image file, or its detached PDS3 label.
+        Image file, or the label or sidecar beside it.
     keywords
         Which header keywords hold time, exposure and pointing.
     saturation_dn

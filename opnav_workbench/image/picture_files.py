@@ -8,10 +8,13 @@ from pathlib import Path
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
+from opnav_workbench.image.formats.sidecar import find_sidecar
 
 __all__ = ["FolderOwner", "NoPictures", "picture_files", "picture_names"]
 
-PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vic", ".imq")
+PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vic", ".imq", ".cub")
+# In folders that hold other things of these endings too, only those with a sidecar are pictures.
+WITH_SIDECAR = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".raw")
 WILDCARDS = "*?["
 
 
@@ -39,7 +42,7 @@ def _expanded(image: str | Path) -> list[Path]:
     if path.is_file():
         return [path.resolve()]
     if path.is_dir():
-        inside = [p for p in path.iterdir() if p.name.lower().endswith(PICTURE_SUFFIXES) and p.is_file()]
+        inside = [p for p in path.iterdir() if p.is_file() and _is_picture(p)]
         return _sorted(inside) or _nothing(
             f"the folder {path} holds no picture ({', '.join(PICTURE_SUFFIXES)})."
         )
@@ -50,6 +53,11 @@ def _expanded(image: str | Path) -> list[Path]:
     return _sorted(matching) or _nothing(
         f"no picture matches {str(image)!r}; quote the pattern, and see that the folder is right."
     )
+
+
+def _is_picture(path: Path) -> bool:
+    name = path.name.lower()
+    return name.endswith(PICTURE_SUFFIXES) or (name.endswith(WITH_SIDECAR) and find_sidecar(path) is not None)
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:

@@ -1,4 +1,4 @@
-"""A FITS file with compressed images tried out.
+"""Files with compressed images tried out: FITS, PNG, TIFF, JPEG.
 
 `opnav_workbench.supervised` calls it in a process of its own, which loads this file and little else of the package; the
 reader proper has looked at the file's headers and its size.
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from astropy.io import fits
 
-__all__ = ["try_fits"]
+__all__ = ["try_display", "try_fits"]
 
 
 def try_fits(path: str) -> None:
@@ -30,3 +30,19 @@ def try_fits(path: str) -> None:
         for hdu in hdus:
             if hdu.is_image:
                 _ = hdu.data
+
+
+def try_display(path: str) -> None:
+    """Decode a PNG, TIFF or JPEG file.
+
+    Raises
+    ------
+    Exception
+        Whatever the library says of a file that is damaged.
+    """
+    # The process that tries FITS files need not load it.
+    from PIL import Image  # noqa: PLC0415
+
+    with warnings.catch_warnings(), Image.open(path, formats=("PNG", "TIFF", "JPEG")) as picture:
+        warnings.simplefilter("ignore")
+        picture.load()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.errors import counted
 from opnav_workbench.image.file_bytes import check_size, image_error
-from opnav_workbench.image.formats import StoredPicture
+from opnav_workbench.image.formats.stored import StoredPicture
 from opnav_workbench.image.header import Header, KeywordMap, header_number
 from opnav_workbench.image.masks import QUALITY_TABLES, read_quality
 
@@ -79,9 +79,11 @@ def make_planes(
     ImageError
         No picture, a cube, planes of different sizes, or no usable pixel.
     """
-    image, remarks = expanded(name, _single_plane(name, source.image), header, keywords)
+    stored, full = _chosen_channel(name, source, keywords)
+    image, remarks = expanded(name, _single_plane(name, stored), header, keywords)
     error = _fitting_plane(name, source.error, "error", image.shape)
     quality = _fitting_plane(name, source.quality, "quality", image.shape)
+    shape = image.shape
     messages = [*source.messages, *remarks]
     dark = keywords.dark_columns.get(image.shape[1], 0)
     if 0 < dark < image.shape[1]:
@@ -89,11 +91,31 @@ def make_planes(
         error, quality = (None if plane is None else plane[:, :-dark] for plane in (error, quality))
         messages.append(f"{counted(dark, 'dark column')} at the right end cut off")
     bad, saturated = _masks(image, quality, keywords, messages)
+    if full is not None and full.shape == shape:
+        saturated |= full[:, : saturated.shape[1]]
     for limit in _saturation_limits(header, keywords, saturation_dn):
         saturated |= image >= limit
     _check_usable(name, image, bad, messages)
     error = None if error is None else _positive(error, image, bad, messages)
     return Planes(np.where(np.isnan(image), 0.0, image), error, bad, saturated, tuple(messages))
+
+
+def _chosen_channel(
+    name: str, source: StoredPicture, keywords: KeywordMap
+) -> tuple[NDArray[Any], BoolArray | None]:
+    """Return the channel that the mission names of a picture of several, and which of its pixels are saturated."""
+    data = source.image
+    if keywords.channel is None or data.ndim != 3 or data.shape[0] == 1:
+        return data, source.saturated
+    names = [*source.channels] or [str(number + 1) for number in range(data.shape[0])]
+    wanted = str(keywords.channel).strip().casefold()
+    for number, channel in enumerate(names):
+        if wanted in (channel.casefold(), str(number + 1)):
+            return data[number], None if source.saturated is None else source.saturated[number]
+    raise image_error(
+        name,
+        f"has no channel {keywords.channel!r}; its channels are {', '.join(names)} (mission file, keywords: channel).",
+    )
 
 
 def _single_plane(name: str, data: NDArray[Any]) -> FloatArray:
@@ -106,7 +128,8 @@ def _single_plane(name: str, data: NDArray[Any]) -> FloatArray:
         sizes = " x ".join(str(n) for n in values.shape)
         raise image_error(
             name,
-            f"holds a cube of {sizes}, not one picture; save the plane to be measured as a file of its own.",
+            f"holds a cube of {sizes}, not one picture; name its channel in the mission file (keywords: channel: 1, or "
+            "green), or save the plane to be measured as a file of its own.",
         )
     if values.ndim < 2 or values.size == 0:
         raise image_error(name, f"holds data of shape {values.shape}, no picture; choose an image file.")

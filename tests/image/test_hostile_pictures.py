@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 import pytest
-import vicar
 from astropy.io import fits
+from picture_bytes import vicar_bytes
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import KeywordMap, read_image
@@ -125,8 +125,7 @@ def test_labels_close_where_they_closed():
 
 def test_a_label_that_says_there_are_no_lines(tmp_path):
     path = tmp_path / "none.img"
-    image = vicar.VicarImage.from_array(np.zeros((4, 6), np.int16))
-    image.write_file(path)
+    path.write_bytes(vicar_bytes(np.zeros((4, 6), np.int16)))
     for item in (b"NL=4", b"N2=4"):
         path.write_bytes(path.read_bytes().replace(item, item[:3] + b"0", 1))
     with pytest.raises(ImageError, match="damaged VICAR file"):

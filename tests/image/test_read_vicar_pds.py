@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import vicar
 from astropy.io import fits
+from picture_bytes import vicar_bytes
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import KeywordMap, read_image
@@ -55,10 +55,7 @@ def error_of(path, keywords=KEYWORDS) -> str:
 
 
 def write_vicar(path, array, **items) -> None:
-    image = vicar.VicarImage.from_array(array)
-    for name, value in items.items():
-        image[name] = value
-    image.write_file(path)
+    path.write_bytes(vicar_bytes(array, **items))
 
 
 class TestVicar:

@@ -1,0 +1,134 @@
+"""PNG, TIFF and JPEG: pictures as cameras of other trades and displays have them, with a sidecar for time and attitude.
+
+Pillow decodes them, first in a supervised process. Whole numbers stay what they are; the highest that a file can hold
+counts as saturated. Colors are channels: one is chosen in the mission file, or all of them are equal. Colors of more than
+8 bits are refused, as Pillow would cut them to 8.
+"""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from opnav_workbench.image.file_bytes import check_size, image_error
+from opnav_workbench.image.formats.stored import StoredPicture, full_scale
+from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.supervised import TrialError, tried
+
+__all__ = ["display_format", "read_display_picture"]
+
+STARTS = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
+GRAY = {"L", "I", "F", "I;16", "I;16B", "I;16L", "1"}
+COLORS = {
+    "RGB": ("red", "green", "blue"), "RGBA": ("red", "green", "blue"), "LA": ("gray",), "YCbCr": ("red", "green", "blue"),
+}  # fmt: skip
+PNG_BIT_DEPTH, PNG_COLOR = 24, 25  # bytes of the first chunk
+TIFF_BITS_PER_SAMPLE = 258
+LONGEST_TEXT = 2000  # characters of a file's own words
+WORDS_KEPT = 200
+
+
+def display_format(data: bytes) -> str | None:
+    """Tell from the first bytes whether this is a PNG, TIFF or JPEG file."""
+    return next((kind for start, kind in STARTS.items() if data.startswith(start)), None)
+
+
+def read_display_picture(name: str, file: Path, data: bytes) -> StoredPicture:
+    """Read a PNG, TIFF or JPEG file.
+
+    Raises
+    ------
+    ImageError
+        It is damaged, too large, or of a kind whose values would be changed by reading.
+    """
+    # A tenth of a second that pictures of other formats shall not wait for.
+    from PIL import Image  # noqa: PLC0415
+
+    kind = display_format(data)
+    damaged = f"damaged {kind} file ({{}}); copy or download it again."
+    try:
+        with Image.open(file, formats=(str(kind),)) as picture:
+            check_size(name, picture.width * picture.height)
+            _refuse_changed(name, picture, data)
+            with _one_line(name, damaged):
+                tried("image/picture_trial.py:try_display", str(file))
+            stored, header = np.asarray(_plain(picture)), _words(picture)
+            mode, frames = picture.mode, getattr(picture, "n_frames", 1)
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        TypeError,
+        KeyError,
+        IndexError,
+        OverflowError,
+        ArithmeticError,
+    ) as error:
+        raise image_error(name, damaged.format(str(error) or type(error).__name__)) from error
+    messages = [f"the first of {frames} pictures in the file"] if frames > 1 else []
+    if kind == "JPEG":
+        messages.append(
+            "JPEG keeps no faint detail: centers of faint stars may be off by more than their sigmas"
+        )
+    return _stored(stored, mode, header, messages)
+
+
+@contextlib.contextmanager
+def _one_line(name: str, words: str) -> Any:
+    try:
+        yield
+    except TrialError as error:
+        raise image_error(name, words.format(error)) from error
+
+
+def _refuse_changed(name: str, picture: Any, data: bytes) -> None:
+    """Refuse what the library would change: colors of more than 8 bits, palettes that are not gray, inks."""
+    deep = False
+    if picture.format == "PNG":
+        deep = data[PNG_BIT_DEPTH] == 16 and data[PNG_COLOR] in (2, 6)
+    elif picture.format == "TIFF":
+        bits = picture.tag_v2.get(TIFF_BITS_PER_SAMPLE, (8,))
+        deep = len(bits) > 1 and max(bits) > 8
+    if deep:
+        raise image_error(
+            name, "has colors of more than 8 bits; save the channel to be measured as a gray file of 16 bits."
+        )
+    if picture.mode not in GRAY and picture.mode not in COLORS and picture.mode != "P":
+        raise image_error(name, f"has colors of kind {picture.mode}; save it in gray, or as RGB.")
+
+
+def _plain(picture: Any) -> Any:
+    """Return a picture whose values are light: palettes and luminance with differences of color as RGB."""
+    return picture.convert("RGB") if picture.mode in ("P", "YCbCr") else picture
+
+
+def _words(picture: Any) -> dict[str, HeaderValue]:
+    """Return what a file says of itself in words: text chunks of PNG."""
+    texts = getattr(picture, "text", {}) or {}
+    return {
+        str(key): str(value)
+        for key, value in list(texts.items())[:WORDS_KEPT]
+        if len(str(key)) <= LONGEST_TEXT and len(str(value)) <= LONGEST_TEXT
+    }
+
+
+def _stored(
+    values: NDArray[Any], mode: str, header: dict[str, HeaderValue], messages: list[str]
+) -> StoredPicture:
+    if values.dtype == bool:
+        values = values.astype(np.uint8)
+    if values.ndim == 2:
+        return StoredPicture(values, header, messages=tuple(messages), saturated=full_scale(values))
+    names = COLORS.get(mode, ("red", "green", "blue"))
+    image = np.moveaxis(values, 2, 0)
+    if image.shape[0] > len(names):  # the last channel says where the picture is transparent
+        image = np.where(image[-1] == 0, np.nan, image[: len(names)].astype(np.float64))
+        saturated = np.moveaxis(values, 2, 0)[: len(names)] == np.iinfo(values.dtype).max
+    else:
+        saturated = np.asarray(full_scale(image))
+    if np.array_equal(image, np.broadcast_to(image[0], image.shape), equal_nan=image.dtype.kind == "f"):
+        said = [*messages, "its channels are equal; one is taken"] if len(names) > 1 else messages
+        return StoredPicture(image[0], header, messages=tuple(said), saturated=saturated[0])
+    return StoredPicture(image, header, messages=tuple(messages), saturated=saturated, channels=names)

@@ -1,0 +1,141 @@
+"""From a file to a `StoredPicture`: which format it is, by its content, and what lies beside it.
+
+A label or a sidecar may be given in the place of the file with the pixels; a file that has no header of its own is read with
+the label or sidecar of its name.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from opnav_workbench.image.file_bytes import GZIP_START, file_bytes, image_error, unpacked
+from opnav_workbench.image.formats.display_picture import display_format, read_display_picture
+from opnav_workbench.image.formats.fits_picture import is_fits, read_fits
+from opnav_workbench.image.formats.isis_cube import detached_core, is_isis_cube, isis_label, read_isis_cube
+from opnav_workbench.image.formats.pds3 import (
+    file_beside,
+    is_variable_length,
+    read_pds_raw,
+    read_variable_length,
+    variable_length_label,
+)
+from opnav_workbench.image.formats.pds4 import is_pds4, pds4_label, read_pds4
+from opnav_workbench.image.formats.sidecar import (
+    find_sidecar,
+    is_sidecar,
+    read_raw,
+    read_sidecar,
+    with_sidecar,
+)
+from opnav_workbench.image.formats.stored import StoredPicture
+from opnav_workbench.image.formats.vicar import is_vicar, read_vicar
+from opnav_workbench.image.header import KeywordMap
+from opnav_workbench.image.pds_label import image_pointer, is_pds3, parse_pds_label
+
+__all__ = ["read_stored"]
+
+SHOWN_BYTES = 24
+FORMATS = "FITS, VICAR, PDS3, PDS4, ISIS cube, PNG, TIFF or JPEG"
+LABELS = (".lbl", ".LBL", ".xml", ".XML")
+
+
+def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
+    """Return the file that holds the pixels, and its planes.
+
+    Parameters
+    ----------
+    file
+        A picture, or the label or sidecar that describes one.
+    data
+        Its bytes.
+
+    Raises
+    ------
+    ImageError
+        One line: it is no picture, damaged, truncated, too large, or what it names is not there.
+    """
+    if is_pds3(data):
+        return _read_pds3(file, data, keywords)
+    if is_isis_cube(data):
+        return _read_isis(file, data)
+    if is_pds4(data):
+        label = pds4_label(file.name, data)
+        pixels = file_beside(file, label.file)
+        return pixels, read_pds4(pixels.name, label, file_bytes(pixels))
+    if is_sidecar(file):
+        return _read_named_by_sidecar(file, keywords)
+    return file, _read_pixels(file, data, keywords)
+
+
+def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture:
+    """Read a file that holds pixels, and has a header or a sidecar."""
+    plain = unpacked(file.name, data) if data.startswith(GZIP_START) else data
+    if is_fits(plain):
+        return read_fits(file, plain, keywords)
+    if is_vicar(plain):
+        return read_vicar(file.name, plain)
+    if is_variable_length(plain):
+        label = parse_pds_label(variable_length_label(plain))
+        return read_variable_length(file.name, plain, label)
+    return _read_with_sidecar(file, plain, keywords, find_sidecar(file))
+
+
+def _read_with_sidecar(
+    file: Path, data: bytes, keywords: KeywordMap, sidecar_file: Path | None
+) -> StoredPicture:
+    sidecar = None if sidecar_file is None else read_sidecar(sidecar_file, file.name)
+    if display_format(data) is not None:
+        source = read_display_picture(file.name, file, data)
+    elif sidecar is not None and sidecar_file is not None:
+        source = read_raw(file.name, data, sidecar, sidecar_file.name)
+    else:
+        raise _unknown(file, data)
+    if sidecar is None or sidecar_file is None:
+        return source
+    return with_sidecar(source, sidecar, sidecar_file.name, keywords)
+
+
+def _unknown(file: Path, data: bytes) -> Exception:
+    label = next((file.with_suffix(s) for s in LABELS if file.with_suffix(s).is_file()), None)
+    if label is not None:
+        return image_error(file.name, f"has no header of its own; give its label {label.name}.")
+    return image_error(
+        file.name,
+        f"is not a {FORMATS} file: it begins with {data[:SHOWN_BYTES]!r}; give an image file, or put a sidecar "
+        f"{file.stem}.json beside it (lines, samples, sample_type, utc, exposure_s).",
+    )
+
+
+def _read_pds3(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
+    label = parse_pds_label(data)
+    pointer = image_pointer(label_file.name, label)
+    if pointer.file is None:
+        return label_file, read_pds_raw(label_file.name, data, pointer.offset_bytes, label, keywords)
+    pixels = file_beside(label_file, pointer.file)
+    content = file_bytes(pixels)
+    if is_fits(content) or is_vicar(content) or content.startswith(GZIP_START):
+        source = _read_pixels(pixels, content, keywords)
+        return pixels, replace(source, header=label.values | source.header)
+    return pixels, read_pds_raw(pixels.name, content, pointer.offset_bytes, label, keywords)
+
+
+def _read_isis(file: Path, data: bytes) -> tuple[Path, StoredPicture]:
+    label = isis_label(data)
+    core = detached_core(label)
+    if core is None:
+        return file, read_isis_cube(file.name, label, data)
+    pixels = file_beside(file, core)
+    return pixels, read_isis_cube(pixels.name, label, file_bytes(pixels))
+
+
+def _read_named_by_sidecar(file: Path, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
+    named = read_sidecar(file).file
+    if named is None:
+        raise image_error(
+            file.name, "is a sidecar that names no picture; give the picture, or add file: NAME."
+        )
+    pixels = file_beside(file, Path(named).name)
+    data = file_bytes(pixels)
+    plain = unpacked(pixels.name, data) if data.startswith(GZIP_START) else data
+    if is_sidecar(pixels) or is_fits(plain) or is_vicar(plain):
+        raise image_error(file.name, f"names {pixels.name}, which needs no sidecar; give that file.")
+    return pixels, _read_with_sidecar(pixels, plain, keywords, file)

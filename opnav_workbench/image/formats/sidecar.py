@@ -1,0 +1,314 @@
+"""Sidecars: what stands beside a picture that has no header of its own, as JSON, YAML or CSV; and the layout of raw files.
+
+A sidecar has the picture's name (``a.png`` and ``a.json``, ``.yaml``, ``.yml`` or ``.csv``; ``a.png.json`` too), or names
+the picture: ``file: a.raw``. Its words of the list below say what every mission knows and are put under the mission's own
+keywords; all others are header keywords as they stand. A CSV file has a word and its value in each row, or a row of words
+and a row for each picture, told by ``file``.
+
+``utc``, ``et``
+    The middle of the exposure.
+``exposure_s``
+    Seconds.
+``attitude``
+    Quaternion, scalar first, of ``camera_from_j2000`` (SPICE's ``m2q`` of that matrix).
+``position_km``, ``velocity_km_s``
+    Of the spacecraft with respect to the Sun, J2000.
+``sclk``, ``target``, ``instrument``
+    Texts.
+``lines``, ``samples``, ``sample_type``, ``byte_order``, ``offset_bytes``, ``line_prefix_bytes``, ``line_suffix_bytes``
+    The layout of a raw file; of several ``channels`` also how they are interleaved (``interleave``: BSQ, BIL, BIP).
+"""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from opnav_workbench.geometry.times import et_from_text, text_from_et
+from opnav_workbench.image.file_bytes import file_bytes, image_error
+from opnav_workbench.image.formats.stored import Raster, StoredPicture, full_scale, read_raster
+from opnav_workbench.image.header import HeaderValue, KeywordMap
+from opnav_workbench.yaml_nodes import compose, plain_value, yaml_text
+
+__all__ = ["Sidecar", "find_sidecar", "is_sidecar", "read_raw", "read_sidecar", "with_sidecar"]
+
+SUFFIXES = (".json", ".yaml", ".yml", ".csv")
+LARGEST_BYTES = 1 << 22
+MOST_WORDS = 10_000
+SAMPLE_TYPES = {
+    "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+DECIMALS = 6  # of a second, of times that are shifted
+
+
+def _numbers(value: Any) -> Any:
+    """Return the numbers of a text, as a cell of a table has them, as a list."""
+    return (
+        value.replace(",", " ").replace(";", " ").strip("[]() ").split() if isinstance(value, str) else value
+    )
+
+
+Vector = Annotated[tuple[float, float, float], BeforeValidator(_numbers)]
+Quaternion = Annotated[tuple[float, float, float, float], BeforeValidator(_numbers)]
+Positive = Annotated[int, Field(ge=1, le=1 << 20)]
+Bytes = Annotated[int, Field(ge=0, le=1 << 30)]
+
+
+class Sidecar(BaseModel):
+    """What a sidecar says: words that every mission knows, the layout of a raw file, and header keywords."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    file: str | None = None
+    utc: str | None = None
+    et: float | None = None
+    exposure_s: Annotated[float, Field(gt=0.0)] | None = None
+    attitude: Quaternion | None = None
+    position_km: Vector | None = None
+    velocity_km_s: Vector | None = None
+    sclk: str | None = None
+    target: str | None = None
+    instrument: str | None = None
+    lines: Positive | None = None
+    samples: Positive | None = None
+    sample_type: Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"] = (
+        "uint16"
+    )
+    byte_order: Literal["little", "big"] = "little"
+    offset_bytes: Bytes = 0
+    line_prefix_bytes: Bytes = 0
+    line_suffix_bytes: Bytes = 0
+    channels: Annotated[int, Field(ge=1, le=64)] = 1
+    interleave: Literal["BSQ", "BIL", "BIP"] = "BIP"
+
+
+# ---- The file.
+
+
+def is_sidecar(file: Path) -> bool:
+    """Tell by its name whether a file is a sidecar."""
+    return file.suffix.lower() in SUFFIXES
+
+
+def find_sidecar(picture: Path) -> Path | None:
+    """Return the sidecar of a picture: of its name with another ending, or with one more; None where there is none."""
+    for suffix in SUFFIXES:
+        for candidate in (picture.with_suffix(suffix), picture.with_name(picture.name + suffix)):
+            if candidate != picture and candidate.is_file():
+                return candidate
+    return None
+
+
+def read_sidecar(sidecar: Path, picture: str | None = None) -> Sidecar:
+    """Read a sidecar.
+
+    Parameters
+    ----------
+    picture
+        Name of the picture, for tables of several.
+
+    Raises
+    ------
+    ImageError
+        It cannot be read, or a word has a value that it cannot have.
+    """
+    data = file_bytes(sidecar)
+    if len(data) > LARGEST_BYTES:
+        raise image_error(sidecar.name, f"has {len(data)} bytes, more than a sidecar of {LARGEST_BYTES} has.")
+    try:
+        words = _words(sidecar, data, picture)
+    except (ValueError, RecursionError, csv.Error) as error:  # JSON's and YAML's errors are ValueErrors
+        raise image_error(
+            sidecar.name, f"no readable sidecar ({error}); see that it is JSON, YAML or CSV."
+        ) from error
+    if (
+        not isinstance(words, dict)
+        or len(words) > MOST_WORDS
+        or not all(isinstance(word, str) for word in words)
+    ):
+        raise image_error(
+            sidecar.name, "a sidecar has words and their values: utc: 2030-01-01T00:00:00; write it so."
+        )
+    try:
+        return Sidecar.model_validate({_own_name(word): value for word, value in words.items()})
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise image_error(sidecar.name, f"{where}: {first['msg']}; correct the sidecar.") from error
+
+
+def _own_name(word: str) -> str:
+    """Return a word in the case that the list has it in; others as they stand."""
+    return word.lower() if word.lower() in Sidecar.model_fields else word
+
+
+def _words(sidecar: Path, data: bytes, picture: str | None) -> Any:
+    suffix = sidecar.suffix.lower()
+    if suffix == ".json":
+        return json.loads(data.decode("utf-8-sig"))
+    if suffix == ".csv":
+        return _table_words(list(csv.reader(io.StringIO(data.decode("utf-8-sig")))), picture)
+    node = compose(yaml_text(sidecar))
+    return {} if node is None else plain_value(node)
+
+
+def _table_words(rows: Sequence[Sequence[str]], picture: str | None) -> dict[str, Any]:
+    """Return the words of a table: one a row, or one a column with a row for each picture."""
+    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    if all(len(row) == 2 for row in rows) and [cell.lower() for cell in rows[0]] != ["file", "utc"]:
+        return {word: _cell(value) for word, value in rows if value}
+    head, *body = rows
+    files = (
+        [word.lower() for word in head].index("file") if "file" in [word.lower() for word in head] else None
+    )
+    mine = body if files is None else [row for row in body if len(row) > files and row[files] == picture]
+    if len(mine) != 1:
+        raise ValueError(f"{len(mine)} rows for {picture}, expected one; a column named file tells them")
+    return {word: _cell(value) for word, value in zip(head, mine[0], strict=False) if value}
+
+
+def _cell(text: str) -> str | int | float:
+    for number in (int, float):
+        try:
+            value = number(text)
+        except ValueError:
+            continue
+        if math.isfinite(value):
+            return value
+    return text
+
+
+# ---- Its words, under the mission's keywords.
+
+
+def with_sidecar(source: StoredPicture, sidecar: Sidecar, name: str, keywords: KeywordMap) -> StoredPicture:
+    """Return a picture whose header has a sidecar's words too.
+
+    Raises
+    ------
+    ImageError
+        A time of it is none.
+    """
+    header, unused = _header(sidecar, name, keywords)
+    messages = [f"{name}: {word} is not used, as the mission names no keyword for it" for word in unused]
+    return StoredPicture(
+        source.image,
+        {**source.header, **header},
+        source.error,
+        source.quality,
+        (*source.messages, *messages),
+        source.saturated,
+        source.channels,
+    )
+
+
+def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str, HeaderValue], list[str]]:
+    header = _plain_words(sidecar.model_extra or {})
+    unused = []
+    for word, values in _stated(sidecar, name, keywords).items():
+        named = getattr(keywords, KEYWORDS_OF[word])
+        names = (named,) if isinstance(named, str) else tuple(named or ())
+        if len(names) == len(values):
+            header |= dict(zip(names, values, strict=True))
+        else:
+            unused.append(word)
+    return header, unused
+
+
+def _plain_words(words: Mapping[str, Any]) -> dict[str, HeaderValue]:
+    """Return header keywords of nested values: ``a: {b: 1}`` is ``A.B``."""
+    header: dict[str, HeaderValue] = {}
+    for word, value in words.items():
+        if isinstance(value, Mapping):
+            inner = _plain_words({str(key): part for key, part in value.items()})
+            header |= {f"{word}.{key}": part for key, part in inner.items()}
+        elif isinstance(value, str | int | float):
+            header[word] = value
+        elif isinstance(value, Sequence):
+            header[word] = ", ".join(str(part) for part in value)
+    return header
+
+
+KEYWORDS_OF = {
+    "utc": "utc", "et": "et", "exposure_s": "exposure_s", "attitude": "quaternion", "position_km": "sun_position",
+    "velocity_km_s": "sun_velocity", "sclk": "sclk", "target": "target", "instrument": "instrument",
+}  # fmt: skip
+
+
+def _stated(sidecar: Sidecar, name: str, keywords: KeywordMap) -> dict[str, tuple[HeaderValue, ...]]:
+    """Return what a sidecar states in words of the list, as the mission's keywords mean it."""
+    early_s = 0.5 * (sidecar.exposure_s or 0.0) if keywords.time_reference == "start" else 0.0
+    stated: dict[str, tuple[HeaderValue, ...] | None] = {
+        "utc": None if sidecar.utc is None else (_earlier(name, sidecar.utc, early_s),),
+        "et": None if sidecar.et is None else (sidecar.et - early_s,),
+        "exposure_s": None if sidecar.exposure_s is None else (sidecar.exposure_s / keywords.exposure_scale,),
+        "attitude": None if sidecar.attitude is None else _in_sense(sidecar.attitude, keywords),
+        "position_km": None if sidecar.position_km is None else tuple(-x for x in sidecar.position_km),
+        "velocity_km_s": None if sidecar.velocity_km_s is None else tuple(-v for v in sidecar.velocity_km_s),
+    }
+    texts = {word: getattr(sidecar, word) for word in ("sclk", "target", "instrument")}
+    stated |= {word: (text,) for word, text in texts.items() if text is not None}
+    return {word: values for word, values in stated.items() if values is not None}
+
+
+def _earlier(name: str, utc: str, seconds: float) -> str:
+    if seconds == 0.0:
+        return utc
+    try:
+        return text_from_et(et_from_text(utc) - seconds, DECIMALS)
+    except ValueError as error:
+        raise image_error(name, f"utc = {utc!r} is no UTC ({error}); correct the sidecar.") from error
+
+
+def _in_sense(quaternion: Quaternion, keywords: KeywordMap) -> tuple[float, ...]:
+    """Return a quaternion of ``camera_from_j2000`` in the sense that the mission's keywords have."""
+    w, *vector = quaternion
+    sign = 1.0 if keywords.quaternion_sense == "j2000_to_camera" else -1.0
+    return (w, *(sign * part for part in vector))
+
+
+# ---- Raw files.
+
+
+def read_raw(name: str, data: bytes, sidecar: Sidecar, sidecar_name: str) -> StoredPicture:
+    """Read a raw file as its sidecar describes it.
+
+    Raises
+    ------
+    ImageError
+        The sidecar does not say how many lines and samples it has, or the file ends too early.
+    """
+    layout = _layout(sidecar)
+    if layout is None:
+        raise image_error(
+            name,
+            f"is no picture file that is known, and {sidecar_name} does not say its lines and samples; state lines, "
+            "samples, sample_type and byte_order there.",
+        )
+    image = read_raster(name, data, layout)
+    names = ("red", "green", "blue") if layout.bands == 3 else ()
+    saturated = full_scale(image) if image.ndim == 2 else None
+    return StoredPicture(image, {}, saturated=saturated, channels=names)
+
+
+def _layout(sidecar: Sidecar) -> Raster | None:
+    if sidecar.lines is None or sidecar.samples is None:
+        return None
+    order = "<" if sidecar.byte_order == "little" else ">"
+    return Raster(
+        sidecar.lines,
+        sidecar.samples,
+        np.dtype(order + SAMPLE_TYPES[sidecar.sample_type]),
+        sidecar.channels,
+        sidecar.interleave,
+        sidecar.offset_bytes,
+        sidecar.line_prefix_bytes,
+        sidecar.line_suffix_bytes,
+    )
