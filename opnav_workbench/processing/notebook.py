@@ -116,7 +116,7 @@ class PictureJob(Processing):
         Mission, catalog and decisions, read once.
     """
 
-    image: str = Field(description="A picture file (FITS, VICAR).")
+    image: str = Field(description="A picture file.")
     mode: Literal["interactive", "headless"] = Field(
         default="headless",
         description="Interactive shows the workbench, headless the same pictures as they are; the processing is the same.",

@@ -72,7 +72,7 @@ def process(
     Parameters
     ----------
     images
-        FITS or VICAR pictures.
+        Pictures of any format of `opnav_workbench.image.formats`.
     mission : str or path
         Mission name or mission YAML; must be given.
     kernels : str or path, optional

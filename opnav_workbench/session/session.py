@@ -128,7 +128,7 @@ class ImageSession:
         Parameters
         ----------
         path
-            A FITS or VICAR/PDS3 picture.
+            A picture of any format of `opnav_workbench.image.formats`.
         mission
             Mission name (``new_horizons``) or path of a mission YAML.
         catalog

@@ -46,8 +46,9 @@ def read_first_differences(
     ImageError
         There is no histogram, or a line ends too early or belongs to another code.
     """
-    counts = np.frombuffer(b"".join(histogram)[: 4 * DIFFERENCES], "<u4")
-    if len(counts) < DIFFERENCES or np.count_nonzero(counts) < 2:
+    stored = b"".join(histogram)[: 4 * DIFFERENCES]
+    counts = np.frombuffer(stored.ljust(4 * DIFFERENCES, b"\0"), "<u4")
+    if len(stored) < 4 * DIFFERENCES or np.count_nonzero(counts) < 2:
         raise image_error(name, "its encoding histogram is not there; copy or download the file again.")
     check_size(name, len(lines) * samples)
     if not lines or min(len(line) for line in lines) < 1:

@@ -129,7 +129,7 @@ def _parsed(name: str, data: bytes) -> _Element:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         raise image_error(name, f"damaged PDS4 label ({error}); copy or download it again.") from error
-    except ValueError as error:  # an encoding that nobody knows
+    except (ValueError, LookupError) as error:  # an encoding that nobody knows
         raise image_error(name, f"PDS4 label in an encoding that is not read ({error}).") from error
     return open_elements[0]
 
