@@ -134,7 +134,12 @@ def _body_cells(body: dict[str, Any]) -> list[str]:
 
 @processing_options()
 def process(
-    images: Annotated[list[Path], typer.Argument(help="Pictures: FITS, VICAR, PDS, ISIS cubes; PNG, TIFF, JPEG and raw files with a sidecar.", show_default=False)],
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Pictures: FITS, VICAR, PDS, ISIS; PNG, TIFF, JPEG, raw with a sidecar.", show_default=False
+        ),
+    ],
     given: dict[str, Any],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
 ) -> None:

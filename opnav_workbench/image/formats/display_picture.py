@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from opnav_workbench.errors import ImageError
 from opnav_workbench.image.file_bytes import check_size, image_error
 from opnav_workbench.image.formats.stored import StoredPicture, full_scale
 from opnav_workbench.image.header import HeaderValue
@@ -56,16 +57,9 @@ def read_display_picture(name: str, file: Path, data: bytes) -> StoredPicture:
                 tried("image/picture_trial.py:try_display", str(file))
             stored, header = np.asarray(_plain(picture)), _words(picture)
             mode, frames = picture.mode, getattr(picture, "n_frames", 1)
-    except (
-        OSError,
-        SyntaxError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-        OverflowError,
-        ArithmeticError,
-    ) as error:
+    except (ImageError, MemoryError):
+        raise
+    except Exception as error:  # whatever the library says of a damaged file
         raise image_error(name, damaged.format(str(error) or type(error).__name__)) from error
     messages = [f"the first of {frames} pictures in the file"] if frames > 1 else []
     if kind == "JPEG":
