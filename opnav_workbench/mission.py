@@ -249,8 +249,8 @@ def mission_names() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> mission_names()
-    ('cassini', 'generic', 'hayabusa2', 'near', 'new_horizons', 'osiris_rex')
+    >>> mission_names()[:6]
+    ('cassini', 'clementine', 'dawn', 'galileo', 'generic', 'hayabusa')
     """
     return tuple(sorted(path.parent.name for path in kernels_meta_dir().glob(f"*/{FILE_NAME}")))
 

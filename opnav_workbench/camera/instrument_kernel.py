@@ -23,7 +23,12 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion, OwenDistortion
-from opnav_workbench.camera.lens_models import RadialDistortion, RationalDistortion, TaylorDistortion
+from opnav_workbench.camera.lens_models import (
+    RadialDistortion,
+    RationalDistortion,
+    TaylorDistortion,
+    centered,
+)
 from opnav_workbench.camera.origins import How, Origin
 from opnav_workbench.constants import ARCSEC_PER_RAD, RAD_PER_DEG
 from opnav_workbench.errors import CameraError
@@ -100,7 +105,15 @@ def camera_fields_from_ik(
     }
     fields |= _optics(kernel, axes, size, matrix)
     if "center_pixel_line" not in fields:
-        fields["center_pixel_line"] = _center(kernel, size) + offset_px
+        lens, moved_mm = centered(fields.get("distortion", NoDistortion()))
+        moved_px = np.asarray(overrides.get("pixel_from_mm", fields["pixel_from_mm"])) @ moved_mm
+        if moved_px.any():
+            kernel.note(
+                "derived",
+                "center_pixel_line",
+                f"moved by {_short(moved_px)} px, as the distortion moves the boresight",
+            )
+        fields |= {"distortion": lens, "center_pixel_line": _center(kernel, size) + offset_px + moved_px}
     fields |= _aperture(kernel, fields) | overrides
     given = tuple(Origin(name, "known", "given by the caller") for name in overrides)
     return fields | {"origins": (*kernel.origins, *given)}

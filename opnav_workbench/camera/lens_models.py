@@ -25,6 +25,7 @@ __all__ = [
     "RadialDistortion",
     "RationalDistortion",
     "TaylorDistortion",
+    "centered",
 ]
 
 
@@ -143,6 +144,11 @@ class RationalDistortion(InverseDistortion):
 
     def __post_init__(self) -> None:
         _set_coefficients(self, {"x_numerator": 6, "y_numerator": 6, "denominator": 6})
+
+    @property
+    def polynomials(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Numerators along x and y, and the denominator."""
+        return self.x_numerator, self.y_numerator, self.denominator
 
     def undistort(self, xy_mm: ArrayLike) -> FloatArray:
         """Return the ideal coordinates (..., 2) mm, of points on the detector (..., 2) mm."""
@@ -332,6 +338,28 @@ class CahvorDistortion(DirectDistortion):
             chi2, depth = chi * chi, along * tangent / chi
         mu = self.r0 + chi2 * (self.r1 + chi2 * self.r2)
         return np.asarray(depth[..., None] * self.axis + (1.0 + mu)[..., None] * across)
+
+
+def centered(model: Distortion) -> tuple[Distortion, FloatArray]:
+    """Return a distortion that leaves the origin in place, and where the given one puts it, mm: both together are the same.
+
+    A camera's center is where its boresight falls; kernels state polynomials that move it.
+    """
+    moved = np.asarray(model.distort(np.zeros(2)), dtype=np.float64)
+    if isinstance(model, TaylorDistortion):
+        zero = np.array([0.0] + 9 * [1.0])
+        return TaylorDistortion(model.x_coefficients * zero, model.y_coefficients * zero), moved
+    if isinstance(model, RationalDistortion):
+        return RationalDistortion(*(_shifted(c, moved) for c in model.polynomials)), moved
+    return model, np.zeros(2)
+
+
+def _shifted(c: FloatArray, origin: FloatArray) -> FloatArray:
+    """Coefficients of x^2, x y, y^2, x, y, 1 counted from another origin."""
+    x, y = origin
+    linear = [c[3] + 2.0 * c[0] * x + c[1] * y, c[4] + c[1] * x + 2.0 * c[2] * y]
+    constant = c[5] + c[3] * x + c[4] * y + c[0] * x * x + c[1] * x * y + c[2] * y * y
+    return np.array([c[0], c[1], c[2], *linear, constant])
 
 
 COMPLEX_STEP = 1e-30

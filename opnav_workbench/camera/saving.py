@@ -49,12 +49,22 @@ DETECTOR = (
 )  # fmt: skip
 
 
+class _OneLine(dict[str, Any]):
+    """A mapping that is written in one line."""
+
+
 class _Dumper(yaml.SafeDumper):
-    """Lists in one line, mappings as blocks."""
+    """Lists of numbers in one line, mappings and lists of mappings as blocks."""
 
 
 _Dumper.add_representer(
-    list, lambda d, data: d.represent_sequence("tag:yaml.org,2002:seq", data, flow_style=True)
+    list,
+    lambda d, data: d.represent_sequence(
+        "tag:yaml.org,2002:seq", data, flow_style=not (data and isinstance(data[0], dict))
+    ),
+)
+_Dumper.add_representer(
+    _OneLine, lambda d, data: d.represent_mapping("tag:yaml.org,2002:map", data.items(), flow_style=True)
 )
 _Dumper.add_representer(
     float, lambda d, number: d.represent_scalar("tag:yaml.org,2002:float", _float_text(float(number)))
@@ -90,7 +100,7 @@ def camera_mapping(camera: "Camera") -> dict[str, Any]:
         "instrument_id": camera.instrument_id,
         "source": camera.source,
         "confirmed_by": camera.confirmed_by,
-        "origins": [{"field": o.field, "how": o.how, "text": o.text} for o in camera.origins],
+        "origins": [_OneLine(field=o.field, how=o.how, text=o.text) for o in camera.origins],
         "optics": _optics(camera),
         "detector": _detector(camera),
         "psf": _psf(camera),

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion
-from opnav_workbench.camera.lens_models import RadialDistortion, TaylorDistortion
+from opnav_workbench.camera.lens_models import RadialDistortion, TaylorDistortion, centered
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.files import read_json
@@ -131,6 +131,7 @@ def _camera(data: Mapping[str, Any]) -> Camera:
     start = np.array([float(data.get(f"starting_detector_{axis}") or 0) for axis in ("sample", "line")])
     center = np.array([float(data["detector_center"][axis]) for axis in ("sample", "line")])
     focal_axes, matrix = _aligned(rows[:, 1:])
+    lens, moved_mm = centered(_distortion(data.get("optical_distortion") or {}, focal_mm, focal_axes))
     frame = (
         data["instrument_pointing"].get("constant_frames")
         or data["instrument_pointing"]["time_dependent_frames"]
@@ -142,10 +143,10 @@ def _camera(data: Mapping[str, Any]) -> Camera:
         n_pixel=int(data["image_samples"]),
         n_line=int(data["image_lines"]),
         focal_length_mm=focal_mm,
-        center_pixel_line=(center + rows[:, 0] - start) / summing - FIRST_CENTER,
+        center_pixel_line=(center + rows[:, 0] + matrix @ moved_mm - start) / summing - FIRST_CENTER,
         pixel_from_mm=matrix / summing[:, None],
         focal_from_camera=focal_axes,
-        distortion=_distortion(data.get("optical_distortion") or {}, focal_mm, focal_axes),
+        distortion=lens,
         source="image support data of a Community Sensor Model",
     )
 

@@ -85,7 +85,7 @@ def _has_edge(image: FloatArray, area: BoolArray, masked: BoolArray, least_dn: f
 def _darkest(image: FloatArray) -> tuple[float, float]:
     """Return level and noise of the darkest blocks of a picture; masked pixels are nan."""
     lines, pixels = (size // BLOCK_PX * BLOCK_PX for size in image.shape)
-    blocks = image[:lines, :pixels].reshape(lines // BLOCK_PX, BLOCK_PX, -1, BLOCK_PX)
+    blocks = image[:lines, :pixels].reshape(lines // BLOCK_PX, BLOCK_PX, pixels // BLOCK_PX, BLOCK_PX)
     values = blocks.swapaxes(1, 2).reshape(-1, BLOCK_PX * BLOCK_PX)
     values = values[np.isfinite(values).sum(axis=1) > BLOCK_PX * BLOCK_PX / 2]
     if len(values) == 0:

@@ -125,6 +125,9 @@ def assert_same(again, camera):
     np.testing.assert_allclose(again.unproject(corners), camera.unproject(corners), rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow(
+    keep=["cassis", "fc2", "iss_nac", "lorri_1x1", "mapcam", "mdis_nac", "mvic_framing", "onc_w2"]
+)
 @pytest.mark.parametrize("path", sorted(kernels_meta_dir().glob("*/cameras/*.yaml")), ids=lambda p: p.stem)
 def test_every_camera_saves_itself(tmp_path, path):
     camera = Camera.from_yaml(path)

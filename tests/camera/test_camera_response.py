@@ -63,6 +63,7 @@ def test_mvic_sees_the_sun_as_its_headers_say():
 WITHOUT_RESPONSE = ("iss_nac", "onc_w2", "msi")
 
 
+@pytest.mark.slow(keep=["fc2", "lorri_1x1", "lorri_4x4", "mapcam", "mvic_framing", "pinhole", "polycam"])
 @pytest.mark.parametrize(
     "path", [p for p in CAMERAS if p.stem not in WITHOUT_RESPONSE], ids=lambda path: path.stem
 )

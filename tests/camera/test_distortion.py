@@ -21,6 +21,7 @@ from opnav_workbench.camera import (
     SipDistortion,
     TaylorDistortion,
 )
+from opnav_workbench.camera.lens_models import centered
 from opnav_workbench.errors import CameraError
 from opnav_workbench.resources import kernels_meta_dir
 
@@ -179,6 +180,16 @@ def test_a_fisheye_sees_equal_angles_at_equal_distances():
     assert np.isnan(
         FisheyeDistortion(8.0).undistort([8.0 * np.radians(91.0), 0.0])
     ).all()  # behind the image plane
+
+
+@pytest.mark.parametrize("name", ["rational, CaSSIS", "taylor, shifted"])
+def test_a_distortion_can_be_counted_from_where_the_boresight_falls(name):
+    shifted = TaylorDistortion((0.02, *TAYLOR_X[1:]), (-0.01, *TAYLOR_Y[1:]))
+    model = shifted if name == "taylor, shifted" else RationalDistortion(*CASSIS)
+    lens, moved_mm = centered(model)
+    assert np.abs(lens.distort([0.0, 0.0])).max() < 1e-12 < np.abs(moved_mm).max()
+    points = grid((6.0, 6.0))
+    np.testing.assert_allclose(lens.distort(points) + moved_mm, model.distort(points), rtol=0, atol=1e-10)
 
 
 def test_cahvor_moves_what_lies_across_its_axis():

@@ -97,7 +97,7 @@ def _edited(manifest: Path, **changes) -> Path:
 # -- those of the package ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mission", ["generic", "new_horizons", "osiris_rex"])
+@pytest.mark.parametrize("mission", manifest_missions())
 def test_manifests_of_the_package(mission):
     manifest, path = load_manifest(mission)
     assert manifest.mission == path.parent.name == mission
@@ -117,7 +117,7 @@ def test_a_mission_has_all_eight_kinds(mission):
 
 
 def test_every_mission_has_a_manifest_and_a_template():
-    assert manifest_missions() == ("generic", "new_horizons", "osiris_rex")
+    assert {"generic", "new_horizons", "osiris_rex", "dawn", "voyager1"} <= set(manifest_missions())
     for mission in manifest_missions():
         assert (kernels_meta_dir() / mission / "flight.tm.template").is_file()
 
@@ -166,7 +166,7 @@ def test_a_wrong_manifest_is_one_line_with_field_and_file(manifest, changes, wor
 def test_unknown_missions_and_kinds_get_a_hint():
     with pytest.raises(MissionError, match="Did you mean new_horizons"):
         load_manifest("new_horizon")
-    with pytest.raises(MissionError, match="generic, new_horizons, osiris_rex"):
+    with pytest.raises(MissionError, match=r"generic, .*new_horizons, osiris_rex"):
         load_manifest("voyager/x")
     with pytest.raises(KernelError, match="no kind of kernel"):
         match_kinds("SPKK")
