@@ -102,6 +102,8 @@ def with_options(how: How, given: Mapping[str, Any]) -> How:
     """
     typed = Processing.checked({"mission": how.mission, **given}, "options").with_full_paths()
     paths = {
-        name: getattr(typed, name) for name in ("mission", "kernels", *typed.path_fields) if name in given
+        name: getattr(typed, name)
+        for name in ("mission", "kernels", "shapes", *typed.path_fields)
+        if name in given
     }
     return how.changed("options", **{**given, **paths})

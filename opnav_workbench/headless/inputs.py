@@ -118,6 +118,7 @@ def night_inputs(
         n: json.dumps(plain_values(v), sort_keys=True) for n, v in parameters.items() if n not in named
     }
     common |= {name: sha256_of(value) for name, value in files.items()}
+    common |= {f"shape {body}": sha256_of(file.path) for body, file in spec.shape_files.items()}
     stars = catalog_contents(spec.catalog)
     common["catalog"] = ", ".join(name for name, _ in stars)  # in order: the first names the stars
     common |= {f"catalog {name}": value for name, value in stars}

@@ -15,13 +15,15 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels.calls import spice_call
+from opnav_workbench.kernels.files import kernel_file
 from opnav_workbench.kernels.pool import loaded_files
 from opnav_workbench.kernels.shape_files import checked_shape
 from opnav_workbench.kernels.states import body_id
 from opnav_workbench.kernels.writing import new_das, require_frame
 
-__all__ = ["read_dsk", "shape_file_of", "write_dsk"]
+__all__ = ["is_dsk", "read_dsk", "shape_file_of", "write_dsk"]
 
+DSK_WORD = b"DAS/DSK"
 LATITUDINAL = 1  # coordinate system of the coverage
 GENERAL_SURFACE = 2  # data class: not known to be single-valued in longitude and latitude
 PLATE_TYPE = 2
@@ -89,6 +91,22 @@ def write_dsk(
     back = read_dsk(path)
     if not (np.array_equal(back[0], vertices) and np.array_equal(back[1], index)):
         raise KernelError(f"{path}: what SPICE reads back differs from the shape; the file is not usable.")
+
+
+def is_dsk(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a file is a DSK: by its content, which is tried out first, or by its name where it cannot be read.
+
+    Raises
+    ------
+    KernelError
+        It is a DSK that is damaged.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            begins = stream.read(len(DSK_WORD)) == DSK_WORD
+    except OSError:
+        return str(path).lower().endswith((".bds", ".dsk"))
+    return begins and kernel_file(Path(path)).kind == "DSK"
 
 
 def read_dsk(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:

@@ -1,4 +1,4 @@
-"""Shape files: Wavefront OBJ and Celestia cmod (text and binary) as vertices and triangular plates.
+"""Shape files: Wavefront OBJ, Celestia cmod (text and binary), PLT, VER and ICQ tables as vertices and triangular plates.
 
 An OBJ file counts as body-fixed as it stands. A cmod file is a header, materials and meshes; a mesh is a description of
 its vertices (each attribute's meaning and format), the vertices, and groups of indices that form triangles, lines or
@@ -6,13 +6,20 @@ points; only positions and triangles are taken. Celestia turns bodies about its 
 so that a cmod point (x, y, z) is (-x, z, y) in the body-fixed frame. (Bennu's laser shape in cmod, taken so, lies on its
 radar shape in OBJ.)
 
+PLT and VER tables are numbered vertices and plates (rows of four numbers), or a count of both, bare vertices, and plates
+led by their number of corners; ICQ ("implicitly connected quadrilaterals") has the vertices of six faces of a cube, whose
+squares are cut along the shorter diagonal. All count as body-fixed; a table is told by its numbers, not by its name.
+
 Sources: Wavefront, "Object files (.obj)", appendix B1 of the Advanced Visualizer manual; Celestia wiki, "CMOD File" and
-"Binary CMOD specification" (A. Tribick).
+"Binary CMOD specification" (A. Tribick); NAIF, MKDSK User's Guide (plate formats 1, 2 and 4); Gaskell et al. (2008),
+doi 10.1111/j.1945-5100.2008.tb00692.x, and the PDS Small Bodies Node's description of its ICQ files.
 """
 
 import os
+import re
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +28,7 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import KernelError
 
-__all__ = ["checked_shape", "read_shape"]
+__all__ = ["SHAPE_FORMATS", "UNIT_KM", "ShapeFile", "checked_shape", "read_shape"]
 
 
 # ---- Celestia's cmod format, text and binary: the corners and triangles of all its meshes.
@@ -197,8 +204,19 @@ def _text_mesh(words: Iterator[str]) -> Mesh:
 
 # ---- Shape files: Wavefront OBJ and Celestia cmod (text and binary) as vertices and triangular plates.
 
+LARGEST_BYTES = 1 << 29
 UNIT_KM = {"km": 1.0, "m": 1e-3, "cm": 1e-5}
-SUFFIXES = ".obj and .cmod"
+SHAPE_FORMATS = (
+    "OBJ (.obj), Celestia (.cmod), plate tables (.plt, .ver, .tab), Gaskell's ICQ (.icq, .txt) and DSK (.bds)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeFile:
+    """A shape file and the unit of its coordinates: km, m or cm."""
+
+    path: Path
+    unit: str = "km"
 
 
 def read_shape(path: str | os.PathLike[str], unit: str = "km") -> tuple[FloatArray, IntArray]:
@@ -207,9 +225,9 @@ def read_shape(path: str | os.PathLike[str], unit: str = "km") -> tuple[FloatArr
     Parameters
     ----------
     path : path-like
-        An ``.obj`` or ``.cmod`` file; polygons with more than three corners are cut into triangles.
+        OBJ, cmod, plate table or ICQ; polygons with more than three corners are cut into triangles.
     unit : {"km", "m", "cm"}
-        Unit of the file's coordinates; neither format says.
+        Unit of the file's coordinates; no format says.
 
     Returns
     -------
@@ -237,16 +255,25 @@ def read_shape(path: str | os.PathLike[str], unit: str = "km") -> tuple[FloatArr
     if unit not in UNIT_KM:
         raise KernelError(f"shape {path}: unit {unit!r} is unknown; use {', '.join(UNIT_KM)}.")
     try:
-        content = Path(path).read_bytes()
+        content = _content(Path(path))
     except OSError as error:
         raise KernelError(
-            f"shape {path} cannot be read: {error.strerror or error}; give {SUFFIXES} files."
+            f"shape {path} cannot be read: {error.strerror or error}; shapes are {SHAPE_FORMATS}."
         ) from error
     try:
         vertices, plates = _parsed(content, Path(path).suffix.lower())
     except (ValueError, IndexError, OverflowError, MemoryError, struct.error) as error:
-        raise KernelError(f"shape {path}: {error}; give a whole {SUFFIXES} file.") from error
+        raise KernelError(f"shape {path}: {error}; give a whole file, of {SHAPE_FORMATS}.") from error
     return checked_shape(vertices * UNIT_KM[unit], plates, f"shape {path}")
+
+
+def _content(path: Path) -> bytes:
+    """Return a file's bytes; a device, which never ends, is no file, and the largest shapes have some 300 MB."""
+    if path.exists() and not path.is_file():
+        raise KernelError(f"shape {path} is no regular file; shapes are {SHAPE_FORMATS}.")
+    if (size := path.stat().st_size) > LARGEST_BYTES:
+        raise KernelError(f"shape {path} has {size} bytes, more than {LARGEST_BYTES}; give a coarser one.")
+    return path.read_bytes()
 
 
 def checked_shape(vertices_km: ArrayLike, plates: ArrayLike, what: str) -> tuple[FloatArray, IntArray]:
@@ -288,7 +315,82 @@ def _parsed(content: bytes, suffix: str) -> tuple[FloatArray, IntArray]:
         return vertices[:, [0, 2, 1]] * np.array([-1.0, 1.0, 1.0]), plates
     if suffix == ".obj":
         return _read_obj(content.decode("utf-8", errors="replace"))
-    raise ValueError(f"neither an OBJ file nor a cmod file (it begins with {content[:16]!r})")
+    if TABLE_START.match(content):
+        return _read_table(content)
+    raise ValueError(
+        f"neither an OBJ file nor a cmod file, nor a table of plates (it begins with {content[:16]!r})"
+    )
+
+
+# ---- Tables of numbers: plate tables and ICQ.
+
+TABLE_START = re.compile(rb"\s*\d{1,9}(?:[ \t]+\d{1,9})?[ \t]*\r?\n")
+CORNERS = 3
+FACES = 6
+
+
+def _read_table(content: bytes) -> tuple[FloatArray, IntArray]:
+    """Return vertices and plates of a table, by the counts in its first line and the numbers in its rows."""
+    lines = [
+        line for line in content.replace(b"D", b"E").decode("ascii", "replace").splitlines() if line.strip()
+    ]
+    counts = [int(word) for word in lines[0].split()]
+    points = counts[0]
+    on_cube = FACES * (points + 1) ** 2
+    if len(counts) == 1 and len(lines) == 1 + on_cube:
+        return _from_cube(_numbers(lines[1:], CORNERS), points)
+    vertices = _numbers(lines[1 : 1 + points])
+    if len(vertices) < points or vertices.shape[1] not in (CORNERS, CORNERS + 1):
+        raise ValueError(
+            f"it announces {points} vertices, but rows of {vertices.shape[1]} numbers follow, {len(vertices)} of them"
+        )
+    rest = lines[1 + points :]
+    if len(counts) == 1:
+        counts.append(int(rest.pop(0)))
+    return vertices[:, -CORNERS:], _plates(rest, counts[1])
+
+
+def _plates(lines: list[str], count: int) -> IntArray:
+    """Return plates from rows of three corners, led by a number, or with their number of corners in a row before each."""
+    if len(lines) == 2 * count:
+        if set(_numbers(lines[::2], 1)[:, 0].tolist()) != {float(CORNERS)}:
+            raise ValueError("a plate of more than three corners")
+        lines = lines[1::2]
+    if len(lines) < count or count == 0:
+        raise ValueError(f"it announces {count} plates, but {len(lines)} rows follow")
+    rows = _numbers(lines[:count])
+    corners = rows[:, -CORNERS:]
+    if rows.shape[1] not in (CORNERS, CORNERS + 1) or not np.array_equal(corners, np.rint(corners)):
+        raise ValueError(f"plates of {rows.shape[1]} numbers, expected three whole ones")
+    return corners.astype(np.int64) - 1
+
+
+def _numbers(lines: list[str], columns: int | None = None) -> FloatArray:
+    """Return rows of numbers, all of one length, of which the first columns may be all that counts."""
+    if not lines:
+        return np.empty((0, columns or CORNERS))
+    usecols = None if columns is None else range(columns)
+    return np.loadtxt(lines, dtype=np.float64, ndmin=2, usecols=usecols, comments=None)
+
+
+def _from_cube(points: FloatArray, side: int) -> tuple[FloatArray, IntArray]:
+    """Return the shape of six faces of (side + 1)^2 points; what neighbors share is one vertex."""
+    vertices, which = np.unique(points, axis=0, return_inverse=True)
+    faces = which.reshape(FACES, side + 1, side + 1)
+    a, b, c, d = faces[:, :-1, :-1], faces[:, :-1, 1:], faces[:, 1:, 1:], faces[:, 1:, :-1]
+    near = np.linalg.norm(vertices[a] - vertices[c], axis=-1) <= np.linalg.norm(
+        vertices[b] - vertices[d], axis=-1
+    )
+    first = np.where(near[..., None], np.stack([a, b, c], axis=-1), np.stack([a, b, d], axis=-1))
+    second = np.where(near[..., None], np.stack([a, c, d], axis=-1), np.stack([b, c, d], axis=-1))
+    plates = np.concatenate([first, second], axis=1).reshape(FACES, -1, CORNERS)
+    corners = vertices[plates] - vertices.mean(axis=0)
+    inward = np.einsum("fpi,fpi->f", corners[:, :, 0], np.cross(corners[:, :, 1], corners[:, :, 2])) < 0.0
+    outward = np.where(inward[:, None, None], plates[..., ::-1], plates).reshape(-1, CORNERS)
+    distinct = (outward != np.roll(outward, 1, axis=1)).all(
+        axis=1
+    )  # at a pole, squares have a side without length
+    return vertices, outward[distinct]
 
 
 def _read_obj(text: str) -> tuple[FloatArray, IntArray]:

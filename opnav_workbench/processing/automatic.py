@@ -15,6 +15,7 @@ import numpy as np
 
 from opnav_workbench.bodies import BodyCenter, BodyFlag
 from opnav_workbench.bodies.subarray import search_radius
+from opnav_workbench.catalog import read_star_list
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.kernels import KernelSet
@@ -67,6 +68,7 @@ def _opening(image: str | Path, opened: OpenedProcessing) -> dict[str, Any]:
         "opened_catalog": opened.catalog,
         "target_stars": opened.how.target_stars,
         "attitude": opened.how.attitude,
+        "shapes": opened.how.shape_files,
         "settings": settings,
     }
 
@@ -154,7 +156,16 @@ def _add_targets(session: ImageSession, opened: OpenedProcessing) -> list[str]:
 def _wanted_targets(opened: OpenedProcessing) -> list[str]:
     if opened.how.targets is not None:
         return list(opened.how.targets)
-    return list(opened.mission.default_targets) if KernelSet.active() is not None else []
+    return [
+        *_named_stars(opened),
+        *(opened.mission.default_targets if KernelSet.active() is not None else ()),
+    ]
+
+
+def _named_stars(opened: OpenedProcessing) -> list[str]:
+    """Return the stars of a list that was given for this processing: they are meant as targets."""
+    path = opened.how.target_stars
+    return [] if path is None else [str(name) for name in read_star_list(path).id]
 
 
 def _largest_first(session: ImageSession, opened: OpenedProcessing, targets: Sequence[str]) -> list[str]:
@@ -162,7 +173,7 @@ def _largest_first(session: ImageSession, opened: OpenedProcessing, targets: Seq
 
     A target that nobody asked for by name is not looked for where it cannot be seen.
     """
-    wanted = dict.fromkeys(targets) if opened.how.targets is not None else {}
+    wanted = dict.fromkeys(targets) if opened.how.targets is not None else dict.fromkeys(_named_stars(opened))
     wanted |= dict.fromkeys(opened.decisions.bodies_of(session))
     predicted = {name: session.predict_body(name) for name in targets}
     seen = [name for name in targets if name in wanted or _may_be_on_detector(session, predicted[name])]

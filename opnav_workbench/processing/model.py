@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
+from opnav_workbench.kernels.shape_files import UNIT_KM, ShapeFile
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.session import BODY_METHODS, Settings
 from opnav_workbench.session.body_steps import BodyMethod
@@ -64,6 +65,35 @@ def named_targets(targets: str | Iterable[str]) -> dict[str, str]:
             raise ValueError(f"{name} is given two methods, {named[name]} and {method}; keep one")
         named[name] = method or named.get(name, "")
     return named
+
+
+def named_shapes(shapes: str) -> dict[str, str]:
+    """Return shape files by body, from a list such as ``BENNU:bennu.obj:m,EROS:eros.plt``.
+
+    Examples
+    --------
+    >>> named_shapes("BENNU:bennu.obj:m, EROS:eros.plt")
+    {'BENNU': 'bennu.obj:m', 'EROS': 'eros.plt'}
+    """
+    named = {}
+    for part in filter(None, (part.strip() for part in shapes.split(","))):
+        body, _, file = part.partition(":")
+        if not body.strip() or not file.strip():
+            raise ValueError(f"{part!r} is no shape of a body; write BODY:FILE, or BODY:FILE:m")
+        named[body.strip()] = file.strip()
+    return named
+
+
+def shape_file(text: str) -> ShapeFile:
+    """Return a shape file and its unit, from ``bennu.obj`` (km) or ``bennu.obj:m``.
+
+    Examples
+    --------
+    >>> shape_file("bennu.obj:m").unit, shape_file("bennu.obj").unit
+    ('m', 'km')
+    """
+    path, _, unit = str(text).rpartition(":")
+    return ShapeFile(Path(path), unit) if path and unit in UNIT_KM else ShapeFile(Path(str(text)))
 
 
 def targets_text(targets: Iterable[str] | None) -> str:
@@ -174,7 +204,13 @@ class Processing(BaseModel):
     methods: Annotated[dict[str, BodyMethod], Also(("string",))] = Field(
         default={}, description="Body centers of single targets, by name."
     )
-    target_stars: str | None = Field(default=None, description="YAML star list for stars that are targets.")
+    target_stars: str | None = Field(
+        default=None, description="YAML star list; without --targets, its stars are targets."
+    )
+    shapes: Annotated[dict[str, str], Also(("string",))] = Field(
+        default={},
+        description="Shape models of bodies, comma-separated, in km unless told (BENNU:bennu.obj:m,EROS:eros.plt).",
+    )
     decisions: str | None = Field(
         default=None, description="YAML of an analyst's decisions on stars, bodies and scans."
     )
@@ -222,6 +258,14 @@ class Processing(BaseModel):
         for name, method in named.items() if isinstance(named, Mapping) else ():
             _check_method(method, f"{name}: ")
         return named
+
+    @field_validator("shapes", mode="before")
+    @classmethod
+    def _known_shapes(cls, value: Any) -> Any:
+        shapes = named_shapes(value) if isinstance(value, str) else value
+        for shape in shapes.values() if isinstance(shapes, Mapping) else ():
+            shape_file(shape)
+        return shapes
 
     @field_validator("settings", mode="before")
     @classmethod
@@ -292,7 +336,21 @@ class Processing(BaseModel):
             for name, place in places.items()
             if name in self.path_fields or (place.is_file() if name == "mission" else place.exists())
         }
-        return self.changed(**{name: str(p.resolve() if base is None else p) for name, p in meant.items()})
+        full: dict[str, Any] = {name: str(p.resolve() if base is None else p) for name, p in meant.items()}
+        shapes = {body: (base or Path()) / file.path for body, file in self.shape_files.items()}
+        if shapes:
+            named = {body: path.resolve() if base is None else path for body, path in shapes.items()}
+            units = {body: file.unit for body, file in self.shape_files.items()}
+            full["shapes"] = {
+                body: str(path) if units[body] == "km" else f"{path}:{units[body]}"
+                for body, path in named.items()
+            }
+        return self.changed(**full)
+
+    @property
+    def shape_files(self) -> dict[str, ShapeFile]:
+        """The files of `shapes`."""
+        return {body: shape_file(text) for body, text in self.shapes.items()}
 
     # -- what it stands for ------------------------------------------------------------------------------------
 

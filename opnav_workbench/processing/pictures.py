@@ -88,7 +88,9 @@ def process(
     methods : mapping of str to str, optional
         The same for single targets, by name.
     target_stars : path, optional
-        YAML star list for stars that are targets.
+        YAML star list; without `targets`, its stars are targets.
+    shapes : str or mapping of str to str, optional
+        Shape models by body (``"BENNU:bennu.obj:m"``), in km unless told; they outrank those of kernels and mission.
     decisions : path, optional
         YAML of an analyst's decisions on stars, bodies and scans.
     attitude : {"auto", "kernels", "header", "none"}

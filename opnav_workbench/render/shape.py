@@ -22,7 +22,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import unit
 from opnav_workbench.geometry import unit as unit_vectors
-from opnav_workbench.kernels.dsk_files import read_dsk
+from opnav_workbench.kernels.dsk_files import is_dsk, read_dsk
 from opnav_workbench.kernels.shape_files import checked_shape, read_shape
 from opnav_workbench.render.ellipsoid import SurfaceNodes, SurfacePoints, column_dot
 
@@ -224,14 +224,14 @@ class ShapeModel:
 
     @classmethod
     def from_file(cls, path: str | PathLike[str], unit: str = "km") -> Self:
-        """Read an OBJ, cmod or DSK (``.bds``, type 2) file; see `opnav_workbench.kernels.shape_files.read_shape`.
+        """Read a shape of any format of `opnav_workbench.kernels.shape_files`, or a DSK (type 2), told by its content.
 
         Raises
         ------
         KernelError
             The file cannot be read or holds no usable shape.
         """
-        if str(path).lower().endswith((".bds", ".dsk")):
+        if is_dsk(path):
             return cls(*read_dsk(path))
         return cls(*read_shape(path, unit))
 

@@ -116,7 +116,7 @@ def _scattering_law(context: Context, name: str, surface: TargetSurface) -> Scat
 
 def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> ShapeModel | None:
     if name in inputs.shapes:
-        return _shape_model(inputs.shapes[name], "km")
+        return _shape_model(inputs.shapes[name], inputs.shape_units.get(name, "km"))
     return None if surface.shape is None else _shape_model(surface.shape, surface.shape_unit)
 
 

@@ -20,6 +20,7 @@ from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionE
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc
 from opnav_workbench.kernels.dsk_files import shape_file_of
+from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.scene import (
     Observer,
     body_target,
@@ -93,7 +94,9 @@ class Inputs:
     wide_stars
         Brightest catalog rows as far around as the widest search goes, once one was needed.
     shapes : mapping of str to Path
-        Shape models of targets, where the kernels hold one.
+        Shape models of targets, where the kernels hold one or it was given.
+    shape_units : mapping of str to str
+        Of shapes that are not in km.
     lost
         What a search of the whole sky gave, where one was needed.
     contradictions
@@ -111,6 +114,7 @@ class Inputs:
     shapes: MappingProxyType[str, Path] = field(default_factory=lambda: MappingProxyType({}))
     lost: LostField | None = None
     contradictions: tuple[str, ...] = ()
+    shape_units: MappingProxyType[str, str] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
@@ -126,6 +130,7 @@ class Inputs:
 WIDE_STARS = 1000  # of a wide search: dozens on the detector of any camera, and a session file of a megabyte
 FAINT_MARGIN_MAG = 1.0  # colors, and the zero point's own error
 MAX_CONE_RAD = np.pi
+NAMED_STARS = 12  # of a list, in a message
 
 
 class NoAttitudeError(ImageError):
@@ -148,11 +153,14 @@ class InputSource:
         Star list for stars that are targets.
     attitude : {"auto", "kernels", "header", "none"}
         ``none``: the stars alone shall tell it.
+    shapes : mapping of str to ShapeFile
+        Shape models that were given by name of the body; they outrank those of kernels and mission.
     """
 
     catalog: str = "bundled"
     target_stars: Path | None = None
     attitude: str = "auto"
+    shapes: Mapping[str, ShapeFile] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         if self.attitude not in ATTITUDE_SOURCES:
@@ -209,13 +217,21 @@ def with_target(context: Context, source: InputSource, inputs: Inputs, name: str
     if name in inputs.targets:
         return inputs
     target = _star_target(context, source, inputs, name)
-    shape = None
+    shape: ShapeFile | None = None
     if target is None:
-        target, shape = _spice_target(context, inputs, name), shape_file_of(name)
+        target = _body_target(context, source, inputs, name)
+        by_kernels = shape_file_of(name)
+        given = source.shapes.get(name)
+        shape = None if by_kernels is None else ShapeFile(by_kernels)
+        shape = shape if given is None else ShapeFile(given.path.resolve(), given.unit)
+    with_it = replace(inputs, targets=MappingProxyType({**inputs.targets, name: target}))
+    if shape is None:
+        return with_it
+    units = {**inputs.shape_units, **({} if shape.unit == "km" else {name: shape.unit})}
     return replace(
-        inputs,
-        targets=MappingProxyType({**inputs.targets, name: target}),
-        shapes=inputs.shapes if shape is None else MappingProxyType({**inputs.shapes, name: shape}),
+        with_it,
+        shapes=MappingProxyType({**inputs.shapes, name: shape.path}),
+        shape_units=MappingProxyType(units),
     )
 
 
@@ -336,6 +352,21 @@ def _star_target(context: Context, source: InputSource, inputs: Inputs, name: st
     return star_target_at(name, stars, row, inputs.et, inputs.observer)
 
 
+def _body_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> TargetState:
+    """Return a body that the kernels know; where they do not, the error names the stars that are known, too."""
+    try:
+        return _spice_target(context, inputs, name)
+    except KernelError as error:
+        path = source.target_stars or context.mission.target_stars
+        if path is None:
+            raise
+        known = [str(star) for star in read_star_list(path).id]
+        more = f", and {len(known) - NAMED_STARS} more" if len(known) > NAMED_STARS else ""
+        raise KernelError(
+            f"{error} The target stars of {path.name} are {', '.join(known[:NAMED_STARS])}{more}."
+        ) from error
+
+
 def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:
     if KernelSet.active() is None:
         raise KernelError(
@@ -364,6 +395,7 @@ def inputs_dict(inputs: Inputs) -> dict[str, Any]:
         "shapes": dict(inputs.shapes),
         **({} if inputs.lost is None else {"lost": _columns(inputs.lost)}),
         **({"contradictions": inputs.contradictions} if inputs.contradictions else {}),
+        **({"shape_units": dict(inputs.shape_units)} if inputs.shape_units else {}),
     }
 
 
@@ -385,6 +417,7 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
         shapes=_path_mapping(data.get("shapes", {})),
         lost=_lost_field(data.get("lost")),
         contradictions=tuple(data.get("contradictions", ())),
+        shape_units=MappingProxyType(dict(data.get("shape_units", {}))),
     )
 
 
@@ -416,6 +449,8 @@ def inputs_added(before: Inputs | None, inputs: Inputs) -> dict[str, Any]:
     added: dict[str, Any] = {"targets": targets} if targets else {}
     shapes = {name: path for name, path in inputs.shapes.items() if name in targets}
     added |= {"shapes": shapes} if shapes else {}
+    units = {name: inputs.shape_units[name] for name in shapes if name in inputs.shape_units}
+    added |= {"shape_units": units} if units else {}
     if inputs.wide_stars is not None and (before is None or before.wide_stars is not inputs.wide_stars):
         added["wide_stars"] = _columns(inputs.wide_stars)
     if inputs.lost is not None and (before is None or before.lost is None):
@@ -433,6 +468,7 @@ def with_inputs_added(inputs: Inputs, added: Mapping[str, Any]) -> Inputs:
         wide_stars=inputs.wide_stars if wide is None else _star_table(wide),
         shapes=MappingProxyType({**inputs.shapes, **_path_mapping(added.get("shapes", {}))}),
         lost=_lost_field(added.get("lost")) or inputs.lost,
+        shape_units=MappingProxyType({**inputs.shape_units, **added.get("shape_units", {})}),
     )
 
 

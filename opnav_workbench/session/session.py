@@ -8,10 +8,11 @@ call these same methods.  The first line of a step says in brackets where its wo
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 from astropy.table import QTable
@@ -20,6 +21,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
 from opnav_workbench.files import json_text, make_folder, sha256_of
+from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.scene import BodyPrediction, StarPrediction, predict_body
@@ -121,6 +123,7 @@ class ImageSession:
         opened_catalog: Catalog | None = None,
         target_stars: str | Path | None = None,
         attitude: str = "auto",
+        shapes: Mapping[str, ShapeFile] | None = None,
         settings: Settings | None = None,
     ) -> Self:
         """Open a picture (`context.open_context`) and what kernels and catalog say of it (`inputs.collect_inputs`).
@@ -140,6 +143,8 @@ class ImageSession:
         attitude : {"auto", "kernels", "header", "none"}
             Where the a priori attitude comes from; ``auto`` takes the kernels where the active `KernelSet` has a CK
             for the camera, else the header, and where these are silent the stars, as ``none`` does at once (`lost`).
+        shapes : mapping of str to ShapeFile, optional
+            Shape models by body; they outrank those of kernels and mission.
         settings
             Thresholds; default those of `Settings`.
 
@@ -150,7 +155,8 @@ class ImageSession:
         """
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
         context = open_context(path, mission, settings or Settings())
-        source = InputSource(catalog, None if target_stars is None else Path(target_stars), attitude)
+        stars = None if target_stars is None else Path(target_stars)
+        source = InputSource(catalog, stars, attitude, MappingProxyType(dict(shapes or {})))
         context, inputs = open_inputs(context, source, opened_catalog)
         return cls(context, source, inputs, opened_catalog)
 

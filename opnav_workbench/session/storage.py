@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from opnav_workbench.errors import CatalogError, KernelError, SessionError
 from opnav_workbench.files import atomic_path, json_text, read_json
 from opnav_workbench.format_versions import as_of_today, stamped
 from opnav_workbench.image.picture_files import FolderOwner
+from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.observables import Observable, Origin, observables_table
 from opnav_workbench.session.context import Context, open_context
@@ -69,10 +71,15 @@ def session_dict(
         "catalog": source.catalog,
         "target_stars": None if source.target_stars is None else str(source.target_stars.resolve()),
         "attitude": source.attitude,
+        **({"shapes": _shape_values(source)} if source.shapes else {}),
         "inputs": inputs_dict(inputs),
         "journal": [item.to_dict() for item in journal],
     }
     return stamped("session", content)
+
+
+def _shape_values(source: InputSource) -> dict[str, list[str]]:
+    return {body: [str(file.path.resolve()), file.unit] for body, file in source.shapes.items()}
 
 
 def _mission_spec(mission: Mission) -> str:
@@ -171,6 +178,9 @@ def load_session(folder: Path, image: str | Path | None) -> LoadedSession:
             data["catalog"],
             None if data["target_stars"] is None else Path(data["target_stars"]),
             data["attitude"],
+            MappingProxyType(
+                {body: ShapeFile(Path(path), unit) for body, (path, unit) in data.get("shapes", {}).items()}
+            ),
         )
         session = str(data.get("session", ""))
         stored = tuple(stored_entry(item) for item in data["journal"])

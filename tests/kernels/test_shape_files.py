@@ -189,3 +189,73 @@ def test_bennu_files_agree_with_each_other(data_dir, tmp_path):
     assert max(likeness) > 0.85
     write_dsk(tmp_path / "bennu.bds", *laser, 2101955, "IAU_BENNU")
     np.testing.assert_array_equal(read_dsk(tmp_path / "bennu.bds")[0], laser[0])
+
+
+# ---- Tables of numbers: plate tables and Gaskell's ICQ.
+
+
+def plate_table(kind: str) -> str:
+    numbered = [f"{i} {x:.3f} {y:.3f} {z:.3f}" for i, (x, y, z) in enumerate(CORNERS, start=1)]
+    bare = [f"{x:.3f}D0 {y:.3f}D0 {z:.3f}D0" for x, y, z in CORNERS]
+    plates = [" ".join(map(str, plate + 1)) for plate in PLATES]
+    rows = {
+        "plt": ["4", *numbered, "4", *(f"{i} {plate}" for i, plate in enumerate(plates, start=1))],
+        "tab": ["4 4", *numbered, *(f"{i} {plate}" for i, plate in enumerate(plates, start=1))],
+        "ver": ["4 4", *bare, *(f"3\n{plate}" for plate in plates)],
+        "txt": ["4", *bare, "4", *plates],
+    }
+    return "\r\n".join(rows[kind]) + "\r\n"
+
+
+@pytest.mark.parametrize("kind", ["plt", "tab", "ver", "txt"])
+def test_plate_tables(tmp_path, kind):
+    path = tmp_path / f"a.{kind}"
+    path.write_text(plate_table(kind))
+    vertices, plates = read_shape(path, "m")
+    np.testing.assert_allclose(vertices, CORNERS / 1000.0)
+    np.testing.assert_array_equal(plates, PLATES)
+
+
+def icq_text(side: int, radii: tuple[float, float, float]) -> str:
+    """The points of a cube's faces, drawn onto an ellipsoid; each face begins at another corner and may be mirrored."""
+    ends = np.linspace(-1.0, 1.0, side + 1)
+    u, v = np.meshgrid(ends, ends, indexing="ij")
+    one = np.ones_like(u)
+    faces = [(one, u, v), (u, -one, v), (-one, v, u), (v, one, u), (u, v, one), (-u, v, -one)]
+    points = np.concatenate([np.stack(face, axis=-1).reshape(-1, 3) for face in faces])
+    points *= np.array(radii) / np.linalg.norm(points, axis=1)[:, None]
+    return f"{side}\n" + "\n".join(" ".join(f"{x:.5f}" for x in point) for point in points)
+
+
+def test_gaskells_shapes_are_closed_and_of_the_right_size(tmp_path):
+    side, radii = 24, (3.0, 2.0, 1.5)
+    path = tmp_path / "a.icq"
+    path.write_text(icq_text(side, radii))
+    vertices, plates = read_shape(path)
+    assert len(vertices) == 6 * side**2 + 2
+    assert len(plates) == 12 * side**2
+    corners = vertices[plates]
+    volume = np.einsum("pi,pi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * np.prod(radii), rel=0.01)
+    edges = np.concatenate([plates[:, [0, 1]], plates[:, [1, 2]], plates[:, [2, 0]]])
+    back = {(int(b), int(a)) for a, b in edges}
+    assert len(back) == len(edges)  # no edge runs the same way twice
+    assert all((int(a), int(b)) in back for a, b in edges)  # each has a plate on its other side
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("5\n1 2 3\n", "it announces 5 vertices, but rows of 3 numbers follow, 1 of them"),
+        ("1\n1 2 3\n9\n1 1 1\n", "it announces 9 plates, but 1 rows follow"),
+        ("4 4\nx y z\n", "no shape file|could not convert"),
+        ("1\n1 2 3\n1\n1 2 1.5\n", "expected three whole ones"),
+        ("no numbers\n", "ICQ"),
+    ],
+)
+def test_tables_that_are_none(tmp_path, text, said):
+    path = tmp_path / "a.plt"
+    path.write_text(text)
+    with pytest.raises(KernelError, match=said) as caught:
+        read_shape(path)
+    assert all(kind in str(caught.value) for kind in ("OBJ", "cmod", "plate tables", "ICQ", "DSK"))
