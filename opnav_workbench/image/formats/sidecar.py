@@ -41,6 +41,7 @@ __all__ = ["Sidecar", "find_sidecar", "is_sidecar", "read_raw", "read_sidecar", 
 SUFFIXES = (".json", ".yaml", ".yml", ".csv")
 LARGEST_BYTES = 1 << 22
 MOST_WORDS = 10_000
+LONGEST_NUMBER = 40  # characters, as in YAML
 SAMPLE_TYPES = {
     "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4",
     "float32": "f4", "float64": "f8",
@@ -175,6 +176,9 @@ def _table_words(rows: Sequence[Sequence[str]], picture: str | None) -> dict[str
 
 
 def _cell(text: str) -> str | int | float:
+    """Return a cell as a number, where it is one that a double can be."""
+    if len(text) > LONGEST_NUMBER:
+        return text
     for number in (int, float):
         try:
             value = number(text)
