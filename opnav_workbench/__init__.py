@@ -81,6 +81,8 @@ this list to its top; a package imports what stands below it.
     FITS headers looked at before a library believes them.
 ``format_versions``
     What a file's `format_version` promises; files of older versions read.
+``parts``
+    Parts of the installation that not everybody needs, and the command that brings one.
 ``yaml_nodes``
     YAML text into nodes and plain values, bounded in depth, count, aliases, numbers and tags.
 ``templating``

@@ -24,6 +24,7 @@ from opnav_workbench.catalog.vizier_tables import TABLES
 from opnav_workbench.catalog.whole_sky import WHOLE_SKY, fetched_names, fetched_state, open_fetched
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import sha256_of
+from opnav_workbench.parts import install_command
 
 __all__ = ["CatalogStatus", "catalog_contents", "catalog_status", "open_catalog"]
 
@@ -236,6 +237,6 @@ def _astrometry_net_status() -> CatalogStatus:
 def _vizier_status() -> CatalogStatus:
     kept = sum(1 for kind in TABLES for _ in VizierCatalog(kind).folder.glob("*.npz"))
     online = importlib.util.find_spec("astroquery") is not None
-    ask = "" if online else '; to ask the service: pip install "opnav_workbench[online]"'
+    ask = "" if online else f"; to ask the service: {install_command('online')}"
     names = ", ".join(TABLES)
     return CatalogStatus("vizier:NAME", available=True, detail=f"{names}; {kept} cones on disk{ask}")

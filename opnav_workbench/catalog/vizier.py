@@ -27,6 +27,7 @@ from opnav_workbench.constants import FASTEST_STAR_RAD_YR
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.geometry import angle_between, jyear_from_et, radec_from_unit, unit_from_radec
+from opnav_workbench.parts import install_command
 from opnav_workbench.resources import cache_root
 
 __all__ = ["VizierCatalog", "open_vizier"]
@@ -84,9 +85,7 @@ def ask_vizier(layout: VizierTable, cone: FetchedCone) -> Table:
         from astropy.coordinates import SkyCoord  # noqa: PLC0415
         from astroquery.vizier import Vizier  # noqa: PLC0415
     except ImportError as error:
-        raise CatalogError(
-            'catalogs of VizieR need astroquery; pip install "opnav_workbench[online]".'
-        ) from error
+        raise CatalogError(f"catalogs of VizieR need astroquery; {install_command('online')}.") from error
     filters = {} if cone.mag_limit is None else {layout.mag: f"<={cone.mag_limit}"}
     service = Vizier(columns=layout.columns, column_filters=filters, row_limit=-1, timeout=TIMEOUT_S)
     center = SkyCoord(cone.ra_deg, cone.dec_deg, unit="deg", frame="icrs")

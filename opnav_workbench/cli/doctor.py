@@ -16,13 +16,14 @@ from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, shown
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.kernels import known_names, toolkit_version
 from opnav_workbench.mission import load_mission, mission_names
+from opnav_workbench.parts import PARTS, install_command
 from opnav_workbench.resources import cache_root, kernels_meta_dir
 from opnav_workbench.version import __version__
 
 __all__ = ["doctor"]
 
 LIBRARIES = ("numpy", "scipy", "astropy", "spiceypy", "scikit-image", "matplotlib")
-NOTEBOOK = ("jupyterlab", "ipywidgets", "bokeh", "papermill", "ipykernel")
+NOTEBOOK = ("jupyterlab", "ipywidgets", "bokeh", "papermill", "ipykernel", "nbconvert")
 MIN_FREE_MB = 200  # the bundled catalog's cache takes 30 MB, a picture's results a few
 STATE_MARKS = {"ok": "[green]ok[/]", "note": "[yellow]note[/]", "missing": "[bold red]missing[/]"}
 
@@ -45,16 +46,23 @@ def findings() -> Iterator[Finding]:
     yield from _missions()
     yield from _kernels()
     yield from _catalogs()
-    yield from _versions("notebook", NOTEBOOK)
+    yield from _versions("notebook", NOTEBOOK, "lab")
+    yield from _versions("optional", ("astroquery",), "online")
+    yield from _versions("optional", ("distributed",), "cluster")
     yield _cache()
 
 
-def _versions(topic: str, names: tuple[str, ...]) -> Iterator[Finding]:
+def _versions(topic: str, names: tuple[str, ...], extra: str = "") -> Iterator[Finding]:
+    """Versions of libraries; one that belongs to a part which not everybody needs is no fault where it is missing."""
     for name in names:
         try:
             yield Finding(topic, name, "ok", metadata.version(name))
         except metadata.PackageNotFoundError:
-            yield Finding(topic, name, "missing", f"run: python -m pip install {name}")
+            if extra:
+                detail = f"not installed; for {PARTS[extra][0]}: {install_command(extra)}"
+                yield Finding(topic, name, "note", detail)
+            else:
+                yield Finding(topic, name, "missing", f"run: python -m pip install {name}")
 
 
 def _missions() -> Iterator[Finding]:

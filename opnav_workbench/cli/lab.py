@@ -21,6 +21,7 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder, write_text
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
+from opnav_workbench.parts import need
 from opnav_workbench.processing import Processing
 from opnav_workbench.processing.model import NO_TARGETS
 from opnav_workbench.processing.queue_file import read_queue
@@ -168,6 +169,7 @@ def lab(
 
     Every decision is saved in OUT/<picture> as it is made; the same command goes on where it was left.
     """
+    need("lab", "opnav lab")
     console = Console(soft_wrap=True, highlight=False)
     if sum([bool(images), queue is not None, demo]) != 1:
         raise SessionError("give pictures, or --queue DIR, or --demo: exactly one of them.")

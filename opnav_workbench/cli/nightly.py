@@ -39,6 +39,7 @@ from opnav_workbench.headless.night_summary import (
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
 from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.image.picture_files import NoPictures
+from opnav_workbench.parts import need
 
 __all__ = ["nightly"]
 
@@ -131,6 +132,8 @@ def nightly(
     143 stopped by Ctrl-C or SIGTERM (what is finished is kept, and in the summary).
     """
     spec = _night_spec(sources, given)
+    if why is None:
+        need("lab", "a night runs a notebook for each picture: opnav nightly")
     console = Console(stderr=True, soft_wrap=True)
     plan = partial(
         plan_night,

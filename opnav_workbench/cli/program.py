@@ -17,6 +17,7 @@ from typer.main import get_group
 
 from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_STOPPED, error_console, shown
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.parts import missing_part
 from opnav_workbench.version import __version__
 
 __all__ = ["COMMANDS", "CommandEntry", "app", "main"]
@@ -151,8 +152,11 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         app()
-    except OpNavError as error:
-        error_console().print(f"[bold red]error:[/] {shown(str(error))}", highlight=False)
+    except (OpNavError, ModuleNotFoundError) as error:
+        known = missing_part(error) if isinstance(error, ModuleNotFoundError) else error
+        if known is None:
+            raise
+        error_console().print(f"[bold red]error:[/] {shown(str(known))}", highlight=False)
         sys.exit(EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         Console(stderr=True).print("stopped; finished images are kept.")

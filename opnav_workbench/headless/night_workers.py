@@ -26,6 +26,7 @@ from opnav_workbench import errors
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import write_json
 from opnav_workbench.headless.faults import FAULTS, fault_of_report
+from opnav_workbench.parts import install_command
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.session import RESULT_FILE
 
@@ -309,7 +310,7 @@ class ClusterPool:
         try:
             distributed: Any = importlib.import_module("distributed")  # an optional part
         except ImportError as error:
-            raise SessionError('a cluster needs Dask: pip install "opnav_workbench[cluster]".') from error
+            raise SessionError(f"a cluster needs Dask: {install_command('cluster')}.") from error
         try:
             self._client = distributed.Client(address, timeout=CONNECT_S)
         except (OSError, ValueError, TimeoutError) as error:

@@ -67,6 +67,7 @@ of the regions (region.js, workbench.css), of ``bridge`` and of ``image_view``.
 from typing import TYPE_CHECKING
 
 from opnav_workbench.lazy_names import names_on_demand
+from opnav_workbench.parts import told
 
 if TYPE_CHECKING:
     from opnav_workbench.workbench.app import workbench
@@ -78,7 +79,7 @@ __all__ = ["Bridge", "ImageView", "workbench"]
 # Loaded on first use: nothing of bokeh or ipywidgets is imported before something is to be shown.
 _HOMES = {"Bridge": "bridge", "ImageView": "image_view", "workbench": "app"}
 
-__getattr__ = names_on_demand(__name__, _HOMES)
+__getattr__ = told(names_on_demand(__name__, _HOMES))
 
 
 def __dir__() -> list[str]:

@@ -145,7 +145,7 @@ def test_doctor_names_what_is_there():
     assert "missing" not in answer.output
 
 
-@pytest.mark.parametrize("package", ["papermill", "scikit-image"])
+@pytest.mark.parametrize("package", ["matplotlib", "scikit-image"])
 def test_doctor_says_what_to_do_about_a_missing_package(monkeypatch, package):
     version = metadata.version
 
@@ -160,6 +160,22 @@ def test_doctor_says_what_to_do_about_a_missing_package(monkeypatch, package):
     assert re.search(rf"{package}\s+missing\s+run: python -m pip install {package}", answer.output)
     assert f"1 missing: {package}" in answer.output
     assert "Everything needed" not in answer.output
+
+
+def test_doctor_tells_of_a_part_that_not_everybody_needs(monkeypatch):
+    """Pictures are solved without notebooks: that is no fault, and the command that brings them stands there."""
+    version = metadata.version
+
+    def without(name):
+        if name == "papermill":
+            raise metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(metadata, "version", without)
+    answer = _invoke("doctor")
+    assert answer.exit_code == 0
+    words = " ".join(answer.output.split())
+    assert re.search(r"papermill note not installed; for .*pip install \"opnav_workbench\[lab\]\"", words)
 
 
 def test_doctor_without_catalog_data(monkeypatch):

