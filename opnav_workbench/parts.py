@@ -28,6 +28,7 @@ PARTS: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
                 "nbformat",
             ),
         ),
+        "docs": ("the documentation site", ("sphinx", "furo", "myst_parser")),
         "cluster": ("nights on a Dask cluster", ("distributed", "dask")),
         "online": ("catalogs of VizieR", ("astroquery",)),
     }

@@ -9,7 +9,15 @@ import platformdirs
 
 from opnav_workbench.errors import OpNavError
 
-__all__ = ["CACHE_VARIABLE", "cache_root", "kernels_meta_dir", "notebooks_dir", "ready_file", "ready_names"]
+__all__ = [
+    "CACHE_VARIABLE",
+    "cache_root",
+    "docs_sources",
+    "kernels_meta_dir",
+    "notebooks_dir",
+    "ready_file",
+    "ready_names",
+]
 
 CACHE_VARIABLE = "OPNAV_CACHE"
 
@@ -40,6 +48,20 @@ def notebooks_dir() -> Path:
     True
     """
     return _installed_or_checked_out("notebooks")
+
+
+def docs_sources() -> tuple[Path, Path, Path]:
+    """Return where the documentation's sources, the README's pictures and the changelog stand.
+
+    Examples
+    --------
+    >>> (docs_sources()[0] / "index.md").is_file()
+    True
+    """
+    package = Path(__file__).resolve().parent
+    if (package / "docs").is_dir():
+        return package / "docs", package / "docs" / "pictures", package / "docs" / "CHANGELOG.md"
+    return package.parent / ".docs", package.parent / ".assets", package.parent / "CHANGELOG.md"
 
 
 def ready_names(folder: str) -> tuple[str, ...]:

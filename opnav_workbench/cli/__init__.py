@@ -38,6 +38,8 @@ One module a command or group of commands; nothing else in the package imports t
     Star catalogs: list, info, build, fetch, cone.
 ``calibrate``
     Camera and PSF from star frames.
+``docs``
+    The documentation site, built here and opened.
 ``doctor``
     What is installed and what is missing.
 """

@@ -59,6 +59,7 @@ COMMANDS = {
         "plan",
         "Plan pictures: stars, sizes, expected errors, Sun, first detection, best exposure, and a verdict on each.",
     ),
+    "docs": CommandEntry("docs", "docs", "Build the documentation site offline, and open it."),
     "doctor": CommandEntry(
         "doctor",
         "doctor",
