@@ -18,7 +18,7 @@ release = version = __version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build", "CHANGELOG.md", "generated/notebooks.md"]
 html_theme = "furo"
-html_title = f"opnav_workbench {__version__}"
+html_title = "opnav_workbench"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
