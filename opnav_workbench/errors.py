@@ -74,7 +74,10 @@ class SessionError(OpNavError):
 
 
 class SelectionPending(SessionError):  # noqa: N818 - not a fault: an analyst's decision is still to come
-    """A decision of the analyst that the next step waits for."""
+    """A decision of the analyst that the next step waits for; in a notebook it is one line, without a traceback."""
+
+    def _render_traceback_(self) -> list[str]:
+        return [f"{type(self).__name__}: {self}"]
 
 
 def plain_line(text: str, longest: int = LONGEST_MESSAGE) -> str:

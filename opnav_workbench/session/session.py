@@ -626,15 +626,15 @@ class ImageSession:
             self._know_target(name)
             self._step("choose_scans", {"name": name, "numbers": chosen, "reason": reason}, reason)
 
-    def observables(self) -> QTable:
-        """Compute the observables of all bodies found so far (`pointing.with_observables`).
+    def observables(self, reason: str = "") -> QTable:
+        """Compute the observables of all bodies found so far (`pointing.with_observables`); `reason` for the journal.
 
         Returns
         -------
         astropy.table.QTable
             One row a body and method: O, C, O-C, sigmas, partials, with units and descriptions.
         """
-        self._step("observables", {})
+        self._step("observables", {}, reason)
         return observables_table(self.state.observables, (origin_of(self.context, self.source),))
 
     # -- files ---------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ __all__ = [
     "BOX_SCANS",
     "CIRCLE",
     "EVERYWHERE",
+    "LOOKING",
     "NOTE_MENU",
     "NUDGE",
     "PLACES",
@@ -251,6 +252,17 @@ def _tools() -> Iterator[Action]:
 
 
 WORKBENCH_ACTIONS = (*_everywhere(), *_stars(), *_pointing(), *_bodies(), *_tools())
+
+
+# What only looks around, and so is done at once while a step is running; everything else waits in line.
+LOOKING = frozenset(
+    {
+        *(f"tab_{name}" for name, _ in TABS),
+        *("keys", "escape", "note", "next", "previous", "next_undecided", "star", "examine", "reject"),
+        *("next_body", "body", "method", "solve_range", "next_scan", "previous_scan", "look_scan"),
+        *("two_star", "nudge", "place_star", "circle", "box_scans", "two_star_name", "older_entries"),
+    }
+)
 
 
 # ---- The picture's own actions: each is carried out in the page.

@@ -94,7 +94,7 @@ class Workbench:
     def __init__(self, queue: ImageQueue, out: Path | None = None) -> None:
         status = Status()
         self.view = ImageView(None, status=status)
-        self.controller = WorkbenchController(queue, self.view, out, status)
+        self.controller = WorkbenchController(queue, self.view, out, status, ahead=True)
         self.regions = {name: Region(name, self.controller.handle) for name in REGIONS}
         self.regions["header"].picture_keys = [key for action in self.view.actions for key in action.keys]
         self.regions["header"].keymap = self.controller.registry.keys

@@ -28,10 +28,10 @@ from opnav_workbench.workbench.limb_scan_choice import (
     scans_of,
 )
 from opnav_workbench.workbench.markup import PagePicture, render
-from opnav_workbench.workbench.overlays import predicted_body
+from opnav_workbench.workbench.overlays import body_marks, predicted_body
 from opnav_workbench.workbench.plots import SvgPlot
 from opnav_workbench.workbench.stretch import gray_png, residual_png
-from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
+from opnav_workbench.workbench.tabs import FOLLOWS_CENTER, Handler, PageEvent, StepRunner, Tab
 from opnav_workbench.workbench.viewer import Layer
 
 __all__ = ["BodiesTab"]
@@ -220,6 +220,7 @@ def _dn_text(dn: float) -> str:
 
 DRAG_SHAPES = {CIRCLE: "circle", BOX_SCANS: "box"}  # what a drag draws
 SCANS_LAYER = "limb scans"
+BODY_SPAN, LEAST_SPAN_PX = 1.8, 48.0  # of the picture when the tab is opened: diameters, and px for a small body
 
 
 class BodiesTab(Tab):
@@ -279,6 +280,13 @@ class BodiesTab(Tab):
             layer = scan_layer(scans.places_px, scans.status, self.focus_scan, picture_px)
             viewer.layer(SCANS_LAYER, layer)
         viewer.drag_mode(self.runner.tool in DRAG_SHAPES, DRAG_SHAPES.get(self.runner.tool, "box"))
+
+    def look(self) -> None:
+        """Bring the body at hand into the middle, as large as it is judged best."""
+        marks = {mark.name: mark for mark in body_marks(self.runner.session)}
+        mark = marks.get(self.chosen)
+        if mark is not None:
+            self.runner.viewer.look(mark.center_px, max(BODY_SPAN * 2.0 * mark.radius_px, LEAST_SPAN_PX))
 
     def html(self) -> str:
         """Return the page."""
@@ -347,7 +355,7 @@ class BodiesTab(Tab):
 
         def work() -> None:
             session.find_body(name, self.method, solve_range=self.solve_range)
-            session.observables()
+            session.observables(FOLLOWS_CENTER)
 
         self.runner.run(f"finding {name}", work, lambda: self.center_line(name))
 
@@ -371,9 +379,11 @@ class BodiesTab(Tab):
         if names:
             self.body = names[(names.index(self._body_or_raise()) + 1) % len(names)]
             self.focus_scan = 0
+            self.look()
 
     def _picked(self, event: PageEvent) -> None:
         self.body, self.focus_scan = str(event["arg"]), 0
+        self.look()
 
     def _add(self, event: PageEvent) -> None:
         name = str(event.get("value") or event.get("arg") or "").strip().upper()
@@ -452,6 +462,6 @@ class BodiesTab(Tab):
         def work() -> None:
             session.choose_scans(name, numbers, reason)
             if session.state.observables:
-                session.observables()
+                session.observables(FOLLOWS_CENTER)
 
         self.runner.run("choosing scans", work, lambda: self.center_line(name))

@@ -1,17 +1,21 @@
 """The workbench without a browser: what the page reports goes in, the regions' HTML comes out.
 
-Events are handled one at a time, under the runner's lock; whatever goes wrong appears in the status line. Tests drive
-this class with a fake picture.
+Events are handled one at a time, under the runner's lock; while a step is running, what only looks around is done at once
+and the rest waits in line. Images are opened by the runner too, and the neighbors of the one at hand ahead. Whatever goes
+wrong appears in the status line. Tests drive this class with a fake picture.
 """
 
+import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import (
     CIRCLE,
+    LOOKING,
     NOTE_MENU,
     NUDGE,
     PLACES,
@@ -22,7 +26,7 @@ from opnav_workbench.workbench.actions import (
     ActionRegistry,
 )
 from opnav_workbench.workbench.bodies_tab import BodiesTab
-from opnav_workbench.workbench.image_queue import ImageQueue
+from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
 from opnav_workbench.workbench.pointing_tab import PointingTab
@@ -34,6 +38,8 @@ from opnav_workbench.workbench.viewer import Layer, Viewer
 __all__ = ["REGIONS", "WorkbenchController"]
 
 TOOL_LAYERS = ("two stars", "limb scans")  # that the tabs draw
+GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
+WITHOUT_IMAGE = frozenset({*GOING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
 
 
@@ -46,12 +52,22 @@ class WorkbenchController:
         Where sessions without a folder of their own are exported to.
     status
         The status line, where it is shared with the picture.
+    ahead
+        Open the neighbors of the image at hand while nothing else is to be done.
     """
 
     def __init__(
-        self, queue: ImageQueue, viewer: Viewer, out: Path | None = None, status: Status | None = None
+        self,
+        queue: ImageQueue,
+        viewer: Viewer,
+        out: Path | None = None,
+        status: Status | None = None,
+        *,
+        ahead: bool = False,
     ) -> None:
         self.queue, self.viewer = queue, viewer
+        self.ahead = ahead
+        self._opening_ahead = threading.Lock()  # held by the one thread that does
         self.registry = ActionRegistry([*WORKBENCH_ACTIONS, *viewer.actions])
         self.runner = StepRunner(queue, viewer, status or Status())
         self.stars = StarsTab(self.runner, self.registry)
@@ -64,7 +80,9 @@ class WorkbenchController:
         }
         self.tab_name = "stars"
         self.keys_shown = False
-        self._pictured: object = None  # the state that lies over the picture
+        self._view_actions = frozenset(action.name for action in viewer.actions)
+        self._shown: ImageSession | None = None  # the session in the picture
+        self._pictured: object = None  # the state that lies over it
         self.on_render: Callable[[Mapping[str, str]], None] = lambda _: None  # gets the regions' HTML
         self._handlers = self._own_handlers()
         for tab in self.tabs.values():
@@ -73,7 +91,7 @@ class WorkbenchController:
         self.runner.status.changed = self._status_changed
         queue.opening = self._opened
         viewer.listen(self._tapped, self._dragged)
-        with self.runner.status.reporting():
+        with self.runner.handling():
             self._show_image()
 
     @property
@@ -86,17 +104,34 @@ class WorkbenchController:
     def handle(self, event: PageEvent) -> None:
         """Do what the page reports; whatever goes wrong appears in the status line."""
         with self.runner.handling():
-            act = str(event["act"])
-            if act == "key":
-                action = self.meaning(str(event["arg"]))
-                act = "" if action is None else action.name
-            self.do(act, event)
+            if self._waits(self._act(event)):
+                self.runner.wait_in_line(lambda: self.do(self._act(event), event))
+            else:
+                self.do(self._act(event), event)
+
+    def _act(self, event: PageEvent) -> str:
+        """Return what an event means now: the action of its key, or what it says itself."""
+        if event["act"] != "key":
+            return str(event["act"])
+        action = self.meaning(str(event["arg"]))
+        return "" if action is None else action.name
+
+    def _waits(self, act: str) -> bool:
+        """Whether an action has to wait for the running step, and for what waits already."""
+        runner = self.runner
+        if runner.running is None or act in ("", "escape") or act in self._view_actions:
+            return False
+        if runner.running.leavable and act in GOING:
+            return False
+        return bool(runner.line) or act not in LOOKING
 
     def do(self, name: str, event: PageEvent | None = None) -> None:
         """Carry out an action by its name."""
-        if name in self._handlers:
+        if self.queue.opened is None and name in self._handlers and name not in WITHOUT_IMAGE:
+            self.runner.status.say(f"{self.queue.item.name} is not open.")
+        elif name in self._handlers:
             self._handlers[name](event or {})
-        elif any(action.name == name for action in self.viewer.actions):
+        elif name in self._view_actions:
             said = self.viewer.do(name)
             if said:
                 self.runner.status.say(said)
@@ -114,12 +149,20 @@ class WorkbenchController:
         return [*places, self.tab_name, "view"]
 
     def _tapped(self, pixel: float, line: float) -> None:
-        with self.runner.handling():
-            self.current_tab.tapped(pixel, line)
+        self._in_turn(lambda: self.current_tab.tapped(pixel, line))
 
     def _dragged(self, pixel0: float, line0: float, pixel1: float, line1: float) -> None:
+        self._in_turn(lambda: self.current_tab.dragged(pixel0, line0, pixel1, line1))
+
+    def _in_turn(self, task: Callable[[], None]) -> None:
+        """Take what was done in the picture: now, or when the running step is through."""
         with self.runner.handling():
-            self.current_tab.dragged(pixel0, line0, pixel1, line1)
+            if self.queue.opened is None:
+                return
+            if self.runner.running is not None and (self.runner.line or self.runner.tool or self.tab_name != "stars"):
+                self.runner.wait_in_line(task)
+            else:
+                task()
 
     # -- actions around the tabs ---------------------------------------------------------------------------------
 
@@ -133,6 +176,7 @@ class WorkbenchController:
             "go": lambda event: self._go(int(event["arg"])),
             "keys": lambda _: self._toggle_keys(),
             "escape": lambda _: self._escape(),
+            "open_again": lambda _: self._open_again(),
         }
 
     def _tab_handler(self, name: str) -> Handler:
@@ -142,29 +186,88 @@ class WorkbenchController:
         """Show a tab; tools of the old one are put away."""
         self._leave_tools()
         self.tab_name = name
-        self.current_tab.on_enter()
+        if self.queue.opened is not None:
+            self.current_tab.on_enter()
+            self.current_tab.look()
+
+    # -- images: opened by the runner, shown, and their neighbors opened ahead --------------------------------------
 
     def _go(self, index: int) -> None:
-        if self.runner.running is not None:
+        if not self.runner.leave():
+            assert self.runner.running is not None
             self.runner.status.say(f"still {self.runner.running.label}; Esc cancels it.", "busy")
             return
         self.queue.go(index)
         self._show_image()
 
+    def _open_again(self) -> None:
+        self.queue.item.error = ""
+        self._show_image()
+
     def _show_image(self) -> None:
+        """Show the image at hand: at once if it is open, else when it is; why it cannot be opened is shown too."""
         self._leave_tools()
-        folder = self.queue.item.folder
-        self.runner.status.log_folder = folder
-        session = self.queue.session
-        self.viewer.show(session)
-        self._pictured = session.state
-        for tab in self.tabs.values():
-            tab.on_enter()
+        item = self.queue.item
+        self.runner.status.log_folder = item.folder
+        if item.error:
+            self._show_failure(item)
+        elif item.session is not None and item.session.state.a_priori is not None:
+            self._show_session(item, item.session)
+        else:
+            self._blank(f"opening {item.name}")
+            self.runner.run(
+                f"opening {item.name}", lambda: self._open(item), then=lambda error: self._arrived(item, error), leavable=True
+            )
+
+    def _open(self, item: QueueItem) -> None:
+        """Open an image, predict its stars where nothing was done yet, and do what showing it costs."""
+        session = self.queue.open(item)
+        self.viewer.prepare(session)
         if session.state.a_priori is None:
             session.predict()
-        self.runner.status.say(
-            f"{self.queue.item.name}: {len(session.standing)} steps. Press ? for the keys."
-        )
+
+    def _arrived(self, item: QueueItem, error: BaseException | None) -> None:
+        """Show an image whose opening has ended, if the analyst still waits for it."""
+        if item is not self.queue.item:
+            return
+        if item.session is not None:
+            self._show_session(item, item.session)
+            if error is not None:
+                self.runner.status.fail(error)
+        else:
+            if error is not None:
+                self.runner.status.fail(error)  # the log has the traceback of an unforeseen one
+            self._show_failure(item)
+
+    def _show_session(self, item: QueueItem, session: ImageSession) -> None:
+        self.viewer.show(session)
+        self._shown, self._pictured = session, session.state
+        for tab in self.tabs.values():
+            tab.on_enter()
+        self.runner.status.say(f"{item.name}: {len(session.standing)} steps. Press ? for the keys.")
+        self.current_tab.look()
+        self._open_ahead()
+
+    def _show_failure(self, item: QueueItem) -> None:
+        self._blank(f"{item.name} cannot be opened")
+        self.runner.status.say(f"{item.name} cannot be opened.", "error")
+        self._open_ahead()
+
+    def _blank(self, message: str) -> None:
+        self._shown, self._pictured = None, None
+        self.viewer.blank(message)
+
+    def _open_ahead(self) -> None:
+        """Open the neighbors of the image at hand in a thread of their own, one after the other."""
+        if self.ahead and self.queue.next_to_open() is not None and not self._opening_ahead.locked():
+            threading.Thread(target=self._work_ahead, daemon=True).start()
+
+    def _work_ahead(self) -> None:
+        with self._opening_ahead:
+            while (item := self.queue.next_to_open()) is not None:
+                with suppress(Exception):  # the list shows that it failed; the page says why when its turn comes
+                    self._open(item)
+                self.refresh()
 
     def _leave_tools(self) -> None:
         """Leave tools and menus, and take what the tab had drawn off the picture."""
@@ -175,7 +278,11 @@ class WorkbenchController:
         self.viewer.drag_mode(False)
 
     def _opened(self, session: ImageSession) -> None:
-        session.on_change(lambda _: None if self.runner.running is not None else self.refresh())
+        def changed(_: ImageSession) -> None:
+            if self.runner.running is None and session is self.queue.opened:
+                self.refresh()
+
+        session.on_change(changed)
 
     def _undo(self) -> None:
         if self.current_tab.drop_unfinished():
@@ -188,6 +295,8 @@ class WorkbenchController:
 
     def _escape(self) -> None:
         if self.runner.cancel():
+            if self.queue.opened is None:
+                self._blank(f"{self.queue.item.name} is not open")
             return
         if self.keys_shown or self.runner.menu or self.runner.tool:
             self.keys_shown = False
@@ -199,9 +308,9 @@ class WorkbenchController:
     def refresh(self) -> None:
         """Render all regions and what lies over the picture."""
         with self.runner.lock:
-            if self.queue.opened is not None:
+            if self._shown is not None and self._shown is self.queue.opened:
                 with self.runner.status.reporting():
-                    self._refresh_picture(self.queue.opened)
+                    self._refresh_picture(self._shown)
                     self.current_tab.draw()
             self.on_render(self.regions())
 
@@ -255,7 +364,8 @@ class WorkbenchController:
         if self.keys_shown:
             return render("keys.html", groups=self.registry.groups(PLACES))
         if self.queue.opened is None:
-            return render("message.html", message=self.queue.item.error or "The image is not open.")
+            item, running = self.queue.item, self.runner.running
+            return render("not_open.html", item=item, busy=running is not None, actions=self.registry)
         try:
             return self.current_tab.html()
         except OpNavError as error:
@@ -269,4 +379,5 @@ class WorkbenchController:
             message=status.message,
             progress=None if step is None else step.progress,
             elapsed_s=None if step is None else time.monotonic() - step.started_s,
+            waiting=len(self.runner.line),
         )

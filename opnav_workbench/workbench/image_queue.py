@@ -4,8 +4,9 @@ A list is made of open sessions, of picture files, or of folders of saved sessio
 when it is shown.
 """
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,23 @@ from opnav_workbench.image.picture_files import picture_files, picture_names
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.storage import session_owner
+from opnav_workbench.workbench.status_line import plain_words
 
 __all__ = ["ImageQueue", "QueueItem"]
 
 # Sign and word of each status: neither color nor sign stands alone.
-PROGRESS_SIGNS = {"new": "○", "open": "◔", "stars": "◑", "pointed": "◕", "done": "●", "failed": "✕"}
+PROGRESS_SIGNS = {
+    "new": "○",
+    "opening": "◌",
+    "open": "◔",
+    "stars": "◑",
+    "pointed": "◕",
+    "done": "●",
+    "failed": "✕",
+}
 PROGRESS_WORDS = {
     "new": "not opened",
+    "opening": "being opened",
     "open": "opened",
     "stars": "stars found",
     "pointed": "pointing solved",
@@ -50,6 +61,10 @@ class QueueItem:
         Opens or resumes its session.
     folder
         Where its decisions are saved at once; None: nowhere.
+    error
+        Why it could not be opened, in plain words; it is not tried again by itself.
+    opening
+        Held while it is being opened: by the analyst's wish, or ahead.
     """
 
     name: str
@@ -57,12 +72,15 @@ class QueueItem:
     folder: Path | None = None
     session: ImageSession | None = None
     error: str = ""
+    opening: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     @property
     def status(self) -> str:
         """Where it stands; one of `PROGRESS_WORDS`."""
         if self.error:
             return "failed"
+        if self.session is None and self.opening.locked():
+            return "opening"
         return "new" if self.session is None else session_progress(self.session)
 
     @property
@@ -72,8 +90,8 @@ class QueueItem:
 
     @property
     def status_words(self) -> str:
-        """Where it stands, or why it cannot be opened."""
-        return self.error or PROGRESS_WORDS[self.status]
+        """Where it stands, in words."""
+        return PROGRESS_WORDS[self.status]
 
 
 class ImageQueue:
@@ -111,32 +129,43 @@ class ImageQueue:
         OpNavError
             The image cannot be opened; the list shows it.
         """
-        item = self.item
-        if item.session is None:
-            try:
-                session = item.open()
-                if item.folder is not None and session.folder is None:
-                    session.autosave(item.folder)
-            except OpNavError as error:
-                item.error = str(error)
-                raise
-            item.session, item.error = session, ""
-            self.opening(session)
-        return item.session
+        return self.open(self.item)
+
+    def open(self, item: QueueItem) -> ImageSession:
+        """Return an image's session, opened now if it was not; one thread opens it, others wait for that.
+
+        Raises
+        ------
+        Exception
+            The image cannot be opened; the list shows why.
+        """
+        with item.opening:
+            if item.session is None:
+                try:
+                    session = item.open()
+                    if item.folder is not None and session.folder is None:
+                        session.autosave(item.folder)
+                except Exception as error:
+                    item.error = plain_words(error)
+                    raise
+                self.opening(session)
+                item.session, item.error = session, ""
+            return item.session
+
+    def next_to_open(self) -> QueueItem | None:
+        """Return the neighbor of the image at hand that is to be opened ahead: the next one, then the one before."""
+        near = (self.index + 1, self.index - 1)
+        neighbors = [self.items[number] for number in near if 0 <= number < len(self.items)]
+        return next((item for item in neighbors if item.status == "new"), None)
 
     def go(self, index: int) -> None:
         """Take another image; beyond the ends it stays."""
         self.index = min(max(index, 0), len(self.items) - 1)
 
     def sessions(self) -> Iterator[ImageSession]:
-        """Open one image after the other; afterwards the same one is at hand as before."""
-        here = self.index
-        try:
-            for number in range(len(self.items)):
-                self.index = number
-                yield self.session
-        finally:
-            self.index = here
+        """Open one image after the other; the one at hand stays the same."""
+        for item in self.items:
+            yield self.open(item)
 
     def require(self, *needs: str) -> None:
         """Stop where a decision is still to be made in any of the images; see `ImageSession.require`.

@@ -11,7 +11,9 @@ never asks Python.
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from bokeh.models import ColumnDataSource
@@ -26,6 +28,7 @@ from opnav_workbench.workbench.bridge import Bridge
 from opnav_workbench.workbench.overlays import (
     LONGEST_VECTOR,
     body_marks,
+    expected_attitude,
     mask_runs,
     sky_grid,
     star_marks,
@@ -48,6 +51,28 @@ from opnav_workbench.workbench.view_models import (
 from opnav_workbench.workbench.viewer import Layer
 
 __all__ = ["ImageView", "difference_picture", "modeled_picture"]
+
+
+# ---- What showing a session costs beyond its overlays, done once, and ahead where there is time.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedPicture:
+    """A picture's pixels as they are sent, its limits by name (DN), and its masks as runs."""
+
+    pixels: np.ndarray
+    limits: dict[str, Any]
+    bad: Mapping[str, Any]
+    saturated: Mapping[str, Any]
+
+
+def prepared_picture(session: ImageSession) -> PreparedPicture:
+    """Return what is sent of a session's picture."""
+    frame = session.context.picture
+    usable = ~(frame.bad | frame.saturated)
+    return PreparedPicture(
+        _compact(frame.image_dn), limits_of(frame.image_dn, usable), mask_runs(frame.bad), mask_runs(frame.saturated)
+    )
 
 
 # ---- The pictures of a view: the image itself, and others to blink it against; each one's pixels are sent once.
@@ -84,8 +109,12 @@ class PictureSet:
         if image.shape != (n_line, n_pixel):
             raise OpNavError(f"picture {key!r} has shape {image.shape}; the image has {n_pixel} x {n_line}.")
         limits = self._entries[DATA_KEY]["limits"] if same_limits else limits_of(image, usable)
+        self.put_prepared(key, _compact(image), label, limits)
+
+    def put_prepared(self, key: str, pixels: np.ndarray, label: str, limits: dict[str, Any]) -> None:
+        """Add or replace a picture whose limits are known."""
         with self._bridge.batch():
-            column = {"dn": [_compact(image)]}
+            column = {"dn": [pixels]}
             if key in self._pixels:
                 self._pixels[key].data = column
             else:
@@ -202,6 +231,8 @@ class ImageView:
         self.models = PictureModels()
         self.models.use_theme(theme)
         self._vectors: Mapping[str, Any] = {}
+        self._own_scale = 0.0  # of residual vectors, as long as the analyst takes no other
+        self._prepared: WeakKeyDictionary[ImageSession, PreparedPicture] = WeakKeyDictionary()
         self._layers: dict[str, Layer] = {}
         self.bridge = Bridge(
             *self.models.roots, self.state, picture=self.picture, status=status, parts=("bokeh",)
@@ -212,7 +243,7 @@ class ImageView:
             for key in action.keys:
                 self.bridge.bind_key(key, page=action.name)
         if session is None:
-            self._blank()
+            self.blank("no image")
         else:
             self.show(session)
 
@@ -220,7 +251,7 @@ class ImageView:
         reactions: dict[str, Callable[[Any], object]] = {
             "image": self.images.make,
             "theme": self.models.use_theme,
-            "vector_scale": lambda scale: self._draw_vectors(),  # noqa: ARG005
+            "vector_scale": self._take_scale,
         }
         for name, react in reactions.items():
             self.state.on_change(name, self.bridge.guarded(_on_new_value(react)))
@@ -244,27 +275,47 @@ class ImageView:
 
     def show(self, session: ImageSession) -> None:
         """Show a session: its pixels, and everything that it knows."""
-        frame = session.context.picture
+        self.prepare(session)
+        ready = self._prepared[session]
         with self.bridge.batch():
             self.session = session
-            self.images.forget()
-            self._begin(frame.image_dn.shape)
-            self.set_image(DATA_KEY, frame.image_dn, label="image", usable=~(frame.bad | frame.saturated))
-            for key, mask in (("bad", frame.bad), ("saturated", frame.saturated)):
-                self.models.fill(key, mask_runs(mask))
+            self._begin_anew(session.context.picture.image_dn.shape)
+            self.images.put_prepared(DATA_KEY, ready.pixels, "image", ready.limits)
+            self.models.fill("bad", ready.bad)
+            self.models.fill("saturated", ready.saturated)
             self.provide("model", "model", lambda: modeled_picture(session), same_limits=True)
             self.provide("difference", "image − model", lambda: difference_picture(session))
-            self._layers.clear()
-            self.layer("", Layer())
-            self.circle(None)
-            self.focus(None)
-            self.state.vector_scale = 0.0  # chosen anew
             self.refresh()
             self.bridge.redraw()
 
-    def _blank(self) -> None:
-        self._begin((EMPTY_SIZE, EMPTY_SIZE))
-        self.set_image(DATA_KEY, np.zeros((EMPTY_SIZE, EMPTY_SIZE)), label="no image")
+    def prepare(self, session: ImageSession) -> None:
+        """Do ahead what showing a session costs; may be called in another thread."""
+        if session not in self._prepared:
+            self._prepared[session] = prepared_picture(session)
+
+    def blank(self, message: str = "") -> None:
+        """Show no picture but a message in its place."""
+        with self.bridge.batch():
+            self.session = None
+            self._begin_anew((EMPTY_SIZE, EMPTY_SIZE))
+            self.set_image(DATA_KEY, np.zeros((EMPTY_SIZE, EMPTY_SIZE)), label="no image")
+            for name, source in self.models.sources.items():
+                self.models.fill(name, {column: [] for column in source.data})
+            self.state.update(message=message, camera="null", bodies="[]", body="")
+            self.bridge.redraw()
+
+    def _begin_anew(self, shape: tuple[int, ...]) -> None:
+        """Forget the picture before, its tools' drawings, and how it alone was looked at."""
+        self.images.forget()
+        self._begin(shape)
+        self._layers.clear()
+        self.layer("", Layer())
+        self.circle(None)
+        self.focus(None)
+        manual = {"limits": DEFAULT_LIMITS} if self.state.limits == "manual" else {}
+        self.state.update(message="", contrast=1.0, bias=0.5, partner="", **manual)
+        self._vectors, self._own_scale = {}, 0.0
+        self.state.vector_scale = 0.0  # chosen anew
 
     def _begin(self, shape: tuple[int, ...]) -> None:
         n_line, n_pixel = shape
@@ -287,7 +338,7 @@ class ImageView:
         if session is None:
             return
         with self.bridge.batch():
-            camera, attitude = session.context.camera, session.camera_from_j2000
+            camera, attitude = session.context.camera, expected_attitude(session)
             self.state.camera = json.dumps(sky_readout(camera, attitude).as_page_values())
             stars = star_marks(session)
             for kind in ("predicted", "missing", "used", "rejected"):
@@ -306,11 +357,15 @@ class ImageView:
     def _draw_vectors(self) -> None:
         if not len(self._vectors) or self.session is None:
             return
-        if self.state.vector_scale <= 0.0:
-            self.state.vector_scale = _vector_scale(
-                self._vectors, self.session.context.picture.image_dn.shape
-            )
+        if self.state.vector_scale == self._own_scale:  # a round one that suits, until the analyst takes another
+            shape = self.session.context.picture.image_dn.shape
+            self._own_scale = _vector_scale(self._vectors, shape)
+            self.state.vector_scale = self._own_scale
         self.models.fill("vectors", vector_columns(dict(self._vectors), self.state.vector_scale))
+
+    def _take_scale(self, scale: float) -> None:
+        if scale != self._own_scale:
+            self._draw_vectors()
 
     def _draw_bodies(self, session: ImageSession) -> None:
         marks = body_marks(session)
@@ -318,6 +373,8 @@ class ImageView:
         self.models.fill("body", lines_columns([m.limb_px for m in marks]))
         self.models.fill("terminator", lines_columns([m.terminator_px for m in marks]))
         self.models.fill("pole", lines_columns([m.pole_px for m in marks]))
+        points = np.array([m.center_px for m in marks if not len(m.predicted_limb_px)]).reshape(-1, 2)
+        self.models.fill("body_point", {"pixel": points[:, 0], "line": points[:, 1]})
         places = [m.center_px for m in marks] + [m.pole_px[-1] for m in marks if len(m.pole_px)]
         names = [m.name for m in marks] + ["N" for m in marks if len(m.pole_px)]
         above = [-6.0 if number % 2 == 0 else 16.0 for number in range(len(names))]  # neighbours stay apart
@@ -377,6 +434,23 @@ class ImageView:
             self.models.fill("focus", ring_columns(place_px, radius_px))
             if place_px is not None:
                 self._bring_into_view(np.asarray(place_px, float))
+
+    def look(self, place_px: ArrayLike, span_px: float | None = None) -> None:
+        """Bring a place into the middle, with a span so many pixels across; where all is shown, nothing moves without one."""
+        if self.session is None:
+            return
+        n_line, n_pixel = self.session.context.picture.image_dn.shape
+        now = abs(self.models.x_range.end - self.models.x_range.start)
+        width = now if span_px is None else min(float(span_px), max(n_pixel, n_line))
+        if width >= max(n_pixel, n_line):
+            if span_px is not None:
+                self._look_at_all(n_pixel, n_line)
+            return
+        x, y = np.asarray(place_px, float)
+        height = width * abs((self.models.y_range.end - self.models.y_range.start) / now)
+        with self.bridge.batch():
+            self.models.x_range.update(start=x - 0.5 * width, end=x + 0.5 * width)
+            self.models.y_range.update(start=y + 0.5 * height, end=y - 0.5 * height)
 
     def _bring_into_view(self, place: FloatArray) -> None:
         for at, view in zip(place, (self.models.x_range, self.models.y_range), strict=True):

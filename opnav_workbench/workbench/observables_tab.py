@@ -54,6 +54,7 @@ class ObservablesTab(Tab):
         super().__init__(runner, registry)
         self.out = out
         self.exported: dict[str, tuple[str, ...]] = {}  # files written, by image
+        self.whole_journal = False
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
@@ -61,6 +62,7 @@ class ObservablesTab(Tab):
             "export": lambda _: self.export(),
             "note": lambda _: self._ask_note(),
             "note_text": self._note,
+            "older_entries": lambda _: self._toggle_older(),
         }
 
     def export(self) -> None:
@@ -75,6 +77,9 @@ class ObservablesTab(Tab):
             self.exported[name] = tuple(export_session(session, folder))
 
         self.runner.run("exporting", work, lambda: f"{len(self.exported[name])} files written into {folder}.")
+
+    def _toggle_older(self) -> None:
+        self.whole_journal = not self.whole_journal
 
     def _ask_note(self) -> None:
         self.runner.menu = "" if self.runner.menu == NOTE_MENU else NOTE_MENU
@@ -96,8 +101,9 @@ class ObservablesTab(Tab):
             rows=[observable_row(observable) for observable in session.current_observables],
             messages=session.state.messages,
             notes=session.state.user_notes,
-            journal=list(reversed(session.journal[-LISTED_ENTRIES:])),
+            journal=list(reversed(session.journal[0 if self.whole_journal else -LISTED_ENTRIES :])),
             n_earlier=len(session.journal) - LISTED_ENTRIES,
+            whole_journal=self.whole_journal,
         )
 
 

@@ -18,9 +18,19 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import apparent_direction, radec_from_unit, terminator_points, unit_from_radec
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.targets import TargetState
 
-__all__ = ["Columns", "body_marks", "mask_runs", "predicted_body", "sky_grid", "star_marks", "vector_columns"]
+__all__ = [
+    "Columns",
+    "body_marks",
+    "expected_attitude",
+    "mask_runs",
+    "predicted_body",
+    "sky_grid",
+    "star_marks",
+    "vector_columns",
+]
 
 
 # ---- Stars over the picture: predicted, used, rejected, missing; and residual vectors.
@@ -43,8 +53,13 @@ class StarMarks:
     vectors: Columns  # pixel, line, d_pixel, d_line: observed minus predicted, of those in use
 
 
+def expected_attitude(session: ImageSession) -> FloatArray:
+    """Return the attitude (3, 3) with which things are expected: solved, else that of the field found, else a priori."""
+    return best_attitude(session.inputs, session.state, with_identified=True)
+
+
 def star_marks(session: ImageSession) -> StarMarks:
-    """Return the stars' marks with the best known pointing."""
+    """Return the stars' marks where they are expected; none is missing before any was looked for."""
     stars, state = session.state.a_priori, session.state
     if stars is None:
         empty = _place_columns(np.empty((0, 2)))
@@ -52,14 +67,14 @@ def star_marks(session: ImageSession) -> StarMarks:
         none = empty | {"d_pixel": np.empty(0), "d_line": np.empty(0)}
         return StarMarks(empty, empty | {"text": []}, empty, nothing, nothing, none)
     camera = session.context.camera
-    places = stars.places(camera, session.camera_from_j2000)
+    places = stars.places(camera, expected_attitude(session))
     on = camera.on_detector(places)
     status = np.array([s.status for s in state.status]) if state.status else np.full(len(stars), "")
     observed = np.full_like(places, np.nan) if state.centers is None else state.centers.pixel_line
     fitted = np.isfinite(observed).all(axis=1)
     used = fitted & (status == "used")
     rejected = fitted & np.isin(status, ("rejected", "saturated", "blended"))
-    missing = on & (status == "not_detected")
+    missing = on & (status == "not_detected") & (state.centers is not None)
     residual = observed[used] - places[used]
     return StarMarks(
         predicted=_place_columns(places[on]),
@@ -188,11 +203,11 @@ def predicted_body(session: ImageSession, target: TargetState) -> BodyPrediction
 
 
 def body_marks(session: ImageSession) -> list[BodyMarks]:
-    """Return the marks of every target in sight of the camera, the largest first."""
+    """Return the marks of every target in sight of the camera where it is expected, the largest first."""
     measured = {b.name: b.pixel_line for b in session.state.bodies if b.pixel_line is not None}
-    marks = []
+    attitude, marks = expected_attitude(session), []
     for name, target in session.inputs.targets.items():
-        seen = predicted_body(session, target)
+        seen = predict_body(target, session.inputs.observer, session.context.camera, attitude)
         if np.isfinite(seen.pixel_line).all():
             marks.append(_marks_of_body(session, target, seen, measured.get(name)))
     return sorted(marks, key=lambda mark: -mark.radius_px)
@@ -204,7 +219,7 @@ def _marks_of_body(
     moved = np.zeros(2) if observed is None else observed - seen.pixel_line
     radius = 0.5 * seen.diameter_px if np.isfinite(seen.diameter_px) else 0.0
     drawn = seen.limb_px if 2.0 * radius >= MIN_DRAWN_PX else np.empty((0, 2))
-    closed = np.vstack([drawn, drawn[:1]])
+    closed = np.vstack([drawn, drawn[:1]])  # of a dot: nothing
     lines = [
         closed,
         *(_terminator_and_pole(session, target) if len(drawn) else (np.empty((0, 2)), np.empty((0, 2)))),
@@ -240,7 +255,7 @@ def _projected(session: ImageSession, directions: FloatArray) -> FloatArray:
     if len(directions) == 0:
         return np.empty((0, 2))
     apparent = apparent_direction(directions, session.inputs.observer.velocity_km_s)
-    return session.context.camera.project(apparent @ session.camera_from_j2000.T)
+    return session.context.camera.project(apparent @ expected_attitude(session).T)
 
 
 # ---- Lines of right ascension and declination over the picture, with labels.

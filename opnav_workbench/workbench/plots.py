@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.report.drawing import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.overlays import expected_attitude
 
 __all__ = [
     "ResidualPlots",
@@ -186,8 +187,8 @@ class StarResiduals:
     before_px, after_px : (n, 2) array
         Observed minus predicted, with the a priori and with the present pointing.
     sigma_px : (n, 2) array
-    solved
-        Whether a pointing stands, so that ``after_px`` means something.
+    reference
+        What ``after_px`` is relative to: ``after repointing`` or ``from the field found``; empty: nothing but the a priori.
     size_px : (int, int)
         Pixels and lines of the picture.
     """
@@ -198,7 +199,7 @@ class StarResiduals:
     before_px: FloatArray
     after_px: FloatArray
     sigma_px: FloatArray
-    solved: bool
+    reference: str
     size_px: tuple[int, int]
 
     def __post_init__(self) -> None:
@@ -212,9 +213,9 @@ def star_residuals(session: ImageSession) -> StarResiduals:
     size_px = (context.camera.n_pixel, context.camera.n_line)
     if stars is None or centers is None:
         none = np.empty((0, 2))
-        return StarResiduals((), np.empty(0), none, none, none, none, False, size_px)
+        return StarResiduals((), np.empty(0), none, none, none, none, "", size_px)
     shown: BoolArray = np.asarray(state.mask("used")) & np.isfinite(centers.pixel_line).all(axis=1)
-    place = stars.places(context.camera, session.camera_from_j2000)
+    place = stars.places(context.camera, expected_attitude(session))
     before = stars.places(context.camera, session.inputs.a_priori_camera_from_j2000)
     return StarResiduals(
         ids=tuple(stars.id[shown].tolist()),
@@ -223,14 +224,20 @@ def star_residuals(session: ImageSession) -> StarResiduals:
         before_px=(centers.pixel_line - before)[shown],
         after_px=(centers.pixel_line - place)[shown],
         sigma_px=centers.sigma_px[shown],
-        solved=state.pointing is not None,
+        reference=_reference(session),
         size_px=size_px,
     )
 
 
+def _reference(session: ImageSession) -> str:
+    if session.state.pointing is not None:
+        return "after repointing"
+    return "" if session.state.star_field is None else "from the field found"
+
+
 @dataclass(frozen=True, slots=True)
 class ResidualPlots:
-    """Residual against magnitude; `after` is None before the pointing is solved."""
+    """Residual against magnitude, from the a priori places and from those now expected; None where these are the same."""
 
     before: SvgPlot
     after: SvgPlot | None
@@ -246,8 +253,8 @@ def residual_plots(rows: StarResiduals, size: tuple[int, int]) -> ResidualPlots 
     """
     if not rows.ids:
         return None
-    before = _against_magnitude(rows, rows.before_px, "before repointing", size)
-    after = _against_magnitude(rows, rows.after_px, "after repointing", size) if rows.solved else None
+    before = _against_magnitude(rows, rows.before_px, "from the a priori places", size)
+    after = _against_magnitude(rows, rows.after_px, rows.reference, size) if rows.reference else None
     return ResidualPlots(before, after)
 
 

@@ -4,6 +4,7 @@ Data, model and residual of one star are shown large, of the others small. Searc
 bright star, this star, the camera's Gaussian) are changed on the spot and all stars fitted again.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,8 @@ class StarCard:
     box: StarBox
     decision: str = ""  # "accepted", "rejected", or none yet
     reason: str = ""
+    short: str = ""  # the name, without what all of them begin with where it is long
+    expected: str = ""  # what the expected place rests on; empty: nothing was looked for yet
 
     @property
     def id(self) -> str:
@@ -79,6 +82,8 @@ class StarCard:
     @property
     def state(self) -> str:
         """Its status in words."""
+        if not self.expected and not self.box.method:
+            return "not searched yet"
         return STATUS_WORDS.get(self.box.status, self.box.status)
 
     @property
@@ -98,7 +103,7 @@ class StarCard:
         lines, box = [f"{self.mag:.1f} mag", self.snr], self.box
         if box.observed_px is not None:
             off = box.observed_px - box.predicted_px
-            lines += [f"{off[0]:+.2f} px", f"{off[1]:+.2f} lines"]
+            lines += [f"{off[0]:+.2f} px", f"{off[1]:+.2f} lines", f"from {self.expected}"]
         return [*lines, self.state]
 
     @property
@@ -194,9 +199,37 @@ MIN_RING_PX = 6.0  # the ring about the star under decision stays clear of the s
 BOXES_PER_PAGE = 24  # boxes on a page: what is seen at once, and quick to send
 
 
-def star_cards(boxes: tuple[StarBox, ...], decisions: dict[str, tuple[str, str]]) -> tuple[StarCard, ...]:
-    """Return the boxes with what the analyst decided on each."""
-    return tuple(StarCard(box, *decisions.get(box.id, ("", ""))) for box in boxes)
+NAME_LETTERS = 15  # that a small card has room for
+
+
+def star_cards(
+    boxes: Sequence[StarBox], decisions: Mapping[str, tuple[str, str]], expected: str
+) -> tuple[StarCard, ...]:
+    """Return the boxes with what the analyst decided on each; `expected`: what the expected places rest on."""
+    return tuple(
+        StarCard(box, *decisions.get(box.id, ("", "")), short=short_name(box.id), expected=expected) for box in boxes
+    )
+
+
+def short_name(name: str, letters: int = NAME_LETTERS) -> str:
+    """Return the end of a long name: catalog numbers differ there.
+
+    Examples
+    --------
+    >>> short_name("TYC 1234-567-1"), short_name("UCAC4 452-048216.7")
+    ('TYC 1234-567-1', '…4 452-048216.7')
+    """
+    return name if len(name) <= letters else "…" + name[1 - letters :]
+
+
+def expected_from(session: ImageSession) -> str:
+    """Return what the expected places of stars rest on, in words; empty before any was looked for."""
+    state = session.state
+    if state.centers is None:
+        return ""
+    if state.pointing is not None:
+        return "the solution"
+    return "the a priori" if state.star_field is None else "the field found"
 
 
 @dataclass(slots=True)
@@ -267,6 +300,13 @@ class StarsTab(Tab):
         place = box.predicted_px if box.observed_px is None else box.observed_px
         self.runner.viewer.focus(place, max(self.radius_px, MIN_RING_PX))
 
+    def look(self) -> None:
+        """Bring the star under decision into the middle."""
+        box = self.focused
+        if box is not None:
+            place = box.predicted_px if box.observed_px is None else box.observed_px
+            self.runner.viewer.look(place)
+
     def html(self) -> str:
         """Return the page: the star under decision large, the others as a grid, the pointing live."""
         session, focused = self.runner.session, self.focused
@@ -277,7 +317,7 @@ class StarsTab(Tab):
         return render("stars.html", page=self._page(session, focused.id), actions=self.registry)
 
     def _page(self, session: ImageSession, focus: str) -> StarPage:
-        cards = star_cards(self.boxes, dict(session.state.decisions))
+        cards = star_cards(self.boxes, session.state.decisions, expected_from(session))
         place = self.ids.index(focus)
         first = place // BOXES_PER_PAGE * BOXES_PER_PAGE
         return StarPage(

@@ -1,12 +1,14 @@
 """What every tab of the workbench has: its page and actions, and the runner that all tabs share.
 
 The runner holds the session at hand, the picture, the status line and the tool in use, and runs steps: a quick one at
-once, a longer one in a thread, with progress and a way to cancel that records nothing. A decision on stars is followed by
-a repointing where a pointing stands; undo takes both back.
+once, a longer one in a thread, with progress and a way to cancel that records nothing; what the analyst asks for meanwhile
+waits in line. A decision on stars is followed by a repointing where a pointing stands, a center by its observables; undo
+takes both back.
 """
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -24,6 +26,7 @@ from opnav_workbench.workbench.viewer import Viewer
 
 __all__ = [
     "ARROW_STEPS",
+    "FOLLOWS_CENTER",
     "Handler",
     "PageEvent",
     "StarSearch",
@@ -124,8 +127,10 @@ def typed_number(typed: str) -> float | None:
 
 AT_ONCE_S = 0.15  # a step that takes less is simply done; a longer one shows progress and can be cancelled
 TICK_S = 1.0
-# Reason of a repointing that follows a decision on stars by itself; undo takes both back.
-FOLLOWS_DECISION = "follows the stars"
+# Reasons of steps that follow another by themselves: a repointing after a decision on stars, observables after a center.
+# Undo takes both back, redo takes both again.
+FOLLOWS_DECISION, FOLLOWS_CENTER = "follows the stars", "follows the center"
+FOLLOWING = (FOLLOWS_DECISION, FOLLOWS_CENTER)
 
 
 class StepCancelledError(SessionError):
@@ -134,7 +139,7 @@ class StepCancelledError(SessionError):
 
 @dataclass(slots=True)
 class RunningStep:
-    """Work under way in a thread of its own."""
+    """Work under way in a thread of its own; one that is `leavable` goes on for itself when the analyst goes elsewhere."""
 
     label: str
     message: str | Callable[[], str] = ""
@@ -143,6 +148,8 @@ class RunningStep:
     finished: threading.Event = field(default_factory=threading.Event)
     concluding: threading.Lock = field(default_factory=threading.Lock)
     background: bool = False  # nobody waits for it any more: its own thread reports
+    leavable: bool = False
+    then: Callable[[BaseException | None], None] | None = None  # says what became of it
     cancelled: bool = False
     error: BaseException | None = None
 
@@ -162,6 +169,8 @@ class StepRunner:
     model : str
         Of the pointing.
     running : RunningStep or None
+    line : deque of callable
+        What the analyst asked for while a step was running, in order.
     repaint : callable
         Set by the workbench.
     repainting : int
@@ -178,6 +187,7 @@ class StepRunner:
         self.model = "euler"
         self.lock = threading.RLock()
         self.running: RunningStep | None = None
+        self.line: deque[Callable[[], None]] = deque()
         self.repaint: Callable[[], None] = lambda: None
         self.repainting = 0
         self._thread = threading.local()  # the step that the present thread works for
@@ -189,15 +199,32 @@ class StepRunner:
 
     # -- running -----------------------------------------------------------------------------------------------
 
-    def run(self, label: str, work: Callable[[], object], done: str | Callable[[], str] = "") -> None:
+    def run(
+        self,
+        label: str,
+        work: Callable[[], object],
+        done: str | Callable[[], str] = "",
+        *,
+        then: Callable[[BaseException | None], None] | None = None,
+        leavable: bool = False,
+    ) -> None:
         """Run a step: at once if it is quick, else on with progress while the page stays alive.
 
         What goes wrong appears in the status line; nothing is raised.
+
+        Parameters
+        ----------
+        done
+            What to say when it went well; a function is called then.
+        then
+            Called at the end whether it went well or not, and says itself what became of it.
+        leavable
+            It goes on for itself when the analyst goes elsewhere: the opening of an image.
         """
         if self.running is not None:
             self.status.say(f"still {self.running.label}; Esc cancels it.", "busy")
             return
-        step = self.running = RunningStep(label, done)
+        step = self.running = RunningStep(label, done, then=then, leavable=leavable)
         threading.Thread(target=self._work, args=(step, work), daemon=True).start()
         step.finished.wait(AT_ONCE_S)
         with step.concluding:
@@ -222,17 +249,42 @@ class StepRunner:
         if step.background:
             with self.lock, self.painting():
                 self._conclude(step)
+                self._serve_line()
 
     def _conclude(self, step: RunningStep) -> None:
         if self.running is not step:
             return  # cancelled meanwhile
         self.running = None
-        if step.error is not None:
+        if step.then is not None:
+            with self.status.reporting():
+                step.then(step.error)
+        elif step.error is not None:
+            dropped, _ = len(self.line), self.line.clear()
             self.status.fail(step.error)
-            return
-        with self.status.reporting():
-            message = step.message() if callable(step.message) else step.message
-            self.status.say(message or f"{step.label}: done.", "done")
+            if dropped:
+                self.status.say(f"{self.status.message} What waited ({dropped}) was dropped.", "error")
+        else:
+            with self.status.reporting():
+                message = step.message() if callable(step.message) else step.message
+                self.status.say(message or f"{step.label}: done.", "done")
+
+    def wait_in_line(self, task: Callable[[], None]) -> None:
+        """Have `task` carried out when the running step, and what waits already, is through."""
+        self.line.append(task)
+        if self.running is not None:
+            self.status.say(f"{self.running.label} ...", "busy")
+
+    def _serve_line(self) -> None:
+        while self.line and self.running is None:
+            with self.status.reporting():
+                self.line.popleft()()
+
+    def leave(self) -> bool:
+        """Let a step that may be left go on for itself; False where another one is running."""
+        if self.running is not None and not self.running.leavable:
+            return False
+        self.running = None
+        return True
 
     def _tick(self, step: RunningStep) -> None:
         while not step.finished.wait(TICK_S) and self.running is step:
@@ -241,7 +293,7 @@ class StepRunner:
     def wait(self, timeout_s: float = 60.0) -> None:
         """Wait until nothing runs: for scripts and tests, which have no page to keep alive."""
         deadline = time.monotonic() + timeout_s
-        while self.running is not None and time.monotonic() < deadline:
+        while (self.running is not None or self.line) and time.monotonic() < deadline:
             time.sleep(0.005)
         with self.lock:
             return  # what was concluded is told, too
@@ -283,24 +335,24 @@ class StepRunner:
                 return False
             step.cancelled = True
             self.running = None
+            self.line.clear()
             self.status.say(f"{step.label} cancelled; nothing was changed.", "info")
         return True
 
     # -- undo --------------------------------------------------------------------------------------------------
 
     def undo(self) -> JournalEntry:
-        """Take back the last step and return it; a repointing that followed a star decision goes with it."""
+        """Take back the last step and return it; what followed it by itself goes with it."""
         taken = self.session.undo()
-        if taken.reason == FOLLOWS_DECISION:
+        while taken.reason in FOLLOWING:
             taken = self.session.undo()
         self.status.say(f"undone: {entry_words(taken)}", "done")
         return taken
 
     def redo(self) -> None:
-        """Do again what was undone, with the repointing that followed it."""
+        """Do again what was undone, with what followed it."""
         entry = self.session.redo()
-        undone = self.session.undone
-        if undone and undone[0].reason == FOLLOWS_DECISION:
+        while (undone := self.session.undone) and undone[0].reason in FOLLOWING:
             self.session.redo()
         self.status.say(f"done again: {entry_words(entry)}", "done")
 
@@ -414,6 +466,9 @@ class Tab:
 
     def draw(self) -> None:
         """Draw over the picture what belongs to this tab."""
+
+    def look(self) -> None:
+        """Bring into view what this tab is about."""
 
     def tapped(self, pixel: float, line: float) -> None:
         """Take a click in the picture."""

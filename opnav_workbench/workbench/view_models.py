@@ -69,6 +69,7 @@ _STANDARD: dict[str, MarkStyle] = {
     "residual": MarkStyle("#009E73", "arrow"),
     "body": MarkStyle("#CC79A7", "line"),
     "body_predicted": MarkStyle("#F0E442", "line", "dashed"),
+    "body_point": MarkStyle("#CC79A7", "diamond"),
     "terminator": MarkStyle("#E69F00", "line", "dotdash"),
     "pole": MarkStyle("#56B4E9", "line", "dotted"),
     "bad": MarkStyle("#56B4E9", "hatch"),
@@ -130,6 +131,7 @@ class ViewState(DataModel):
     )
     body = String("", help="The body that the readout measures from.")
     setup = String("{}", help="Size, colour maps, legend: what the page must know once a picture.")
+    message = String("", help="Shown instead of a picture; the controls are away then.")
     images = String("{}", help="Label and limits of each picture, by key.")
     camera = String("null", help="SkyReadout.as_page_values().")
     bodies = String("[]", help="Name, place and radius of each body.")
@@ -227,6 +229,9 @@ def ring_columns(place_px: ArrayLike | None, radius_px: float) -> Columns:
 # ---- The bokeh models of a view: picture, magnifier and panner, and the glyphs of every overlay.
 
 STAR_SIZES = {"predicted": 15, "used": 10, "rejected": 11, "missing": 13}  # screen px
+BODY_POINT_SIZE = 20  # screen px, of a body too small for its limb to be drawn
+MARK_PX, HALO_PX = 1.6, 2.0  # screen px: lines of marks, and what their dark edge has more
+HALO: dict[str, Any] = {"line_color": "#000000", "line_alpha": 0.55}
 LABEL_BACKGROUND = "#101418"  # under labels, so that they stay readable over bright bodies
 NO_PICTURE = np.zeros((1, 1), np.uint32)
 
@@ -261,6 +266,7 @@ class PictureModels:
             _add_image(plot, f"opnav-{name}")
         self.sources: dict[str, Any] = {}
         self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
+        self._halos: dict[str, list[Any]] = {}  # a dark edge below each, so that no mark is lost on a bright ground
         cursor = ColumnDataSource({"pixel": [0.0], "line": [0.0]}, name="opnav-cursor")
         self.magnifier.rect(
             "pixel", "line", 1, 1, source=cursor, fill_color=None, line_color="#E69F00", line_width=1.5
@@ -284,6 +290,11 @@ class PictureModels:
 
     def use_theme(self, name: str) -> None:
         """Give every mark the style that a theme has for it."""
+        for kind, glyphs in self._halos.items():
+            for glyph in glyphs:
+                glyph.line_dash = THEMES[name][kind].dash
+                if hasattr(glyph, "marker"):
+                    glyph.marker = THEMES[name][kind].shape
         for kind, glyphs in self._glyphs.items():
             style = THEMES[name][kind]
             for glyph in glyphs:
@@ -316,12 +327,15 @@ class PictureModels:
             ("pole", "bodies", 1.5),
         ):
             source = self.sources[kind] = _source("pixel", "line")
-            self._glyphs[kind] = [
-                plot.multi_line(
-                    "pixel", "line", source=source, name=f"overlay:{group}", line_width=width
-                ).glyph
-                for plot in self._plots(group)
+            both = [
+                [
+                    plot.multi_line("pixel", "line", source=source, name=f"overlay:{group}", **look).glyph
+                    for plot in self._plots(group)
+                ]
+                for look in ({**HALO, "line_width": width + HALO_PX}, {"line_width": width})
             ]
+            self._halos[kind], self._glyphs[kind] = both
+        self._add_points("body_point", "bodies", BODY_POINT_SIZE)
         self._add_text("grid_labels", "grid", "grid")
         self._add_text("body_labels", "bodies", "body")
 
@@ -339,16 +353,22 @@ class PictureModels:
         self.picture.add_layout(arrow)
         self._glyphs["residual"] = [arrow]
         for kind, size in STAR_SIZES.items():
-            group = next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds)
-            source = self.sources[kind] = _source("pixel", "line")
-            self._glyphs[kind] = [
+            self._add_points(kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size)
+        self._add_text("star_labels", "magnitudes", "predicted")
+
+    def _add_points(self, kind: str, group: str, size: int) -> None:
+        source = self.sources[kind] = _source("pixel", "line")
+        both = [
+            [
                 plot.scatter(
                     "pixel", "line", source=source, name=f"overlay:{group}", size=size,
-                    fill_color=None, line_width=1.6, marker=THEMES[DEFAULT_THEME][kind].shape,
+                    fill_color=None, marker=THEMES[DEFAULT_THEME][kind].shape, **look,
                 ).glyph
                 for plot in (self.picture, self.magnifier)
-            ]  # fmt: skip
-        self._add_text("star_labels", "magnitudes", "predicted")
+            ]
+            for look in ({**HALO, "line_width": MARK_PX + HALO_PX}, {"line_width": MARK_PX})
+        ]  # fmt: skip
+        self._halos[kind], self._glyphs[kind] = both
 
     def _add_text(self, name: str, group: str, kind: str) -> None:
         source = self.sources[name] = _source("pixel", "line", "text", "x_offset", "y_offset", "side")

@@ -49,6 +49,15 @@ class Viewer(Protocol):
     def show(self, session: ImageSession) -> None:
         """Show another session's picture."""
 
+    def prepare(self, session: ImageSession) -> None:
+        """Do ahead what showing a session costs; may be called in another thread."""
+
+    def blank(self, message: str) -> None:
+        """Show no picture but a message in its place."""
+
+    def look(self, place_px: FloatArray, span_px: float | None = None) -> None:
+        """Bring a place into the middle; with a span, so many pixels across."""
+
     def refresh(self) -> None:
         """Bring the overlays to the session's present state."""
 

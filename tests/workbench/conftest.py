@@ -26,9 +26,21 @@ class FakeViewer:
         self.focused: Any = None
         self.dragging = False
         self.refreshed = 0
+        self.message = ""
+        self.looked_at: Any = None
+
+    def prepare(self, session: ImageSession) -> None:
+        pass
+
+    def blank(self, message: str) -> None:
+        self.message = message
+
+    def look(self, place_px: Any, span_px: float | None = None) -> None:
+        self.looked_at = (*place_px, span_px)
 
     def show(self, session: ImageSession) -> None:
         self.shown.append(session)
+        self.message = ""
 
     def refresh(self) -> None:
         self.refreshed += 1
@@ -113,7 +125,9 @@ def hands_on(kernels: None) -> Callable[..., Hands]:
     def opened(*pictures: Path, out: Path | None = None) -> Hands:
         sessions = [ImageSession.open(picture, "new_horizons") for picture in pictures]
         viewer = FakeViewer()
-        return Hands(WorkbenchController(ImageQueue.of_sessions(sessions, out), viewer), viewer)
+        hands = Hands(WorkbenchController(ImageQueue.of_sessions(sessions, out), viewer), viewer)
+        hands.controller.runner.wait()
+        return hands
 
     return opened
 

@@ -40,7 +40,7 @@ def test_a_star_of_any_name_cannot_break_the_plots():
     shown += _macro("plots.html", "vector_plot")(vector_plot(rows, 400))
     assert "<script" not in shown
     assert shown.count("&lt;script&gt;") == 5  # a point for pixel and line, before and after; and a vector
-    moved = replace(rows, solved=False)
+    moved = replace(rows, reference="")
     assert "not repointed yet" in _macro("plots.html", "residual_plots")(residual_plots(moved, (200, 100)))
 
 
