@@ -40,6 +40,7 @@ __all__ = ["LabParameters", "lab", "put_notebook"]
 # ---- The workbench's notebook in the analyst's folder, with its parameters set.
 
 NOTEBOOK = "workbench.ipynb"
+OWN_MARK = "opnav_lab"  # static/bench.js of the extension runs a notebook that has it, and shows the workbench alone
 PARAMETERS_TAG, SET_TAG = "parameters", "injected-parameters"  # papermill's words
 
 
@@ -109,6 +110,7 @@ def put_notebook(folder: Path, parameters: LabParameters) -> Path:
     try:
         notebook: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
         _set_parameters(notebook["cells"], parameters)
+        notebook["metadata"][OWN_MARK] = True
     except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
         raise SessionError(
             f"{source} cannot be read, or has no cell tagged {PARAMETERS_TAG!r}; move it away, and it is made anew."
@@ -157,7 +159,7 @@ def lab(
     browser: Annotated[bool, typer.Option(help="Open a browser window.")] = True,
     port: Annotated[int, typer.Option(help="Port of JupyterLab; 0 takes a free one.")] = 0,
 ) -> None:
-    """Start JupyterLab with the workbench open on pictures; Ctrl-C stops it.
+    """Open the workbench on pictures, alone in a browser window, in a JupyterLab of its own; Ctrl-C stops it.
 
     [bold]Examples[/]
 
@@ -231,7 +233,7 @@ def _demo_pictures(folder: Path, given: Mapping[str, Any], console: Console) -> 
 def _serve(notebook: Path, console: Console, *, browser: bool, port: int) -> None:
     with LabServer(notebook, port) as server:
         console.print(f"JupyterLab is at {server.url}", style="bold")
-        console.print("Run > Run All Cells shows the workbench. Ctrl-C stops JupyterLab; decisions are kept.")
+        console.print("The workbench opens there by itself. Ctrl-C stops JupyterLab; decisions are kept.")
         if browser and not webbrowser.open(server.browser_page()):
             console.print("No browser could be opened; open the address above yourself.")
         server.wait()

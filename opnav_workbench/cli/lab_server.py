@@ -30,11 +30,13 @@ REDIRECTION = (
     '<a href="{0}">Open the workbench</a>\n'
 )
 WORKSPACE = "workbench"
+EXTENSION = Path(__file__).parent / "labextension"  # shows the workbench alone; see its bench.js
 HIGHEST_PORT = 65_535
 OVERRIDES = {
     # Callbacks of the view then never run beside a cell's code: SPICE serves one thread only.
     "@jupyterlab/apputils-extension:kernels-settings": {"commsOverSubshells": "disabled"},
     "@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": False},
+    "@jupyterlab/notebook-extension:tracker": {"windowingMode": "none"},  # no cell is taken out of the page
 }
 # The side bars begin closed, so that the workbench has the whole width; JupyterLab keeps what the analyst then changes.
 LAYOUT = {
@@ -138,6 +140,7 @@ class LabServer:
             "--ServerApp.port_retries=0",
             f"--ServerApp.root_dir={self.folder}",
             "--LabApp.extension_manager=readonly",
+            f"--LabApp.extra_labextensions_path={EXTENSION}",
         ]
         is_root = hasattr(os, "geteuid") and os.geteuid() == 0  # a container; Jupyter refuses unless told
         return [*options, *(["--allow-root"] if is_root else []), *self._more_options]

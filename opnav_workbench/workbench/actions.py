@@ -19,6 +19,7 @@ __all__ = [
     "PLACE_STAR",
     "REASON_MENU",
     "REJECT_REASONS",
+    "ROOM",
     "TABS",
     "TWO_STARS",
     "VIEW_ACTIONS",
@@ -178,6 +179,10 @@ def _everywhere() -> Iterator[Action]:
     yield Action("export", ("e",), "Export", "Write result, observables, decisions, session and figure.")
     yield Action("note", ("z",), "Note", "Write a note on this image into its journal.")
     yield Action("keys", ("?",), "Keys", "Show or hide this list.")
+    yield Action("full", ("F",), "▣", "Give the picture the whole window, or share the window again.")
+    yield Action("fold_panel", ("\\",), "◨", "Fold the panel on the right away, or bring it back.")
+    yield Action("fold_list", ("|",), "☰", "Fold the list of images away, or bring it back.")
+    yield Action("window", ("W",), "Notebook", "Fill the browser's window, or stand in the notebook.")
     yield Action("escape", ("Escape",), "Cancel", "Close a menu, leave a tool, or cancel what is running.")
 
 
@@ -254,6 +259,8 @@ def _tools() -> Iterator[Action]:
 WORKBENCH_ACTIONS = (*_everywhere(), *_stars(), *_pointing(), *_bodies(), *_tools())
 
 
+# What happens in the page alone: the room that its parts have.
+ROOM = ("full", "fold_panel", "fold_list", "window")
 # What only looks around, and so is done at once while a step is running; everything else waits in line.
 LOOKING = frozenset(
     {
@@ -275,7 +282,7 @@ VIEW_ACTIONS = (
     Action("colormap", ("c",), "Colors", "Take the next colour map.", PICTURE),
     Action("invert", ("C",), "Invert", "Turn the colour map around.", PICTURE),
     Action("blink", ("b",), "Blink", "Show the other picture: model, difference or another image.", PICTURE),
-    Action("blink_on", ("B",), "Blink on", "Blink by itself, or stop.", PICTURE),
+    Action("blink_on", ("B",), "Auto-blink", "Blink by itself, or stop.", PICTURE),
     Action("home", ("h",), "Whole", "Show the whole picture.", PICTURE),
     Action("zoom_in", ("+", "="), "Zoom in", "Zoom in about the cursor.", PICTURE),
     Action("zoom_out", ("-",), "Zoom out", "Zoom out about the cursor.", PICTURE),
@@ -289,7 +296,7 @@ VIEW_ACTIONS = (
         "longer",
         ("V",),
         "Longer",
-        "Draw residual vectors longer; beyond the longest begin short again.",
+        "Draw residual vectors ten times as long; beyond the longest begin short again.",
         PICTURE,
     ),
     Action("magnitudes", ("l",), "Magnitudes", "Show or hide the stars' magnitudes.", PICTURE),

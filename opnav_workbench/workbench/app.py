@@ -4,7 +4,11 @@ The page is five widgets: header, list of images, picture, panel of the tab, sta
 Python and reports what the person does (static/region.js); all deciding is done by `WorkbenchController`.
 """
 
+import threading
+import time
+import weakref
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +19,7 @@ import traitlets
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.actions import ROOM
 from opnav_workbench.workbench.controller import REGIONS, WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue
 from opnav_workbench.workbench.image_view import ImageView
@@ -40,6 +45,8 @@ class Region(anywidget.AnyWidget):
     keymap, picture_keys : list of str
         Keys that the whole workbench handles, set on one of its regions; and those of them that the picture handles by
         itself while it has the focus.
+    page_keys : dict
+        Keys of what happens in the page alone, and its names.
     """
 
     _esm = page_files("keys.js", "region.js")
@@ -48,6 +55,7 @@ class Region(anywidget.AnyWidget):
     html = traitlets.Unicode("").tag(sync=True)
     keymap = traitlets.List(traitlets.Unicode()).tag(sync=True)
     picture_keys = traitlets.List(traitlets.Unicode()).tag(sync=True)
+    page_keys = traitlets.Dict().tag(sync=True)
 
     def __init__(self, name: str, on_message: Callable[[Mapping[str, Any]], None]) -> None:
         super().__init__(name=name)
@@ -96,6 +104,8 @@ class Workbench:
         self.view = ImageView(None, status=status)
         self.controller = WorkbenchController(queue, self.view, out, status, ahead=True)
         self.regions = {name: Region(name, self.controller.handle) for name in REGIONS}
+        registry = self.controller.registry
+        self.regions["header"].page_keys = {key: name for name in ROOM for key in registry[name].keys}
         self.regions["header"].picture_keys = [key for action in self.view.actions for key in action.keys]
         self.regions["header"].keymap = self.controller.registry.keys
         self.controller.on_render = self._paint
@@ -107,6 +117,7 @@ class Workbench:
             self.view.picture,
         )
         self.controller.refresh()
+        threading.Thread(target=_beat, args=(weakref.ref(self.regions["status"]),), daemon=True).start()
 
     @property
     def session(self) -> ImageSession:
@@ -119,6 +130,18 @@ class Workbench:
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
         return self.box._repr_mimebundle_(**options)
+
+
+BEAT_S = 2.0
+
+
+def _beat(status: "weakref.ref[Region]") -> None:
+    """Tell the pages that the kernel lives, whatever its main thread is at; ends with the workbench."""
+    while (region := status()) is not None:
+        with suppress(Exception):  # no page is there, or the kernel is going down: nobody is to be told
+            region.send({"beat": True})
+        del region
+        time.sleep(BEAT_S)
 
 
 def workbench(images: Images, out: str | Path | None = None) -> Workbench:

@@ -173,8 +173,11 @@ class ImageQueue:
         Raises
         ------
         SelectionPending
-            One line: which image, and what is missing.
+            One line: which image, and what is missing; also while one is still being opened.
         """
+        opening = next((item.name for item in self.items if item.status == "opening"), "")
+        if opening:
+            raise SelectionPending(f"{opening} is being opened; what is to be decided in it is not known yet.")
         for session in self.sessions():
             try:
                 session.require(*needs)

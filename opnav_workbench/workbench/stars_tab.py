@@ -83,7 +83,7 @@ class StarCard:
     def state(self) -> str:
         """Its status in words."""
         if not self.expected and not self.box.method:
-            return "not searched yet"
+            return "not searched"
         return STATUS_WORDS.get(self.box.status, self.box.status)
 
     @property
@@ -110,7 +110,7 @@ class StarCard:
     def flags(self) -> str:
         """Why it is not used, and what the fit says."""
         flags = "" if self.box.flags in ("", "ok") else self.box.flags
-        return "; ".join(filter(None, (self.box.reason, flags)))
+        return "; ".join(filter(None, (self.box.reason, flags))) if self.expected else ""
 
     def small_pictures(self, noise_dn: float) -> list[tuple[str, PagePicture]]:
         """Return data, model and residual by name."""

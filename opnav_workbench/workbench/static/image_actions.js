@@ -2,7 +2,7 @@
 
 const BLINK_MS = 600;
 const ZOOM = 1.5;
-const LONGEST_SCALE = 50000; // of residual vectors
+const LONGEST_SCALE = 100000; // of residual vectors
 
 class ImageActions {
   do(name) {
@@ -95,7 +95,7 @@ class ImageActions {
   }
 
   longer(scale) {
-    const steps = [1, 10, 100, 1000, 10000].flatMap((power) => [power, 2 * power, 5 * power]);
+    const steps = [1, 10, 100, 1000, 10000, 100000];
     return steps.find((step) => step > scale * 1.001 && step <= LONGEST_SCALE) ?? steps[0];
   }
 }

@@ -22,7 +22,7 @@ class ImageCursor extends ImageActions {
 
   leave() {
     this.cursor = undefined;
-    this.layout.lines.slice(0, 6).forEach((line) => { line.textContent = ""; });
+    this.layout.lines.slice(0, 7).forEach((line) => { line.textContent = ""; });
     this.layout.lines[0].textContent = "Move the cursor over the picture.";
     this.tellScale();
   }
@@ -52,8 +52,9 @@ class ImageCursor extends ImageActions {
     const { x_range, frame_width } = this.model("opnav-picture");
     const scale = frame_width / Math.abs(x_range.end - x_range.start);
     const { contrast, bias } = this.shading();
-    const shaded = contrast !== 1 || bias !== 0.5 ? `  contrast ${contrast.toFixed(2)}, bias ${bias.toFixed(2)}` : "";
-    this.layout.lines[6].textContent = `zoom ×${scale.toPrecision(2)}${shaded}`;
+    const shaded = contrast !== 1 || bias !== 0.5 ? `contrast ${contrast.toFixed(2)}, bias ${bias.toFixed(2)}` : "";
+    this.layout.lines[7].textContent = `zoom ×${scale.toPrecision(2)}`;
+    this.layout.lines[8].textContent = shaded;
   }
 
   masked(kind, i, j) {

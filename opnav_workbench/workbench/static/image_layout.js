@@ -108,11 +108,12 @@ class ImageLayout {
     this.blink = button(this.bar, "Blink", view.hint("blink"), () => view.do("blink"));
     this.partner = menu(this.bar, "Picture to blink against", [], set("partner"));
     this.partner.classList.add("opnav-partner");
-    this.blinkOn = button(this.bar, "Auto", view.hint("blink_on"), () => view.do("blink_on"));
+    this.blinkOn = button(this.bar, "Auto-blink", view.hint("blink_on"), () => view.do("blink_on"));
     this.switches = make("div", "opnav-switches", this.box);
     this.body = make("div", "opnav-body", this.box);
     this.stage = make("div", "opnav-stage", this.body);
     this.picture = make("div", "opnav-figure", this.stage);
+    this.message = make("div", "opnav-message", this.picture);
     this.zoom = make("div", "opnav-zoom", this.stage);
     for (const [name, text] of [["home", "All"], ["zoom_in", "+"], ["zoom_out", "−"]])
       button(this.zoom, text, view.hint(name), () => view.do(name));
@@ -121,7 +122,7 @@ class ImageLayout {
     this.panner = make("div", "opnav-figure opnav-small", setup.strip ? null : this.side);
     if (setup.strip) this.body.prepend(this.panner);
     this.readout = make("div", "opnav-readout", this.side);
-    this.lines = ["place", "value", "ra", "dec", "degrees", "body", "scale"].map((name) => make("div", `opnav-read-${name}`, this.readout));
+    this.lines = ["place", "value", "ra", "dec", "degrees", "body", "star", "scale", "shade"].map((name) => make("div", `opnav-read-${name}`, this.readout));
     this.lines[5].title = "Distance from the body's center; click for the next body.";
     this.lines[5].addEventListener("click", () => view.nextBody());
     this.theme = menu(this.readout, "Colors of the marks", setup.themes.map((name) => [name, `marks: ${name}`]), set("theme"));
@@ -133,6 +134,8 @@ class ImageLayout {
   update() {
     const { view } = this;
     const { state, images } = view;
+    this.message.textContent = state.message;
+    this.box.classList.toggle("opnav-blank", Boolean(state.message));
     const named = Object.entries(images).map(([key, { label }]) => [key, label]);
     fillMenu(this.image, named);
     fillMenu(this.partner, named.filter(([key]) => key !== "data").concat(named.filter(([key]) => key === "data")));

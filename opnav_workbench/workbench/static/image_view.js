@@ -3,7 +3,8 @@
 const SIDE_PX = 132; // magnifier and panner
 const SIDE_NARROW_PX = 112;
 const ZOOM_PX = 36; // the buttons beside the picture
-const MOST_PX = 900; // of the picture's frame
+const MOST_PX = 900; // of the picture's frame, in a notebook's cell
+const COLUMN_PX = 236; // menus, switches, small pictures and readout beside the picture, where that leaves it larger
 const NARROW_PX = 752; // of a view: below, the readout goes under the picture
 const AROUND_PX = 270; // JupyterLab's bars, and the view's own
 const STRIP_SHAPE = 3; // width over height of the frame for a strip
@@ -43,7 +44,8 @@ class ImagePage extends ImageCursor {
     for (const range of [x_range, y_range]) range.change.connect(() => this.soon("paint"));
     this.state.change.connect(() => this.soon("update"));
     const observer = new ResizeObserver(() => this.soon("fit"));
-    observer.observe(this.page.root.parentElement);
+    // The bars too: they change their height when a theme is loaded, and nothing else does then.
+    for (const node of [this.page.root.parentElement, this.layout.bar, this.layout.switches]) observer.observe(node);
     this.signal.addEventListener("abort", () => observer.disconnect());
     this.leave();
   }
@@ -156,13 +158,14 @@ class ImagePage extends ImageCursor {
     const narrow = width < NARROW_PX;
     const square = narrow ? SIDE_NARROW_PX : SIDE_PX;
     const classes = this.layout.box.classList;
+    classes.remove("opnav-slim", "opnav-wide");
     classes.toggle("opnav-narrow", narrow);
-    const bars = this.layout.bar.offsetHeight + this.layout.switches.offsetHeight + 34;
-    const room = this.page.root.closest(".opnav-workbench") ? outer.clientHeight - bars : Infinity;
+    const bars = this.layout.bar.offsetHeight + this.layout.switches.offsetHeight + 8;
+    const bench = this.page.root.closest(".opnav-workbench") && outer.clientHeight > 0;
+    const room = bench ? outer.clientHeight - bars : Infinity;
     const [axis_x, axis_y] = AXES_PX;
-    const most = Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
+    const most = bench ? Infinity : Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
     const quiet_ = (name, values) => this.model(name).setv(values, { sync: false });
-    classes.remove("opnav-slim");
     if (this.setup.strip) {
       const frame = Math.round(Math.min(width - axis_x - ZOOM_PX - 10, 1200));
       const height = Math.round(Math.min(frame / STRIP_SHAPE, room - square - 60));
@@ -174,8 +177,11 @@ class ImagePage extends ImageCursor {
       const tall = Math.min(width - axis_x - ZOOM_PX - 10, room - axis_y - square - 8);
       const slim = Math.min(width - axis_x - square - 14, room - axis_y - READOUT_PX);
       const wide = Math.min(width - axis_x - ZOOM_PX - SIDE_PX - 86, room - axis_y);
-      classes.toggle("opnav-slim", narrow && slim > tall);
-      const frame = Math.round(Math.max(Math.min(narrow ? Math.max(slim, tall) : wide, most), 180));
+      const usual = narrow ? Math.max(slim, tall) : wide;
+      const beside = bench ? Math.min(width - axis_x - ZOOM_PX - COLUMN_PX, outer.clientHeight - axis_y - 6) : 0;
+      classes.toggle("opnav-wide", beside > usual);
+      classes.toggle("opnav-slim", narrow && slim > tall && beside <= usual);
+      const frame = Math.round(Math.max(Math.min(Math.max(usual, beside), most), 180));
       quiet_("opnav-picture", { frame_width: frame, frame_height: frame });
       quiet_("opnav-panner", { frame_width: square, frame_height: square });
     }

@@ -3,7 +3,11 @@
 // keys.js stands before this file: keyName, isTyping.
 
 const ROOT = ".opnav-workbench";
-const SILENCE_MS = 6000; // a kernel that says nothing for so long after an event is dead or stuck
+const BUSY_MS = 2500; // an event that is not answered for so long: the kernel is busy with something else
+const SILENCE_MS = 8000; // so long without a beat: the page says that nothing is heard, and waits on
+const GRAVE = "The kernel was restarted or stopped: this is only a picture of what it was. Every decision is on disk.";
+const PANEL_PX = { usual: 468, least: 300, picture: 330 }; // width of the panel; what it leaves to the picture
+const ROOM_KEY = "opnav-workbench-room"; // what this browser remembers of the room that the parts have
 const DRAG_PX = 4; // less is a click with a trembling hand
 
 // Bring `node` to the state of `wanted`, touching only what differs, so that focus, scroll and selection survive.
@@ -26,12 +30,155 @@ function morph(node, wanted) {
   while (node.childNodes.length > fresh.length) node.lastChild.remove();
 }
 
+// Whether the kernel answers: one watch for all regions of a workbench.  Only what tells that it has ended makes it dead.
+class Life {
+  constructor(root) {
+    Object.assign(this, { root, asked: 0, heard: Date.now() });
+    this.watch = setInterval(() => this.look(), 500);
+    document.addEventListener("opnav-kernel-ended", () => this.end()); // where a front end tells
+  }
+
+  ask() {
+    this.asked ||= Date.now();
+  }
+
+  answer() {
+    this.asked = 0;
+    this.beat();
+  }
+
+  beat() {
+    this.heard = Date.now();
+    this.look();
+  }
+
+  look() {
+    if (!this.root.isConnected) return;
+    const now = Date.now();
+    const silent = this.asked && now - Math.max(this.asked, this.heard) > SILENCE_MS;
+    const busy = this.asked && now - this.asked > BUSY_MS;
+    const seconds = Math.round((now - this.heard) / 1000);
+    const word = silent ? `Nothing was heard of the kernel for ${seconds} s; what you do is queued.` : busy ? "The kernel is busy; what you do is queued." : "";
+    if (word) this.root.dataset.owWait = word;
+    else delete this.root.dataset.owWait;
+  }
+
+  end() {
+    clearInterval(this.watch);
+    delete this.root.dataset.owWait;
+    if (this.root.classList.contains("ow-dead")) return;
+    this.root.classList.add("ow-dead");
+    const grave = Object.assign(document.createElement("div"), { className: "ow-grave", textContent: GRAVE });
+    const alone = document.body.dataset.opnavLab !== undefined;
+    const again = Object.assign(document.createElement("button"), { type: "button", textContent: "Start it again" });
+    again.addEventListener("click", () => document.dispatchEvent(new CustomEvent("opnav-start-again")));
+    grave.append(document.createElement("p"), alone ? again : "Run the notebook's cells again (Run > Run All Cells).");
+    this.root.append(grave);
+  }
+}
+
+// The room that the parts have: the panel's width, what is folded away, and whether the whole window is filled.
+class Room {
+  constructor(root) {
+    this.root = root;
+    this.kept = { panel: PANEL_PX.usual, folded: [] };
+    try {
+      Object.assign(this.kept, JSON.parse(localStorage.getItem(ROOM_KEY) ?? "{}"));
+    } catch {
+      // this browser keeps nothing: as it comes
+    }
+    this.splitter();
+    this.show();
+    if (document.body.dataset.opnavLab !== undefined && !document.querySelector(".ow-window")) this.fill(true);
+  }
+
+  do(name) {
+    const actions = {
+      full: () => this.full(),
+      fold_panel: () => this.fold("panel"),
+      fold_list: () => this.fold("list"),
+      window: () => this.fill(!this.filled),
+    };
+    actions[name]?.();
+    return name in actions;
+  }
+
+  get filled() {
+    return this.root.classList.contains("ow-window");
+  }
+
+  // The browser's top layer: whatever the notebook does around the workbench, it has the window.
+  fill(on) {
+    const { root } = this;
+    if (!root.showPopover || on === this.filled) return;
+    root.classList.toggle("ow-window", on);
+    if (on) {
+      root.popover = "manual";
+      root.showPopover();
+    } else root.removeAttribute("popover");
+    root.focus({ preventScroll: true });
+    if (!on) root.scrollIntoView({ block: "end" });
+  }
+
+  full() {
+    const alone = ["panel", "list"].every((part) => this.kept.folded.includes(part)) && this.filled;
+    if (alone) {
+      this.kept.folded = this.before?.folded ?? [];
+      if (this.before && !this.before.filled) this.fill(false);
+    } else {
+      this.before = { folded: this.kept.folded, filled: this.filled };
+      this.kept.folded = ["panel", "list"];
+      this.fill(true);
+    }
+    this.show();
+  }
+
+  fold(part) {
+    const { folded } = this.kept;
+    this.kept.folded = folded.includes(part) ? folded.filter((one) => one !== part) : [...folded, part];
+    this.show();
+  }
+
+  show() {
+    const { root, kept } = this;
+    for (const part of ["panel", "list"]) root.classList.toggle(`ow-no-${part}`, kept.folded.includes(part));
+    root.style.setProperty("--ow-panel-px", `${kept.panel}px`);
+    try {
+      localStorage.setItem(ROOM_KEY, JSON.stringify(kept));
+    } catch {
+      // it is as it is until the page is closed
+    }
+  }
+
+  splitter() {
+    const { root } = this;
+    const bar = root.appendChild(document.createElement("div"));
+    bar.className = "ow-split";
+    bar.title = "Drag: more room for the picture, or for the panel. Double click: as it was.";
+    bar.setAttribute("role", "separator");
+    const set = (width) => {
+      const most = root.clientWidth - PANEL_PX.picture;
+      this.kept.panel = Math.round(Math.max(Math.min(width, most), PANEL_PX.least));
+      this.show();
+    };
+    bar.addEventListener("pointerdown", (event) => {
+      const start = this.kept.panel + event.clientX;
+      const move = (next) => set(start - next.clientX);
+      bar.setPointerCapture(event.pointerId);
+      bar.addEventListener("pointermove", move);
+      bar.addEventListener("pointerup", () => bar.removeEventListener("pointermove", move), { once: true });
+    });
+    bar.addEventListener("dblclick", () => set(PANEL_PX.usual));
+  }
+}
+
 // The regions of a workbench share its root: keys are heard there, wherever in the workbench the focus is.
 function adopt(root, post) {
   if (root.dataset.owKeys) return;
   root.dataset.owKeys = "on";
   root.tabIndex = 0;
   root.setAttribute("data-lm-suppress-shortcuts", "true"); // else JupyterLab cuts cells on x and d,d
+  root.owRoom = new Room(root);
   root.addEventListener(
     "keydown",
     (event) => {
@@ -40,12 +187,12 @@ function adopt(root, post) {
         return;
       }
       const name = keyName(event);
-      const { keys, own } = root.owKeymap ?? { keys: [], own: [] };
+      const { keys, own, room } = root.owKeymap ?? { keys: [], own: [], room: {} };
       if (!keys.includes(name)) return;
       if (own.includes(name) && event.target.closest(".opnav-picture")) return; // the picture is quicker by itself
       event.preventDefault();
       event.stopPropagation();
-      post({ act: "key", arg: name });
+      if (!root.owRoom?.do(room[name])) post({ act: "key", arg: name });
     },
     true,
   );
@@ -115,6 +262,7 @@ function listenForClicks(el, post) {
     }
     const target = event.target.closest("[data-act]");
     if (!target || target.disabled || target.matches("select, input:not([type=checkbox])")) return;
+    if (el.closest(ROOT)?.owRoom?.do(target.dataset.act)) return;
     post({ act: target.dataset.act, arg: target.dataset.arg ?? null, shift: event.shiftKey });
   });
   el.addEventListener("change", (event) => {
@@ -135,17 +283,16 @@ function render({ model, el }) {
   const body = document.createElement("div");
   body.className = "ow-body";
   el.append(body);
-  let waiting = null;
   const root = () => el.closest(ROOT);
-  const alive = () => {
-    clearTimeout(waiting);
-    waiting = null;
-    root()?.classList.remove("ow-dead");
-  };
-  const dead = () => root()?.classList.add("ow-dead");
+  const life = () => (root() ? (root().owLife ??= new Life(root())) : undefined);
+  const dead = () => life()?.end();
   const post = (message) => {
-    model.send(message);
-    waiting ??= setTimeout(dead, SILENCE_MS);
+    try {
+      model.send(message);
+      life()?.ask();
+    } catch {
+      dead(); // the front end knows that the kernel is gone
+    }
   };
   const paint = () => {
     const wanted = document.createElement("div");
@@ -160,23 +307,25 @@ function render({ model, el }) {
   const keys = () => {
     const shell = root();
     if (shell && model.get("keymap").length)
-      shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys") };
+      shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), room: model.get("page_keys") };
   };
   model.on("change:html", paint);
   model.on("change:keymap", keys);
-  model.on("msg:custom", alive);
+  model.on("msg:custom", (message) => (message.beat ? life()?.beat() : life()?.answer()));
   model.on("comm:close", dead);
+  model.on("comm_live_update", dead);
   listenForClicks(el, post);
   listenForBoxes(el, post);
   paint();
+  let shell = null;
   const attached = () => {
-    const shell = root();
+    shell = root();
     if (!shell) return setTimeout(attached, 50); // the box that holds the regions is not in the page yet
     keys();
     if (model.get("keymap").length) adopt(shell, post);
   };
   attached();
-  return () => clearTimeout(waiting);
+  return () => clearInterval(shell?.owLife?.watch);
 }
 
 export default { render };

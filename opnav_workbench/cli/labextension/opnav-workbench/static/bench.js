@@ -1,0 +1,133 @@
+// In the JupyterLab that `opnav lab` starts: runs the workbench's notebook when it is opened, and shows the workbench alone.
+// The notebook stands behind it; a cover hides the way there, and goes away when something went wrong on it.
+//
+// A module federation container by hand: JupyterLab calls init and get (@jupyterlab/builder writes the same).
+
+(() => {
+  const MARK = "opnav_lab"; // in the notebook's metadata, put there by `opnav lab`
+  const BENCH = ".opnav-workbench .ow-region";
+  const RESTORED_MS = 4000; // a kernel that lives on shows its workbench within that; else the notebook is run anew
+  const SHOWN_MS = 1500; // after the last cell
+
+  const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+  const benchIsThere = () => document.querySelector(BENCH) !== null;
+
+  async function until(there, ms) {
+    const end = Date.now() + ms;
+    while (!there() && Date.now() < end) await sleep(50);
+    return there();
+  }
+
+  class Cover {
+    constructor() {
+      const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+      this.box = document.body.appendChild(document.createElement("div"));
+      this.box.id = "opnav-cover";
+      const colors = dark ? "#111417; color: #e6e9ec" : "#ffffff; color: #1b1f24";
+      this.box.style.cssText = `position: fixed; inset: 0; z-index: 100000; display: flex; flex-direction: column; gap: 14px;
+        align-items: center; justify-content: center; font: 15px system-ui, sans-serif; background: ${colors}`;
+      this.line = this.box.appendChild(document.createElement("div"));
+      this.line.setAttribute("role", "status");
+      const bar = this.box.appendChild(document.createElement("progress"));
+      bar.style.width = "220px";
+      const away = this.box.appendChild(document.createElement("button"));
+      Object.assign(away, { type: "button", textContent: "Show the notebook instead" });
+      away.style.cssText = "font: inherit; background: none; border: none; color: inherit; text-decoration: underline; cursor: pointer";
+      away.addEventListener("click", () => {
+        delete document.body.dataset.opnavLab;
+        this.lift();
+      });
+      this.say("Starting the workbench ...");
+    }
+
+    say(text) {
+      this.line.textContent = text;
+    }
+
+    lift() {
+      this.box.remove();
+    }
+  }
+
+  const isAlive = (kernel) => kernel && !["dead", "terminating"].includes(kernel.status);
+
+  async function runAll(app, panel, cover) {
+    cover.say("Opening the pictures ...");
+    const watch = until(benchIsThere, 120000).then((there) => there && cover.lift());
+    await app.commands.execute("notebook:run-all-cells").catch(() => {}); // what a cell says stands below it
+    await until(benchIsThere, SHOWN_MS);
+    cover.lift();
+    await watch;
+    await panel.context.save().catch(() => {}); // a page that is loaded again finds its workbench
+  }
+
+  async function open(app, panel, cover) {
+    await panel.context.ready;
+    if (panel.context.model.sharedModel.getMetadata(MARK) === undefined) return cover.lift();
+    cover.say("Starting the kernel ...");
+    await panel.sessionContext.ready;
+    await until(() => panel.sessionContext.session?.kernel?.status === "idle", 60000);
+    const shown = [...panel.content.widgets].some((cell) => cell.model.type === "code" && cell.model.executionCount);
+    if (shown && (await until(benchIsThere, RESTORED_MS))) return cover.lift();
+    await runAll(app, panel, cover);
+  }
+
+  async function startAgain(app, panel) {
+    const cover = new Cover();
+    cover.say("Starting the kernel again ...");
+    document.querySelector(".opnav-workbench.ow-window")?.removeAttribute("popover");
+    document.querySelector(".opnav-workbench.ow-window")?.classList.remove("ow-window");
+    await panel.sessionContext.restartKernel().catch(() => {});
+    await until(() => panel.sessionContext.session?.kernel?.status === "idle", 60000);
+    await app.commands.execute("notebook:clear-all-cell-outputs").catch(() => {});
+    await runAll(app, panel, cover);
+  }
+
+  // JupyterLab's dialogs must not lie behind the workbench.
+  function liftDialogs() {
+    const lift = (node) => {
+      if (!node.classList?.contains("jp-Dialog") || !document.querySelector(".ow-window")) return;
+      node.popover = "manual";
+      node.showPopover();
+    };
+    new MutationObserver((changes) => changes.forEach((change) => change.addedNodes.forEach(lift))).observe(document.body, {
+      childList: true,
+    });
+  }
+
+  // The kernel's end is told to the workbench, which cannot see it by itself.
+  function watchKernel(panel) {
+    panel.sessionContext.statusChanged.connect((_, status) => {
+      if (["restarting", "autorestarting", "terminating", "dead"].includes(status))
+        document.dispatchEvent(new CustomEvent("opnav-kernel-ended"));
+    });
+  }
+
+  const plugin = {
+    id: "opnav-workbench:bench",
+    autoStart: true,
+    activate: (app) => {
+      if (!/\/tree\/[^?]*workbench\.ipynb$/.test(location.pathname)) return;
+      document.body.dataset.opnavLab = "";
+      const cover = new Cover();
+      liftDialogs();
+      void app.restored.then(async () => {
+        const panel = () => (app.shell.currentWidget?.sessionContext ? app.shell.currentWidget : undefined);
+        if (!(await until(() => panel() !== undefined, 60000))) return cover.lift();
+        const notebook = panel();
+        document.addEventListener("opnav-start-again", () => void startAgain(app, notebook));
+        watchKernel(notebook);
+        await open(app, notebook, cover).catch((error) => {
+          console.warn("opnav_workbench:", error);
+          cover.lift();
+        });
+      });
+    },
+  };
+
+  globalThis._JUPYTERLAB = globalThis._JUPYTERLAB ?? {};
+  globalThis._JUPYTERLAB["opnav-workbench"] = {
+    init: () => {},
+    get: () => Promise.resolve(() => ({ __esModule: true, default: plugin })),
+  };
+})();
