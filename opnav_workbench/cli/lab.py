@@ -40,7 +40,10 @@ __all__ = ["LabParameters", "lab", "put_notebook"]
 # ---- The workbench's notebook in the analyst's folder, with its parameters set.
 
 NOTEBOOK = "workbench.ipynb"
-OWN_MARK = "opnav_lab"  # static/bench.js of the extension runs a notebook that has it, and shows the workbench alone
+WIDGET_VIEW = "application/vnd.jupyter.widget-view+json"
+OWN_MARK = (
+    "opnav_lab"  # static/bench.js of the extension runs a notebook that has it, and shows the workbench alone
+)
 PARAMETERS_TAG, SET_TAG = "parameters", "injected-parameters"  # papermill's words
 
 
@@ -111,12 +114,21 @@ def put_notebook(folder: Path, parameters: LabParameters) -> Path:
         notebook: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
         _set_parameters(notebook["cells"], parameters)
         notebook["metadata"][OWN_MARK] = True
+        _drop_dead_views(notebook["cells"])
     except (OSError, ValueError, KeyError, TypeError, StopIteration) as error:
         raise SessionError(
             f"{source} cannot be read, or has no cell tagged {PARAMETERS_TAG!r}; move it away, and it is made anew."
         ) from error
     write_text(path, json.dumps(notebook, indent=1, ensure_ascii=False) + "\n")
     return path.resolve()
+
+
+def _drop_dead_views(cells: list[dict[str, Any]]) -> None:
+    """Take out what showed the widgets of a kernel that is gone: the new one knows nothing of them."""
+    for cell in cells:
+        shown = cell.get("outputs", [])
+        if any(WIDGET_VIEW in output.get("data", {}) for output in shown):
+            cell["outputs"] = [output for output in shown if WIDGET_VIEW not in output.get("data", {})]
 
 
 def _set_parameters(cells: list[dict[str, Any]], parameters: LabParameters) -> None:

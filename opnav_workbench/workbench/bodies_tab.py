@@ -220,7 +220,10 @@ def _dn_text(dn: float) -> str:
 
 DRAG_SHAPES = {CIRCLE: "circle", BOX_SCANS: "box"}  # what a drag draws
 SCANS_LAYER = "limb scans"
-BODY_SPAN, LEAST_SPAN_PX = 1.8, 48.0  # of the picture when the tab is opened: diameters, and px for a small body
+BODY_SPAN, LEAST_SPAN_PX = (
+    1.8,
+    48.0,
+)  # of the picture when the tab is opened: diameters, and px for a small body
 
 
 class BodiesTab(Tab):
@@ -259,6 +262,11 @@ class BodiesTab(Tab):
     def circle(self) -> DrawnCircle | None:
         """The analyst's circle of the body at hand."""
         return self.circle_control.of(self.chosen)
+
+    @property
+    def moves_circle(self) -> bool:
+        """Whether the arrow keys move the circle: where there are scans, they go from one to the next."""
+        return self.circle is not None and self.scans is None
 
     def on_enter(self) -> None:
         """Begin with the first scan, and no shape half drawn."""

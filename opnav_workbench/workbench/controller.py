@@ -144,7 +144,7 @@ class WorkbenchController:
         places = [REASON_MENU] if self.runner.menu == REASON_MENU else []
         if self.runner.tool == NUDGE:
             places.append(NUDGE)
-        if self.tab_name == "bodies" and self.bodies.circle is not None and self.bodies.scans is None:
+        if self.tab_name == "bodies" and self.queue.opened is not None and self.bodies.moves_circle:
             places.append(CIRCLE)
         return [*places, self.tab_name, "view"]
 
@@ -159,7 +159,9 @@ class WorkbenchController:
         with self.runner.handling():
             if self.queue.opened is None:
                 return
-            if self.runner.running is not None and (self.runner.line or self.runner.tool or self.tab_name != "stars"):
+            if self.runner.running is not None and (
+                self.runner.line or self.runner.tool or self.tab_name != "stars"
+            ):
                 self.runner.wait_in_line(task)
             else:
                 task()
@@ -216,7 +218,10 @@ class WorkbenchController:
         else:
             self._blank(f"opening {item.name}")
             self.runner.run(
-                f"opening {item.name}", lambda: self._open(item), then=lambda error: self._arrived(item, error), leavable=True
+                f"opening {item.name}",
+                lambda: self._open(item),
+                then=lambda error: self._arrived(item, error),
+                leavable=True,
             )
 
     def _open(self, item: QueueItem) -> None:
@@ -265,7 +270,9 @@ class WorkbenchController:
     def _work_ahead(self) -> None:
         with self._opening_ahead:
             while (item := self.queue.next_to_open()) is not None:
-                with suppress(Exception):  # the list shows that it failed; the page says why when its turn comes
+                with suppress(
+                    Exception
+                ):  # the list shows that it failed; the page says why when its turn comes
                     self._open(item)
                 self.refresh()
 
@@ -344,12 +351,16 @@ class WorkbenchController:
             name=item.name,
             facts=facts,
             folder=item.folder,
-            is_first=self.queue.index == 0,
-            is_last=self.queue.index == len(self.queue.items) - 1,
+            is_open=session is not None,
+            **self._ends(),
             can_undo=session is not None and session.can_undo,
             can_redo=session is not None and session.can_redo,
             keys_shown=self.keys_shown,
         )
+
+    def _ends(self) -> dict[str, bool]:
+        """Whether the image at hand is the first, the last of the list."""
+        return {"is_first": self.queue.index == 0, "is_last": self.queue.index == len(self.queue.items) - 1}
 
     def _panel(self) -> str:
         return render(
@@ -365,7 +376,8 @@ class WorkbenchController:
             return render("keys.html", groups=self.registry.groups(PLACES))
         if self.queue.opened is None:
             item, running = self.queue.item, self.runner.running
-            return render("not_open.html", item=item, busy=running is not None, actions=self.registry)
+            busy = running is not None
+            return render("not_open.html", item=item, busy=busy, actions=self.registry, **self._ends())
         try:
             return self.current_tab.html()
         except OpNavError as error:

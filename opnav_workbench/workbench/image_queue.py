@@ -177,7 +177,9 @@ class ImageQueue:
         """
         opening = next((item.name for item in self.items if item.status == "opening"), "")
         if opening:
-            raise SelectionPending(f"{opening} is being opened; what is to be decided in it is not known yet.")
+            raise SelectionPending(
+                f"{opening} is being opened; what is to be decided in it is not known yet."
+            )
         for session in self.sessions():
             try:
                 session.require(*needs)

@@ -71,7 +71,10 @@ def prepared_picture(session: ImageSession) -> PreparedPicture:
     frame = session.context.picture
     usable = ~(frame.bad | frame.saturated)
     return PreparedPicture(
-        _compact(frame.image_dn), limits_of(frame.image_dn, usable), mask_runs(frame.bad), mask_runs(frame.saturated)
+        _compact(frame.image_dn),
+        limits_of(frame.image_dn, usable),
+        mask_runs(frame.bad),
+        mask_runs(frame.saturated),
     )
 
 
@@ -286,7 +289,6 @@ class ImageView:
             self.provide("model", "model", lambda: modeled_picture(session), same_limits=True)
             self.provide("difference", "image − model", lambda: difference_picture(session))
             self.refresh()
-            self.bridge.redraw()
 
     def prepare(self, session: ImageSession) -> None:
         """Do ahead what showing a session costs; may be called in another thread."""
@@ -302,7 +304,6 @@ class ImageView:
             for name, source in self.models.sources.items():
                 self.models.fill(name, {column: [] for column in source.data})
             self.state.update(message=message, camera="null", bodies="[]", body="")
-            self.bridge.redraw()
 
     def _begin_anew(self, shape: tuple[int, ...]) -> None:
         """Forget the picture before, its tools' drawings, and how it alone was looked at."""
@@ -320,6 +321,8 @@ class ImageView:
     def _begin(self, shape: tuple[int, ...]) -> None:
         n_line, n_pixel = shape
         strip = n_pixel > STRIP_ASPECT * n_line
+        if strip != json.loads(self.state.setup).get("strip", strip):
+            self.bridge.redraw()  # its page is laid out otherwise
         self.state.setup = json.dumps({"size": [n_pixel, n_line], "strip": strip} | page_setup())
         self._look_at_all(n_pixel, n_line)
 
@@ -357,7 +360,9 @@ class ImageView:
     def _draw_vectors(self) -> None:
         if not len(self._vectors) or self.session is None:
             return
-        if self.state.vector_scale == self._own_scale:  # a round one that suits, until the analyst takes another
+        if (
+            self.state.vector_scale == self._own_scale
+        ):  # a round one that suits, until the analyst takes another
             shape = self.session.context.picture.image_dn.shape
             self._own_scale = _vector_scale(self._vectors, shape)
             self.state.vector_scale = self._own_scale
@@ -436,7 +441,7 @@ class ImageView:
                 self._bring_into_view(np.asarray(place_px, float))
 
     def look(self, place_px: ArrayLike, span_px: float | None = None) -> None:
-        """Bring a place into the middle, with a span so many pixels across; where all is shown, nothing moves without one."""
+        """Bring a place into the middle, with a span so many pixels across; without one a whole picture stays as it is."""
         if self.session is None:
             return
         n_line, n_pixel = self.session.context.picture.image_dn.shape

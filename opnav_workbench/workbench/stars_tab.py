@@ -207,7 +207,8 @@ def star_cards(
 ) -> tuple[StarCard, ...]:
     """Return the boxes with what the analyst decided on each; `expected`: what the expected places rest on."""
     return tuple(
-        StarCard(box, *decisions.get(box.id, ("", "")), short=short_name(box.id), expected=expected) for box in boxes
+        StarCard(box, *decisions.get(box.id, ("", "")), short=short_name(box.id), expected=expected)
+        for box in boxes
     )
 
 

@@ -266,7 +266,9 @@ class PictureModels:
             _add_image(plot, f"opnav-{name}")
         self.sources: dict[str, Any] = {}
         self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
-        self._halos: dict[str, list[Any]] = {}  # a dark edge below each, so that no mark is lost on a bright ground
+        self._halos: dict[
+            str, list[Any]
+        ] = {}  # a dark edge below each, so that no mark is lost on a bright ground
         cursor = ColumnDataSource({"pixel": [0.0], "line": [0.0]}, name="opnav-cursor")
         self.magnifier.rect(
             "pixel", "line", 1, 1, source=cursor, fill_color=None, line_color="#E69F00", line_width=1.5
@@ -353,7 +355,9 @@ class PictureModels:
         self.picture.add_layout(arrow)
         self._glyphs["residual"] = [arrow]
         for kind, size in STAR_SIZES.items():
-            self._add_points(kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size)
+            self._add_points(
+                kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size
+            )
         self._add_text("star_labels", "magnitudes", "predicted")
 
     def _add_points(self, kind: str, group: str, size: int) -> None:

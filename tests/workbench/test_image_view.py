@@ -49,6 +49,36 @@ def test_pixels_are_exact(view, sessions):
     np.testing.assert_allclose(pixels(view), sessions[0].context.picture.image_dn, rtol=1e-7, atol=1e-7)
 
 
+@pytest.mark.slow
+def test_another_picture_begins_as_pictures_do(view, sessions):
+    """How one picture was looked at is not the next one's; a body of 1 px has a mark; a blank view has none."""
+    points = view.models.sources["body_point"].data
+    assert len(points["pixel"]) == 1
+    view.state.update(contrast=3.0, bias=0.2, limits="manual", low=5.0, high=6.0, stretch="log")
+    view.show(sessions[1])
+    assert (view.state.contrast, view.state.bias, view.state.limits) == (1.0, 0.5, "sky")
+    assert view.state.stretch == "log"  # a habit, not of one picture
+    view.blank("next.fit cannot be opened")
+    assert view.state.message == "next.fit cannot be opened"
+    assert not any(len(column) for source in view.models.sources.values() for column in source.data.values())
+    assert np.ptp(pixels(view)) == 0
+    view.show(sessions[0])
+    assert view.state.message == ""
+    assert np.ptp(pixels(view)) > 0
+
+
+@pytest.mark.slow
+def test_vectors_are_drawn_long_enough_until_the_analyst_takes_a_scale(view, sessions):
+    view.show(sessions[0])
+    own = view.state.vector_scale
+    assert own > 1.0
+    view.refresh()
+    assert view.state.vector_scale == own
+    view.state.vector_scale = 1000.0
+    view.refresh()
+    assert view.state.vector_scale == 1000.0
+
+
 @pytest.mark.slow(keep=["values0-uint16", "values1-float32"])
 @pytest.mark.parametrize(
     ("values", "dtype"),

@@ -19,6 +19,7 @@ from opnav_workbench.workbench.overlays import (
     star_marks,
     vector_columns,
 )
+from opnav_workbench.workbench.plots import star_residuals
 from opnav_workbench.workbench.stretch import picture_png
 
 
@@ -53,6 +54,33 @@ def test_no_marks_before_a_prediction(demo_truths):
     session = ImageSession.open(demo_truths[0].picture, DEMO_MISSION, attitude="header")
     marks = star_marks(session)
     assert len(marks.predicted["pixel"]) == len(marks.labels["text"]) == len(marks.vectors["pixel"]) == 0
+
+
+@pytest.mark.slow
+def test_marks_stand_where_the_field_was_found(demo_truths):
+    """Nothing is missing before a search; after it marks, boxes and plots say the same, though no pointing is solved."""
+    with KernelSet(DEMO_KERNELS):
+        session = ImageSession.open(demo_truths[0].picture, DEMO_MISSION)
+        session.add_target("PLUTO")
+        session.predict()
+        before = star_marks(session)
+        assert len(before.missing["pixel"]) == 0
+        session.find_stars()
+    marks, boxes = star_marks(session), session.star_boxes()
+    moved = np.hypot(
+        *(np.array([boxes[0].predicted_px - [before.predicted[a][0] for a in ("pixel", "line")]]).T)
+    )
+    assert moved > 5.0  # the demo's pointing is off by some 12 px
+    used = {b.id: b.observed_px - b.predicted_px for b in boxes if b.status == "used"}
+    rows = star_residuals(session)
+    assert rows.reference == "from the field found"
+    for star, after in zip(rows.ids, rows.after_px, strict=True):
+        np.testing.assert_allclose(after, used[star], atol=1e-9)
+    np.testing.assert_allclose(
+        np.c_[marks.vectors["d_pixel"], marks.vectors["d_line"]], list(used.values()), atol=1e-9
+    )
+    (pluto,) = body_marks(session)
+    np.testing.assert_allclose(pluto.center_px, demo_truths[0].bodies["PLUTO"], atol=1.5)
 
 
 def test_rejected_star_changes_its_mark(session):

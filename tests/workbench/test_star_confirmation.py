@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.stars_tab import short_name
 
 
 def test_accepting_goes_on_to_the_next_undecided(star_hands):
@@ -61,6 +62,12 @@ def test_residual_plots_follow_the_stars(star_hands):
     assert (
         star_hands.panel.count('class="pt pixel"') == solved.count('class="pt pixel"') - 2
     )  # one in each plot
+
+
+def test_long_names_keep_what_tells_them_apart():
+    names = ["Gaia DR3 4147052646752393728", "Gaia DR3 4147052646752393729", "HIP 1"]
+    assert len({short_name(name) for name in names}) == 3
+    assert all(len(short_name(name)) <= 15 for name in names)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ class ImagePage extends ImageCursor {
     super();
     Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new Map() });
     this.model = (name) => doc.get_model_by_name(name);
-    this.setup = JSON.parse(state.setup);
+    this.setup = JSON.parse((this.setupText = state.setup));
     this.images = JSON.parse(state.images);
     this.layout = new ImageLayout(this, host);
     this.ndarray = page.bokeh.require("core/util/ndarray").ndarray;
@@ -72,6 +72,11 @@ class ImagePage extends ImageCursor {
 
   update() {
     this.images = JSON.parse(this.state.images);
+    if (this.setupText !== this.state.setup) {
+      this.setupText = this.state.setup; // of another picture
+      this.setup = JSON.parse(this.setupText);
+      this.fit();
+    }
     this.camera = JSON.parse(this.state.camera);
     this.bodies = JSON.parse(this.state.bodies);
     this.layout.update();
@@ -155,15 +160,23 @@ class ImagePage extends ImageCursor {
     const outer = this.page.root.parentElement;
     const width = outer.clientWidth || this.width || 640; // none while it is out of the page
     this.width = width;
-    const narrow = width < NARROW_PX;
-    const square = narrow ? SIDE_NARROW_PX : SIDE_PX;
+    const [axis_x, axis_y] = AXES_PX;
     const classes = this.layout.box.classList;
     classes.remove("opnav-slim", "opnav-wide");
-    classes.toggle("opnav-narrow", narrow);
-    const bars = this.layout.bar.offsetHeight + this.layout.switches.offsetHeight + 8;
     const bench = this.page.root.closest(".opnav-workbench") && outer.clientHeight > 0;
-    const room = bench ? outer.clientHeight - bars : Infinity;
-    const [axis_x, axis_y] = AXES_PX;
+    // What the bars leave, as they are with little room across, and with much.
+    const roomBelow = (narrow) => {
+      classes.toggle("opnav-narrow", narrow);
+      return bench ? outer.clientHeight - this.layout.bar.offsetHeight - this.layout.switches.offsetHeight - 8 : Infinity;
+    };
+    const wide = width < NARROW_PX ? 0 : Math.min(width - axis_x - ZOOM_PX - SIDE_PX - 86, roomBelow(false) - axis_y);
+    const room = roomBelow(true);
+    // Where there is little room, everything stands under the picture, or the small pictures beside it: what shows more.
+    const tall = Math.min(width - axis_x - ZOOM_PX - 10, room - axis_y - SIDE_NARROW_PX - 8);
+    const slim = Math.min(width - axis_x - SIDE_NARROW_PX - 14, room - axis_y - READOUT_PX);
+    const narrow = width < NARROW_PX || (bench && Math.max(tall, slim) > wide);
+    if (!narrow) roomBelow(false);
+    const square = narrow ? SIDE_NARROW_PX : SIDE_PX;
     const most = bench ? Infinity : Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
     const quiet_ = (name, values) => this.model(name).setv(values, { sync: false });
     if (this.setup.strip) {
@@ -173,10 +186,6 @@ class ImagePage extends ImageCursor {
       const thin = Math.max(Math.round((frame * this.setup.size[1]) / this.setup.size[0]), 12);
       quiet_("opnav-panner", { frame_width: Math.max(frame, 200), frame_height: thin });
     } else {
-      // Where there is little room, everything stands under the picture, or the small pictures beside it: what shows more.
-      const tall = Math.min(width - axis_x - ZOOM_PX - 10, room - axis_y - square - 8);
-      const slim = Math.min(width - axis_x - square - 14, room - axis_y - READOUT_PX);
-      const wide = Math.min(width - axis_x - ZOOM_PX - SIDE_PX - 86, room - axis_y);
       const usual = narrow ? Math.max(slim, tall) : wide;
       const beside = bench ? Math.min(width - axis_x - ZOOM_PX - COLUMN_PX, outer.clientHeight - axis_y - 6) : 0;
       classes.toggle("opnav-wide", beside > usual);

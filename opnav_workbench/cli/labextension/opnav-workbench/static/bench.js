@@ -8,6 +8,8 @@
   const BENCH = ".opnav-workbench .ow-region";
   const RESTORED_MS = 4000; // a kernel that lives on shows its workbench within that; else the notebook is run anew
   const SHOWN_MS = 1500; // after the last cell
+  const STARTS_MS = 60000; // a kernel, on a busy machine
+  const RESTARTS_MS = 15000;
 
   const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
   const benchIsThere = () => document.querySelector(BENCH) !== null;
@@ -49,7 +51,15 @@
     }
   }
 
-  const isAlive = (kernel) => kernel && !["dead", "terminating"].includes(kernel.status);
+  const isIdle = (panel) => panel.sessionContext.session?.kernel?.status === "idle";
+
+  // Whether the kernel has a variable: it lives on from before.
+  async function knows(panel, name) {
+    const { kernel } = panel.sessionContext.session;
+    const asked = kernel.requestExecute({ code: "", silent: true, user_expressions: { known: `"${name}" in globals()` } });
+    const { content } = await asked.done;
+    return content.user_expressions?.known?.data?.["text/plain"] === "True";
+  }
 
   async function runAll(app, panel, cover) {
     cover.say("Opening the pictures ...");
@@ -66,9 +76,8 @@
     if (panel.context.model.sharedModel.getMetadata(MARK) === undefined) return cover.lift();
     cover.say("Starting the kernel ...");
     await panel.sessionContext.ready;
-    await until(() => panel.sessionContext.session?.kernel?.status === "idle", 60000);
-    const shown = [...panel.content.widgets].some((cell) => cell.model.type === "code" && cell.model.executionCount);
-    if (shown && (await until(benchIsThere, RESTORED_MS))) return cover.lift();
+    await until(() => isIdle(panel), STARTS_MS);
+    if ((await knows(panel, "bench")) && (await until(benchIsThere, RESTORED_MS))) return cover.lift();
     await runAll(app, panel, cover);
   }
 
@@ -77,8 +86,11 @@
     cover.say("Starting the kernel again ...");
     document.querySelector(".opnav-workbench.ow-window")?.removeAttribute("popover");
     document.querySelector(".opnav-workbench.ow-window")?.classList.remove("ow-window");
-    await panel.sessionContext.restartKernel().catch(() => {});
-    await until(() => panel.sessionContext.session?.kernel?.status === "idle", 60000);
+    // One that was restarted, or that restarts by itself, is not restarted once more on its way.
+    if (!(await until(() => isIdle(panel), RESTARTS_MS)) || (await knows(panel, "bench"))) {
+      await panel.sessionContext.restartKernel().catch(() => {});
+      await until(() => isIdle(panel), STARTS_MS);
+    }
     await app.commands.execute("notebook:clear-all-cell-outputs").catch(() => {});
     await runAll(app, panel, cover);
   }

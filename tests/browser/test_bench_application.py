@@ -1,0 +1,236 @@
+"""The workbench that `opnav lab` opens, by what is seen: where it stands, how large the picture is, what lies on top.
+
+One server, one browser page and one kernel serve the whole file; the tests build on one another's state only by asking for
+the picture that they need.
+"""
+
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from opnav_workbench.cli.lab import LabParameters, put_notebook
+from opnav_workbench.processing import Processing
+from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
+
+pytestmark = pytest.mark.slow
+
+# Of the bench and of the picture's frame, in px of the page; and what lies in the middle of the picture.
+GEOMETRY = """() => {
+  const rect = (e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom].map(Math.round); };
+  const bench = document.querySelector('.opnav-workbench'), figure = bench.querySelector('.opnav-stage .opnav-figure');
+  const [left, top, right, bottom] = rect(figure);
+  const on_top = document.elementFromPoint((left + right) / 2, (top + bottom) / 2);
+  const { frame_width, frame_height } = Bokeh.documents.at(-1).get_model_by_name('opnav-picture');
+  return { bench: rect(bench), figure: [left, top, right, bottom], frame: [frame_width, frame_height],
+    panel: rect(bench.querySelector('.ow-panel')), on_top: on_top?.className ?? '', inside: figure.contains(on_top),
+    window: [innerWidth, innerHeight] };
+}"""
+
+
+@pytest.fixture(scope="module")
+def bench(lab, chromium, demo_truths):
+    """A bench on the demo's two pictures and a file that is none."""
+    folder = lab.root / "alone"
+    folder.mkdir()
+    pictures = [shutil.copy(truth.picture, folder) for truth in demo_truths]
+    broken = folder / "third.fit"
+    broken.write_bytes(b"no picture")
+    how = Processing(mission="new_horizons", kernels=DEMO_KERNELS, catalog=DEMO_CATALOG)
+    put_notebook(folder, LabParameters((*map(str, pictures), str(broken)), how))
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    page = context.new_page()
+    page.set_default_timeout(30_000)
+    errors = []
+    page.on("pageerror", lambda error: errors.append(f"{error}\n{error.stack}"))
+    page.goto(f"{lab.address}/lab/tree/alone/workbench.ipynb?token={lab.token}")
+    page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=90_000)
+    said(page, "lorri_4x4.fit: ")
+    yield SimpleNamespace(page=page, broken=broken, good=demo_truths[0].picture, errors=errors)
+    page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
+    context.close()
+
+
+@pytest.fixture(autouse=True)
+def _no_errors(bench):
+    yield
+    assert not [
+        error for error in bench.errors if "Canceled future" not in error
+    ]  # JupyterLab's, of a kernel that ends
+
+
+def said(page, text):
+    page.wait_for_function(
+        "t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text, timeout=30_000
+    )
+
+
+def settled(page):
+    """Geometry once it no longer changes."""
+    before = None
+    for _ in range(40):
+        page.wait_for_timeout(100)
+        now = page.evaluate(GEOMETRY)
+        if now == before:
+            return now
+        before = now
+    raise AssertionError(f"the page does not come to rest: {before}")
+
+
+def go(page, name):
+    page.evaluate("() => document.querySelector('.opnav-workbench').focus()")
+    page.locator(".ow-queue li", has_text=name).click()
+
+
+def test_it_stands_alone_in_the_window_and_runs(bench):
+    page = bench.page
+    seen = settled(page)
+    assert seen["bench"] == [0, 0, 1280, 800]
+    assert seen["inside"]
+    assert min(seen["frame"]) >= 480
+    assert seen["figure"][3] <= 800
+    assert page.locator("#opnav-cover").count() == 0
+    texts = page.locator(".jp-OutputArea-output").all_inner_texts()
+    (pending,) = [text for text in texts if "SelectionPending" in text]
+    assert len(pending.strip().splitlines()) == 1
+    # Keys arrive without a click.
+    page.keyboard.press("f")
+    said(page, "4 of 4 stars found")
+
+
+def test_one_key_gives_the_picture_the_window_and_back(bench):
+    page = bench.page
+    before = settled(page)
+    page.keyboard.press("F")
+    seen = settled(page)
+    assert min(seen["frame"]) >= 700
+    assert seen["figure"][3] <= 800
+    assert page.locator(".ow-panel").is_hidden()
+    page.keyboard.press("F")
+    assert settled(page) == before
+    # The splitter gives the picture what it takes from the panel.
+    bar = page.locator(".ow-split").bounding_box()
+    page.mouse.move(bar["x"] + 2, 400)
+    page.mouse.down()
+    page.mouse.move(bar["x"] + 122, 400, steps=3)
+    page.mouse.up()
+    wider = settled(page)
+    assert wider["panel"][0] - before["panel"][0] == pytest.approx(120, abs=3)
+    assert wider["frame"][0] > before["frame"][0] + 20
+    page.mouse.dblclick(bar["x"] + 122, 400)
+    assert settled(page)["frame"] == before["frame"]
+
+
+def test_theme_does_not_move_the_picture(bench):
+    page = bench.page
+    before = settled(page)
+    for theme, light in (("JupyterLab Dark", "false"), ("JupyterLab Light", "true")):
+        page.evaluate("t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }", theme)
+        page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=light)
+        page.wait_for_timeout(800)  # its style sheet comes later
+        assert settled(page) == before, theme
+
+
+def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
+    page = bench.page
+    page.keyboard.press("W")
+    seen = settled(page)
+    assert seen["bench"][1] > 60  # below JupyterLab's bars
+    assert seen["bench"][3] <= 800
+    assert min(seen["frame"]) >= 200  # beside JupyterLab's files
+    page.keyboard.press("W")
+    assert settled(page)["bench"] == [0, 0, 1280, 800]
+
+
+def test_a_tab_brings_its_object_into_view(bench):
+    page = bench.page
+    center = """() => { const p = Bokeh.documents.at(-1).get_model_by_name('opnav-picture');
+      return ['x_range', 'y_range'].map(r => (p[r].start + p[r].end) / 2).concat(Math.abs(p.x_range.end - p.x_range.start)); }"""
+    go(page, "lorri_4x4.fit")
+    page.keyboard.press("3")
+    page.wait_for_function(
+        "() => JSON.parse(Bokeh.documents.at(-1).get_model_by_name('opnav-state').bodies).length > 0"
+    )
+    settled(page)
+    pixel, line, width = page.evaluate(center)
+    marks = page.evaluate("() => JSON.parse(Bokeh.documents.at(-1).get_model_by_name('opnav-state').bodies)")
+    (pluto,) = [mark for mark in marks if mark["name"] == "PLUTO"]
+    assert (pixel, line) == pytest.approx((pluto["pixel"], pluto["line"]), abs=1.0)
+    assert width <= 64.0  # of 256
+    page.keyboard.press("1")
+    page.wait_for_function(f"at => Math.abs(({center})()[0] - at) > 5", arg=pixel)
+    page.keyboard.press("h")
+
+
+def test_a_file_that_fails_shows_no_other_picture(bench):
+    page = bench.page
+    go(page, "third.fit")
+    said(page, "third.fit cannot be opened")
+    page.locator(".opnav-message").wait_for()
+    seen = settled(page)
+    assert seen["on_top"] == "opnav-message"
+    left, top, right, bottom = page.evaluate(
+        "() => { const r = document.querySelector('.opnav-message').getBoundingClientRect();"
+        " return [r.left, r.top, r.right, r.bottom].map(Math.round); }"
+    )
+    assert (left, top, right, bottom) == tuple(seen["figure"])  # all of it
+    assert not page.locator(".opnav-bar").is_visible()
+    cause = page.inner_text(".ow-panel .cause")
+    assert page.inner_text(".opnav-workbench").count(cause) == 1
+    # Mended, and tried again.
+    shutil.copy(bench.good, bench.broken)
+    page.get_by_role("button", name="Try again").click()
+    said(page, "third.fit: ")
+    page.locator(".opnav-bar").wait_for()
+    page.locator(".opnav-message").wait_for(state="hidden")
+    assert settled(page)["inside"]
+
+
+def test_next_picture_is_there_at_once(bench):
+    page = bench.page
+    go(page, "lorri_4x4.fit")
+    said(page, "lorri_4x4.fit: ")
+    page.locator(".ow-queue .sign.open, .ow-queue .sign.stars").nth(2).wait_for()
+    took = page.evaluate("""() => new Promise(done => {
+      const name = () => document.querySelector('.ow-header b').textContent;
+      const root = document.querySelector('.opnav-bridge'), before = root.dataset.ready;
+      const shown = () => Bokeh.documents.at(-1)?.get_model_by_name('opnav-state');
+      const start = performance.now(), size = shown().setup;
+      const look = () => name() === 'mvic_framing.fit' && shown() && shown().setup !== size
+        ? done(performance.now() - start) : requestAnimationFrame(look);
+      const key = new KeyboardEvent('keydown', { key: 'PageDown', bubbles: true });
+      document.querySelector('.opnav-workbench').dispatchEvent(key);
+      look();
+    })""")
+    assert took < 2000.0  # 0.2 s on a quiet machine; told below
+
+
+def test_a_busy_kernel_is_not_called_dead(bench):
+    page = bench.page
+    page.evaluate(
+        """() => { const { kernel } = jupyterapp.shell.currentWidget.sessionContext.session;
+        kernel.requestExecute({ code: "import time; time.sleep(9)", store_history: false }); }"""
+    )
+    page.wait_for_timeout(300)
+    page.evaluate("() => document.querySelector('.opnav-workbench').focus()")
+    page.keyboard.press("?")
+    page.wait_for_function("() => document.querySelector('.opnav-workbench').dataset.owWait")
+    assert "busy" in page.locator(".opnav-workbench").get_attribute("data-ow-wait")
+    page.wait_for_timeout(5000)  # 6 s of silence were taken for death
+    assert page.locator(".ow-dead, .ow-grave").count() == 0
+    page.locator(".ow-panel .keys").wait_for()  # the key waited, and was not lost
+    page.wait_for_function("() => !document.querySelector('.opnav-workbench').dataset.owWait")
+    page.keyboard.press("?")
+
+
+def test_a_kernel_that_ended_says_so_and_starts_again(bench):
+    page = bench.page
+    page.evaluate("() => { void jupyterapp.shell.currentWidget.sessionContext.session.kernel.restart() }")
+    grave = page.locator(".ow-grave")
+    grave.wait_for()
+    assert "Every decision is on disk" in grave.inner_text()
+    grave.get_by_role("button").click()
+    page.locator(".ow-dead").wait_for(state="detached")
+    page.locator(".ow-window .opnav-bridge[data-ready]").wait_for()
+    said(page, "lorri_4x4.fit")
+    assert page.evaluate(GEOMETRY)["bench"] == [0, 0, 1280, 800]

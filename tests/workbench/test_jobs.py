@@ -1,0 +1,154 @@
+"""Slow work of the workbench: opening with a page of its own, keys that wait in line, neighbors opened ahead, one undo."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from opnav_workbench.errors import ImageError, SelectionPending
+from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.controller import WorkbenchController
+from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
+
+CAUSE = "third.fit: the header gives no time; add one."
+
+
+@pytest.fixture
+def slow_queue(hands_on, demo_truths):
+    """Three images: the first opens at once, the second when told, the third never."""
+    go_on, opened = threading.Event(), []
+
+    def second():
+        opened.append("second")
+        assert go_on.wait(10.0)
+        return ImageSession.open(demo_truths[0].picture, "new_horizons")
+
+    def third():
+        opened.append("third")
+        raise ImageError(CAUSE)
+
+    hands = hands_on(demo_truths[0].picture)
+    first = hands.session
+    items = [QueueItem("first", lambda: first), QueueItem("second", second), QueueItem("third", third)]
+    yield SimpleNamespace(queue=ImageQueue(items), viewer=hands.viewer, go_on=go_on, opened=opened)
+    go_on.set()
+
+
+def workbench_on(slow, *, ahead=False):
+    bench = WorkbenchController(slow.queue, slow.viewer, ahead=ahead)
+    bench.runner.wait()
+    return bench
+
+
+def press(bench, *keys):
+    for key in keys:
+        bench.handle({"act": "key", "arg": key})
+
+
+def until(true):
+    end = time.monotonic() + 5.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_slow_opening_shows_its_name_and_blocks_nothing(slow_queue):
+    bench = workbench_on(slow_queue)
+    began = time.monotonic()
+    press(bench, "PageDown")
+    assert time.monotonic() - began < 2.0
+    assert slow_queue.viewer.message == "opening second"  # not the picture before
+    assert "second" in bench.regions()["panel"]
+    assert "<progress" in bench.regions()["status"]
+    assert slow_queue.queue.items[1].status == "opening"
+    with pytest.raises(SelectionPending, match="second is being opened"):
+        slow_queue.queue.require("pointing")
+    press(bench, "f")  # waits for the picture
+    assert "1 waiting" in bench.regions()["status"]
+    press(bench, "PageUp")  # it is not waited for any more
+    assert slow_queue.viewer.message == ""
+    assert slow_queue.viewer.shown[-1] is slow_queue.queue.items[0].session
+    slow_queue.go_on.set()
+    until(lambda: slow_queue.queue.items[1].session is not None)
+    assert slow_queue.viewer.shown[-1] is slow_queue.queue.items[0].session
+    press(bench, "PageDown")
+    bench.runner.wait()
+    assert slow_queue.opened == ["second"]
+
+
+def test_failed_image_has_a_page_of_its_own(slow_queue):
+    slow_queue.go_on.set()
+    bench = workbench_on(slow_queue)
+    press(bench, "PageDown")
+    bench.runner.wait()
+    press(bench, "PageDown")
+    bench.runner.wait()
+    regions = bench.regions()
+    assert slow_queue.viewer.message == "third cannot be opened"
+    page = "".join(regions[name] for name in ("panel", "status", "header"))
+    assert page.count(CAUSE) == 1
+    assert 'data-act="open_again"' in regions["panel"]
+    press(bench, "f", "3", "a", "1")
+    assert slow_queue.opened == ["second", "third"]  # no key tries by itself
+    bench.handle({"act": "open_again"})
+    bench.runner.wait()
+    assert slow_queue.opened == ["second", "third", "third"]
+    session = slow_queue.queue.items[0].session
+    slow_queue.queue.items[2].open = lambda: session
+    bench.handle({"act": "open_again"})
+    bench.runner.wait()
+    assert slow_queue.viewer.shown[-1] is session
+
+
+def test_neighbors_are_opened_ahead(slow_queue):
+    slow_queue.go_on.set()
+    bench = workbench_on(slow_queue, ahead=True)
+    until(lambda: slow_queue.queue.items[1].status == "open")
+    assert slow_queue.opened == ["second"]
+    began = time.monotonic()
+    press(bench, "PageDown")
+    assert bench.runner.running is None
+    assert slow_queue.viewer.shown[-1] is slow_queue.queue.items[1].session
+    assert time.monotonic() - began < 0.2
+    until(lambda: slow_queue.queue.items[2].status == "failed")  # told only when its turn comes
+    assert bench.runner.status.kind != "error"
+
+
+@pytest.mark.slow
+def test_keys_pressed_during_a_step_are_carried_out_in_order(star_hands, monkeypatch):
+    go_on, original = threading.Event(), star_hands.session.repoint
+
+    def slow(*arguments, **options):
+        go_on.wait(10.0)
+        original(*arguments, **options)
+
+    monkeypatch.setattr(star_hands.session, "repoint", slow)
+    bench = star_hands.controller
+    press(bench, "p", "a", "a", "r", "1")
+    assert bench.runner.line
+    assert not star_hands.session.state.decisions
+    go_on.set()
+    bench.runner.wait()
+    decided = [verdict for verdict, _ in star_hands.session.state.decisions.values()]
+    assert decided == ["accepted", "accepted", "rejected"]
+
+
+@pytest.mark.slow
+def test_a_body_found_is_one_undo(star_hands):
+    star_hands.press("A", "p", "3")
+    star_hands.send("add_body", value="PLUTO")
+    before = star_hands.steps
+    star_hands.press("f")
+    assert star_hands.session.state.observables
+    star_hands.press("Ctrl+z")
+    assert star_hands.steps == before
+    star_hands.press("Ctrl+y")
+    assert star_hands.session.state.observables
+    star_hands.press("Ctrl+z")
+    assert star_hands.steps == before
+
+
+def test_a_decision_to_come_is_one_line_in_a_notebook():
+    pending = SelectionPending("a.fit: 4 stars wait.")
+    assert pending._render_traceback_() == ["SelectionPending: a.fit: 4 stars wait."]
