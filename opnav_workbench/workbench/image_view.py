@@ -62,8 +62,8 @@ class PreparedPicture:
 
     pixels: np.ndarray
     limits: dict[str, Any]
-    bad: Mapping[str, Any]
-    saturated: Mapping[str, Any]
+    bad: dict[str, Any]
+    saturated: dict[str, Any]
 
 
 def prepared_picture(session: ImageSession) -> PreparedPicture:

@@ -259,7 +259,8 @@ class StepRunner:
             with self.status.reporting():
                 step.then(step.error)
         elif step.error is not None:
-            dropped, _ = len(self.line), self.line.clear()
+            dropped = len(self.line)
+            self.line.clear()
             self.status.fail(step.error)
             if dropped:
                 self.status.say(f"{self.status.message} What waited ({dropped}) was dropped.", "error")

@@ -145,7 +145,8 @@ def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
 def test_a_tab_brings_its_object_into_view(bench):
     page = bench.page
     center = """() => { const p = Bokeh.documents.at(-1).get_model_by_name('opnav-picture');
-      return ['x_range', 'y_range'].map(r => (p[r].start + p[r].end) / 2).concat(Math.abs(p.x_range.end - p.x_range.start)); }"""
+      const middle = (r) => (r.start + r.end) / 2, { x_range: x, y_range: y } = p;
+      return [middle(x), middle(y), Math.abs(x.end - x.start)]; }"""
     go(page, "lorri_4x4.fit")
     page.keyboard.press("3")
     page.wait_for_function(
@@ -186,23 +187,27 @@ def test_a_file_that_fails_shows_no_other_picture(bench):
     assert settled(page)["inside"]
 
 
-def test_next_picture_is_there_at_once(bench):
+def test_next_picture_is_there_at_once(bench, record_property):
+    """It was opened ahead: no word of opening, no blank view on the way."""
     page = bench.page
     go(page, "lorri_4x4.fit")
     said(page, "lorri_4x4.fit: ")
     page.locator(".ow-queue .sign.open, .ow-queue .sign.stars").nth(2).wait_for()
-    took = page.evaluate("""() => new Promise(done => {
-      const name = () => document.querySelector('.ow-header b').textContent;
-      const root = document.querySelector('.opnav-bridge'), before = root.dataset.ready;
-      const shown = () => Bokeh.documents.at(-1)?.get_model_by_name('opnav-state');
-      const start = performance.now(), size = shown().setup;
-      const look = () => name() === 'mvic_framing.fit' && shown() && shown().setup !== size
-        ? done(performance.now() - start) : requestAnimationFrame(look);
+    took, seen = page.evaluate("""() => new Promise(done => {
+      const text = (s) => document.querySelector(s)?.textContent ?? '', seen = new Set();
+      const pixels = () => Bokeh.documents.at(-1)?.get_model_by_name('opnav-shown')?.data.image[0];
+      const start = performance.now(), before = pixels();
+      const look = () => {
+        seen.add(text('.opnav-message') + (text('.ow-status').includes('opening') ? ' opening' : ''));
+        const there = text('.ow-header b') === 'mvic_framing.fit' && pixels() && pixels() !== before;
+        there ? done([performance.now() - start, [...seen]]) : requestAnimationFrame(look);
+      };
       const key = new KeyboardEvent('keydown', { key: 'PageDown', bubbles: true });
       document.querySelector('.opnav-workbench').dispatchEvent(key);
       look();
     })""")
-    assert took < 2000.0  # 0.2 s on a quiet machine; told below
+    assert seen == [""]
+    record_property("key_to_next_picture_ms", took)
 
 
 def test_a_busy_kernel_is_not_called_dead(bench):

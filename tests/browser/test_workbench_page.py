@@ -80,6 +80,12 @@ class Analyst:
         self.page.locator(".ow-header").click(position={"x": 3, "y": 3})
         return self
 
+    def arrive(self):
+        """Wait for the workbench that `opnav lab` opens by itself."""
+        self.page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=60_000)
+        self.page.locator(".ow-panel .page").wait_for()
+        return self
+
     def press(self, *keys):
         for key in keys:
             self.actions += 1
@@ -466,7 +472,7 @@ def test_what_the_night_left_is_opened_and_decided(spec, lab_queue, notebook, tm
     assert [item.folder for item in read_queue(out).images] == NAMES
     saved = {name: json.loads((out / name / "session.json").read_text())["journal"] for name in NAMES}
 
-    hand = Analyst(notebook.visit(lab_queue(out), "workbench.ipynb")).start()
+    hand = Analyst(notebook.visit(lab_queue(out), "workbench.ipynb")).arrive()
     in_lab = hand.notebook.python
     assert in_lab("[item.folder.name for item in queue.items]") == NAMES
     for number, name in enumerate(NAMES):  # each goes on where the night stopped

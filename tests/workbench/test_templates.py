@@ -46,7 +46,7 @@ def test_a_star_of_any_name_cannot_break_the_plots():
 
 def test_line_breaks_of_a_template_are_not_part_of_the_page():
     actions = dict.fromkeys(_actions_in("header.html"), Action("undo", (), "Undo", "Take back."))
-    flags = dict.fromkeys(("is_first", "is_last", "can_undo", "can_redo", "keys_shown"), False)
+    flags = dict.fromkeys(("is_first", "is_last", "is_open", "can_undo", "can_redo", "keys_shown"), False)
     shown = render("header.html", actions=actions, name="a > b", facts="", folder=None, **flags)
     assert "\n" not in shown
     assert "<b>a &gt; b</b><span></span></div>" in shown
