@@ -77,7 +77,9 @@ def test_an_image_that_cannot_be_opened_says_why(hands_on, demo_truths, tmp_path
     queue = ImageQueue.of_images([demo_truths[0].picture, broken], "new_horizons", tmp_path / "run")
     hands = hands_on(demo_truths[0].picture)
     controller = WorkbenchController(queue, hands.viewer)
+    controller.runner.wait()
     controller.handle({"act": "key", "arg": "PageDown"})
+    controller.runner.wait()
     assert controller.runner.status.kind == "error"
     assert "broken.fit" in controller.runner.status.message
     assert "broken.fit" in controller.regions()["panel"]
@@ -89,7 +91,9 @@ def test_an_image_that_cannot_be_opened_says_why(hands_on, demo_truths, tmp_path
 def test_list_is_resumed_where_it_was_left(hands_on, demo_truths, tmp_path):
     def opened():
         queue = ImageQueue.of_images([demo_truths[1].picture], "new_horizons", tmp_path)
-        return WorkbenchController(queue, hands_on(demo_truths[0].picture).viewer)
+        bench = WorkbenchController(queue, hands_on(demo_truths[0].picture).viewer)
+        bench.runner.wait()
+        return bench
 
     first = opened()
     for key in ("f", "a", "a", "Ctrl+z"):
