@@ -157,6 +157,9 @@ def _reason(result: Mapping[str, Any], without_twist: bool) -> str:
     if pointing is None:
         messages = [str(m) for m in result.get("messages") or ()]
         return f"no pointing solved ({messages[0]})" if messages else "no pointing solved"
+    contradictions = (result.get("provenance") or {}).get("contradictions")
+    if contradictions:
+        return f"its header contradicts itself or the kernels ({contradictions[0]})"
     if not pointing.get("twist_solved", True) and not without_twist:
         return "its stars do not determine the twist (--without-twist takes it with the a priori twist)"
     return ""

@@ -239,6 +239,7 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
         "attitude_source": inputs.attitude_source,
         "observer_source": inputs.observer.source,
         "image_notes": list(context.picture.messages),
+        **({"contradictions": list(state.contradictions)} if state.contradictions else {}),
         "settings": context.settings.to_dict(),
         "decisions": [
             {"star": star, "verdict": verdict, "reason": reason}

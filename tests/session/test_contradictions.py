@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.image.contradictions import believed_state, printed_unit_s
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import ImageSession, write_reconstructed_ck
 
 DAY_S = 86400.0
 VELOCITY = ("SPCSSCVX", "SPCSSCVY", "SPCSSCVZ")
@@ -123,6 +124,9 @@ def test_it_stands_in_everything_that_is_written(told, tmp_path):
     (body,) = result["bodies"]
     assert body["status"] == "uncertain"
     assert "the header contradicts itself or the kernels" in body["messages"]
+    assert result["provenance"]["contradictions"] == result["messages"][:1]
+    with KernelSet(DEMO_KERNELS), pytest.raises(OpNavError, match="SPCSCET and SPCUTCAL differ by"):
+        write_reconstructed_ck([result], tmp_path / "solved.bc")
     again = ImageSession.resume(outcome.folder)
     assert again.state.contradictions == again.inputs.contradictions != ()
 

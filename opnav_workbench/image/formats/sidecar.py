@@ -163,6 +163,8 @@ def _words(sidecar: Path, data: bytes, picture: str | None) -> Any:
 def _table_words(rows: Sequence[Sequence[str]], picture: str | None) -> dict[str, Any]:
     """Return the words of a table: one a row, or one a column with a row for each picture."""
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    if not rows:
+        raise ValueError("a table without rows")
     if all(len(row) == 2 for row in rows) and [cell.lower() for cell in rows[0]] != ["file", "utc"]:
         return {word: _cell(value) for word, value in rows if value}
     head, *body = rows
