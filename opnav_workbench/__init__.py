@@ -29,6 +29,8 @@ this list to its top; a package imports what stands below it.
     What shall be done with a picture, said once for program, notebooks, nights and queues; and the automatic steps.
 ``report``
     Figures and pages that a navigator shows.
+``commissioning``
+    A new mission from an instrument kernel or a few numbers, and a picture.
 ``campaign``
     Many pictures: their archive, their trends and their stack.
 ``session``

@@ -30,7 +30,7 @@ from opnav_workbench.psf import GaussianPsf
 if TYPE_CHECKING:
     from opnav_workbench.camera.model import Camera
 
-__all__ = ["camera_mapping", "write_camera_yaml"]
+__all__ = ["camera_mapping", "write_camera_yaml", "yaml_document"]
 
 MODEL_NAMES: dict[type[Distortion], str] = {
     NoDistortion: "none",
@@ -80,10 +80,15 @@ def _float_text(number: float) -> str:
 
 def write_camera_yaml(camera: "Camera", path: Path, heading: str = "") -> None:
     """Write a camera file, with a comment of one or more lines on top."""
-    text = yaml.dump(camera_mapping(camera), Dumper=_Dumper, sort_keys=False, width=118, allow_unicode=True)
+    text = yaml_document(camera_mapping(camera))
     comment = "".join(f"# {line}\n" for line in heading.splitlines())
     with atomic_path(path) as temporary:
         temporary.write_text(comment + text, encoding="utf-8")
+
+
+def yaml_document(content: dict[str, Any]) -> str:
+    """Return plain values as a YAML document for people: in the order given, lists of numbers in one line."""
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=118, allow_unicode=True)
 
 
 def camera_mapping(camera: "Camera") -> dict[str, Any]:

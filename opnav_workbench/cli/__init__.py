@@ -22,6 +22,8 @@ One module a command or group of commands; nothing else in the package imports t
     Observables of many pictures as one file.
 ``check``
     Files held against what they must be; their JSON Schemas.
+``mission``
+    Missions: list, show, and a new one from an instrument kernel or numbers, and a picture.
 ``simulate``
     Pictures with known truth from a scenario.
 ``plan``

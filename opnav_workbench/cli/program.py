@@ -75,6 +75,11 @@ COMMANDS = {
         "campaign_app",
         "Many pictures: archive their runs, ask it, export observables, plot trends, stack faint targets.",
     ),
+    "mission": CommandEntry(
+        "mission",
+        "mission_app",
+        "Missions: list, show, and a new one from an instrument kernel or numbers, and a picture.",
+    ),
     "kernels": CommandEntry(
         "kernels",
         "kernels_app",

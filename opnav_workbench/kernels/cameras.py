@@ -4,6 +4,7 @@ Attitudes are ``camera_from_j2000``, so that ``v_camera = camera_from_j2000 @ v_
 components. Any other frame that the kernels define will do as well.
 """
 
+import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -15,7 +16,17 @@ from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, loaded_text, spice_call
 from opnav_workbench.kernels.coverage import CK_FRAME
 
-__all__ = ["camera_attitude", "camera_rate", "ck_structure", "instrument_values", "knows_frame", "rotation"]
+__all__ = [
+    "camera_attitude",
+    "camera_rate",
+    "ck_structure",
+    "instrument_ids",
+    "instrument_values",
+    "knows_frame",
+    "rotation",
+]
+
+INSTRUMENT = re.compile(r"INS(-?\d+)_")
 
 
 # ---- Attitudes of cameras and of bodies, from the open `KernelSet`.
@@ -126,6 +137,19 @@ def instrument_values(instrument_id: int) -> Mapping[str, tuple[float, ...] | tu
         names += _frame_names(instrument_id)
         found = {name: pool.pool_value(name) for name in names}
     return MappingProxyType({name: value for name, value in found.items() if value is not None})
+
+
+def instrument_ids() -> tuple[int, ...]:
+    """Return the NAIF numbers of all instruments that the loaded kernels describe, the first of a spacecraft first.
+
+    Raises
+    ------
+    KernelError
+        No `KernelSet` is open.
+    """
+    with spice_call("instruments", needs_kernels=True):
+        found = (INSTRUMENT.match(name) for name in pool.pool_names("INS*"))
+        return tuple(sorted({int(match[1]) for match in found if match}, reverse=True))
 
 
 def _frame_names(instrument_id: int) -> list[str]:

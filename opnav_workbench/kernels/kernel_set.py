@@ -212,8 +212,8 @@ class KernelSet(LoadedKernels):
     ----------
     source : str, path or sequence of them
         A name "mission/name" from kernels_meta (a metakernel, or a scenario whose kernels are built once
-        and kept in the cache folder), a metakernel, kernel files, or a folder: all its kernels in the order
-        LSK, SCLK, PCK, FK, IK, SPK, CK, by name within a kind. Relative paths inside a metakernel count
+        and kept in the cache folder), a scenario's YAML file, a metakernel, kernel files, or a folder: all its
+        kernels in the order LSK, SCLK, PCK, FK, IK, SPK, CK, by name within a kind. Relative paths inside a metakernel count
         from the working folder, or else from the metakernel's own.
     extra
         More of the same, loaded after `source`, so that they take precedence.
@@ -251,6 +251,8 @@ def _entries(source: KernelSource) -> Iterator[KernelFile | MissingFile]:
         return entries_at(_metakernel_of_name(source), named=True)
     path = Path(os.path.expanduser(source)).absolute()  # noqa: PTH111 (Path's own raises for a user it cannot find)
     require_short_path(path)
+    if path.suffix == ".yaml" and path.is_file() and _is_scenario(path):
+        return entries_at(scenario_metakernel(f"{path.parent.name}/{path.stem}", path))
     if isinstance(source, str) and not path.exists() and not path.suffix:
         fetched = fetched_metakernel(source)
         if fetched is None:

@@ -18,9 +18,10 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
 from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionError
 from opnav_workbench.geometry import radec_from_unit
-from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc, knows_frame
 from opnav_workbench.kernels.dsk_files import shape_file_of
 from opnav_workbench.kernels.shape_files import ShapeFile
+from opnav_workbench.kernels.loading import LoadedKernels
 from opnav_workbench.scene import (
     Observer,
     body_target,
@@ -313,8 +314,9 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
     kernels, frame_name = KernelSet.active(), context.camera.frame
     if wanted == "none":
         raise NoAttitudeError("the stars alone shall tell the attitude.")
-    with_ck = kernels is not None and kernels.has_attitude(frame_name)
-    if wanted == "kernels" or (wanted == "auto" and with_ck):
+    if wanted == "kernels" or (
+        wanted == "auto" and kernels is not None and _is_oriented(kernels, frame_name)
+    ):
         try:
             return camera_attitude(frame_name, et), "kernels"
         except KernelError as error:
@@ -326,6 +328,11 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
     return np.asarray(geometry.camera_from_j2000), "header"
+
+
+def _is_oriented(kernels: LoadedKernels, frame: str) -> bool:
+    """Whether the kernels orient a frame at any time; they need not know it where the header does."""
+    return knows_frame(frame) and kernels.has_attitude(frame)
 
 
 def _because(contradictions: Sequence[str]) -> str:

@@ -1,0 +1,146 @@
+"""The camera that took a picture, from instrument kernels or from a few numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.camera import AttitudeSigma, Camera, NoDistortion, Origin
+from opnav_workbench.constants import RAD_PER_DEG
+from opnav_workbench.errors import CameraError, MissionError, OpNavError
+from opnav_workbench.kernels import KernelSet, instrument_ids, instrument_values
+
+__all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers"]
+
+SHOWN = 8  # instruments named in an error
+POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
+MOST_CROSS_PX = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """What a person knows of a camera; None where not known."""
+
+    focal_mm: float | None = None
+    pixel_um: float | None = None
+    fov_deg: float | None = None  # from edge to edge along pixel
+    size: tuple[int, int] | None = None  # pixels, lines
+
+    @property
+    def some(self) -> bool:
+        """Whether a camera is said by numbers."""
+        return any(value is not None for value in (self.focal_mm, self.pixel_um, self.fov_deg))
+
+
+def camera_of_kernels(
+    kernels: Sequence[str | Path], wanted: str | None, shape: tuple[int, int] | None, numbers: Numbers
+) -> Camera:
+    """Return the camera that instrument kernels describe: the one wanted, or the only one of the picture's size.
+
+    Parameters
+    ----------
+    wanted
+        NAIF number, or part of the name.
+    shape
+        Lines and pixels of the picture.
+    numbers
+        Stand in for what the kernels do not give.
+
+    Raises
+    ------
+    CameraError
+        No instrument is a camera, or none or several are the one; they are named, each with why not.
+    """
+    given: dict[str, Any] = {}
+    size = numbers.size or (None if shape is None else (shape[1], shape[0]))
+    if numbers.focal_mm is not None:
+        given["focal_length_mm"] = numbers.focal_mm
+    found: list[Camera] = []
+    refused: list[str] = []
+    with KernelSet(kernels):
+        for number in instrument_ids():
+            values = instrument_values(number)
+            if wanted is not None and not _is_wanted(wanted, number, values):
+                continue
+            try:
+                found.append(_read(values, number, size, given))
+            except OpNavError as error:
+                refused.append(f"{number}: {error}")
+    if shape is not None and wanted is None:
+        found = [camera for camera in found if (camera.n_line, camera.n_pixel) == shape] or found
+    if len(found) == 1:
+        return _with_pointing(found[0])
+    if not found:
+        raise CameraError(f"no camera in these kernels: {'; '.join(refused[:3]) or 'no instrument'}")
+    named = ", ".join(f"{camera.instrument_id} ({camera.name})" for camera in found[:SHOWN])
+    raise CameraError(f"{len(found)} cameras in these kernels: {named}; choose one (--instrument).")
+
+
+def _is_wanted(wanted: str, number: int, values: Any) -> bool:
+    texts = [str(value[0]) for key, value in values.items() if key.endswith(("_NAME", "_FOV_FRAME"))]
+    return wanted.strip() == str(number) or any(wanted.casefold() in text.casefold() for text in texts)
+
+
+def _read(values: Any, number: int, size: tuple[int, int] | None, given: dict[str, Any]) -> Camera:
+    """A camera of the kernels; where they give no number of pixels, of the picture's."""
+    try:
+        return Camera.from_ik(values, number, **given)
+    except CameraError:
+        if size is None:
+            raise
+        return Camera.from_ik(values, number, n_pixel=size[0], n_line=size[1], **given)
+
+
+def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, numbers: Numbers) -> Camera:
+    """Return a pinhole that looks along +Z of a frame of its own.
+
+    Raises
+    ------
+    MissionError
+        The numbers do not make a camera; the message says which are missing.
+    """
+    size = numbers.size or (None if shape is None else (shape[1], shape[0]))
+    if size is None:
+        raise MissionError("how many pixels has the camera? Give a picture (--image) or --size 1024x1024.")
+    if numbers.fov_deg is not None:
+        pixel_um = numbers.pixel_um or 10.0
+        focal_mm = 0.5 * size[0] * pixel_um * 1e-3 / float(np.tan(0.5 * numbers.fov_deg * RAD_PER_DEG))
+        how = f"{numbers.fov_deg:g} deg over {size[0]} pixels"
+    elif numbers.focal_mm is not None and numbers.pixel_um is not None:
+        focal_mm, pixel_um = numbers.focal_mm, numbers.pixel_um
+        how = f"{focal_mm:g} mm, {pixel_um:g} um, as given"
+    else:
+        raise MissionError("give an instrument kernel (--ik), or --focal-mm with --pixel-um, or --fov-deg.")
+    origins = (
+        Origin("focal_length_mm, pixel_from_mm", "known", how),
+        Origin("n_pixel, n_line", "known", f"{size[0]} x {size[1]}"),
+        Origin("center_pixel_line", "guessed", "the middle of the detector"),
+        Origin("focal_from_camera", "guessed", "pixel +X, line +Y, boresight +Z of a frame of its own"),
+        Origin("distortion", "guessed", "none"),
+    )
+    camera = Camera(
+        name=name,
+        frame=f"{name.upper()}_CAMERA",
+        instrument_id=number,
+        n_pixel=size[0],
+        n_line=size[1],
+        focal_length_mm=focal_mm,
+        center_pixel_line=0.5 * (np.array(size, dtype=np.float64) - 1.0),
+        pixel_from_mm=np.eye(2) * 1e3 / pixel_um,
+        focal_from_camera=np.eye(3),
+        distortion=NoDistortion(),
+        source="numbers given to opnav mission new",
+        origins=origins,
+    )
+    return _with_pointing(camera)
+
+
+def _with_pointing(camera: Camera) -> Camera:
+    """The camera with the attitude errors of a usual spacecraft."""
+    cross_px = float(np.clip(POINTING_RAD / camera.pixel_scale_rad, 1.0, MOST_CROSS_PX))
+    guess = Origin("attitude_sigma", "guessed", f"{cross_px:.0f} px across the boresight, 0.2 deg about it")
+    return replace(
+        camera, attitude_sigma=AttitudeSigma(round(cross_px, 1), 0.2), origins=(*camera.origins, guess)
+    )

@@ -1,0 +1,339 @@
+"""A new mission in one call: camera, header words, how the detector lies, files; solved and simulated to compare."""
+
+import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera import Camera, Origin
+from opnav_workbench.catalog import open_catalog
+from opnav_workbench.commissioning.cameras import Numbers, camera_of_kernels, camera_of_numbers
+from opnav_workbench.commissioning.files import (
+    Craft,
+    Place,
+    able_to_simulate,
+    write_camera,
+    write_mission,
+    write_scenario,
+)
+from opnav_workbench.commissioning.header_words import HeaderWords, header_words
+from opnav_workbench.commissioning.orientation import Orientation, orientation_by_limb, orientation_by_stars
+from opnav_workbench.constants import AU_KM
+from opnav_workbench.errors import MissionError, OpNavError
+from opnav_workbench.geometry import quaternion_from_matrix
+from opnav_workbench.image import KeywordMap
+from opnav_workbench.image.file_bytes import file_bytes
+from opnav_workbench.image.formats.reading import read_stored
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc, knows_frame
+from opnav_workbench.mission import load_mission
+from opnav_workbench.scene import body_target, observer_from_kernels
+from opnav_workbench.session import ImageSession, Settings
+from opnav_workbench.session.context import Context, open_context
+from opnav_workbench.simulation import load_picture_scenario, simulate
+
+__all__ = ["NewMission", "Wanted", "new_mission"]
+
+INVENTED = 999  # the spacecraft's number, where nothing tells it
+FIRST_UTC = "2030-01-01T00:00:00"
+SOLVED_STARS = 4  # that a pointing is believed from
+NAME = re.compile(r"^[a-z][a-z0-9_-]{0,38}$")
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a person gives for a new mission; None or empty where nothing.
+
+    Attributes
+    ----------
+    name
+        Of the mission: small letters, digits and underscores.
+    folder
+        Where its files go.
+    image
+        A picture of the camera.
+    instrument_kernels
+        Instrument kernels, addenda and frame kernels that describe the camera, in loading order.
+    kernels
+        Flight kernels of the picture: trajectory and attitude.
+    instrument
+        NAIF number or part of the name, where the kernels describe several cameras.
+    numbers
+        Instead of kernels, or for what they lack.
+    target
+        Body in the picture, by which its limb tells how the detector lies.
+    """
+
+    name: str
+    folder: Path
+    image: Path | None = None
+    instrument_kernels: tuple[str, ...] = ()
+    kernels: str | None = None
+    instrument: str | None = None
+    numbers: Numbers = field(default_factory=Numbers)
+    target: str | None = None
+    catalog: str = "bundled"
+    compare: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class NewMission:
+    """What was made, and what it rests on.
+
+    Attributes
+    ----------
+    origins
+        Of camera and header words: what was known, derived and guessed.
+    orientation
+        What told how the detector lies, or why nothing did.
+    mirrored
+        Whether the picture is the mirror image of what the sources made of it.
+    solved
+        How the picture came out with the new mission; empty without a picture.
+    """
+
+    folder: Path
+    camera: Camera
+    origins: tuple[Origin, ...]
+    orientation: str
+    mirrored: bool
+    solved: str
+    pictures: Path
+    simulated: tuple[Path, ...] = ()
+
+
+def new_mission(wanted: Wanted, say: Callable[[str], None] | None = None) -> NewMission:
+    """Write the files of a mission, with the camera turned as its picture shows it.
+
+    Parameters
+    ----------
+    say : callable, optional
+        Told in words what is being done.
+
+    Raises
+    ------
+    OpNavError
+        What is given does not make a camera, or cannot be read; one line.
+    """
+    if not NAME.match(wanted.name):
+        raise MissionError(
+            f"{wanted.name!r} is no name for a mission; take small letters, digits and underscores."
+        )
+    if (wanted.folder / "mission.yaml").exists():
+        raise MissionError(f"{wanted.folder}/mission.yaml is there already; name another folder (--out).")
+    shape, words = _looked_at(wanted.image)
+    camera = _camera(wanted, shape)
+    craft = _craft(wanted, camera, words)
+    maker = _Maker(wanted, craft, words, say or _silent)
+    return maker.without_picture(camera) if wanted.image is None else maker.with_picture(camera)
+
+
+def _silent(_words: str) -> None:
+    """Tell nobody."""
+
+
+def _looked_at(image: Path | None) -> tuple[tuple[int, int] | None, HeaderWords | None]:
+    """Shape of a picture and what its header's words hold, before any mission is known."""
+    if image is None:
+        return None, None
+    _, stored = read_stored(image, file_bytes(image), KeywordMap())
+    lines, pixels = stored.image.shape[-2:]
+    return (int(lines), int(pixels)), header_words(stored.header)
+
+
+def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
+    if wanted.instrument_kernels:
+        camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers)
+    else:
+        camera = camera_of_numbers(wanted.name, -(INVENTED * 1000 + 100), shape, wanted.numbers)
+    return able_to_simulate(
+        replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
+    )
+
+
+def _craft(wanted: Wanted, camera: Camera, words: HeaderWords | None) -> Craft:
+    number = -(abs(camera.instrument_id) // 1000)
+    told = "" if words is None else words.spacecraft
+    name = re.sub(r"[^A-Z0-9 _-]", " ", (told or wanted.name).upper()).strip()[:32]
+    return Craft(
+        wanted.name, name or wanted.name.upper(), number, f"{wanted.name.upper()}_BUS", number * 1000
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Maker:
+    wanted: Wanted
+    craft: Craft
+    words: HeaderWords | None
+    say: Callable[[str], None]
+
+    @property
+    def stem(self) -> str:
+        return "camera"
+
+    def write(self, camera: Camera, keywords: dict[str, Any] | None, told: str) -> None:
+        """Write mission and camera files."""
+        heading = f"Made by `opnav mission new`. {told}"
+        write_camera(self.wanted.folder, self.stem, camera, heading)
+        match = {} if self.words is None else self.words.match
+        write_mission(self.wanted.folder, self.craft, self.stem, keywords, match, heading)
+
+    # -- without a picture -------------------------------------------------------------------------------------
+
+    def without_picture(self, camera: Camera) -> NewMission:
+        told = "no picture has shown how the detector lies; what was guessed stands under origins"
+        self.write(camera, None, f"Without a picture: {told}.")
+        place = Place(FIRST_UTC, 1.0, np.array([1.0, 0.5, 0.2]) * AU_KM, np.array([-10.0, 25.0, 5.0]))
+        pictures = write_scenario(
+            self.wanted.folder, self.craft, self.stem, camera, place, self.wanted.catalog
+        )
+        made = self.simulated(pictures)
+        return NewMission(self.wanted.folder, camera, camera.origins, told, False, "", pictures, made)
+
+    # -- with a picture ----------------------------------------------------------------------------------------
+
+    def with_picture(self, camera: Camera) -> NewMission:
+        assert self.words is not None
+        assert self.wanted.image is not None
+        keywords = dict(self.words.keywords)
+        self.write(camera, keywords, "Being tried on a picture.")
+        with self.kernels():
+            self.say("reading the picture")
+            context = open_context(self.wanted.image, load_mission(self.wanted.folder), Settings())
+            found = self.orientation(context)
+            if found is not None:
+                camera = self.turned(camera, found)
+                if found.inverse_quaternion:
+                    keywords["quaternion_sense"] = _other_sense(keywords["quaternion_sense"])
+            told = NOT_TOLD if found is None else found.text
+            self.write(camera, keywords, f"How the detector lies: {told}.")
+            solved, place = self.solved()
+        if solved and found is not None:
+            camera = replace(camera, confirmed_by=f"{self.wanted.image.name}: {solved}")
+            self.write(camera, keywords, f"How the detector lies: {told}.")
+        pictures = write_scenario(
+            self.wanted.folder, self.craft, self.stem, camera, place, self.wanted.catalog
+        )
+        origins = (*camera.origins, *self.header_origins(found, keywords))
+        mirrored = found is not None and found.mirrored
+        made = self.simulated(pictures)
+        return NewMission(self.wanted.folder, camera, origins, told, mirrored, solved, pictures, made)
+
+    def kernels(self) -> AbstractContextManager[object]:
+        """The flight kernels with those of the instrument, if any are given."""
+        if self.wanted.kernels is None:
+            return nullcontext()
+        return KernelSet([self.wanted.kernels, *self.wanted.instrument_kernels])
+
+    def orientation(self, context: Context) -> Orientation | None:
+        """By the stars, else by the limb of the target."""
+        frames = _frames(context)
+        self.say("looking for stars")
+        with suppress(OpNavError):
+            found = orientation_by_stars(context, open_catalog(self.wanted.catalog), frames)
+            if found is not None:
+                return found
+        word = self.words.keywords.get("target") if self.words is not None else None
+        target = self.wanted.target or (str(context.picture.header[word]) if word else "")
+        if KernelSet.active() is None or not frames or not target:
+            return None
+        self.say(f"comparing {target} with eight drawings")
+        with suppress(OpNavError):
+            et = _et(context)
+            observer = observer_from_kernels(self.craft.number, et)
+            seen = body_target(target, self.craft.number, et)
+            return orientation_by_limb(context, seen, observer, frames[0])
+        return None
+
+    def header_origins(self, found: Orientation | None, keywords: dict[str, Any]) -> tuple[Origin, ...]:
+        """Where the words of the header come from; the sense of a quaternion is told by the stars, where they tell all."""
+        assert self.words is not None
+        if found is None or not found.sure or "quaternion" not in keywords:
+            return self.words.origins
+        text = (
+            f"{', '.join(keywords['quaternion'])}, {keywords['quaternion_sense']}: the picture agrees with it"
+        )
+        others = tuple(o for o in self.words.origins if o.field != "quaternion")
+        return (*others, Origin("quaternion", "derived", text))
+
+    def turned(self, camera: Camera, found: Orientation) -> Camera:
+        """The camera with the axes that the picture tells, and where they come from."""
+        assert self.wanted.image is not None
+        others = tuple(o for o in camera.origins if o.field != "focal_from_camera")
+        axes = np.array2string(found.camera.focal_from_camera[:2].round(6) + 0.0, separator=", ").replace(
+            "\n", ""
+        )
+        how = Origin(
+            "focal_from_camera",
+            "derived" if found.sure else "guessed",
+            f"pixel, line {axes}, by {self.wanted.image.name}: {found.text}",
+        )
+        return replace(camera, focal_from_camera=found.camera.focal_from_camera, origins=(*others, how))
+
+    def solved(self) -> tuple[str, Place]:
+        """Solve the picture with the new mission: what came out, and where to simulate it."""
+        assert self.words is not None
+        assert self.wanted.image is not None
+        utc = self.words.utc or FIRST_UTC
+        place = Place(utc, self.words.exposure_s or 1.0, np.array([1.0, 0.5, 0.2]) * AU_KM, np.zeros(3))
+        self.say("solving the picture")
+        try:
+            session = ImageSession.open(self.wanted.image, self.wanted.folder, catalog=self.wanted.catalog)
+            inputs = session.inputs
+            place = Place(
+                inputs.utc.removesuffix("Z").removesuffix(" UTC"),
+                session.context.picture.exposure_s or place.exposure_s,
+                np.asarray(inputs.observer.position_km),
+                np.asarray(inputs.observer.velocity_km_s),
+                quaternion_from_matrix(inputs.a_priori_camera_from_j2000),
+            )
+            session.predict()
+            session.find_stars()
+            session.repoint()
+        except OpNavError as error:
+            return f"not solved: {error}", place
+        pointing = session.state.pointing
+        if pointing is None or pointing.n_stars < SOLVED_STARS:
+            return "not solved: too few stars", place
+        place = replace(place, quaternion=quaternion_from_matrix(pointing.camera_from_j2000))
+        return f"solved with {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px", place
+
+    def simulated(self, pictures: Path) -> tuple[Path, ...]:
+        """Simulate the picture to compare."""
+        if not self.wanted.compare:
+            return ()
+        self.say("simulating a picture")
+        (report,) = simulate(load_picture_scenario(pictures), self.wanted.folder / "simulated", jobs=1)
+        return report.files
+
+
+NOT_TOLD = "neither stars nor a limb told it: as the kernel says, or guessed (see origins)"
+
+
+def _other_sense(sense: str) -> str:
+    return "camera_to_j2000" if sense == "j2000_to_camera" else "j2000_to_camera"
+
+
+def _frames(context: Context) -> list[FloatArray]:
+    """How kernels or header say that the camera's frame stands; of a quaternion both senses, the likelier first."""
+    frame, kernels = context.camera.frame, KernelSet.active()
+    if kernels is not None:
+        with suppress(OpNavError):
+            if knows_frame(frame):
+                return [np.asarray(camera_attitude(frame, _et(context)))]
+    geometry = context.picture.header_geometry
+    if geometry is None or geometry.camera_from_j2000 is None:
+        return []
+    stated = np.asarray(geometry.camera_from_j2000)
+    return [stated, stated.T]
+
+
+def _et(context: Context) -> float:
+    picture = context.picture
+    if picture.et is not None:
+        return picture.et
+    return et_from_utc(str(picture.utc))
