@@ -20,8 +20,8 @@ from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionE
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc, knows_frame
 from opnav_workbench.kernels.dsk_files import shape_file_of
-from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.kernels.loading import LoadedKernels
+from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.scene import (
     Observer,
     body_target,
