@@ -3,6 +3,7 @@
 list, check, fetch, brief  about kernels; check exits with 3 where something is missing or does not cover the time
 make                       kernels of a scenario, or the DSK of a shape model
 make-ck                    solved pointings of a run as a reconstructed CK
+make-isd                   the same as image support data (JSON) for mapping programs
 geometry                   times, states, attitude and targets at an epoch
 """
 
@@ -33,8 +34,8 @@ from opnav_workbench.cli.kernel_tables import (
 )
 from opnav_workbench.cli.terminal import EXIT_PARTLY, shown
 from opnav_workbench.downloads import Progress as DownloadProgress
-from opnav_workbench.errors import KernelError, SessionError, counted
-from opnav_workbench.files import json_text
+from opnav_workbench.errors import KernelError, OpNavError, SessionError, counted
+from opnav_workbench.files import json_text, make_folder, write_json
 from opnav_workbench.kernels import (
     FetchedKernels,
     KernelKind,
@@ -57,9 +58,14 @@ from opnav_workbench.kernels.shape_files import read_shape
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import GeometryReport, geometry_report
-from opnav_workbench.session import RESULT_FILE, Reconstruction, write_reconstructed_ck
+from opnav_workbench.session import (
+    RESULT_FILE,
+    Reconstruction,
+    support_data_of_result,
+    write_reconstructed_ck,
+)
 
-__all__ = ["geometry", "kernels_app", "make_ck"]
+__all__ = ["geometry", "kernels_app", "make_ck", "make_isd"]
 
 
 # ---- What ``opnav kernels make`` does: kernels of a scenario, or the DSK of a shape model.
@@ -157,6 +163,51 @@ def make_ck(
             without_twist=without_twist,
         )
     _print_reconstruction(written)
+
+
+def make_isd(
+    run_dir: Annotated[Path, typer.Argument(help="Folder that opnav process wrote.", show_default=False)],
+    target: Annotated[
+        str,
+        typer.Option("--target", "-t", help="Body that the pictures shall be mapped on.", show_default=False),
+    ],
+    kernels: Annotated[
+        str,
+        typer.Option(help="Metakernel, kernel folder or kernel-set name: SPK and PCK.", show_default=False),
+    ],
+    mission: Annotated[
+        str | None,
+        typer.Option(
+            "--mission", "-m", help="Mission name or YAML; default the results' own.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default RUN_DIR.", show_default=False)] = None,
+) -> None:
+    """Write solved pictures as image support data (JSON) of the Community Sensor Model.
+
+    [bold]Example[/]
+
+      opnav kernels make-isd run --target PLUTO --kernels new_horizons/pluto_approach
+
+    One NAME.isd.json for each picture, as ALE writes them for ISIS, SOCET GXP and the Ames Stereo Pipeline.
+    """
+    console, failed = Console(soft_wrap=True), False
+    with KernelSet(kernels):
+        for result in _results_of_run(run_dir):
+            name = Path(str(result["image"])).stem
+            try:
+                content = support_data_of_result(
+                    result, load_mission(mission or str(result["mission"])), target
+                )
+            except OpNavError as error:
+                failed = True
+                console.print(f"[yellow]left out[/] {shown(name)}: {shown(str(error))}", highlight=False)
+                continue
+            path = make_folder(out or run_dir) / f"{name}.isd.json"
+            write_json(path, content)
+            console.print(f"[green]{shown(str(path))}[/]", highlight=False)
+    if failed:
+        raise typer.Exit(EXIT_PARTLY)
 
 
 def _results_of_run(run_dir: Path) -> list[dict[str, Any]]:
@@ -484,3 +535,4 @@ def brief_(
 
 kernels_app.command()(geometry)
 kernels_app.command("make-ck")(make_ck)
+kernels_app.command("make-isd")(make_isd)

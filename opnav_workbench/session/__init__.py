@@ -37,6 +37,8 @@ function of that name, keeps the state it makes, and writes the journal.
     Decisions of analysts as a YAML file: recorded, written, carried out.
 ``result``
     The layout of ``result.json``.
+``mapping``
+    Solved pictures as image support data of the Community Sensor Model.
 ``reconstruction``
     Solved pointings as a "reconstructed" CK.
 ``storage``
@@ -52,6 +54,7 @@ from opnav_workbench.session.context import Context
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
 from opnav_workbench.session.history import JournalEntry
 from opnav_workbench.session.inputs import ATTITUDE_SOURCES
+from opnav_workbench.session.mapping import support_data_of_result
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.session import ImageSession
 from opnav_workbench.session.settings import Settings
@@ -74,6 +77,7 @@ __all__ = [
     "StarBox",
     "StarStatus",
     "load_decisions",
+    "support_data_of_result",
     "write_decisions",
     "write_reconstructed_ck",
 ]

@@ -23,7 +23,7 @@ from opnav_workbench.resources import kernels_meta_dir
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 NARROW = WIDE | {"COLUMNS": "80"}
 NAME = "new_horizons/pluto_opnav"  # one day: 2015-04-09
-COMMANDS = ("list", "check", "fetch", "make", "brief", "geometry", "make-ck")
+COMMANDS = ("list", "check", "fetch", "make", "brief", "geometry", "make-ck", "make-isd")
 FLIGHT = ("naif0012.tls", "new_horizons_1454.tsc", "pck00011.tpc", "nh_v220.tf", "nh_ralph_v100u.ti")
 SEES = ("--mission", "new_horizons")
 

@@ -1,6 +1,7 @@
 """``opnav kernels make-ck`` and ``geometry`` as a user types them."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,11 +9,13 @@ import spiceypy
 import typer
 from typer.testing import CliRunner
 
-from opnav_workbench.cli.kernels import geometry, make_ck
+from opnav_workbench.camera.support_data import read_support_data
+from opnav_workbench.cli.kernels import geometry, make_ck, make_isd
 from opnav_workbench.errors import CameraError, KernelError, SessionError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.scene import body_target, observer_from_kernels, predict_body
 from opnav_workbench.session import ImageSession
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
@@ -22,6 +25,7 @@ EPOCH = ("--time", "2015-07-09T04:29:00")
 app = typer.Typer(rich_markup_mode="rich")
 app.command()(geometry)
 app.command("make-ck")(make_ck)
+app.command("make-isd")(make_isd)
 
 
 def run(*arguments, fails=None):
@@ -120,6 +124,51 @@ def test_make_ck_of_a_run(run_dir, tmp_path):
         frame = load_mission("new_horizons").camera_named(result["camera"]).frame
         found = spiceypy.pxform("J2000", frame, result["et"])
     assert np.abs(found - spiceypy.q2m(result["pointing"]["quaternion_camera_from_j2000"])).max() < 1e-9
+
+
+def test_image_support_data_see_the_target_where_the_solved_picture_does(run_dir, demo_truths, tmp_path):
+    """Read back as a mapping program reads them: the body's center and a limb point, through camera, attitude and place."""
+    truth = demo_truths[0]
+    pointing = {"quaternion_camera_from_j2000": spiceypy.m2q(truth.camera_from_j2000).tolist()}
+    solved = {
+        "image": "pluto.fit",
+        "mission": "new_horizons",
+        "camera": truth.camera,
+        "et": truth.et,
+        "pointing": pointing,
+    }
+    run_dir = shutil.copytree(run_dir, tmp_path / "run")
+    (run_dir / "pluto").mkdir()
+    (run_dir / "pluto" / "result.json").write_text(json.dumps(solved))
+    answer = CliRunner().invoke(
+        app,
+        ["make-isd", str(run_dir), "--kernels", DEMO_KERNELS, "--target", "PLUTO", "--out", str(tmp_path)],
+        env=WIDE,
+    )
+    assert answer.exit_code == 3, answer.output
+    said = " ".join(answer.output.split())
+    assert "no pointing solved" in said
+    assert "hold its distortion to" in said  # MVIC's, of fifth degree
+    (path,) = tmp_path.glob("*.isd.json")
+    data = read_support_data(path)
+    camera = load_mission("new_horizons").camera_named(truth.camera)
+    with KernelSet(DEMO_KERNELS):
+        target, observer = (
+            f(*a)
+            for f, a in (
+                (body_target, ("PLUTO", -98, truth.et)),
+                (observer_from_kernels, (-98, truth.et)),
+            )
+        )
+        expected = predict_body(target, observer, camera, truth.camera_from_j2000)
+    across = data.body_from_j2000.T @ np.array([0.0, 0.0, data.radii_km[1]])  # the pole
+    center, pole = (
+        data.camera.project(data.camera_from_j2000 @ (point - data.position_km))
+        for point in (0.0 * across, across)
+    )
+    np.testing.assert_allclose(center, expected.pixel_line, rtol=0, atol=0.02)
+    assert 0.0 < np.hypot(*(pole - center)) < 0.51 * expected.diameter_px
+    assert data.et == truth.et
 
 
 def test_make_ck_of_one_picture_beside_its_result(run_dir):

@@ -1,0 +1,66 @@
+"""Solved pictures as image support data of the Community Sensor Model, so that mapping programs take their pointing."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from opnav_workbench.camera.support_data import SupportData, support_data
+from opnav_workbench.errors import KernelError, SessionError
+from opnav_workbench.geometry import matrix_from_quaternion
+from opnav_workbench.kernels import KernelSet, body_id, state
+from opnav_workbench.mission import Mission
+from opnav_workbench.scene import body_target
+
+__all__ = ["support_data_of_result"]
+
+
+def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: str) -> dict[str, Any]:
+    """Return image support data of a solved picture, as ALE writes them; states and rotation of the target from kernels.
+
+    The spacecraft stands where the target's apparent place is: light time and stellar aberration are in its position, since
+    mapping programs apply neither.
+
+    Parameters
+    ----------
+    result
+        As `ImageSession.result` returns it and ``result.json`` holds it.
+    target
+        Body on which the picture shall be mapped.
+
+    Raises
+    ------
+    SessionError
+        The picture has no solved pointing.
+    KernelError
+        No kernels are open, or they do not know the target's place, size or rotation.
+    CameraError
+        The camera's distortion is none that a Community Sensor Model knows.
+    """
+    pointing, name = result.get("pointing"), str(result.get("image", "the picture"))
+    if not pointing:
+        raise SessionError(f"{name}: no pointing solved; image support data need one.")
+    if KernelSet.active() is None:
+        raise KernelError(
+            "image support data need the target's place: open kernels with SPK and PCK (--kernels)."
+        )
+    et, craft = float(result["et"]), mission.spacecraft_id
+    seen = body_target(target, craft, et)
+    apparent = state(target, et, craft, correction="CN+S")
+    if seen.radii_km is None or seen.body_from_j2000 is None or seen.sun_position_km is None:
+        raise KernelError(
+            f"the kernels do not give {target}'s size, rotation and light; load a PCK that does."
+        )
+    radii = np.asarray(seen.radii_km)
+    data = SupportData(
+        camera=mission.camera_named(str(result["camera"])),
+        et=et,
+        camera_from_j2000=matrix_from_quaternion(pointing["quaternion_camera_from_j2000"]),
+        position_km=-apparent.position_km,
+        velocity_km_s=-apparent.velocity_km_s,
+        sun_position_km=np.asarray(seen.sun_position_km),
+        body_from_j2000=np.asarray(seen.body_from_j2000),
+        radii_km=radii[[0, 2]],
+        spacecraft=mission.spacecraft_name,
+    )
+    return support_data(data, body_id(target))
