@@ -206,6 +206,7 @@ class Reader:
     suffix: str
     ask: Callable[[Path], Any]
     text: bool = False
+    whole: int = 80  # inputs of the whole run
 
 
 def meta(name: str) -> Callable[[Path], bytes]:
@@ -221,19 +222,24 @@ READERS = {
     "vicar": Reader(
         lambda _: vicar_bytes(PIXELS.astype(np.int16), later={"A": 1}, **VICAR_WORDS), ".img", sound_picture
     ),
-    "voyager": Reader(lambda _: voyager_bytes(PIXELS.astype(np.uint8)), ".imq", bare_picture),
-    "isis": Reader(lambda _: isis_bytes(PIXELS[None], "Real", (5, 8)), ".cub", bare_picture),
+    "voyager": Reader(lambda _: voyager_bytes(PIXELS.astype(np.uint8)), ".imq", bare_picture, whole=30),
+    "isis": Reader(lambda _: isis_bytes(PIXELS[None], "Real", (5, 8)), ".cub", bare_picture, whole=30),
     "pds4": Reader(
         lambda folder: with_beside(folder, "a.dat", RAW, pds4_label("a.dat", (12, 20), "SignedMSB2")),
         ".xml",
         bare_picture,
         text=True,
+        whole=30,
     ),
-    "png": Reader(lambda _: image_bytes("PNG"), ".png", bare_picture),
-    "tiff": Reader(lambda _: image_bytes("TIFF"), ".tif", bare_picture),
-    "jpeg": Reader(lambda _: image_bytes("JPEG"), ".jpg", bare_picture),
+    "png": Reader(lambda _: image_bytes("PNG"), ".png", bare_picture, whole=30),
+    "tiff": Reader(lambda _: image_bytes("TIFF"), ".tif", bare_picture, whole=30),
+    "jpeg": Reader(lambda _: image_bytes("JPEG"), ".jpg", bare_picture, whole=30),
     "sidecar": Reader(
-        lambda folder: with_beside(folder, "raw.dat", RAW, SIDECAR), ".json", sound_picture, text=True
+        lambda folder: with_beside(folder, "raw.dat", RAW, SIDECAR),
+        ".json",
+        sound_picture,
+        text=True,
+        whole=30,
     ),
     "sidecar table": Reader(
         lambda folder: with_beside(
@@ -245,6 +251,7 @@ READERS = {
         ".csv",
         sound_picture,
         text=True,
+        whole=30,
     ),
     "pds": Reader(lambda _: pds_bytes(), ".lbl", sound_picture, text=True),
     "npz": Reader(lambda _: npz_bytes(), ".npz", sound_catalog),
@@ -341,7 +348,7 @@ def test_reader(name, fuzz, tmp_path):
     path.write_bytes(good)
     reader.ask(path)
     before, taken, said = peak_mb(), 0, list[str]()
-    for number in range(fuzz.count(8, 80)):
+    for number in range(fuzz.count(8, reader.whole)):
         path.write_bytes(mutant(good, rng, text=reader.text))
         try:
             with within(SECONDS):
