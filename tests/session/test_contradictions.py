@@ -168,3 +168,15 @@ def test_what_spacecraft_do_is_believed(distance_km, speed_km_s):
 )
 def test_the_last_printed_digit(value, unit):
     assert printed_unit_s(value) == pytest.approx(unit)
+
+
+@pytest.mark.realdata
+def test_flight_frames(data_dir, tmp_path):
+    """Six LORRI frames contradict nothing; with a thousand times the exposure they do."""
+    frames = sorted((data_dir / "images" / "lorri_interstellar").glob("*.fits"))
+    assert len(frames) == 6
+    assert all(read_image(frame, KEYWORDS).contradictions == () for frame in frames)
+    path = shutil.copyfile(frames[0], tmp_path / "a.fits")
+    fits.setval(path, "EXPTIME", value=500.6)
+    (line,) = read_image(path, KEYWORDS).contradictions
+    assert line == "EXPTIME is an exposure of 500.6 s, but the header's begin and end lie 0.5006 s apart"
