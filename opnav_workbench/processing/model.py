@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.kernels.shape_files import UNIT_KM, ShapeFile
+from opnav_workbench.kernels.shape_files import SHAPE_FORMATS, UNIT_KM, ShapeFile
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.session import BODY_METHODS, Settings
 from opnav_workbench.session.body_steps import BodyMethod
@@ -366,6 +366,9 @@ class Processing(BaseModel):
         OpNavError
             One of them is not what it should be: refused at once, as it would fail for every picture.
         """
+        for body, file in self.shape_files.items():
+            if not file.path.is_file():
+                raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
         return OpenedProcessing(
             how=self.plain,
             mission=load_mission(self.mission),

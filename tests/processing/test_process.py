@@ -53,6 +53,7 @@ def test_what_would_fail_for_every_picture_is_refused_at_once(tmp_path):
         ({"mission": "new_horizons", "modle": "euler"}, "modle: unknown field, did you mean model"),
         ({"mission": "new_horizons", "kernels": "none.tm"}, r"none\.tm"),
         ({"mission": "new_horizons", "decisions": tmp_path / "none.yaml"}, r"none\.yaml"),
+        ({"mission": "new_horizons", "shapes": "PLUTO:none.obj"}, r"shape of PLUTO: no file none\.obj"),
     ):
         with pytest.raises(opnav.OpNavError, match=said):
             opnav.process("a.fit", **options, out=tmp_path / "run")
