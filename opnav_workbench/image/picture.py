@@ -264,7 +264,7 @@ def _exposure_contradictions(
     if math.isnan(exposure_s) or keywords.exposure_s is None:
         return []
     named = (keywords.begin, keywords.end)
-    for begin, end in (named,) if all(named) else STANDARD_SPANS:
+    for begin, end in (*([named] if all(named) else []), *STANDARD_SPANS):
         stated = (keywords.known(header, str(begin)), keywords.known(header, str(end)))
         first, last = (_seconds(value) for value in stated)
         if first is not None and last is not None:
