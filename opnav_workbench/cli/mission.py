@@ -160,11 +160,12 @@ def _print_new(console: Console, made: NewMission, wanted: Wanted) -> None:
         )
     if made.solved:
         console.print(f"[bold]picture[/]      {shown(made.solved)}", highlight=False)
+    if made.known_mission:
+        console.print(
+            f"[cyan]this picture is one of mission {shown(made.known_mission)}, which comes with opnav[/]"
+        )
     folder = shown(str(made.folder))
-    console.print(
-        f"\nMission in {folder}/: mission.yaml, cameras/camera.yaml, pictures/star_fields.yaml",
-        highlight=False,
-    )
+    console.print(f"\nMission in {folder}/: mission.yaml, cameras/camera.yaml", highlight=False)
     views = ", ".join(path.name for path in made.simulated if path.suffix in (".fit", ".png"))
     if views:
         console.print(f"Simulated to compare, in {folder}/simulated/: {shown(views)}", highlight=False)

@@ -58,6 +58,7 @@ def camera_of_kernels(
     if numbers.focal_mm is not None:
         given["focal_length_mm"] = numbers.focal_mm
     found: list[Camera] = []
+    fitted: list[Camera] = []
     refused: list[str] = []
     with KernelSet(kernels):
         for number in instrument_ids():
@@ -65,11 +66,13 @@ def camera_of_kernels(
             if wanted is not None and not _is_wanted(wanted, number, values):
                 continue
             try:
-                found.append(_read(values, number, size, given))
+                found.append(Camera.from_ik(values, number, **given))
             except OpNavError as error:
                 refused.append(f"{number}: {error}")
+                fitted += _fitted(values, number, size, given)
     if shape is not None and wanted is None:
-        found = [camera for camera in found if (camera.n_line, camera.n_pixel) == shape] or found
+        found = [camera for camera in found if (camera.n_line, camera.n_pixel) == shape]
+    found = found or fitted  # one that states its size comes before one that takes the picture's
     if len(found) == 1:
         return _with_pointing(found[0])
     if not found:
@@ -83,14 +86,14 @@ def _is_wanted(wanted: str, number: int, values: Any) -> bool:
     return wanted.strip() == str(number) or any(wanted.casefold() in text.casefold() for text in texts)
 
 
-def _read(values: Any, number: int, size: tuple[int, int] | None, given: dict[str, Any]) -> Camera:
-    """A camera of the kernels; where they give no number of pixels, of the picture's."""
+def _fitted(values: Any, number: int, size: tuple[int, int] | None, given: dict[str, Any]) -> list[Camera]:
+    """The camera of kernels that give no number of pixels, with the picture's; none where this does not help."""
+    if size is None:
+        return []
     try:
-        return Camera.from_ik(values, number, **given)
-    except CameraError:
-        if size is None:
-            raise
-        return Camera.from_ik(values, number, n_pixel=size[0], n_line=size[1], **given)
+        return [Camera.from_ik(values, number, n_pixel=size[0], n_line=size[1], **given)]
+    except OpNavError:
+        return []
 
 
 def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, numbers: Numbers) -> Camera:

@@ -50,6 +50,7 @@ CRAFTS = (
 )  # fmt: skip
 CLOCKS = ("SPACECRAFT_CLOCK_START_COUNT", "SPACECRAFTCLOCKSTARTCOUNT", "SPCSCLK", "SCLK")
 SCALES = (1.0, 1e-3, 1e-6)
+SHORTEST_MS = 1.0  # few cameras expose less
 ALIKE = 0.3  # an exposure may differ by this part from the time between its start and end: readout, rounding
 
 
@@ -139,7 +140,11 @@ def _scale(header: Header, name: str, value: float, told: float | None) -> tuple
     for scale in SCALES:
         if spanned and abs(value * scale - spanned) < ALIKE * spanned:
             return scale, "derived", f"times {scale:g} s as from start to stop"
-    usual = 1e-3 if name in ("EXPOSURE_DURATION", "EXPOSUREDURATION") else 1.0
+    of_pds = name in (
+        "EXPOSURE_DURATION",
+        "EXPOSUREDURATION",
+    )  # ms, unless its unit, which is not at hand, says seconds
+    usual = 1e-3 if of_pds and value >= SHORTEST_MS else 1.0
     return usual, "guessed", f"taken as {'ms' if usual < 1.0 else 's'}"
 
 

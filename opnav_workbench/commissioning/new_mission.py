@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.camera import Camera, Origin
+from opnav_workbench.camera import Camera, Origin, PsfPrior
 from opnav_workbench.catalog import open_catalog
 from opnav_workbench.commissioning.cameras import Numbers, camera_of_kernels, camera_of_numbers
 from opnav_workbench.commissioning.files import (
@@ -26,11 +26,11 @@ from opnav_workbench.commissioning.orientation import Orientation, orientation_b
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import MissionError, OpNavError
 from opnav_workbench.geometry import quaternion_from_matrix
-from opnav_workbench.image import KeywordMap
+from opnav_workbench.image import Header, KeywordMap
 from opnav_workbench.image.file_bytes import file_bytes
 from opnav_workbench.image.formats.reading import read_stored
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc, knows_frame
-from opnav_workbench.mission import load_mission
+from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.scene import body_target, observer_from_kernels
 from opnav_workbench.session import ImageSession, Settings
 from opnav_workbench.session.context import Context, open_context
@@ -94,6 +94,8 @@ class NewMission:
         Whether the picture is the mirror image of what the sources made of it.
     solved
         How the picture came out with the new mission; empty without a picture.
+    known_mission
+        A mission of the package whose header words are those of the picture.
     """
 
     folder: Path
@@ -104,6 +106,7 @@ class NewMission:
     solved: str
     pictures: Path
     simulated: tuple[Path, ...] = ()
+    known_mission: str = ""
 
 
 def new_mission(wanted: Wanted, say: Callable[[str], None] | None = None) -> NewMission:
@@ -129,7 +132,21 @@ def new_mission(wanted: Wanted, say: Callable[[str], None] | None = None) -> New
     camera = _camera(wanted, shape)
     craft = _craft(wanted, camera, words)
     maker = _Maker(wanted, craft, words, say or _silent)
-    return maker.without_picture(camera) if wanted.image is None else maker.with_picture(camera)
+    if wanted.image is None:
+        return maker.without_picture(camera)
+    return replace(maker.with_picture(camera), known_mission=_known_mission(wanted.image))
+
+
+def _known_mission(image: Path) -> str:
+    """The mission of the package that a picture's words name, if there is one."""
+    _, stored = read_stored(image, file_bytes(image), KeywordMap())
+    for name in mission_names():
+        mission = load_mission(name)
+        if mission.keywords.get("required"):
+            with suppress(OpNavError):
+                mission.camera_for(Header(stored.header))
+                return name
+    return ""
 
 
 def _silent(_words: str) -> None:
@@ -150,9 +167,7 @@ def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
         camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers)
     else:
         camera = camera_of_numbers(wanted.name, -(INVENTED * 1000 + 100), shape, wanted.numbers)
-    return able_to_simulate(
-        replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
-    )
+    return replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
 
 
 def _craft(wanted: Wanted, camera: Camera, words: HeaderWords | None) -> Craft:
@@ -175,17 +190,20 @@ class _Maker:
     def stem(self) -> str:
         return "camera"
 
-    def write(self, camera: Camera, keywords: dict[str, Any] | None, told: str) -> None:
+    def write(
+        self, camera: Camera, keywords: dict[str, Any] | None, told: str, folder: Path | None = None
+    ) -> None:
         """Write mission and camera files."""
-        heading = f"Made by `opnav mission new`. {told}"
-        write_camera(self.wanted.folder, self.stem, camera, heading)
+        heading, folder = f"Made by `opnav mission new`. {told}", folder or self.wanted.folder
+        write_camera(folder, self.stem, camera, heading)
         match = {} if self.words is None else self.words.match
-        write_mission(self.wanted.folder, self.craft, self.stem, keywords, match, heading)
+        write_mission(folder, self.craft, self.stem, keywords, match, heading)
 
     # -- without a picture -------------------------------------------------------------------------------------
 
     def without_picture(self, camera: Camera) -> NewMission:
         told = "no picture has shown how the detector lies; what was guessed stands under origins"
+        camera = able_to_simulate(camera)
         self.write(camera, None, f"Without a picture: {told}.")
         place = Place(FIRST_UTC, 1.0, np.array([1.0, 0.5, 0.2]) * AU_KM, np.array([-10.0, 25.0, 5.0]))
         pictures = write_scenario(
@@ -211,13 +229,17 @@ class _Maker:
                     keywords["quaternion_sense"] = _other_sense(keywords["quaternion_sense"])
             told = NOT_TOLD if found is None else found.text
             self.write(camera, keywords, f"How the detector lies: {told}.")
-            solved, place = self.solved()
-        if solved and found is not None:
-            camera = replace(camera, confirmed_by=f"{self.wanted.image.name}: {solved}")
+            solved, place, session = self.solved()
+        if session is not None:
+            camera = _measured(camera, session, self.wanted.image.name)
+            if found is not None:
+                camera = replace(camera, confirmed_by=f"{self.wanted.image.name}: {solved}")
             self.write(camera, keywords, f"How the detector lies: {told}.")
-        pictures = write_scenario(
-            self.wanted.folder, self.craft, self.stem, camera, place, self.wanted.catalog
-        )
+        aside = (
+            self.wanted.folder / SIMULATED
+        )  # with guesses that a picture's own processing must not rest on
+        self.write(able_to_simulate(camera), keywords, "To simulate pictures with.", aside)
+        pictures = write_scenario(aside, self.craft, self.stem, camera, place, self.wanted.catalog)
         origins = (*camera.origins, *self.header_origins(found, keywords))
         mirrored = found is not None and found.mirrored
         made = self.simulated(pictures)
@@ -274,8 +296,8 @@ class _Maker:
         )
         return replace(camera, focal_from_camera=found.camera.focal_from_camera, origins=(*others, how))
 
-    def solved(self) -> tuple[str, Place]:
-        """Solve the picture with the new mission: what came out, and where to simulate it."""
+    def solved(self) -> tuple[str, Place, ImageSession | None]:
+        """Solve the picture with the new mission: what came out, where to simulate it, and the session, if solved."""
         assert self.words is not None
         assert self.wanted.image is not None
         utc = self.words.utc or FIRST_UTC
@@ -295,22 +317,43 @@ class _Maker:
             session.find_stars()
             session.repoint()
         except OpNavError as error:
-            return f"not solved: {error}", place
+            return f"not solved: {error}", place, None
         pointing = session.state.pointing
         if pointing is None or pointing.n_stars < SOLVED_STARS:
-            return "not solved: too few stars", place
+            return "not solved: too few stars", place, None
         place = replace(place, quaternion=quaternion_from_matrix(pointing.camera_from_j2000))
-        return f"solved with {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px", place
+        return f"solved with {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px", place, session
 
     def simulated(self, pictures: Path) -> tuple[Path, ...]:
         """Simulate the picture to compare."""
         if not self.wanted.compare:
             return ()
         self.say("simulating a picture")
-        (report,) = simulate(load_picture_scenario(pictures), self.wanted.folder / "simulated", jobs=1)
+        (report,) = simulate(load_picture_scenario(pictures), self.wanted.folder / SIMULATED, jobs=1)
         return report.files
 
 
+def _measured(camera: Camera, session: ImageSession, image: str) -> Camera:
+    """The camera with brightness and width of the stars that a picture was solved with."""
+    state, exposure_s = session.state, session.context.picture.exposure_s
+    if state.a_priori is None or state.centers is None:
+        return camera
+    used = np.array([star.status == "used" for star in state.status])
+    flux = state.centers.flux_dn[used]
+    told, origins = dict[str, Any](), list(camera.origins)
+    if exposure_s > 0.0 and camera.zero_point_mag is None and (flux > 0.0).all():
+        offsets = state.a_priori.mag[used] + 2.5 * np.log10(flux / exposure_s)
+        told["zero_point_mag"] = round(float(np.median(offsets)), 3)
+        text = f"{told['zero_point_mag']:.2f}, by {len(flux)} stars of {image}, scatter {np.std(offsets):.2f} mag"
+        origins.append(Origin("zero_point_mag", "derived", text))
+    widths = np.sqrt(state.centers.shape[used, 0] * state.centers.shape[used, 1])
+    width, scatter = float(np.median(widths)), float(np.std(widths))
+    told["psf"] = PsfPrior(round(width, 3), round(max(0.05, scatter), 3))
+    origins.append(Origin("psf", "derived", f"sigma {width:.2f} px, by the stars of {image}"))
+    return replace(camera, **told, origins=tuple(origins))
+
+
+SIMULATED = "simulated"
 NOT_TOLD = "neither stars nor a limb told it: as the kernel says, or guessed (see origins)"
 
 
