@@ -1,0 +1,70 @@
+"""What stands in hidden folders for forges and packagers says the same as the package."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import jinja2
+import pytest
+import yaml
+
+from opnav_workbench.cli.program import COMMANDS
+from opnav_workbench.version import __version__
+
+ROOT = Path(__file__).parents[1]
+FORGE = ROOT / ".github"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+CONDA_NAMES = {"matplotlib": "matplotlib-base", "jupyterlab-server": "jupyterlab_server"}
+
+
+def conda(requirement: str) -> str:
+    name, operator, version = re.fullmatch(r"([\w-]+)([>=]=)(.+)", requirement).groups()
+    return f"{CONDA_NAMES.get(name, name)} {operator}{version}"
+
+
+def test_conda_recipe_needs_what_the_package_needs():
+    text = jinja2.Template((FORGE / "conda" / "meta.yaml").read_text()).render(PYTHON="python")
+    recipe = yaml.safe_load(text)
+    needs = recipe["requirements"]
+    assert set(needs["run"]) == {f"python {PROJECT['requires-python']}", *map(conda, PROJECT["dependencies"])}
+    assert set(needs["run_constrained"]) == set(map(conda, PROJECT["optional-dependencies"]["lab"]))
+    assert recipe["package"]["version"] == __version__
+    assert all((ROOT / name).is_file() for name in recipe["about"]["license_file"])
+
+
+def test_citation():
+    citation = yaml.safe_load((FORGE / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    assert (citation["version"], citation["license"]) == (__version__, PROJECT["license"])
+
+
+@pytest.mark.parametrize("path", sorted((FORGE / "ISSUE_TEMPLATE").glob("*.yml")), ids=lambda p: p.stem)
+def test_issue_forms(path):
+    form = yaml.safe_load(path.read_text())
+    if path.stem == "config":
+        assert form == {"blank_issues_enabled": True}
+        return
+    assert {"name", "description", "body"} <= set(form)
+    for part in form["body"]:
+        assert part["type"] == "textarea"
+        assert part["attributes"]["label"]
+    assert len({part["id"] for part in form["body"]}) == len(form["body"])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [".github/CONTRIBUTING.md", ".github/RELEASE.md", ".github/container/Containerfile", ".binder/postBuild"],
+)
+def test_what_they_name_is_there(name):
+    """Files, extras and commands."""
+    text = (ROOT / name).read_text()
+    files = re.findall(r"`((?:\.github|\.ci|\.docs|opnav_workbench)/[\w./-]+)`", text)
+    assert [file for file in files if not (ROOT / file).exists()] == []
+    extras = {extra for found in re.findall(r"\[([a-z,]+)\]\"", text) for extra in found.split(",")}
+    assert extras <= set(PROJECT["optional-dependencies"])
+    assert set(re.findall(r"\bopnav ([a-z]+)\b", text)) <= set(COMMANDS)
+
+
+def test_binder_installs_a_part_that_is_there():
+    assert (ROOT / ".binder" / "requirements.txt").read_text().strip() == ".[lab]"
+    assert "lab" in PROJECT["optional-dependencies"]
