@@ -1,6 +1,7 @@
 """Every lesson as a student runs it: unanswered, answered right, answered wrong; and as a teacher runs it headless."""
 
 import json
+import re
 from pathlib import Path
 
 import nbformat
@@ -177,6 +178,67 @@ ANSWERS = {
             "degrees of freedom",
         ),
     ],
+    "07_disks_and_albedo": [
+        (
+            "answer_1 = 4 * radius_px / (3 * np.pi) * (0.8 - 0.2) / (0.8 + 0.2)",
+            "answer_1 = 4 * radius_px / (3 * np.pi)",
+            "dark half is black",
+        ),
+        (
+            (
+                "def best_scale(data, model):\n"
+                "    return np.linalg.lstsq(model.reshape(-1, 1), data.ravel(), rcond=None)[0][0]"
+            ),
+            "def best_scale(data, model):\n    return data.sum() / model.sum()",
+            "ratio of the sums",
+        ),
+        (
+            (
+                "angle = np.radians(np.linspace(-90, 90, 2001))\n"
+                "answer_3 = 0.01 * radius_px * np.cos(angle).mean() / (np.cos(angle) ** 2).mean()"
+            ),
+            "answer_3 = 0.01 * radius_px",
+            "another direction",
+        ),
+        ('answer_4 = "limb_scan"', 'answer_4 = "least_squares"', "says so"),
+    ],
+    "08_lost_in_space": [
+        (
+            "answer_1 = len(mag) * np.radians(fov_deg) ** 2 / (4 * np.pi)",
+            "answer_1 = len(mag) * (fov_deg / 360) ** 2",
+            "no square",
+        ),
+        (
+            (
+                "def angle_deg(first, second, focal):\n"
+                "    a, b = np.r_[first, focal], np.r_[second, focal]\n"
+                "    return np.degrees(np.arccos(a @ b / np.sqrt((a @ a) * (b @ b))))"
+            ),
+            (
+                "def angle_deg(first, second, focal):\n"
+                "    return np.degrees(np.hypot(*(np.array(first) - np.array(second))) / focal)"
+            ),
+            "near the middle only",
+        ),
+        (
+            "answer_3 = len(mag) * (len(mag) - 1) / 2 * np.sin(np.radians(5)) * np.radians(0.01)",
+            "answer_3 = len(mag) * (len(mag) - 1) * np.sin(np.radians(5)) * np.radians(0.01)",
+            "counts once",
+        ),
+        (
+            (
+                "def attitude(camera_1, camera_2, sky_1, sky_2):\n"
+                "    found, _ = Rotation.align_vectors([camera_1, camera_2], [sky_1, sky_2])\n"
+                "    return found.as_matrix()"
+            ),
+            (
+                "def attitude(camera_1, camera_2, sky_1, sky_2):\n"
+                "    found, _ = Rotation.align_vectors([sky_1, sky_2], [camera_1, camera_2])\n"
+                "    return found.as_matrix()"
+            ),
+            "from the camera to J2000",
+        ),
+    ],
 }
 
 
@@ -223,9 +285,26 @@ def said(notebook):
     ]
 
 
-def test_there_are_six_lessons():
+def test_there_are_eight_lessons():
     assert sorted(ANSWERS) == LESSONS
-    assert [name[:2] for name in LESSONS] == ["01", "02", "03", "04", "05", "06"]
+    assert [name[:2] for name in LESSONS] == [f"0{number}" for number in range(1, 9)]
+
+
+@pytest.mark.slow
+def test_the_parallax_is_seen_from_where_the_spacecraft_was():
+    """The position that lesson 2 states is that of the kernels, on the day of the flight frames of Proxima."""
+    from opnav_workbench.constants import AU_KM
+    from opnav_workbench.kernels import KernelSet, et_from_utc, state
+
+    text = (TEACHING / "02_aberration_and_parallax.ipynb").read_text()
+    stated = re.search(
+        r"np\.array\(\[([\d., -]+)\]\) \* AU_KM.{1,40}# (2020-04-22T[\d:]+), J2000", text, re.DOTALL
+    )
+    with KernelSet("new_horizons/interstellar_2020"):
+        et = et_from_utc(stated[2])
+        position_au = state(-98, et, 0).position_km / AU_KM
+    assert [float(x) for x in stated[1].split(",")] == pytest.approx(position_au, abs=1e-6)
+    assert float(re.search(r"et_2020 = ([\d_.]+)", text)[1]) == pytest.approx(et, abs=0.01)
 
 
 @pytest.mark.parametrize("lesson", LESSONS)
