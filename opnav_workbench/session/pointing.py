@@ -191,24 +191,22 @@ def _solved(
             state.status, usable, solution.used, solution.reasons, strict=True
         )
     )
-    widened, said = _widened(context, inputs, solution)
-    return state.replace(pointing=widened, status=status).with_notes("pointing", *solution.messages, *said)
+    widened = _widened(context, inputs, solution)
+    return state.replace(pointing=widened, status=status).with_notes("pointing", *widened.messages)
 
 
-def _widened(
-    context: Context, inputs: Inputs, solution: PointingSolution
-) -> tuple[PointingSolution, tuple[str, ...]]:
+def _widened(context: Context, inputs: Inputs, solution: PointingSolution) -> PointingSolution:
     """Return a pointing whose covariance holds the aberration that nobody knows: it turns all stars alike."""
     sigma = inputs.observer.velocity_sigma_km_s / SPEED_OF_LIGHT_KM_S
     if sigma == 0.0:
-        return solution, ()
+        return solution
     across = np.eye(3) - np.outer(context.camera.boresight, context.camera.boresight)
     covariance = solution.covariance_rad2 + sigma**2 * across
     said = (
         f"the spacecraft's velocity is not known: no aberration is removed, and {sigma * ARCSEC_PER_RAD:.1f} arcsec of it "
         "are in the pointing's covariance"
     )
-    return replace(solution, covariance_rad2=covariance), (said,)
+    return replace(solution, covariance_rad2=covariance, messages=(*solution.messages, said))
 
 
 def _start(context: Context, inputs: Inputs, state: SessionState, a_priori: bool) -> dict[str, Any]:

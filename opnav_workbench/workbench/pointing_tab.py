@@ -157,7 +157,7 @@ class PointingTab(Tab):
             marking=tool == TWO_STARS,
             marks=self.marks,
             listed=listed,
-            solution=solution_shown(session.state.pointing),
+            solution=solution_shown(session.state.pointing, session.state.contradictions),
             residuals=residual_plots(rows, RESIDUAL_PLOT_PX),
             vectors=vector_plot(rows, VECTOR_PLOT_PX),
         )
@@ -243,8 +243,10 @@ class SolutionShown:
     rows: list[tuple[str, float, float, float]]
 
 
-def solution_shown(pointing: PointingSolution | None) -> SolutionShown | None:
-    """Return the solution as the page shows it; None where the a priori pointing stands."""
+def solution_shown(
+    pointing: PointingSolution | None, contradictions: tuple[str, ...] = ()
+) -> SolutionShown | None:
+    """Return the solution, and what contradicts it in the header, as the page shows it; None where the a priori stands."""
     if pointing is None:
         return None
     sigma = ARCSEC_PER_RAD * np.sqrt(np.diag(pointing.covariance_rad2))
@@ -257,4 +259,4 @@ def solution_shown(pointing: PointingSolution | None) -> SolutionShown | None:
     total = (pointing.delta_pixel, pointing.delta_line, pointing.delta_twist_rad)
     named = [*((str(number), move) for number, move in enumerate(moves, 1)), ("sum", total)]
     rows = [(name, pixel, lines, float(np.degrees(twist))) for name, (pixel, lines, twist) in named]
-    return SolutionShown(line, tuple(pointing.messages), rows)
+    return SolutionShown(line, (*contradictions, *pointing.messages), rows)
