@@ -134,6 +134,7 @@ def picture_from_stored(
         See `read_image`.
     """
     name, header = path.name, Header(source.header)
+    keywords = source.keywords or keywords
     _check_mission(name, header, keywords)
     planes = make_planes(name, source, header, keywords, saturation_dn)
     exposure_s = _exposure(name, header, keywords)

@@ -118,6 +118,20 @@ class TestDisplayPictures:
             beside.write_text(json.dumps(SIDECAR))  # which is YAML, too
         check_sidecar(read_image(path, MISSION))
 
+    def test_a_sidecar_tells_more_than_headers_of_the_mission(self, tmp_path):
+        path = tmp_path / "a.png"
+        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
+        path.with_suffix(".json").write_text(json.dumps(SIDECAR))
+        picture = read_image(path, KeywordMap(exposure_s="EXPTIME"))
+        assert (picture.exposure_s, picture.utc) == (2.0, SIDECAR["utc"])
+        turn = Rotation.from_quat(SIDECAR["attitude"], scalar_first=True).as_matrix()
+        np.testing.assert_allclose(picture.header_geometry.camera_from_j2000, turn, atol=1e-12)
+
+    def test_without_a_sidecar_the_remedy_is_one(self, tmp_path):
+        path = tmp_path / "a.png"
+        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
+        assert 'put a sidecar a.json beside it, such as {"utc":' in error_of(path, MISSION)
+
     def test_a_table_of_pictures(self, tmp_path):
         path = tmp_path / "b.png"
         Image.fromarray(PIXELS.astype(np.uint16)).save(path)

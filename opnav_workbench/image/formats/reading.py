@@ -90,8 +90,20 @@ def _read_with_sidecar(
     else:
         raise _unknown(file, data)
     if sidecar is None or sidecar_file is None:
+        _refuse_without_words(file, source, keywords)
         return source
     return with_sidecar(source, sidecar, sidecar_file.name, keywords)
+
+
+def _refuse_without_words(file: Path, source: StoredPicture, keywords: KeywordMap) -> None:
+    """Refuse a picture that says nothing of itself, where the mission asks it for time, exposure or its own name."""
+    asked = (keywords.exposure_s, keywords.utc, keywords.et, keywords.sclk, *keywords.required)
+    if not source.header and any(asked):
+        raise image_error(
+            file.name,
+            f"has no header of its own; put a sidecar {file.stem}.json beside it, such as "
+            '{"utc": "2030-01-01T00:00:00", "exposure_s": 0.5, "attitude": [1, 0, 0, 0]}.',
+        )
 
 
 def _unknown(file: Path, data: bytes) -> Exception:

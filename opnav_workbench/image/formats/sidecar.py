@@ -24,6 +24,7 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -195,37 +196,30 @@ def _cell(text: str) -> str | int | float:
 
 
 def with_sidecar(source: StoredPicture, sidecar: Sidecar, name: str, keywords: KeywordMap) -> StoredPicture:
-    """Return a picture whose header has a sidecar's words too.
+    """Return a picture whose header has a sidecar's words too, and the keywords under which they are found.
 
     Raises
     ------
     ImageError
         A time of it is none.
     """
-    header, unused = _header(sidecar, name, keywords)
-    messages = [f"{name}: {word} is not used, as the mission names no keyword for it" for word in unused]
-    return StoredPicture(
-        source.image,
-        {**source.header, **header},
-        source.error,
-        source.quality,
-        (*source.messages, *messages),
-        source.saturated,
-        source.channels,
-    )
+    header, completed = _header(sidecar, name, keywords)
+    return replace(source, header={**source.header, **header}, keywords=completed)
 
 
-def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str, HeaderValue], list[str]]:
+def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str, HeaderValue], KeywordMap]:
+    """Return a sidecar's words under the mission's keywords, and these with words of our own where it names none."""
     header = _plain_words(sidecar.model_extra or {})
-    unused = []
+    own: dict[str, str | tuple[str, ...]] = {}
     for word, values in _stated(sidecar, name, keywords).items():
-        named = getattr(keywords, KEYWORDS_OF[word])
+        field = KEYWORDS_OF[word]
+        named = getattr(keywords, field)
         names = (named,) if isinstance(named, str) else tuple(named or ())
-        if len(names) == len(values):
-            header |= dict(zip(names, values, strict=True))
-        else:
-            unused.append(word)
-    return header, unused
+        if len(names) != len(values):
+            names = tuple(f"SIDECAR.{word}.{number}" for number in range(len(values)))
+            own[field] = names if len(names) > 1 else names[0]
+        header |= dict(zip(names, values, strict=True))
+    return header, replace(keywords, **own)  # type: ignore[arg-type]  # a field of each name
 
 
 def _plain_words(words: Mapping[str, Any]) -> dict[str, HeaderValue]:

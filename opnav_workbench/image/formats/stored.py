@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray
 from opnav_workbench.image.file_bytes import check_size, image_error, truncated_error
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.header import HeaderValue, KeywordMap
 
 __all__ = ["Raster", "StoredPicture", "full_scale", "header_value", "read_raster"]
 
@@ -34,6 +34,8 @@ class StoredPicture:
         Pixels that the format itself marks as more than it can hold.
     channels
         Names of the channels; empty: they are called 1, 2, 3.
+    keywords
+        Which keywords hold what, where it is not as the mission says: a sidecar may tell more than its missions' headers.
     """
 
     image: NDArray[Any]
@@ -43,6 +45,7 @@ class StoredPicture:
     messages: tuple[str, ...] = ()
     saturated: BoolArray | None = None
     channels: tuple[str, ...] = ()
+    keywords: KeywordMap | None = None
 
 
 def header_value(value: Any) -> HeaderValue | None:
