@@ -16,14 +16,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from opnav_workbench.camera import Camera
+from opnav_workbench.camera import Camera, read_out
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.image.header import KeywordMap, header_matches
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import Photometry, TargetState
 from opnav_workbench.yaml_file import StrictModel, read_model
 
-__all__ = ["Mission", "TargetSurface", "load_mission", "mission_names"]
+__all__ = ["Mission", "Readout", "TargetSurface", "load_mission", "mission_names"]
 
 FILE_NAME = "mission.yaml"
 
@@ -37,9 +37,78 @@ class _Spacecraft(StrictModel):
     id: int
 
 
+class Readout(StrictModel):
+    """Which header words tell the window and the binning of a picture; its camera file describes the whole detector.
+
+    Attributes
+    ----------
+    binning
+        Word, or words along pixel and line, for how many pixels of the detector make one of the picture.
+    binning_values
+        What its values mean, where they are not that number.
+    first_pixel, first_line
+        Where the window begins on the detector, counted from `first_is`.
+    n_pixel, n_line
+        Size of the picture.
+
+    A word that the header does not have says that the whole detector was read, pixel by pixel: a picture of another size is
+    then refused.
+    """
+
+    binning: Keyword | tuple[Keyword, Keyword] | None = None
+    binning_values: dict[Value, Annotated[int, Field(ge=1)]] = Field(default_factory=dict)
+    first_pixel: Keyword | None = None
+    first_line: Keyword | None = None
+    n_pixel: Keyword | None = None
+    n_line: Keyword | None = None
+    first_is: Literal[0, 1] = 0
+
+    def of(self, camera: Camera, header: Mapping[str, Any]) -> Camera:
+        """Return a camera as a picture's header says that it was read out.
+
+        Raises
+        ------
+        CameraError
+            A word's value is no number, or the window lies off the detector.
+        """
+        words = (self.binning, self.binning) if isinstance(self.binning, str) else self.binning
+        steps = (1, 1) if words is None else (self._factor(header, words[0]), self._factor(header, words[1]))
+        starts = [
+            0 if w is None or w not in header else _whole(header, w) - self.first_is
+            for w in (self.first_pixel, self.first_line)
+        ]
+        size = None
+        if (
+            self.n_pixel is not None
+            and self.n_line is not None
+            and {self.n_pixel, self.n_line} <= set(header)
+        ):
+            size = (_whole(header, self.n_pixel), _whole(header, self.n_line))
+        return read_out(camera, binning=steps, first=(starts[0], starts[1]), size=size)
+
+    def _factor(self, header: Mapping[str, Any], word: str) -> int:
+        if word not in header:
+            return 1
+        for value, factor in self.binning_values.items():
+            if header_matches(header.get(word), value):
+                return factor
+        return _whole(header, word)
+
+
+def _whole(header: Mapping[str, Any], word: str) -> int:
+    """A whole number of a header."""
+    try:
+        return int(str(header[word]).split()[0])
+    except (KeyError, ValueError, IndexError) as error:
+        raise CameraError(
+            f"the header has no whole number {word}, which the mission file names for the readout."
+        ) from error
+
+
 class _CameraEntry(StrictModel):
     file: str
     match: dict[Keyword, Value | tuple[Value, ...]] = Field(default_factory=dict)
+    readout: Readout | None = None
 
 
 class AlbedoMapFile(StrictModel):
@@ -124,10 +193,13 @@ class CameraChoice:
     ----------
     match : mapping of str to value or tuple of values
         Every keyword must have the value, or one of the values.
+    readout
+        Which words tell window and binning.
     """
 
     file: Path
     match: Mapping[str, Any]
+    readout: Readout | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +306,8 @@ class Mission:
         for choice in self.cameras:
             wanted = {**required, **choice.match}
             if all(header_matches(header.get(keyword), value) for keyword, value in wanted.items()):
-                return Camera.from_yaml(choice.file)
+                camera = Camera.from_yaml(choice.file)
+                return camera if choice.readout is None else choice.readout.of(camera, header)
         keywords = sorted({*required, *(keyword for choice in self.cameras for keyword in choice.match)})
         found = ", ".join(f"{k} = {header[k]!r}" if k in header else f"no {k}" for k in keywords)
         raise CameraError(
@@ -304,7 +377,9 @@ def _mission(file: MissionFile, path: Path) -> Mission:
             {n: _with_files_beside(s, folder) for n, s in file.target_surfaces.items()}
         ),
         target_stars=None if file.target_stars is None else folder / file.target_stars,
-        cameras=tuple(CameraChoice(folder / c.file, MappingProxyType(c.match)) for c in file.cameras),
+        cameras=tuple(
+            CameraChoice(folder / c.file, MappingProxyType(c.match), c.readout) for c in file.cameras
+        ),
         keywords=MappingProxyType(file.keywords),
     )
 

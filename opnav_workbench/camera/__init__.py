@@ -14,6 +14,10 @@ Enter by `Camera`: `Camera.from_yaml` for a camera file, `Camera.from_ik` for a 
     What is believed of PSF, attitude and exposures before pictures are measured.
 ``camera_file``
     The schema of camera files, and reading one.
+``readout``
+    A camera in one readout: windows and binning.
+``cahvor``
+    Cameras from the vectors of CAHV, CAHVOR and CAHVORE models.
 ``support_data``
     Community Sensor Model image support data: camera, attitude and states of one picture, read and written.
 ``saving``
@@ -43,6 +47,7 @@ from opnav_workbench.camera.lens_models import (
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.camera.readout import read_out
 from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
 
 __all__ = [
@@ -65,4 +70,5 @@ __all__ = [
     "RationalDistortion",
     "SipDistortion",
     "TaylorDistortion",
+    "read_out",
 ]

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, readonly
+from opnav_workbench.camera.cahvor import camera_fields_from_cahvor
 from opnav_workbench.camera.camera_file import camera_fields
 from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2, reach_mm
 from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
@@ -190,6 +191,43 @@ class Camera(CameraResponse):
             The variables do not determine a camera; the message says which are missing.
         """
         return cls(**camera_fields_from_ik(values, instrument_id, **overrides))
+
+    @classmethod
+    def from_cahvor(
+        cls,
+        a: ArrayLike,
+        h: ArrayLike,
+        v: ArrayLike,
+        o: ArrayLike | None = None,
+        r: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        linearity: float = 1.0,
+        focal_length_mm: float = 1.0,
+        **fields: Any,
+    ) -> Self:
+        """Build a camera from the vectors of a CAHV, CAHVOR or CAHVORE model; its place C matters for near things only.
+
+        Parameters
+        ----------
+        a, h, v : (3,) array_like
+            In the frame in which directions will be given.
+        o : (3,) array_like, optional
+            Axis of the distortion; without, there is none (CAHV).
+        r
+            R of the model: r0, r1, r2.
+        linearity
+            Of CAHVORE: 1 perspective (as CAHVOR), 0 fisheye, between as the file's parameter says.
+        focal_length_mm
+            Any will do: pixels per mm follow from it.
+        **fields
+            The others of `Camera`: name, frame, instrument_id, n_pixel, n_line at least.
+
+        Raises
+        ------
+        CameraError
+            The vectors make no camera.
+        """
+        return cls(**camera_fields_from_cahvor(a, h, v, o, r, linearity, focal_length_mm) | fields)
 
     @property
     def boresight(self) -> FloatArray:

@@ -206,6 +206,31 @@ def test_cahvor_moves_what_lies_across_its_axis():
     )
 
 
+def test_a_camera_from_cahvor_vectors_projects_as_their_quotients_do():
+    """pixel = P'.H / P'.A, line = P'.V / P'.A of the moved direction, whatever the vectors' skew; and back."""
+    a = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
+    h, v = np.array([1900.0, 15.0, 700.0]), np.array([-20.0, 1880.0, 310.0])
+    o, r = np.array([0.11, -0.19, 1.0]) / np.linalg.norm([0.11, -0.19, 1.0]), (1e-4, 0.03, 0.01)
+    names = {"name": "MAST", "frame": "MAST", "instrument_id": -76001, "n_pixel": 1344, "n_line": 1200}
+    camera = Camera.from_cahvor(a, h, v, o, r, **names)
+    for direction in ([0.1, -0.2, 1.0], [0.4, 0.1, 1.0], [-0.3, -0.4, 1.2]):
+        along = np.array(direction) @ o
+        across = direction - along * o
+        ratio = across @ across / along**2
+        moved = direction + (r[0] + r[1] * ratio + r[2] * ratio**2) * across
+        expected = np.array([moved @ h, moved @ v]) / (moved @ a)
+        np.testing.assert_allclose(camera.project(direction), expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            camera.unproject(expected), direction / np.linalg.norm(direction), rtol=0, atol=1e-11
+        )
+    plain = Camera.from_cahvor(a, h, v, **names)
+    np.testing.assert_allclose(
+        plain.project([0.4, 0.1, 1.0]), np.array([h, v]) @ [0.4, 0.1, 1.0] / (a @ [0.4, 0.1, 1.0])
+    )
+    with pytest.raises(CameraError, match="A has length 2"):
+        Camera.from_cahvor(2.0 * a, h, v, **names)
+
+
 def test_radial_owen_is_radial_brown_with_k1_of_e2_times_focal_squared():
     focal_mm, e2 = 2618.4776, 2.7e-5
     points = grid((7.0, 7.0))

@@ -1,5 +1,6 @@
 """Missions: names and files, and which camera a header belongs to."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import yaml
 
 from opnav_workbench.camera import Camera
+from opnav_workbench.camera.support_data import read_support_data
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.image.header import KeywordMap
 from opnav_workbench.mission import load_mission, mission_names
@@ -122,6 +124,51 @@ def test_values_may_be_alternatives_and_the_first_camera_that_fits_is_taken(tmp_
         assert mission.camera_for({"CAM": value, "GAIN": 0.5}).n_pixel == 1024
     with pytest.raises(CameraError, match="CAM = 3"):
         mission.camera_for({"CAM": 3, "GAIN": 0.5})
+
+
+READOUT = {"binning": "BIN", "binning_values": {"HALF": 2}, "first_is": 1} | {
+    name: name.upper() for name in ("first_pixel", "first_line", "n_pixel", "n_line")
+}
+
+
+def test_header_words_tell_window_and_binning_of_one_camera_file(tmp_path):
+    """Binned 2 x 2 from pixel 101, line 201 (counted from 1) on: each picture's pixel sees what four of the detector see."""
+    choice = {"file": "cameras/pinhole.yaml", "match": {}, "readout": READOUT}
+    mission = load_mission(mission_file(tmp_path, cameras=[choice]))
+    whole = mission.camera_for({})
+    assert (whole.n_pixel, whole.n_line) == (1024, 1024)
+    part = mission.camera_for(
+        {"BIN": "half", "FIRST_PIXEL": 101, "FIRST_LINE": "201", "N_PIXEL": 400, "N_LINE": 300}
+    )
+    assert (part.n_pixel, part.n_line, part.name) == (400, 300, whole.name)
+    seen = whole.project(part.unproject([[0.0, 0.0], [399.0, 299.0]]))
+    np.testing.assert_allclose(
+        seen, [[100.5, 200.5], [898.5, 798.5]], rtol=0, atol=1e-9
+    )  # middles of four pixels
+    assert part.psf.sigma_px == whole.psf.sigma_px / 2
+    for header, message in (
+        ({"BIN": "x"}, "no whole number BIN"),
+        ({"FIRST_PIXEL": 900, "N_PIXEL": 400, "N_LINE": 1}, "not on its detector"),
+    ):
+        with pytest.raises(CameraError, match=message):
+            mission.camera_for(header)
+
+
+@pytest.mark.realdata
+def test_a_binned_picture_of_mercury_is_the_camera_of_its_image_support_data(data_dir):
+    """The label says binned on the chip; ALE's camera differs by the focal length of that temperature only."""
+    folder = data_dir / "spice/instruments"
+    label = (folder / "messenger_mdis/EN1072174528M_pds3.lbl").read_text(encoding="ascii", errors="replace")
+    words = dict(re.findall(r"^ *([A-Z:_]+) *= *(\S+)", label, flags=re.MULTILINE))
+    camera = load_mission("messenger").camera_for(words)
+    theirs = read_support_data(folder / "isds/messmdis_isd.json").camera
+    assert (camera.n_pixel, camera.n_line) == (512, 512) == (theirs.n_pixel, theirs.n_line)
+    assert theirs.focal_length_mm == pytest.approx(camera.focal_length_mm, rel=1e-3)
+    points = np.stack(np.meshgrid(np.linspace(-0.5, 511.5, 9), np.linspace(-0.5, 511.5, 9)), axis=-1).reshape(
+        -1, 2
+    )
+    warmed = replace(camera, focal_length_mm=theirs.focal_length_mm)
+    assert np.abs(warmed.project(theirs.unproject(points)) - points).max() < 0.02
 
 
 def test_a_broken_camera_file_is_named(tmp_path):
