@@ -15,7 +15,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import Catalog, open_catalog
-from opnav_workbench.errors import CatalogError
+from opnav_workbench.errors import CatalogError, SessionError
 from opnav_workbench.session.context import Context, with_focal_scale
 from opnav_workbench.session.inputs import (
     Inputs,
@@ -36,7 +36,7 @@ from opnav_workbench.stars.lost_in_space import (
     solve_lost,
 )
 
-__all__ = ["lost_field", "open_inputs"]
+__all__ = ["asked_field", "lost_field", "open_inputs"]
 
 FOCAL_PX = (
     1.0  # what another focal length may move a star at the picture's edge, and a camera file still be right
@@ -81,13 +81,36 @@ def lost_field(
 ) -> LostField | None:
     """Return where on the sky the picture was taken, or why it is no picture of this camera; None where nobody knows.
 
-    Nobody waits for the index of a deep catalog who has not asked for it (attitude ``none``): it is then left.
+    Nobody waits for the index of a deep catalog who has not asked (attitude ``none``, `asked_field`): it is then left.
     """
     try:
         catalog = catalog or open_catalog(source.catalog)
         answer = _searched(context, catalog) if is_index_at_hand(catalog, context.camera) else None
     except CatalogError:  # not on this machine, or no catalog of the whole sky
         return None
+    return _field_of(context, inputs, answer)
+
+
+def asked_field(
+    context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
+) -> LostField:
+    """Return the same for somebody who asks and waits for it.
+
+    Raises
+    ------
+    SessionError
+        The stars do not tell it: why.
+    CatalogError
+        The catalog is not on this machine, or has not the whole sky.
+    """
+    answer = _searched(context, catalog or open_catalog(source.catalog))
+    found = _field_of(context, inputs, answer)
+    if found is None:
+        raise SessionError(_why_not(context, answer))
+    return found
+
+
+def _field_of(context: Context, inputs: Inputs, answer: LostAnswer | None) -> LostField | None:
     if answer is None:
         return None
     a_priori = inputs.a_priori_camera_from_j2000

@@ -34,7 +34,7 @@ from opnav_workbench.session.decisions import Decisions, load_decisions, write_d
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource
-from opnav_workbench.session.lost import lost_field, open_inputs
+from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import origin_of, result_dict
@@ -380,6 +380,26 @@ class ImageSession:
             if self._is_lost(state) and self._search_sky():
                 state = self._history.state_after_step("find_stars", parameters)
             self._record("find_stars", parameters, state, cost_s=time.perf_counter() - began)
+
+    def search_sky(self) -> str:
+        """Search the whole sky for this picture's stars; where nothing is nearer, `find_stars` then begins there.
+
+        Returns
+        -------
+        str
+            What was found, in words.
+
+        Raises
+        ------
+        SessionError, CatalogError
+            The stars do not tell it, and why; or the catalog has not the whole sky.
+        """
+        with self.lock:
+            found = asked_field(self.context, self.source, self.inputs, self._catalog)
+            self._history.inputs = input_values.with_lost_field(
+                self.context, self.source, self.inputs, found, self._catalog
+            )
+        return found.message
 
     def refit_stars(
         self,

@@ -21,6 +21,8 @@ Deciding
     What every tab has, and the runner of steps that the tabs share.
 ``stars_tab``
     Star boxes accepted and rejected.
+``field_depth``
+    The catalog's depth against the picture's, and what fetches what is missing.
 ``pointing_tab``
     The solution, two stars marked by hand, the nudge.
 ``bodies_tab``
@@ -29,6 +31,8 @@ Deciding
     The analyst's circle of a body.
 ``limb_scan_choice``
     Limb scans chosen by number, click or box, and their page.
+``exports``
+    The marks as a DS9 region file, the picture with its solved WCS as FITS.
 ``observables_tab``
     Observables, export, notes, journal.
 

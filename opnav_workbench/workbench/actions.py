@@ -217,6 +217,13 @@ def _pointing() -> Iterator[Action]:
     )
     yield Action("model", ("t",), "Model", "Three angles, or shift and twist in the image plane.", where)
     yield Action("two_star", ("w",), "Two stars", "Lost frame: click two stars in the picture.", where)
+    yield Action(
+        "search_sky",
+        ("L",),
+        "Lost in space",
+        "Search the whole sky for these stars, whatever the pointing says.",
+        where,
+    )
     yield Action("nudge", ("j",), "Nudge", "Move the predicted field with the arrow keys.", where)
 
 
@@ -299,5 +306,6 @@ VIEW_ACTIONS = (
         "Draw residual vectors ten times as long; beyond the longest begin short again.",
         PICTURE,
     ),
+    Action("save_view", ("P",), "PNG", "Save the picture as it is shown, with its marks, as a PNG.", PICTURE),
     Action("magnitudes", ("l",), "Magnitudes", "Show or hide the stars' magnitudes.", PICTURE),
 )

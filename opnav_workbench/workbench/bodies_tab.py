@@ -11,7 +11,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter
-from opnav_workbench.bodies.results import LimbScans
+from opnav_workbench.bodies.results import DiskReading, LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import BODY_METHODS
 from opnav_workbench.templating import png_url, words
@@ -84,6 +84,15 @@ class BodyPictureShown:
 
 
 @dataclass(frozen=True, slots=True)
+class SecondShown:
+    """Another reading of the same pixels: its name, how far it lies from the first, and values for the first rows."""
+
+    method: str
+    apart: str
+    values: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class CenterShown:
     """A center as the page shows it: numbers as texts, covariance ellipse, pictures."""
 
@@ -91,6 +100,7 @@ class CenterShown:
     status: str
     messages: str
     rows: list[tuple[str, str]]
+    second: SecondShown | None
     ellipse: EllipseShown | None
     pictures: list[BodyPictureShown]
 
@@ -140,16 +150,35 @@ def center_shown(center: BodyCenter, prediction: Prediction | None, *, short: bo
     """Return a center as the page shows it; `short` leaves room for the scans below, which say the same as messages."""
     messages = "" if short and center.status == "ok" else "; ".join(center.messages)
     if center.pixel_line is None:
-        return CenterShown(center.method, center.status, messages, [], None, [])
+        return CenterShown(center.method, center.status, messages, [], None, None, [])
     size_px, names = (SMALL_PX, ["difference"]) if short else (LARGE_PX, ["data", "model", "difference"])
     return CenterShown(
         center.method,
         center.status,
         messages,
         _center_rows(center, center.pixel_line, prediction),
+        _second_shown(center, prediction),
         ellipse_shown(center.covariance_px2),
         _pictures_shown(center, size_px, names),
     )
+
+
+def _second_shown(center: BodyCenter, prediction: Prediction | None) -> SecondShown | None:
+    second = center.detail.second if isinstance(center.detail, DiskReading) else None
+    if second is None or center.pixel_line is None:
+        return None
+    sigma = np.sqrt(np.diag(second.covariance_px2))
+    pixel, line = second.pixel_line
+    values = [
+        f"{pixel:.3f} ± {sigma[0]:.3f}",
+        f"{line:.3f} ± {sigma[1]:.3f}",
+        f"{second.covariance_px2[0, 1] / (sigma[0] * sigma[1]):+.2f}",
+    ]
+    if prediction is not None:
+        values += [f"{pixel - prediction.pixel:+.3f}", f"{line - prediction.line:+.3f}"]
+    off = second.pixel_line - center.pixel_line
+    apart = f"{off[0]:+.2f} px, {off[1]:+.2f} lines apart: {second.difference_sigmas:.1f} sigma"
+    return SecondShown(second.method, apart, tuple(values))
 
 
 def _center_rows(

@@ -31,6 +31,7 @@ from opnav_workbench.workbench.overlays import (
     expected_attitude,
     mask_runs,
     sky_grid,
+    star_facts,
     star_marks,
     vector_columns,
 )
@@ -283,6 +284,7 @@ class ImageView:
         with self.bridge.batch():
             self.session = session
             self._begin_anew(session.context.picture.image_dn.shape)
+            self.state.title = session.context.picture.path.stem
             self.images.put_prepared(DATA_KEY, ready.pixels, "image", ready.limits)
             self.models.fill("bad", ready.bad)
             self.models.fill("saturated", ready.saturated)
@@ -349,6 +351,7 @@ class ImageView:
             places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
             size = session.context.picture.image_dn.shape[::-1]
             self.models.fill("star_labels", label_columns(places, stars.labels["text"], (9.0, -5.0), size))
+            self.models.fill("facts", star_facts(session))
             self._vectors = stars.vectors
             self._draw_vectors()
             self._draw_bodies(session)

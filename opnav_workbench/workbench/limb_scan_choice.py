@@ -14,7 +14,9 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.results import NOT_CHOSEN, REJECTED, USED, LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
+from opnav_workbench.templating import png_url
 from opnav_workbench.workbench.plots import SvgPlot, data_range
+from opnav_workbench.workbench.stretch import gray_png
 from opnav_workbench.workbench.viewer import Layer
 
 __all__ = [
@@ -153,6 +155,7 @@ def scans_crossing(
 THUMBS = 6  # scans shown small, the one at hand among them
 THUMB_W, THUMB_H, THUMB_POINTS = 68, 32, 60
 STRIP_W, STRIP_H = 458, 88
+UNROLLED_H, UNROLLED_FROM = 118, 0.72  # px; share of the limb's distance from the center that it begins at
 PROFILE_W, CORRELATION_W, LARGE_H = 246, 206, 110
 SCAN_SIGNS = {USED: "✓", REJECTED: "✗", NOT_CHOSEN: "–"}
 SCAN_WORDS = {USED: "in use", REJECTED: "left out by the fit", NOT_CHOSEN: "not chosen"}
@@ -200,6 +203,22 @@ class ScanColumn:
 
 
 @dataclass(frozen=True, slots=True)
+class UnrolledLimb:
+    """The picture about the limb, unrolled: scan by scan across, distance from the center up.
+
+    Attributes
+    ----------
+    plot
+        Its axes, with the limb where it is predicted and where the scans see it.
+    url
+        Of its picture, which fills the frame.
+    """
+
+    plot: SvgPlot
+    url: str
+
+
+@dataclass(frozen=True, slots=True)
 class ScanPage:
     """Everything that the page shows of the limb scans (templates/limb_scans.html).
 
@@ -221,6 +240,8 @@ class ScanPage:
         All scans by number.
     column_px
         Width of a column of the strip.
+    unrolled
+        The picture above the strip, column by column.
     """
 
     focus: ScanShown
@@ -238,6 +259,7 @@ class ScanPage:
     strip: SvgPlot
     columns: list[ScanColumn]
     column_px: float
+    unrolled: UnrolledLimb
 
 
 def scan_page(scans: LimbScans, focus: int, *, by_hand: bool, boxing: bool) -> ScanPage:
@@ -275,7 +297,29 @@ def scan_page(scans: LimbScans, focus: int, *, by_hand: bool, boxing: bool) -> S
         strip=strip,
         columns=columns,
         column_px=float(strip.x(1.0) - strip.x(0.0)),
+        unrolled=unrolled_limb(scans),
     )
+
+
+def unrolled_limb(scans: LimbScans) -> UnrolledLimb:
+    """Return the limb unrolled: an edge of the albedo goes its own way in it, the limb stays level."""
+    limb = (
+        float(np.nanmedian(scans.limb_px))
+        if np.isfinite(scans.limb_px).any()
+        else float(scans.distance_px[-1])
+    )
+    first = int(np.searchsorted(scans.distance_px, UNROLLED_FROM * limb))
+    distance, data = scans.distance_px[first:], scans.data_dn[:, first:]
+    finite = data[np.isfinite(data)]
+    low, high = np.percentile(finite, (2.0, 99.0)) if finite.size else (0.0, 1.0)
+    plot = SvgPlot(
+        STRIP_W, UNROLLED_H, (-0.5, len(data) - 0.5), _ends(distance), "unrolled: px from the center", ticks=4
+    )
+    number = np.arange(len(data))
+    plot.add_curve(number, scans.limb_px, "limb")
+    seen = np.where(np.asarray(scans.status) != NOT_CHOSEN, scans.edge_px + scans.offset_px, np.nan)
+    plot.add_points(number, seen, "seen", np.zeros(len(data)), [""] * len(data))
+    return UnrolledLimb(plot, png_url(gray_png(data.T[::-1], float(low), float(high))))
 
 
 def _profile_plot(scans: LimbScans, number: int) -> SvgPlot:

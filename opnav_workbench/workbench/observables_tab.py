@@ -1,6 +1,7 @@
 """The tab of the observables: what orbit determination gets, the export, the notes, and the journal."""
 
 import getpass
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from opnav_workbench.observables import Observable
 from opnav_workbench.report import write_summary
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import NOTE_MENU, ActionRegistry
+from opnav_workbench.workbench.exports import write_fits_with_wcs, write_regions
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
 
@@ -62,14 +64,14 @@ class ObservablesTab(Tab):
             "export": lambda _: self.export(),
             "note": lambda _: self._ask_note(),
             "note_text": self._note,
+            "write_regions": lambda _: self._write("regions.reg", write_regions),
+            "write_fits": lambda _: self._write("picture_wcs.fits", write_fits_with_wcs),
             "older_entries": lambda _: self._toggle_older(),
         }
 
     def export(self) -> None:
         """Write all files of this image."""
-        folder = self.runner.queue.item.folder or self.out
-        if folder is None:
-            raise SessionError("there is no folder to export into: workbench(..., out=FOLDER).")
+        folder = self._folder_or_raise()
         session, name = self.runner.session, self.runner.queue.item.name
 
         def work() -> None:
@@ -77,6 +79,19 @@ class ObservablesTab(Tab):
             self.exported[name] = tuple(export_session(session, folder))
 
         self.runner.run("exporting", work, lambda: f"{len(self.exported[name])} files written into {folder}.")
+
+    def _write(self, name: str, write: Callable[[ImageSession, Path], Path]) -> None:
+        """Write one file for other programs."""
+        session, target = self.runner.session, self._folder_or_raise() / name
+        self.runner.run(
+            f"writing {name}", lambda: write(session, make_folder(target.parent) / name), f"{target} written."
+        )
+
+    def _folder_or_raise(self) -> Path:
+        folder = self.runner.queue.item.folder or self.out
+        if folder is None:
+            raise SessionError("there is no folder to export into: workbench(..., out=FOLDER).")
+        return folder
 
     def _toggle_older(self) -> None:
         self.whole_journal = not self.whole_journal

@@ -28,6 +28,7 @@ __all__ = [
     "mask_runs",
     "predicted_body",
     "sky_grid",
+    "star_facts",
     "star_marks",
     "vector_columns",
 ]
@@ -84,6 +85,28 @@ def star_marks(session: ImageSession) -> StarMarks:
         rejected=_place_columns(observed[rejected]) | {"id": stars.id[rejected].tolist()},
         vectors=_place_columns(places[used]) | {"d_pixel": residual[:, 0], "d_line": residual[:, 1]},
     )
+
+
+def star_facts(session: ImageSession) -> Columns:
+    """Return what is told of a star under the cursor: id, magnitude, SNR, O-C (px) from where it is expected."""
+    stars, centers = session.state.a_priori, session.state.centers
+    if stars is None:
+        return _place_columns(np.empty((0, 2))) | {"text": []}
+    expected = stars.places(session.context.camera, expected_attitude(session))
+    on = np.flatnonzero(session.context.camera.on_detector(expected))
+    seen = (
+        expected
+        if centers is None
+        else np.where(np.isfinite(centers.pixel_line), centers.pixel_line, expected)
+    )
+    texts = []
+    for row in on:
+        text = f"{stars.id[row]}  {stars.mag[row]:.1f} mag"
+        if centers is not None and np.isfinite(centers.pixel_line[row]).all():
+            off = centers.pixel_line[row] - expected[row]
+            text += f"\nSNR {centers.snr[row]:.0f}  O−C {off[0]:+.2f} {off[1]:+.2f}"
+        texts.append(text)
+    return _place_columns(seen[on]) | {"text": texts}
 
 
 def _place_columns(places: FloatArray) -> Columns:

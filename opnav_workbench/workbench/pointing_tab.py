@@ -13,6 +13,7 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 from opnav_workbench.workbench.actions import NUDGE, TWO_STARS, ActionRegistry
+from opnav_workbench.workbench.field_depth import field_depth
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.plots import residual_plots, star_residuals, vector_plot
 from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, Tab
@@ -121,6 +122,7 @@ class PointingTab(Tab):
             "turn_left": self._nudging(0.0, 0.0, -TURN_DEG),
             "turn_right": self._nudging(0.0, 0.0, TURN_DEG),
             "find_again": lambda _: self._find(),
+            "search_sky": lambda _: self._search_sky(),
             "repoint_here": lambda _: self.runner.repoint(),
             "model": lambda _: self._next_model(),
             "two_star": lambda _: self._mark_tool(),
@@ -154,6 +156,7 @@ class PointingTab(Tab):
             nudging=tool == NUDGE,
             arrows=list(zip(ARROW_STEPS, "←→↑↓", strict=True)),
             field=self._field_line(),
+            depth=field_depth(session),
             marking=tool == TWO_STARS,
             marks=self.marks,
             listed=listed,
@@ -176,6 +179,19 @@ class PointingTab(Tab):
     def _find(self) -> None:
         self.runner.tool = ""
         self.runner.find_stars()
+
+    def _search_sky(self) -> None:
+        """Find the field wherever it is on the sky; what the pointing said until now is put aside."""
+        self.runner.tool = ""
+        session = self.runner.session
+
+        def work() -> None:
+            session.search_sky()
+            if session.state.star_field is not None or session.state.pointing is not None:
+                session.predict()
+            session.find_stars(self.runner.search.method, search_radius_px=self.runner.search.radius_px)
+
+        self.runner.run("searching the whole sky", work, self._field_line)
 
     def _next_model(self) -> None:
         models = list(POINTING_MODELS)

@@ -131,6 +131,7 @@ class ViewState(DataModel):
     )
     body = String("", help="The body that the readout measures from.")
     setup = String("{}", help="Size, colour maps, legend: what the page must know once a picture.")
+    title = String("", help="Name of the picture.")
     message = String("", help="Shown instead of a picture; the controls are away then.")
     images = String("{}", help="Label and limits of each picture, by key.")
     camera = String("null", help="SkyReadout.as_page_values().")
@@ -359,6 +360,9 @@ class PictureModels:
                 kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size
             )
         self._add_text("star_labels", "magnitudes", "predicted")
+        facts = self.sources["facts"] = _source("pixel", "line", "text")  # read by the page, drawn by nothing
+        facts.name = "opnav-facts"
+        self.picture.scatter("pixel", "line", source=facts, size=0)
 
     def _add_points(self, kind: str, group: str, size: int) -> None:
         source = self.sources[kind] = _source("pixel", "line")

@@ -19,6 +19,7 @@ class ImageActions {
       zoom_in: () => this.zoomBy(ZOOM),
       zoom_out: () => this.zoomBy(1 / ZOOM),
       overlays: () => this.toggleAll(),
+      save_view: () => this.saveView(),
       longer: () => { state.vector_scale = this.longer(state.vector_scale); },
     };
     const action = actions[name] ?? (name in setup.groups ? () => this.toggle(name) : undefined);
@@ -79,6 +80,14 @@ class ImageActions {
   toggle(group) {
     const { groups } = this.state;
     this.state.groups = groups.includes(group) ? groups.filter((one) => one !== group) : [...groups, group];
+  }
+
+  saveView() {
+    const { canvas } = this.figure.export("png", true);
+    const link = document.createElement("a");
+    link.download = `${this.state.title || "picture"}.png`;
+    link.href = canvas.toDataURL("image/png");
+    link.click();
   }
 
   toggleAll() {

@@ -1,5 +1,6 @@
 // What follows the cursor: the readout and the magnifier.
 
+const NEAR_PX = 10; // screen px: a star so near is meant
 const MAGNIFIED_PX = 15; // pixels across the magnifier
 
 class ImageCursor extends ImageActions {
@@ -45,7 +46,21 @@ class ImageCursor extends ImageActions {
     const r = target && Math.hypot(pixel - target.pixel, line - target.line);
     const radii = target?.radius_px ? ` = ${(r / target.radius_px).toFixed(2)} R` : "";
     body.textContent = target ? `${target.name}: ${r.toFixed(2)} px${radii}` : "";
+    this.layout.lines[6].textContent = this.near(pixel, line);
     this.tellScale();
+  }
+
+  // What is known of the star under the cursor.
+  near(pixel, line) {
+    const facts = this.model("opnav-facts")?.data;
+    const { x_range, frame_width } = this.model("opnav-picture");
+    let best = (NEAR_PX * Math.abs(x_range.end - x_range.start)) / frame_width;
+    let found = "";
+    for (let i = 0; i < (facts?.pixel.length ?? 0); i++) {
+      const distance = Math.hypot(facts.pixel[i] - pixel, facts.line[i] - line);
+      if (distance < best) [best, found] = [distance, facts.text[i]];
+    }
+    return found;
   }
 
   tellScale() {

@@ -109,6 +109,7 @@ class ImageLayout {
     this.partner = menu(this.bar, "Picture to blink against", [], set("partner"));
     this.partner.classList.add("opnav-partner");
     this.blinkOn = button(this.bar, "Auto-blink", view.hint("blink_on"), () => view.do("blink_on"));
+    button(this.bar, "PNG", view.hint("save_view"), () => view.do("save_view"));
     this.switches = make("div", "opnav-switches", this.box);
     this.body = make("div", "opnav-body", this.box);
     this.stage = make("div", "opnav-stage", this.body);
