@@ -13,6 +13,7 @@ __all__ = ["FieldDepth", "field_depth"]
 
 DEEP_CATALOG = "gaia-dr3"  # complete far below what any navigation camera shows, fetched by the cone
 MARGIN_MAG = 0.75  # a catalog that ends so little above the picture's faintest stars lacks few of them
+STARS_ENOUGH = 10  # in a solution: more of them would tell little more
 MOST_MAG = 20.0  # of what is fetched: the deep catalog ends there
 WIDER = 1.3  # than the field: a pointing error of a third of it still finds its stars
 
@@ -45,6 +46,9 @@ def field_depth(session: ImageSession) -> FieldDepth:
     if not np.isfinite(shown):
         return FieldDepth(f"{here}; how faint the picture goes is not known (no zero point)")
     line = f"{here}; the picture shows stars to about {shown:.1f} mag"
+    solved = session.state.pointing
+    if solved is not None and solved.n_stars >= STARS_ENOUGH:
+        return FieldDepth(line)
     if known + MARGIN_MAG >= min(shown, session.context.settings.mag_limit, MOST_MAG):
         return FieldDepth(line)
     return FieldDepth(line, DEEP_CATALOG, _command(session, min(shown, MOST_MAG)))
