@@ -74,14 +74,15 @@ def solved_wcs(session: ImageSession) -> WCS:
     here = _sky(session, middle[None])[0]
     plane = _tangent_plane_deg(_sky(session, places), here)
     there = np.isfinite(plane).all(axis=1)
-    offset, plane, half = places[there] - middle, plane[there], 0.5 * float(size.max())
+    offset = np.asarray(places[there] - middle, dtype=np.float64)
+    plane, half = plane[there], 0.5 * float(size.max())
     straight, bent = _polynomial(offset, plane, half)
     ra, dec = radec_from_unit(here)
     wcs = WCS(naxis=2)
     wcs.wcs.ctype, wcs.wcs.cunit = ["RA---TAN-SIP", "DEC--TAN-SIP"], ["deg", "deg"]
     wcs.wcs.crpix, wcs.wcs.crval, wcs.wcs.cd = middle + ONE_BASED, np.degrees([ra, dec]), straight
     forward = np.linalg.solve(straight, bent.reshape(2, -1)).reshape(bent.shape)
-    linear = np.linalg.solve(straight, plane.T).T
+    linear = np.asarray(np.linalg.solve(straight, plane.T).T, dtype=np.float64)
     wcs.sip = Sip(*forward, *_polynomial(linear, offset - linear, half, least=0)[1], wcs.wcs.crpix)
     misfit = _misfit_px(wcs, session, places[there])
     if misfit > MOST_MISFIT_PX:

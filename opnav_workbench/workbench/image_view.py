@@ -454,7 +454,10 @@ class ImageView:
             if span_px is not None:
                 self._look_at_all(n_pixel, n_line)
             return
-        x, y = np.asarray(place_px, float)
+        x, y = (  # no more beside the picture than there must be
+            np.clip(at, min(0.5 * (width - 1.0), 0.5 * n), max(n - 0.5 * (width + 1.0), 0.5 * n))
+            for at, n in zip(np.asarray(place_px, float), (n_pixel, n_line), strict=True)
+        )
         height = width * abs((self.models.y_range.end - self.models.y_range.start) / now)
         with self.bridge.batch():
             self.models.x_range.update(start=x - 0.5 * width, end=x + 0.5 * width)
