@@ -10,7 +10,8 @@ from opnav_workbench.camera.support_data import SupportData, read_support_data, 
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import write_json
 from opnav_workbench.geometry import rotation_from_vector
-from opnav_workbench.kernels import KernelSet, instrument_values
+from opnav_workbench.kernels import KernelSet, camera_attitude, instrument_values
+from opnav_workbench.mission import load_mission
 from opnav_workbench.resources import kernels_meta_dir
 
 
@@ -134,3 +135,32 @@ def test_cameras_from_kernels_agree_with_ale_to_a_fiftieth_pixel(data_dir, name)
     directions = theirs.unproject(points)  # Z to the sky, X and Y of the sensor's frame: that of the kernels
     seen = ours.project(directions) + case.ale_center_px
     assert np.abs(seen - points).max() < (0.02 if "2.5e-5" not in case.why else 0.03), case.why
+
+
+SLICES = {  # kernels of one picture, its image support data, the mission's camera, how far both are apart at the edge, px
+    # filter F6 has 150.08 mm and 9.2e-6 /mm^2, our file is of F1; ALE's lines have the pixels' width for their height
+    "Dawn at Ceres": ("FC21A0038582_15170161546F6F", "dawnfc_isd", ("dawn", "fc2"), 0.30),
+    # Owen's calibration has pincushion, ISIS' K1 and ALE barrel: twice 0.4 px, less 0.2 of the filter's focal length
+    "Cassini at Enceladus": ("N1702360370_1", "cassiniiss_isd", ("cassini", "iss_nac"), 0.60),
+}
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", SLICES)
+def test_a_mission_s_camera_and_kernels_see_the_sky_where_the_support_data_of_the_picture_do(data_dir, name):
+    """Kernels, mission file and camera against ALE's JSON of the same picture: attitude, axes, center and optics together."""
+    folder, isd, (mission, stem), edge_px = SLICES[name]
+    theirs = read_support_data(data_dir / f"spice/instruments/isds/{isd}.json")
+    inside = (data_dir / "spice/slices" / folder).iterdir()
+    files = [p for p in inside if p.suffix in (".bsp", ".bc", ".ti", ".tf", ".tpc", ".tsc")]
+    generic = data_dir / "spice/generic"
+    camera = load_mission(mission).camera_named(stem)
+    with KernelSet([generic / "naif0012.tls", generic / "pck00011.tpc", *sorted(files)]):
+        attitude = camera_attitude(camera.frame, theirs.et)
+
+    def apart_px(points):
+        sky = theirs.camera.unproject(points) @ theirs.camera_from_j2000
+        return float(np.abs(camera.project(sky @ attitude.T) - points).max())
+
+    assert apart_px(np.array([[511.5, 511.5]])) < 1e-6
+    assert apart_px(grid(theirs.camera)) < edge_px
