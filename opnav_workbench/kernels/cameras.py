@@ -110,10 +110,10 @@ def knows_frame(frame: str) -> bool:
 
 
 def instrument_values(instrument_id: int) -> Mapping[str, tuple[float, ...] | tuple[str, ...]]:
-    """Return all pool variables of an instrument, ``INS<id>_*``, by their full names, and of the frames that are its own.
+    """Return all pool variables of an instrument, ``INS<id>_*``, by their full names, and those of frames of its addendum.
 
-    These are the one of the instrument's number, the one that an ISIS addendum names, and those fixed to the frame of its
-    field of view: ``FRAME_*_NAME`` and ``TKFRAME_*``.
+    These are the frame that the addendum names, and those fixed to the field of view's frame; where the kernels give no such
+    frame, the one of the instrument's number: ``FRAME_*_NAME`` and ``TKFRAME_*``.
 
     Parameters
     ----------
@@ -153,14 +153,14 @@ def instrument_ids() -> tuple[int, ...]:
 
 
 def _frame_names(instrument_id: int) -> list[str]:
-    """The variables of frames that belong to an instrument."""
-    numbers = [str(instrument_id)]
+    """The variables of frames that an instrument's addendum needs; none where the field of view's frame says all."""
+    field = pool.pool_value(f"INS{instrument_id}_FOV_FRAME")
+    numbers = [] if field is not None else [str(instrument_id)]
     told = pool.pool_value(f"INS_{instrument_id}_FRAME_ID") or pool.pool_value(f"INS{instrument_id}_FRAME_ID")
     if told:
         numbers.append(str(round(float(told[0]))))
-    field = pool.pool_value(f"INS{instrument_id}_FOV_FRAME")
-    relatives = pool.pool_names("TKFRAME_*_RELATIVE") if field is not None else []
-    fixed = [name for name in relatives if pool.pool_value(name) == field]
-    numbers += [name.removeprefix("TKFRAME_").removesuffix("_RELATIVE") for name in fixed]
+    if field is not None and pool.pool_value(f"INS{instrument_id}_TRANSX") is not None:
+        fixed = [name for name in pool.pool_names("TKFRAME_*_RELATIVE") if pool.pool_value(name) == field]
+        numbers += [name.removeprefix("TKFRAME_").removesuffix("_RELATIVE") for name in fixed]
     names = [name for number in numbers for name in pool.pool_names(f"TKFRAME_{number}_*")]
     return names + [name for number in numbers for name in pool.pool_names(f"FRAME_{number}_NAME")]
