@@ -353,7 +353,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.click(f'.ow-panel [data-scan="{number}"]')
     hand.said("71 scans chosen", timeout_ms=60_000)
     assert nb.python(f"str(bench.controller.bodies.scans.status[{number}])") == "not_chosen"
-    strip = hand.page.locator(".ow-panel .strip-plot rect.frame")
+    strip = hand.page.locator(".ow-panel .strip-plot:not(.unrolled) rect.frame")
     strip.scroll_into_view_if_needed()
     area = strip.bounding_box()
     hand.page.mouse.move(area["x"] + 0.25 * area["width"], area["y"] + 5)
