@@ -142,6 +142,9 @@ class TargetSurface(StrictModel):
     limb_roughness
         Root mean square of the topography as a part of the mean radius: by default 0.003, as of the small round moons of
         Saturn; larger moons are smoother, small asteroids rougher by far.
+    albedo_sigma
+        1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2, with an albedo map 0.05.
+        It makes most of the uncertainty of a center of a few pixels.
     """
 
     law: dict[str, Any] | None = None
@@ -151,6 +154,7 @@ class TargetSurface(StrictModel):
     size_sigma: Part | None = None
     axes_sigma: Part | None = None
     limb_roughness: Part | None = None
+    albedo_sigma: Part | None = None
 
 
 def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies.detection import DetectedBody, DetectedScene
+from opnav_workbench.bodies.judgement import is_thin_crescent
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.residuals import (
     MIN_PIXELS,
@@ -45,8 +46,6 @@ CERTAIN_SNR = 5.0
 POORLY_EXPLAINED = (
     0.6  # share of the light's variation under it; an albedo map of Pluto's contrast leaves 0.9
 )
-THIN_PHASE_RAD = np.radians(130.0)
-THIN_PX = 1.0  # widest part of a crescent: below, the sampled model holds its light to a few percent only
 WEAK_RATIO = 10.0  # of the axes of the error ellipse
 WEAK_SIGMA_PX = 0.05
 
@@ -107,7 +106,7 @@ def fit_flags(picture: BodyPicture, evidence: FitEvidence, *, size_solved: bool)
         BodyFlag.CUT_BY_EDGE: _cut(picture, evidence),
         BodyFlag.OVEREXPOSED: bool(np.any(bright & evidence.saturated)),
         BodyFlag.OCCULTED: evidence.occulted > 0.0,
-        BodyFlag.THIN_CRESCENT: _thin(picture, expected.name, expected.radius_px),
+        BodyFlag.THIN_CRESCENT: is_thin_crescent(picture, expected.name, expected.radius_px),
         BodyFlag.CIRCLE_MISFIT: _misfit(evidence, size_solved=size_solved),
         BodyFlag.POOR_FIT: evidence.explained < POORLY_EXPLAINED,
         BodyFlag.AT_LIMIT: beyond,
@@ -159,14 +158,6 @@ def _cut(picture: BodyPicture, evidence: FitEvidence) -> bool:
     size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     low, high = evidence.center_px - radius, evidence.center_px + radius
     return bool(np.any(low < -0.5) or np.any(high > size - 0.5))
-
-
-def _thin(picture: BodyPicture, name: str, radius_px: float) -> bool:
-    """Tell whether the lit crescent is less than a pixel wide."""
-    phase = picture.phase_rad(name)
-    if not phase > THIN_PHASE_RAD:
-        return False
-    return bool(radius_px * (1.0 + np.cos(phase)) < THIN_PX)
 
 
 def _misfit(evidence: FitEvidence, *, size_solved: bool) -> bool:

@@ -12,7 +12,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
 from opnav_workbench.bodies.disk.marginal import FieldPrior
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, same_center, sigmas_apart
-from opnav_workbench.bodies.picture import Circle
+from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import (
     DOUBTFUL_FLAGS,
     BodyCenter,
@@ -24,12 +24,13 @@ from opnav_workbench.bodies.results import (
 )
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 
-__all__ = ["CenterReading", "disk_reading", "judged_center", "second_reading"]
+__all__ = ["CenterReading", "disk_reading", "is_thin_crescent", "judged_center", "second_reading"]
 
 MISFIT_SIGMAS = 3.0  # of the size, beyond what its model says of itself
 POOR_CHI2 = 2.0
 WEAK_PX, WEAK_SHARE = 1.0, 0.02  # of the radius: a center that is known no better
-THIN_PX = 1.0
+THIN_PHASE_RAD = np.radians(130.0)
+THIN_PX = 1.0  # widest part of a crescent: below, the sampled model holds its light to a few percent only
 BRIGHT_SHARE = 0.1
 LEAST_LIT = 0.1  # of a turn of limb that the picture must show
 NOISE_ALONE = FieldPrior(1e-4, 0.4, 1e-5, 1e-4)
@@ -147,7 +148,7 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
     size_sigma = float(np.hypot(fit.figure.size_sigma, reading.log_size_sigma))
     conditions = {
         BodyFlag.CUT_BY_EDGE: bool(np.any(outline < -0.5) or np.any(outline > size - 0.5)),
-        BodyFlag.THIN_CRESCENT: disk.radius_px * (1.0 + np.cos(picture.phase_rad(disk.name))) < THIN_PX,
+        BodyFlag.THIN_CRESCENT: is_thin_crescent(picture, disk.name, disk.radius_px),
         BodyFlag.CIRCLE_MISFIT: abs(reading.log_size) > MISFIT_SIGMAS * size_sigma,
         BodyFlag.POOR_FIT: fit.solution.chi2 > POOR_CHI2 * _degrees(fit),
         BodyFlag.AT_LIMIT: limit is not None and away > limit + 1.0,
@@ -157,6 +158,14 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
         BodyFlag.UNCONFIRMED: not _confirmed(reading),
     }
     return flags_where({**conditions, **_lost_pixels(disk), **reading.conditions})
+
+
+def is_thin_crescent(picture: BodyPicture, name: str, radius_px: float) -> bool:
+    """Tell whether the lit crescent is less than a pixel wide."""
+    phase = picture.phase_rad(name)
+    if not phase > THIN_PHASE_RAD:
+        return False
+    return bool(radius_px * (1.0 + np.cos(phase)) < THIN_PX)
 
 
 def _lost_pixels(disk: MeasuredDisk) -> dict[BodyFlag, bool]:

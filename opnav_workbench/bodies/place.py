@@ -74,7 +74,8 @@ LEAST_VISIBLE = 0.04  # of the lit silhouette that must lie on the detector
 NEAR_SCORE, NEAR_SHARE = (
     0.75,
     0.85,
-)  # a place near the expected one is taken if it is so good, itself and beside the best
+)  # a place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
+POINTLIKE_PX = 3.0  # a smaller body may be any star: it is looked for only near its expected place
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
 
 
@@ -94,7 +95,14 @@ def find_place(
     expected = picture.center_px(name) if circle is None else circle.center_px
     ratio = 1.0 if circle is None else circle.radius_px / predicted
     limit = search_px if circle is None or search_px is not None else search_radius(0.0, circle)
-    found = _silhouette_place(picture, name, ratio, expected, limit)
+    near = search_radius(predicted * ratio, None)
+    if limit is None and 2.0 * predicted < POINTLIKE_PX:
+        limit = near
+    found = None
+    if limit is None:
+        found = _silhouette_place(picture, name, ratio, expected, near)
+    if found is None or found.score < NEAR_SHARE:
+        found = _silhouette_place(picture, name, ratio, expected, limit)
     return None if found is None else _on_limb(picture, name, found)
 
 
@@ -103,8 +111,10 @@ def _silhouette_place(
 ) -> BodyPlace | None:
     radius = 0.5 * picture.diameter_px(name) * ratio
     bins = max(1, round(radius / SEARCHED_RADIUS))
-    bright, dark_sigma, known = _binned(picture, bins)
     template = _lit_template(picture, name, ratio, bins)
+    reach = np.inf if limit is None else limit + bins * (1.0 + RING_SHARE) * (len(template) + 2)
+    first = bins * np.clip(np.floor((expected - reach) / bins), 0, None)
+    bright, dark_sigma, known = _binned(picture, bins, first, expected + reach)
     ranked = np.sort(bright[known])[::-1]
     if not len(ranked) or not template.any():
         return None
@@ -112,7 +122,7 @@ def _silhouette_place(
     if top < SKY_SIGMAS * dark_sigma:
         return None
     best: BodyPlace | None = None
-    search = _FrameSearch(expected, limit, search_radius(radius, None), bins)
+    search = _FrameSearch(expected - first, limit, search_radius(radius, None), bins)
     sizes = SIZES if radius > SIZED_RADIUS_PX else (1.0,)
     sized = [_SizedTemplate(template, size, known) for size in sizes]
     for level in LEVELS:
@@ -122,7 +132,7 @@ def _silhouette_place(
             found = _correlated(of_lit, one, search)
             if found is not None and (best is None or found.score > best.score):
                 best = replace(found, size_ratio=found.size_ratio * ratio)
-    return best
+    return None if best is None else replace(best, center_px=best.center_px + first)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,14 +143,20 @@ class _FrameSearch:
     bins: int
 
 
-def _binned(picture: BodyPicture, bins: int) -> tuple[FloatArray, float, BoolArray]:
+def _binned(
+    picture: BodyPicture, bins: int, first: FloatArray, last: FloatArray
+) -> tuple[FloatArray, float, BoolArray]:
     """Return brightness in bins, the noise of sky in them, and which are known; saturated pixels count as they are."""
-    usable = np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)
-    data = np.where(usable, picture.signal_dn, 0.0)
+    low = np.clip(first, 0, None)
+    high = np.clip(np.ceil(last) + 1, low, picture.signal_dn.shape[::-1])
+    part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
+    signal, noise_dn = picture.signal_dn[part], picture.noise_dn[part]
+    usable = np.isfinite(signal) & (~picture.bad[part] | picture.saturated[part])
+    data = np.where(usable, signal, 0.0)
     count = block_reduce(usable.astype(np.float64), bins, np.sum)
     total = block_reduce(data, bins, np.sum)
     known = count > 0.5 * bins**2
-    noise = float(np.median(picture.noise_dn[usable])) if usable.any() else np.inf
+    noise = float(np.median(noise_dn[usable])) if usable.any() else np.inf
     return np.where(known, total / np.maximum(count, 1.0), 0.0), noise / bins, known
 
 
@@ -251,6 +267,7 @@ LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite
 FEWEST_CROSSINGS = 8
 PLACE_TURNS, PLACED_PX, LEAST_NEAR_PX = 6, 0.1, 1.5
 LARGEST_GROWTH = 0.3
+BLURRED_PX = 9.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -438,6 +455,10 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     figure = picture.model(name).figure
     sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
     center, size = place.center_px, place.size_ratio
+    if (
+        picture.diameter_px(name) * size < BLURRED_PX
+    ):  # what half of the brightness is depends on all of the body
+        return replace(place, size_ratio=1.0)
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
     spread, strain = (np.inf, np.inf), np.zeros(2)
     for _ in range(PLACE_TURNS):

@@ -419,7 +419,7 @@ def find_unresolved_body(
         diameter_px=diameter,
         neighbours_px=np.concatenate([np.reshape(others, (-1, 2)), np.reshape(neighbours_px, (-1, 2))]),
         final=final,
-        law_px2=law_covariance(picture, name, law_sigma),
+        surface_px2=law_covariance(picture, name, law_sigma) + figure_covariance(picture, name),
     )
     found = request.measured(picture.signal_dn, expected, np.zeros(2))
     if picture.model(name).is_point or found.status in ("off_detector", "saturated", "failed"):
@@ -445,11 +445,34 @@ def law_covariance(picture: BodyPicture, name: str, law_sigma: float) -> FloatAr
     if law_sigma == 0.0 or sun is None or not picture.diameter_px(name) > 0.0:
         return np.zeros((2, 2))
     _, sigma = center_of_light_radii(phase)
-    in_camera = picture.camera_from_j2000 @ picture.prediction(name).direction
-    sunward = picture.camera.project_jacobian(in_camera[None])[0] @ (picture.camera_from_j2000 @ sun)
-    length = float(np.hypot(*sunward))
-    along = sunward / length if length > 0.0 else np.zeros(2)
+    along = _sunward(picture, name, sun)
     return np.asarray((law_sigma * sigma * 0.5 * picture.diameter_px(name)) ** 2 * np.outer(along, along))
+
+
+# Place of a full disk's light, in radii, for hemispheres that differ by 1 sigma (`FigureUncertainty.albedo_sigma`).
+ALBEDO_LEVER = 0.13
+
+
+def figure_covariance(picture: BodyPicture, name: str) -> FloatArray:
+    """Return what size and brightness of a body's hemispheres do to the place of its light (2, 2), px^2."""
+    sun, radius = picture.model(name).target.sun_position_km, 0.5 * picture.diameter_px(name)
+    if not radius > 0.0:
+        return np.zeros((2, 2))
+    figure = picture.model(name).figure
+    out = (ALBEDO_LEVER * figure.albedo_sigma * radius) ** 2 * np.eye(2)
+    if sun is not None:
+        offset, _ = center_of_light_radii(picture.phase_rad(name))
+        along = _sunward(picture, name, sun)
+        out += (figure.size_sigma * offset * radius) ** 2 * np.outer(along, along)
+    return np.asarray(out)
+
+
+def _sunward(picture: BodyPicture, name: str, sun_km: FloatArray) -> FloatArray:
+    """Return the direction (2,) in the picture in which a body's Sun stands; 0 behind or before it."""
+    in_camera = picture.camera_from_j2000 @ picture.prediction(name).direction
+    sunward = picture.camera.project_jacobian(in_camera[None])[0] @ (picture.camera_from_j2000 @ sun_km)
+    length = float(np.hypot(*sunward))
+    return np.asarray(sunward / length if length > 0.0 else np.zeros(2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -462,7 +485,7 @@ class _StarLikeRequest:
     diameter_px: float
     neighbours_px: FloatArray
     final: Final
-    law_px2: FloatArray
+    surface_px2: FloatArray
 
     def measured(self, image_dn: FloatArray, expected: FloatArray, offset: FloatArray) -> BodyCenter:
         """Measure the body in an image of the picture's size."""
@@ -482,7 +505,7 @@ class _StarLikeRequest:
             excess_sigma_px=picture.excess_sigma_px,
             diameter_px=self.diameter_px,
             light_offset_px=offset,
-            light_offset_covariance_px2=self.law_px2,
+            light_offset_covariance_px2=self.surface_px2,
             neighbours_px=self.neighbours_px,
             final=self.final,
             predicted_flux_dn=None if flux_e is None else flux_e / picture.gain_e_per_dn,

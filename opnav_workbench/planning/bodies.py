@@ -125,7 +125,7 @@ class TargetPlan:
     @property
     def method(self) -> str:
         """The method that processing takes for a body of this size whose albedo is not known."""
-        return choose_method(self.prediction.diameter_px, self.prediction.phase_rad)
+        return choose_method(self.prediction.diameter_px)
 
     @property
     def center_sigma_px(self) -> FloatArray:

@@ -28,7 +28,7 @@ COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 
 @dataclass(frozen=True, slots=True)
 class FigureUncertainty:
-    """How far a body's figure may differ from its model: 1 sigma, as parts of the mean radius, above 0 and below 1.
+    """How far a body may differ from its model: 1 sigma, as parts of the mean radius or brightness, above 0 and below 1.
 
     The defaults suit a first approach, where size and shape come from brightness and light curves.
 
@@ -40,6 +40,9 @@ class FigureUncertainty:
         Of each principal axis of the outline, beside the common size.
     limb_roughness
         Root mean square of the topography.
+    albedo_sigma
+        Of what whole hemispheres differ by in brightness. Light curves of Pluto, Charon, the large satellites of Jupiter and
+        Saturn, Ceres and Vesta have 0.2 mag rms, with Iapetus 0.5.
 
     Raises
     ------
@@ -50,14 +53,14 @@ class FigureUncertainty:
     size_sigma: float = 0.10
     axes_sigma: float = 0.05
     limb_roughness: float = 0.003
+    albedo_sigma: float = 0.2
 
     def __post_init__(self) -> None:
-        for label in ("size_sigma", "axes_sigma", "limb_roughness"):
+        for label in ("size_sigma", "axes_sigma", "limb_roughness", "albedo_sigma"):
             value = getattr(self, label)
             if not 0.0 < value < 1.0:
-                raise MissionError(
-                    f"{label} is {value}; give a part of the mean radius, above 0 and below 1."
-                )
+                whole = "brightness" if label == "albedo_sigma" else "mean radius"
+                raise MissionError(f"{label} is {value}; give a part of the {whole}, above 0 and below 1.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

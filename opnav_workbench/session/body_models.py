@@ -56,6 +56,7 @@ MAX_POINT_DIAMETER_PX = 3.0
 # The axes of a first shape model, where the mission does not say: the radar shape of Bennu gave its equatorial ones to 2 %
 # (Nolan et al. 2013, doi 10.1016/j.icarus.2013.05.028).
 SHAPE_AXES_SIGMA = 0.02
+MAPPED_ALBEDO_SIGMA = 0.05
 MAX_AXES_SIGMA = 0.9  # of a body ten times as long as wide; an axis cannot vanish
 
 
@@ -122,8 +123,10 @@ def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> Shape
 
 def _figure(surface: TargetSurface, shape: ShapeModel | None) -> FigureUncertainty:
     """Return how far the figure may be wrong: as the mission says; where it does not, as on a first approach."""
-    stated = surface.model_dump(include={"size_sigma", "axes_sigma", "limb_roughness"}, exclude_none=True)
+    stated = surface.model_dump(include=set(FigureUncertainty.__dataclass_fields__), exclude_none=True)
     default = FigureUncertainty() if shape is None else FigureUncertainty(axes_sigma=SHAPE_AXES_SIGMA)
+    if surface.albedo_map is not None:
+        default = replace(default, albedo_sigma=MAPPED_ALBEDO_SIGMA)
     return replace(default, **stated)
 
 

@@ -152,7 +152,7 @@ def chosen_method(
     if scan_numbers(state, request) is not None:
         return "limb_scan"  # whose scans an analyst has chosen
     known = has_albedo_map(context, request.name)
-    return choose_method(prediction.diameter_px, prediction.phase_rad, known_surface=known)
+    return choose_method(prediction.diameter_px, known_surface=known)
 
 
 def scan_numbers(state: SessionState, request: BodyRequest) -> tuple[int, ...] | None:

@@ -13,7 +13,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.geometry import geometric_direction, rotation_from_vector, unit
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.render import BodyModel, Lambert, render_bodies
+from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert, render_bodies
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.stars import NoiseModel
 from opnav_workbench.targets import TargetState
@@ -51,6 +51,7 @@ class BodyStage:
         law=None,
         albedo=1.0,
         range_share=1.0,
+        figure=FigureUncertainty(),  # noqa: B008 (immutable)
     ):
         """A body of a size, its Sun somewhere across; `range_share` brings it nearer without changing its size in px."""
         apparent = self.camera.unproject(np.array([place_px], float))[0] @ self.camera_from_j2000
@@ -64,7 +65,7 @@ class BodyStage:
             body_from_j2000=rotation_from_vector(np.array([1.0, 0.4, -0.9])),
             sun_position_km=(-toward * np.cos(phase) + side * np.sin(phase)) * SUN_AU * AU_KM,
         )
-        return BodyModel(target, law or Lambert(), albedo)
+        return BodyModel(target, law or Lambert(), albedo, figure=figure)
 
     def light(self, *models, window=None):
         """Light in DN, the brightest pixel 1."""

@@ -122,7 +122,7 @@ def run_method(picture, name, method):
     if method == "auto":
         if hasattr(bodies, "find_auto"):
             return bodies.find_auto(picture, name)
-        method = bodies.choose_method(picture.diameter_px(name), picture.phase_rad(name))
+        method = bodies.choose_method(picture.diameter_px(name))
     finder = {"unresolved": "find_unresolved_body"}.get(method, f"find_{method}")
     return getattr(bodies, finder)(picture, name)
 

@@ -242,5 +242,5 @@ def test_flags_in_words():
     assert describe_body_flags(BodyFlag.CUT_BY_EDGE | BodyFlag.OCCULTED).count(";") == 1
     assert all(describe_body_flags(flag) != "ok" for flag in BodyFlag)
     assert choose_method(np.nan) == "unresolved"
-    assert choose_method(190.0, 0.3, known_surface=True) == "least_squares"
+    assert choose_method(190.0, known_surface=True) == "least_squares"
     assert BodyResiduals.__slots__

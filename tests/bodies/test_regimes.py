@@ -1,5 +1,7 @@
 """From points to disks: the chosen method changes without a jump, and sigma stays honest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from opnav_workbench.bodies import choose_method, find_disk, find_least_squares,
 from opnav_workbench.bodies.method import UNRESOLVED_TO_PX
 from opnav_workbench.bodies.unresolved import law_covariance
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import LommelSeeliger
+from opnav_workbench.render import FigureUncertainty, LommelSeeliger, LunarLambert
 
 TRIAXIAL = (1.0, 0.8, 0.65)
 BIAS_PX = 0.02
@@ -15,11 +17,12 @@ JUMP_PX = 0.02
 # Sigmas of the PSF: LORRI 1 x 1, LORRI 4 x 4, and MVIC, which undersamples.
 PSFS = (0.8, 0.65, 0.35)
 LIMIT = UNRESOLVED_TO_PX
+KNOWN = FigureUncertainty(0.001, 0.001, 0.0001, 0.001)
 
 
 def find(picture, diameter, phase_deg):
     """Find as "auto" does."""
-    method = choose_method(diameter, np.radians(phase_deg))
+    method = choose_method(diameter)
     finders = {"unresolved": find_unresolved_body, "least_squares": find_least_squares, "disk": find_disk}
     finder = finders[method]
     return finder(picture, "BODY", search_radius_px=5.0)
@@ -38,7 +41,7 @@ def test_no_bias_from_half_a_pixel_to_twelve(binned_stage, sigma_px, phase):
     for diameter in (0.5, 0.98 * LIMIT, 1.02 * LIMIT, 2.3, 3.9, 4.1, 7.0, 12.0):
         for _ in range(2):
             true = 127.0 + rng.uniform(-0.5, 0.5, 2)
-            model = stage.body(diameter, phase, true, TRIAXIAL)
+            model = stage.body(diameter, phase, true, TRIAXIAL, law=LunarLambert(0.5))
             light = stage.light(model, window=None)
             found = find(stage.picture(light, [model], offset_px=rng.uniform(-1.0, 1.0, 2)), diameter, phase)
             assert found.status == "ok", (diameter, found.messages)
@@ -53,7 +56,7 @@ def test_no_bias_from_half_a_pixel_to_twelve(binned_stage, sigma_px, phase):
 def test_both_methods_agree_at_the_limit(binned_stage, sigma_px, phase, add_noise):
     """The same noisy picture on both sides of the limit: centers differ by a part of sigma, sigmas by a few percent."""
     stage, rng = binned_stage.with_psf(sigma_px), np.random.default_rng(5)
-    model = stage.body(LIMIT, phase, (127.3, 126.6), TRIAXIAL)
+    model = stage.body(LIMIT, phase, (127.3, 126.6), TRIAXIAL, figure=KNOWN)
     picture = stage.picture(stage.light(model), [model], rng, peak_dn=700.0)
     star = find_unresolved_body(picture, "BODY", search_radius_px=5.0)
     disk = find_least_squares(picture, "BODY", search_radius_px=5.0)
@@ -68,15 +71,17 @@ def test_both_methods_agree_at_the_limit(binned_stage, sigma_px, phase, add_nois
 @pytest.mark.slow(keep=["3.5-120.0"])
 @pytest.mark.parametrize(("diameter", "phase"), [(0.7, 90.0), (1.6, 60.0), (3.5, 120.0)])
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise, diameter, phase):
+    """Of the full-disk fit and of a star's: the surface is that of the model, noise is all there is."""
+    finder = find_unresolved_body if diameter < LIMIT else find_least_squares
     rng, ratios = np.random.default_rng(7), []
     true = np.array([127.31, 126.84])
-    model = binned_stage.body(diameter, phase, true, TRIAXIAL)
+    model = binned_stage.body(diameter, phase, true, TRIAXIAL, figure=KNOWN)
     light = 700.0 * binned_stage.light(model)
     for _ in range(30):
         picture = binned_stage.picture(
             None, [model], data=add_noise(light, rng), offset_px=rng.uniform(-2, 2, 2)
         )
-        found = find(picture, diameter, phase)
+        found = finder(picture, "BODY", search_radius_px=5.0)
         ratios.append((found.pixel_line - true) / np.sqrt(np.diag(found.covariance_px2)))
     assert 0.72 < np.sqrt(np.mean(np.square(ratios))) < 1.28  # 60 components: 3 sigma
     assert np.abs(np.mean(ratios, axis=0)).max() < 0.6
@@ -114,9 +119,20 @@ def test_law_enters_sigma_along_the_sun(binned_stage):
     np.testing.assert_allclose(wary.covariance_px2 - plain.covariance_px2, covariance, atol=1e-9)
 
 
-def test_brightness_far_from_the_predicted_is_doubted(binned_stage):
-    from dataclasses import replace
+def test_size_and_hemispheres_enter_the_sigma_of_a_star_like_body(binned_stage):
+    """At 1 px and half phase, 10 % of the size are 0.03 px toward the Sun; the hemispheres' 20 % 0.013 px every way."""
+    place = (127.31, 126.84)
+    model = binned_stage.body(1.0, 90.0, place)
+    picture = binned_stage.picture(binned_stage.light(model), [model])
+    exact = replace(model, figure=KNOWN)
+    sure = find_unresolved_body(binned_stage.picture(binned_stage.light(model), [exact]), "BODY")
+    more = find_unresolved_body(picture, "BODY").covariance_px2 - sure.covariance_px2
+    across, sunward = np.sqrt(np.linalg.eigvalsh(more))
+    assert across == pytest.approx(0.013, rel=0.05)
+    assert sunward == pytest.approx(np.hypot(0.013, 0.1 * 0.58 * 0.5), rel=0.05)
 
+
+def test_brightness_far_from_the_predicted_is_doubted(binned_stage):
     model = binned_stage.body(0.5, 30.0, (127.3, 126.8))
     light = binned_stage.light(model)
     bright = replace(model, flux_e=22.0 * 2000.0 * light.sum())

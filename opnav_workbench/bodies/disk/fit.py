@@ -16,7 +16,7 @@ and of its own each piece has an albedo and a place of its limb: `opnav_workbenc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -44,6 +44,9 @@ __all__ = ["DiskFit", "DiskPixels", "DiskShape", "Unknown", "fit_disk"]
 
 MOST_PIECES, LEAST_PIECES, PIECE_PX = 48, 24, 1.5
 NODES = 5
+BROAD_RAD = (
+    1.0  # over which hemispheres differ: what the data of a small disk cannot tell from another center
+)
 DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     0.6,
     40.0,
@@ -209,6 +212,8 @@ class DiskFit:
         Inward and outward of the pixels that were used.
     lengths_px
         Of the center's steps.
+    valley_px2 : (2, 2) array
+        Covariance beyond that of the linearized solution: how far solutions from other starts lie apart.
     """
 
     shape: DiskShape
@@ -226,6 +231,7 @@ class DiskFit:
     reach_px: tuple[float, float]
     lengths_px: tuple[float, ...]
     converged: bool
+    valley_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -246,7 +252,9 @@ class DiskFit:
         whole = self.solution.covariance
         with_size = whole[CENTER, Unknown.SIZE] / whole[Unknown.SIZE, Unknown.SIZE]
         rim = RIM_SHARE * self.prior.albedo * self.system.sharp_px / (0.5 * self.smooth_outline.diameter_px)
-        return np.asarray(whole[np.ix_(CENTER, CENTER)] + rim**2 * np.outer(with_size, with_size))
+        return np.asarray(
+            whole[np.ix_(CENTER, CENTER)] + rim**2 * np.outer(with_size, with_size) + self.valley_px2
+        )
 
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo."""
@@ -318,6 +326,7 @@ class _DiskProblem:
         turn = np.abs(angle[:, None] - angle)
         self.turn = np.minimum(turn, TURN - turn)
         self.chord = _arcs(angle, self.node_rad)
+        self.broad = self.figure.albedo_sigma**2 * np.exp((np.cos(self.chord) - 1.0) / BROAD_RAD**2)
 
     def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
@@ -603,6 +612,7 @@ class _Fitter:
             prior_mean=problem.prior_mean(shape.center_px),
             prior_precision=problem.prior_sigma() ** -2.0,
             chord=problem.chord,
+            broad=problem.broad,
             turn=problem.turn,
             brightness_dn=self.brightness,
             rough_length_rad=ROUGH_LENGTH_RAD,

@@ -22,7 +22,6 @@ RIDGE = 1e-11  # of a unit diagonal: keeps what nothing tells from becoming infi
 LARGEST_SCALE = 1e9
 # Albedo that changes within the PSF's width of the limb moves what is taken for the limb by so much of that width.
 UNRESOLVED_SHARE = 0.6
-
 __all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
 
 
@@ -101,8 +100,8 @@ class LimbSystem:
     own : (q, j, c) array
         N; the last of q is the place of the limb.
     prior_mean, prior_precision : (p,) arrays
-    chord : (j (q - 1), j (q - 1)) array
-        Distance of the albedo's nodes on the body, rad.
+    chord, broad : (j (q - 1), j (q - 1)) arrays
+        Distance of the albedo's nodes on the body, rad; relative covariance of what whole hemispheres differ by.
     turn : (j, j) array
         Angle between pieces of limb about the center, rad.
     brightness_dn
@@ -119,6 +118,7 @@ class LimbSystem:
     prior_mean: FloatArray
     prior_precision: FloatArray
     chord: FloatArray
+    broad: FloatArray
     turn: FloatArray
     brightness_dn: float
     rough_length_rad: float
@@ -131,6 +131,7 @@ class LimbSystem:
         """Return K in the order piece, node."""
         j, q = self.data.shape[0], len(self.own)
         albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
+        albedo += self.brightness_dn**2 * self.broad
         hidden = (UNRESOLVED_SHARE * prior.albedo * self.sharp_px) ** 2 * np.exp(
             -self.turn / prior.length_rad
         )

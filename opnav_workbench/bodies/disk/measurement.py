@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.fit import DiskFit, DiskPixels, Unknown, fit_disk
+from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, DiskPixels, Unknown, fit_disk
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import BodyPlace, CrossingFit, cross_limb, find_place, fit_crossings
@@ -22,7 +22,7 @@ from opnav_workbench.image import darkest_sky
 
 __all__ = ["MeasuredDisk", "alike", "crossing_covariance", "measure_disk", "same_center", "sigmas_apart"]
 
-LEAST_DIAMETER_PX = 3.0
+LEAST_DIAMETER_PX = 0.5  # the method of choice begins at 1 px of another measure of the size
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +91,8 @@ def measure_disk(
         if hits.any():
             pixels = replace(pixels, use=pixels.use & ~hits)
             fit = fit_disk(picture, name, place, pixels, fit)
+        if _in_a_valley(picture, name, fit):
+            fit = _along_the_valley(picture, name, pixels, fit)
         crossing = read_crossings(picture, fit)
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
@@ -104,7 +106,7 @@ def _unsuitable(picture: BodyPicture, name: str) -> str | None:
         return "it has neither radii nor a shape; give them, or use method 'unresolved'"
     diameter = picture.diameter_px(name)
     if 0.0 < diameter < LEAST_DIAMETER_PX:
-        return f"it is {diameter:.1f} px wide, too small for a limb (at least {LEAST_DIAMETER_PX:g} px); use 'least_squares'"
+        return f"it is {diameter:.1f} px wide, too small for a disk (at least {LEAST_DIAMETER_PX:g} px); use 'unresolved'"
     return None
 
 
@@ -140,6 +142,39 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
     out = np.zeros(pixels.use.shape, dtype=bool)
     out[part] = find_hit_pixels(residual[part], weight[part])
     return out
+
+
+# ---- Small crescents: size, law and figure make up for each other, farther than a linearized solution can tell.
+
+VALLEY_RADIUS_PX, VALLEY_PHASE_RAD = 15.0, np.radians(45.0)
+AS_LIKELY = 8.0  # logarithm: evidences of solutions that are linearized elsewhere differ by as much
+
+
+def _in_a_valley(picture: BodyPicture, name: str, fit: DiskFit) -> bool:
+    small = 0.5 * fit.smooth_outline.diameter_px < VALLEY_RADIUS_PX
+    return small and bool(picture.phase_rad(name) > VALLEY_PHASE_RAD)
+
+
+def _along_the_valley(picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit) -> DiskFit:
+    """Return the middle one of fits that begin with a body smaller, or larger, by its sigma, and what they differ by."""
+    fits = [fit]
+    for sign in (-1.0, 1.0):
+        log_size = sign * fit.figure.size_sigma
+        along = (
+            fit.solution.covariance[CENTER, Unknown.SIZE]
+            / fit.solution.covariance[Unknown.SIZE, Unknown.SIZE]
+        )
+        center = fit.center_px + along * (log_size - fit.shape.log_size)
+        try:
+            fits.append(fit_disk(picture, name, BodyPlace(center, float(np.exp(log_size)), 1.0), pixels))
+        except CenterfindingError:
+            continue
+    likeliest = max(one.solution.log_likelihood for one in fits)
+    likely = [one for one in fits if one.solution.log_likelihood > likeliest - AS_LIKELY]
+    middle = np.mean([one.center_px for one in likely], axis=0)
+    chosen = min(likely, key=lambda one: float(np.hypot(*(one.center_px - middle))))
+    away = [one.center_px - chosen.center_px for one in likely]
+    return replace(chosen, valley_px2=np.mean([np.outer(step, step) for step in away], axis=0))
 
 
 # ---- Where rays cross the limb, with the light that was fitted: a reading that knows neither weights nor albedo.
