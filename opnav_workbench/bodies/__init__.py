@@ -55,6 +55,7 @@ from opnav_workbench.bodies.least_squares import find_jointly, find_least_square
 from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
 from opnav_workbench.bodies.method import choose_method
 from opnav_workbench.bodies.picture import (
+    MEASURED_PSF_SIGMA,
     BodyPicture,
     Circle,
     displaced_model,
@@ -81,6 +82,7 @@ from opnav_workbench.bodies.unresolved import find_unresolved, find_unresolved_b
 
 __all__ = [
     "BODY_STATUSES",
+    "MEASURED_PSF_SIGMA",
     "BodyCenter",
     "BodyFlag",
     "BodyPicture",

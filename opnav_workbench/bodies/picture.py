@@ -27,6 +27,7 @@ from opnav_workbench.stars import NoiseModel
 from opnav_workbench.targets import TargetState
 
 __all__ = [
+    "MEASURED_PSF_SIGMA",
     "BodyPicture",
     "Circle",
     "RayFan",
@@ -85,6 +86,8 @@ class Circle:
 
 # ---- Everything that finding a body in a picture needs.
 
+MEASURED_PSF_SIGMA = 0.15
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyPicture:
@@ -111,6 +114,9 @@ class BodyPicture:
         Its gain turns light into shot noise.
     excess_sigma_px
         Centering error of the frame's stars beyond their covariances; a body suffers it too.
+    psf_width_sigma
+        Relative uncertainty of the PSF's width; by default that of one calibrated, or measured on the frame's stars, whose
+        colors are not the body's.
 
     Raises
     ------
@@ -130,6 +136,7 @@ class BodyPicture:
     sunlight_e: float | None = None
     noise_model: NoiseModel | None = None
     excess_sigma_px: float = 0.0
+    psf_width_sigma: float = MEASURED_PSF_SIGMA
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal_dn, dtype=np.float64)
@@ -471,6 +478,7 @@ def picture_from_circle(
         observer_velocity_km_s=np.zeros(3),
         models=(BodyModel(target, law=law or LunarLambert(LUNAR_WEIGHT), shape=shape),),
         psf=psf or camera.psf_shape or GaussianPsf(camera.psf.sigma_px, camera.psf.sigma_px),
+        psf_width_sigma=MEASURED_PSF_SIGMA if psf or camera.psf_shape else camera.psf.relative_sigma,
         noise_model=_noise_model(camera),
     )
 

@@ -33,6 +33,11 @@ class PsfPrior:
     def __post_init__(self) -> None:
         _check_positive(sigma_px=self.sigma_px, sigma_sigma_px=self.sigma_sigma_px)
 
+    @property
+    def relative_sigma(self) -> float:
+        """One-sigma uncertainty of the width, as a part of it."""
+        return self.sigma_sigma_px / self.sigma_px
+
 
 @dataclass(frozen=True, slots=True)
 class AttitudeSigma:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies import BodyCenter, BodyPicture, displaced_model
+from opnav_workbench.bodies import MEASURED_PSF_SIGMA, BodyCenter, BodyPicture, displaced_model
 from opnav_workbench.constants import SUN_RADIUS_KM
 from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
 from opnav_workbench.image import darkest_sky
@@ -221,6 +221,7 @@ def _picture(
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         models=models,
         psf=picture_psf(context, state),
+        psf_width_sigma=_psf_width_sigma(context, state),
         sunlight_e=_sunlight(context),
         noise_model=context.noise_model,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
@@ -269,6 +270,12 @@ def _sunlight(context: Context) -> float | None:
         return context.camera.sunlight_e(context.picture.exposure_s)
     except CameraError:
         return None
+
+
+def _psf_width_sigma(context: Context, state: SessionState) -> float:
+    """Return how well the width of the picture's PSF is known: without calibration and stars, as the camera file says."""
+    measured = context.camera.psf_shape is not None or state.psf is not None
+    return MEASURED_PSF_SIGMA if measured else max(context.camera.psf.relative_sigma, MEASURED_PSF_SIGMA)
 
 
 def picture_psf(context: Context, state: SessionState) -> Psf:

@@ -32,14 +32,14 @@ def find(picture, diameter, phase_deg):
 @pytest.mark.parametrize("sigma_px", PSFS)
 @pytest.mark.parametrize("phase", [0.0, 60.0, 120.0])
 def test_no_bias_from_half_a_pixel_to_twelve(binned_stage, sigma_px, phase):
-    """Pictures without noise; four places between the pixels for each size."""
+    """Pictures without noise, at any place between the pixels."""
     stage, rng, errors = (
         binned_stage.with_psf(sigma_px),
         np.random.default_rng(int(10 * sigma_px + phase)),
         [],
     )
-    for diameter in (0.5, 0.98 * LIMIT, 1.02 * LIMIT, 2.3, 3.9, 4.1, 7.0, 12.0):
-        for _ in range(2):
+    for diameter in (0.5, 0.98 * LIMIT, 1.02 * LIMIT, 2.3, 4.1, 12.0):
+        for _ in range(2 if diameter < LIMIT else 1):
             true = 127.0 + rng.uniform(-0.5, 0.5, 2)
             model = stage.body(diameter, phase, true, TRIAXIAL, law=LunarLambert(0.5))
             light = stage.light(model, window=None)

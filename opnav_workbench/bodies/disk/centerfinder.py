@@ -9,7 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, crossing_covariance, measure_disk
+from opnav_workbench.bodies.disk.measurement import (
+    HALF_PX,
+    MeasuredDisk,
+    alike,
+    crossing_covariance,
+    measure_disk,
+)
 from opnav_workbench.bodies.judgement import CenterReading, disk_reading, judged_center, second_reading
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
@@ -97,14 +103,18 @@ def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterR
 
 
 def _second_reading(disk: MeasuredDisk) -> SecondReading | None:
-    """Return what the crossings of the limb say of the center; None where too few rays cross it."""
-    fit, read = disk.fit, disk.crossing
-    if read is None:
+    """Return what the crossings of the limb say of the center; None where too few rays cross it.
+
+    A fit that has wandered off what it began from sees no limb any more; then the crossings that made its place count.
+    """
+    fit, read, start = disk.fit, disk.crossing, disk.place
+    if read is not None:
+        place, covariance = fit.center_px + read.step_px, crossing_covariance(read)
+    elif np.isfinite(start.center_sigma_px):
+        place, covariance = start.center_px, (start.center_sigma_px**2 + HALF_PX**2) * np.eye(2)
+    else:
         return None
-    place = fit.center_px + read.step_px
-    return second_reading(
-        "limb crossings", place, crossing_covariance(read), fit.center_px, fit.covariance_px2
-    )
+    return second_reading("limb crossings", place, covariance, fit.center_px, fit.covariance_px2)
 
 
 def _detail(fit: DiskFit, second: SecondReading | None) -> DiskReading:

@@ -10,7 +10,7 @@ center                                  `PLACE_PX`, `PLACE_SIGMAS` about its pla
 size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
 axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
 law                                     powers of 2 / (mu0 + mu) and mu0 mu: `UNKNOWN_LAW` or `GIVEN_LAW`, `MINNAERT_SIGMA`
-PSF                                     variance and wings: `PSF_SIGMA`, `WING_SIGMA`
+PSF                                     variance and wings: `BodyPicture.psf_width_sigma`, `WING_SIGMA`
 
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
 """
@@ -57,7 +57,7 @@ ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
-PSF_SIGMA, WING_SIGMA = 0.15, 0.15
+WING_SIGMA = 0.15
 MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
 MOST_HALVINGS = 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
@@ -349,7 +349,7 @@ class _DiskProblem:
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHADING] = figure.axes_sigma * SHADING_SHARE
         out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
-        out[Unknown.BLUR] = 2.0 * PSF_SIGMA * self.psf_variance_px2
+        out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
         out[STRAY] = WING_SIGMA
         return out
 
@@ -377,9 +377,16 @@ def _arcs(angle: FloatArray, node: FloatArray) -> FloatArray:
 
 
 def fit_disk(
-    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, start: DiskFit | None = None
+    picture: BodyPicture,
+    name: str,
+    place: BodyPlace,
+    pixels: DiskPixels,
+    start: DiskFit | None = None,
+    prior: FieldPrior | None = None,
 ) -> DiskFit:
     """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
+
+    A `prior` that was found for the same pixels saves finding it from afar.
 
     Raises
     ------
@@ -391,7 +398,7 @@ def fit_disk(
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    return _Fitter(problem, shape, start).run()
+    return _Fitter(problem, shape, start, prior).run()
 
 
 def _bounded(law: FloatArray) -> FloatArray:
@@ -408,27 +415,30 @@ class _LinearDisk(NamedTuple):
 
 
 class _Fitter:
-    def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
-        self.problem, self.started = problem, start is not None
+    def __init__(
+        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, prior: FieldPrior | None
+    ) -> None:
+        self.problem = problem
         self.lengths: list[float] = []
         self.converged = False
         if start is not None:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
             self.piece_albedo = start.piece_albedo
+            self.tuning: tuple[tuple[float, ...], ...] = ()
             return
+        self.tuning = TUNING if prior is None else ((),)
         self.shape = shape
-        self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
+        self.prior = prior or FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
         self.made = problem.tabulated(shape)
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
     def run(self) -> DiskFit:
         self._solve()
-        if not self.started:
-            for steps in TUNING:
-                self._tune(steps)
-                self._iterate(MOST_TURNS)
+        for steps in self.tuning:
+            self._tune(steps)
+            self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
                 self.made = self.problem.tabulated(self.shape, fine=True)

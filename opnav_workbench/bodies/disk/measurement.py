@@ -20,7 +20,15 @@ from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 
-__all__ = ["MeasuredDisk", "alike", "crossing_covariance", "measure_disk", "same_center", "sigmas_apart"]
+__all__ = [
+    "HALF_PX",
+    "MeasuredDisk",
+    "alike",
+    "crossing_covariance",
+    "measure_disk",
+    "same_center",
+    "sigmas_apart",
+]
 
 LEAST_DIAMETER_PX = 0.5  # the method of choice begins at 1 px of another measure of the size
 
@@ -35,6 +43,8 @@ class MeasuredDisk:
         An analyst's, if there was one.
     search_px
         How far from the expected place to look; None: anywhere.
+    place
+        From which the fit began.
     hits : (n_line, n_pixel) array of bool
         Pixels whose light is not the body's.
     crossing
@@ -45,6 +55,7 @@ class MeasuredDisk:
     name: str
     circle: Circle | None
     search_px: float | None
+    place: BodyPlace
     fit: DiskFit
     pixels: DiskPixels
     hits: BoolArray
@@ -98,7 +109,7 @@ def measure_disk(
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
-    return MeasuredDisk(picture, name, circle, search_px, fit, pixels, hits, crossing)
+    return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
 
 
 def _unsuitable(picture: BodyPicture, name: str) -> str | None:
@@ -166,7 +177,8 @@ def _along_the_valley(picture: BodyPicture, name: str, pixels: DiskPixels, fit: 
         )
         center = fit.center_px + along * (log_size - fit.shape.log_size)
         try:
-            fits.append(fit_disk(picture, name, BodyPlace(center, float(np.exp(log_size)), 1.0), pixels))
+            place = BodyPlace(center, float(np.exp(log_size)), 1.0)
+            fits.append(fit_disk(picture, name, place, pixels, prior=fit.prior))
         except CenterfindingError:
             continue
     likeliest = max(one.solution.log_likelihood for one in fits)
