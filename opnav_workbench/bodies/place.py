@@ -20,7 +20,9 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates, maximum_filter
 from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
+from opnav_workbench.bodies.place_search import search_place
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.subarray import search_radius
@@ -28,7 +30,15 @@ from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.render import Lambert, LunarLambert
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["BodyPlace", "CrossingFit", "LimbCrossings", "cross_limb", "find_place", "fit_crossings"]
+__all__ = [
+    "POINTLIKE_PX",
+    "BodyPlace",
+    "CrossingFit",
+    "LimbCrossings",
+    "cross_limb",
+    "find_place",
+    "fit_crossings",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +108,8 @@ def find_place(
     near = search_radius(predicted * ratio, None)
     if limit is None and 2.0 * predicted < POINTLIKE_PX:
         limit = near
+    if 2.0 * predicted * ratio < BLURRED_PX:
+        return _blurred_place(picture, name, ratio, expected, limit)
     found = None
     if limit is None:
         found = _silhouette_place(picture, name, ratio, expected, near)
@@ -253,6 +265,37 @@ def _full_disk(inside: FloatArray, width: int) -> BoolArray:
     return np.asarray(np.hypot(x, y) < 0.5 * width)
 
 
+# ---- Bodies of a few pixels, whose silhouette is that of the PSF: their rendered light is looked for.
+
+BLURRED_PX = 9.0
+SEEN_SNR, SEEN_SHARE = (
+    5.0,
+    0.3,
+)  # of a body that is there, and how much of what is under it the model explains
+REFINED_PX = 3.0  # about a silhouette
+
+
+def _blurred_place(
+    picture: BodyPicture, name: str, ratio: float, expected: FloatArray, limit: float | None
+) -> BodyPlace | None:
+    """Return where a small body's light is near the expected place; else, if it may be far, where its silhouette is."""
+    radius = 0.5 * picture.diameter_px(name) * ratio
+    whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
+    lit = without_others(picture, name, expected, whole)
+    alone = replace(picture, bad=picture.bad | ~(lit.use | lit.saturated))
+
+    def seen(place: FloatArray, search_px: float) -> BodyPlace | None:
+        peak = search_place(alone, name, place, radius, search_px, range_scale=1.0 / ratio)
+        there = np.isfinite(peak.center_px).all() and peak.snr > SEEN_SNR and peak.explained > SEEN_SHARE
+        return BodyPlace(peak.center_px, ratio, peak.explained) if there else None
+
+    found = seen(expected, search_radius(radius, None) if limit is None else limit)
+    if found is not None or limit is not None:
+        return found
+    rough = _silhouette_place(alone, name, ratio, expected, None)
+    return None if rough is None else seen(rough.center_px, REFINED_PX)
+
+
 # ---- The limb along rays: where half of the local brightness is.
 
 RAYS = 180
@@ -267,7 +310,6 @@ LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite
 FEWEST_CROSSINGS = 8
 PLACE_TURNS, PLACED_PX, LEAST_NEAR_PX = 6, 0.1, 1.5
 LARGEST_GROWTH = 0.3
-BLURRED_PX = 9.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -455,10 +497,6 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     figure = picture.model(name).figure
     sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
     center, size = place.center_px, place.size_ratio
-    if (
-        picture.diameter_px(name) * size < BLURRED_PX
-    ):  # what half of the brightness is depends on all of the body
-        return replace(place, size_ratio=1.0)
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
     spread, strain = (np.inf, np.inf), np.zeros(2)
     for _ in range(PLACE_TURNS):

@@ -13,7 +13,14 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, DiskPixels, Unknown, fit_disk
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.place import BodyPlace, CrossingFit, cross_limb, find_place, fit_crossings
+from opnav_workbench.bodies.place import (
+    POINTLIKE_PX,
+    BodyPlace,
+    CrossingFit,
+    cross_limb,
+    find_place,
+    fit_crossings,
+)
 from opnav_workbench.bodies.results import BodyCenter
 from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
@@ -95,6 +102,8 @@ def measure_disk(
         place = find_place(picture, name, circle, search_px)
         if place is None:
             nothing = "nothing of its size and phase stands out of the sky"
+            if search_px is None and picture.diameter_px(name) < POINTLIKE_PX:
+                nothing += " near its expected place; farther off it may be any star, give a circle"
             return BodyCenter.without_center(name, method, "not_detected", nothing)
         pixels = _usable(picture, name, place)
         fit = fit_disk(picture, name, place, pixels)
