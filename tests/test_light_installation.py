@@ -55,17 +55,19 @@ def test_the_core_simulates_and_solves(demo_truths, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [["lab", "--demo"], ["nightly", "a.fit", "-m", "new_horizons"]], ids=lambda c: c[0]
+    "command",
+    [["lab", "--demo"], ["nightly", "a.fit", "-m", "new_horizons"], ["docs", "--no-browser"]],
+    ids=lambda c: c[0],
 )
 def test_a_missing_part_is_told_with_the_command_that_brings_it(command, monkeypatch, capsys):
     """In one line, before anything is begun."""
-    monkeypatch.setattr(parts, "_is_there", lambda module: module != "papermill")
+    monkeypatch.setattr(parts, "_is_there", lambda module: module not in ("papermill", "sphinx"))
     monkeypatch.setattr(sys, "argv", ["opnav", *command])
     with pytest.raises(SystemExit, match="2"):
         main()
     told = " ".join(capsys.readouterr().err.split())
     assert re.fullmatch(
-        r'error: .*opnav (lab|nightly) needs papermill.*pip install "opnav_workbench\[lab\]"\.', told
+        r'error: .*opnav (lab|nightly|docs) needs \w+, .*pip install "opnav_workbench\[(lab|docs)\]"\.', told
     )
 
 
