@@ -1,5 +1,6 @@
 """Sphinx: the site of opnav_workbench, built offline by `opnav docs`."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -35,3 +36,27 @@ napoleon_use_rtype = False
 napoleon_use_ivar = True
 # Docstrings are read in the source and by help(); what reStructuredText would like of their lists is not asked of them.
 suppress_warnings = ["docutils", "ref.python", "autodoc", "misc.highlighting_failure"]
+
+LITERAL = re.compile(r"(``.*?``|`[^`]*`)")
+
+
+def plain_signs(_app, _what, _name, _obj, _options, lines):
+    """Let bars, single stars and trailing underscores in docstrings stand for themselves, but for code and doctests."""
+    in_doctest = False
+    for number, line in enumerate(lines):
+        in_doctest = line.lstrip().startswith(">>>") or (in_doctest and bool(line.strip()))
+        if not in_doctest:
+            parts = LITERAL.split(line)
+            parts[::2] = [_escaped(part) for part in parts[::2]]
+            lines[number] = "".join(parts)
+
+
+def _escaped(text):
+    text = text.replace("|", r"\|")
+    text = re.sub(r"(\w)_(?=\W|$)", r"\1\\_", text)
+    return text.replace("*", r"\*") if text.count("*") % 2 else text
+
+
+def setup(app):
+    """Before napoleon reads the docstrings."""
+    app.connect("autodoc-process-docstring", plain_signs, priority=400)
