@@ -69,7 +69,18 @@ def build_site(place: Path, *, gallery: bool = False, say: Any = lambda _: None)
     _put_sources(source)
     if gallery or not (source / "generated" / "notebooks.md").exists():
         _write_gallery(source, GALLERY if gallery else (), say)
-    command = [sys.executable, "-m", "sphinx", "-q", "-j", "auto", "-b", "html", "-d", str(place / "doctrees")]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-j",
+        "auto",
+        "-b",
+        "html",
+        "-d",
+        str(place / "doctrees"),
+    ]
     ended = subprocess.run(  # noqa: S603  our own interpreter
         [*command, str(source), str(place / "html")], capture_output=True, text=True, check=False
     )
