@@ -68,8 +68,10 @@ def camera_of_kernels(
             try:
                 found.append(Camera.from_ik(values, number, **given))
             except OpNavError as error:
-                refused.append(f"{number}: {error}")
-                fitted += _fitted(values, number, size, given)
+                try:
+                    fitted.append(_fitted(values, number, size, given, error))
+                except OpNavError as why:
+                    refused.append(f"{number}: {why}")
     if shape is not None and wanted is None:
         found = [camera for camera in found if (camera.n_line, camera.n_pixel) == shape]
     found = found or fitted  # one that states its size comes before one that takes the picture's
@@ -86,14 +88,13 @@ def _is_wanted(wanted: str, number: int, values: Any) -> bool:
     return wanted.strip() == str(number) or any(wanted.casefold() in text.casefold() for text in texts)
 
 
-def _fitted(values: Any, number: int, size: tuple[int, int] | None, given: dict[str, Any]) -> list[Camera]:
-    """The camera of kernels that give no number of pixels, with the picture's; none where this does not help."""
+def _fitted(
+    values: Any, number: int, size: tuple[int, int] | None, given: dict[str, Any], error: OpNavError
+) -> Camera:
+    """The camera of kernels that give no number of pixels, with those told or the picture's; else why there is none."""
     if size is None:
-        return []
-    try:
-        return [Camera.from_ik(values, number, n_pixel=size[0], n_line=size[1], **given)]
-    except OpNavError:
-        return []
+        raise error
+    return Camera.from_ik(values, number, n_pixel=size[0], n_line=size[1], **given)
 
 
 def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, numbers: Numbers) -> Camera:
