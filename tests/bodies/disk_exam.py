@@ -23,11 +23,11 @@ from disk_truth import TrialSetup, data_folder, make_trial
 import opnav_workbench.bodies as bodies
 
 CONTRASTS = (1.0, 3.0, 9.0)
-SIZE_EDGES_PX = (5.0, 15.0, 40.0, 120.0, 300.0, 800.0, 2000.0)
+SIZE_EDGES_PX = (1.0, 3.0, 5.0, 15.0, 40.0, 120.0, 300.0, 800.0, 2000.0)
 PHASE_EDGES_DEG = (0.0, 40.0, 90.0, 130.0)
 FIGURES = ("right", "size", "axes")
-GRIDS = {"small": (5.0, 150.0), "full": (5.0, 800.0), "odd": (3.0, 2000.0)}
-MAX_PHASE_DEG = {"small": 130.0, "full": 130.0, "odd": 150.0}
+GRIDS = {"tiny": (1.0, 9.0), "small": (5.0, 150.0), "full": (5.0, 800.0), "odd": (3.0, 2000.0)}
+MAX_PHASE_DEG = {"tiny": 130.0, "small": 130.0, "full": 130.0, "odd": 150.0}
 TRIAXIAL = (1.12, 1.0, 0.88)
 PSFS, PSF_SHARES = ("known", "known_wings", "width", "wings"), (0.4, 0.15, 0.25, 0.2)
 CUT_SHARE = 0.1  # of the trials have their center anywhere in the frame

@@ -68,6 +68,15 @@ def test_errors_are_about_what_sigmas_say(examined):
     assert np.median(even) < 0.15
 
 
+@pytest.mark.slow
+def test_centers_of_a_few_pixels_know_what_they_do_not_see(sample):
+    """From 1 to 9 px size, figure, law and pattern move the light as another center would."""
+    found = run(sample.trials(14), 23, "auto", "tiny")
+    near = [r for r in found if r["diameter_px"] >= 3.0 or r["displacement_px"] < 10.0]
+    assert np.mean([is_ok(r) for r in near if r["phase_deg"] < 110.0]) > 0.8
+    assert 0.4 < error_over_sigma([r for r in near if is_ok(r)]) < 2.0
+
+
 def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):
     """The camera's response is unknown, and so is how bright the nearer body is: its pixels do not count."""
     place = np.array([500.3, 480.7])
