@@ -42,7 +42,9 @@ COMMANDS = {
     ),
     "process": CommandEntry("process", "process", "Solve pointing and target centers of pictures."),
     "lab": CommandEntry(
-        "lab", "lab", "Start JupyterLab with the workbench open on pictures; Ctrl-C stops it."
+        "lab",
+        "lab",
+        "Open the workbench on pictures, alone in a browser window, in a JupyterLab of its own; Ctrl-C stops it.",
     ),
     "nightly": CommandEntry(
         "nightly",

@@ -29,8 +29,9 @@ def find(picture, diameter, phase_deg):
 
 
 @pytest.mark.slow(keep=["0.0-0.65"])
-@pytest.mark.parametrize("sigma_px", PSFS)
-@pytest.mark.parametrize("phase", [0.0, 60.0, 120.0])
+@pytest.mark.parametrize(
+    ("phase", "sigma_px"), [(0.0, 0.65), (0.0, 0.35), (60.0, 0.8), (120.0, 0.65), (120.0, 0.35)]
+)
 def test_no_bias_from_half_a_pixel_to_twelve(binned_stage, sigma_px, phase):
     """Pictures without noise, at any place between the pixels."""
     stage, rng, errors = (
