@@ -45,7 +45,7 @@ def test_same_setup_is_the_same_picture():
 @pytest.fixture(scope="module")
 def examined(sample):
     """Trials of 5 to 150 px; `tests/bodies/disk_exam.py` holds many more, and larger ones."""
-    return run(sample.trials(24), 17, "auto", "small")
+    return run(sample.trials(14), 17, "auto", "small")
 
 
 @pytest.mark.slow
@@ -71,7 +71,7 @@ def test_errors_are_about_what_sigmas_say(examined):
 @pytest.mark.slow
 def test_centers_of_a_few_pixels_know_what_they_do_not_see(sample):
     """From 1 to 9 px size, figure, law and pattern move the light as another center would."""
-    found = run(sample.trials(14), 23, "auto", "tiny")
+    found = run(sample.trials(9), 23, "auto", "tiny")
     near = [r for r in found if r["diameter_px"] >= 3.0 or r["displacement_px"] < 10.0]
     assert np.mean([is_ok(r) for r in near if r["phase_deg"] < 110.0]) > 0.8
     assert 0.4 < error_over_sigma([r for r in near if is_ok(r)]) < 2.0

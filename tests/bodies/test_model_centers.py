@@ -84,8 +84,8 @@ def test_errors_over_sigma_of_many_trials(binned_stage, add_noise, diameter, pha
     model = binned_stage.body(diameter, phase, true, axes)
     half = int(diameter / 2 + 12)
     light = binned_stage.brute_force(model, (127 - half, 127 - half, 2 * half, 2 * half), 32)
-    # 0.9 to 1.1, as far as 240 components can tell (4.6 %); 500 trials gave 0.92 to 1.10
-    check_trials(trials(binned_stage, model, true, light, 120, 2, add_noise), 0.81, 1.19)
+    # 0.9 to 1.1, as far as 180 components can tell (5.3 %); 500 trials gave 0.92 to 1.10
+    check_trials(trials(binned_stage, model, true, light, 90, 2, add_noise), 0.81, 1.19)
 
 
 @pytest.mark.slow(keep=["find_least_squares"])

@@ -132,9 +132,9 @@ def test_fields_far_off_are_identified(name, limits):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("limits", "least"), [(WIDE, 0.99), (LOST, 0.95)], ids=["200px", "1000px"])
-def test_two_hundred_fields_far_off_are_identified(limits, least):
-    """100 fields of each camera; the published figures are of 250 with the same seed."""
-    both = [rates(camera, limits, 100, seed=2) for camera in CAMERAS.values()]
+def test_many_fields_far_off_are_identified(limits, least):
+    """60 fields of each camera; the published figures are of 250 with the same seed."""
+    both = [rates(camera, limits, 60, seed=2) for camera in CAMERAS.values()]
     assert np.mean([right for right, _ in both]) >= least
     assert sum(wrong for _, wrong in both) == 0
 
