@@ -24,7 +24,7 @@ def _imports(path: Path) -> set[str]:
     return names
 
 
-@pytest.mark.slow(keep=["spiceypy-kernels", "ipywidgets-workbench", "bokeh-workbench"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("library", "layer"), ONLY_IMPORTERS.items())
 def test_library_stays_in_its_layer(library: str, layer: str) -> None:
     importers = {p.relative_to(PACKAGE).parts[0] for p in PACKAGE.rglob("*.py") if library in _imports(p)}

@@ -96,7 +96,7 @@ def test_notebook_has_parameters_and_no_outputs(notebook):
     assert any("parameters" in cell["metadata"].get("tags", ()) for cell in source["cells"])
 
 
-@pytest.mark.slow(keep=["first_picture.ipynb"])
+@pytest.mark.slow
 @pytest.mark.parametrize("notebook", sorted(set(ALL_NOTEBOOKS) - WITH_TESTS_OF_THEIR_OWN))
 def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -112,6 +112,7 @@ def test_difference_picture_shows_it(process):
 # -- centers -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", ["uniform", "mottled"])
 def test_center_carries_the_part_across(process, surface):
     """95 px of O-C: the part across to kilometers, whatever the surface; within the sigma where it is known."""

@@ -208,6 +208,7 @@ def test_analyst_replaces_a_picture_and_estimates_again(team):
     assert np.trace(after["covariance"]) > np.trace(before["covariance"])
 
 
+@pytest.mark.slow
 def test_nothing_to_estimate_from_is_one_line(team):
     package, folder = team
     for picture in open_rehearsal(package).pictures:

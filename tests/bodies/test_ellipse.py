@@ -74,6 +74,7 @@ def trials(stage, add_noise, diameter, phase, true, count, **options):
     return np.array(errors), np.array(pulls), np.array(sizes)
 
 
+@pytest.mark.slow
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise, sample):
     true = np.array([127.31, 126.84])
     error, pull, size = trials(binned_stage, add_noise, 40.0, 60.0, true, sample.trials(40))

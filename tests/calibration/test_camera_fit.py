@@ -55,7 +55,7 @@ def test_parameters_come_back_within_three_sigma(cameras, star_pictures, name):
     assert result.used.all()
 
 
-@pytest.mark.slow(keep=["lorri"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_error_over_sigma_is_one(cameras, star_pictures, sample, name):
     camera, rng = cameras[name], np.random.default_rng([2, len(name)])

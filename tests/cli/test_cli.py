@@ -115,6 +115,7 @@ def test_help_over_all_commands_loads_nothing_that_navigates():
     }
 
 
+@pytest.mark.slow
 def test_no_command_loads_what_draws_before_it_draws():
     modules = ", ".join(f"{CLI}.{entry.module}" for entry in COMMANDS.values())
     assert _loaded_by(f"import {modules}").isdisjoint(DRAWING)

@@ -65,6 +65,7 @@ def test_residuals_before_are_those_of_the_pictures(sequence):
         np.testing.assert_allclose(r.before, o.residual_px, atol=2e-3 * np.hypot(*o.residual_px))
 
 
+@pytest.mark.slow
 def test_errors_over_sigmas_and_chi_squared_over_many_trials(sequence, noise_of, offset_km):
     """500 trials: the covariance is honest, the bias small, chi-squared distributed as it should be."""
     rng, noise = np.random.default_rng(75), noise_of(sequence)

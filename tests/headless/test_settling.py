@@ -147,7 +147,7 @@ EVENTS = {
 }
 
 
-@pytest.mark.slow(keep=("an analyst comes and stays", "the night is killed"))
+@pytest.mark.slow
 @pytest.mark.parametrize("events", EVENTS.values(), ids=EVENTS)
 def test_every_moment_for_something_else_to_happen(tmp_path, events):
     def undisturbed() -> None:

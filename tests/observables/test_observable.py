@@ -95,6 +95,7 @@ def test_fields_are_carried_over(cameras):
         result.partials_px_per_km[0, 0] = 1.0
 
 
+@pytest.mark.slow
 def test_residual_over_total_covariance_is_chi_squared(cameras):
     """Center noise and attitude errors together: mean chi-squared 2 over 1000 trials, either alone too small."""
     camera, rng = cameras["lorri"], np.random.default_rng(61)

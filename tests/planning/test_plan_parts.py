@@ -68,6 +68,7 @@ def test_elongation_is_that_of_spice(opened, prediction):
     assert prediction.elongation_deg == pytest.approx(math.degrees(spiceypy.vsep(sun, boresight)), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_expected_picture_is_the_mean_of_simulated_ones(opened, picture, light):
     """Mean and variance of 25 exposures of a window that holds a star and Bennu."""
     inputs = opened.inputs(picture)

@@ -9,7 +9,7 @@ PLACE = (400.37, 600.71)
 WINDOW = (385, 586, 31, 31)
 
 
-@pytest.mark.slow(keep=["110.0-0.008"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("phase_deg", "center_px"), [(40.0, 0.004), (110.0, 0.008)])
 def test_light_and_center_follow_the_size(stage, center_of, phase_deg, center_px):
     diameters = np.arange(0.3, 12.0, 0.08)

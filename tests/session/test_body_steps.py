@@ -283,7 +283,7 @@ def test_bodies_found_together_carry_their_correlation(pair, resolved_truths):
     assert pair.result()["bodies"][0]["joint_covariance_px2"] is None
 
 
-@pytest.mark.slow(keep=["order0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [("PLUTO", "CHARON"), ("CHARON", "PLUTO")])
 def test_the_order_in_which_bodies_are_found_does_not_matter(pair, order):
     for name in order:

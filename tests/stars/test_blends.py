@@ -31,7 +31,7 @@ def pairs(star_mosaic, unit_gaussian, sigma, separation, ratio, snr, seed):
     return image, truth, truth + common + rng.normal(0.0, 0.05, truth.shape)
 
 
-@pytest.mark.slow(keep=["0.7-2.5-0.5-40"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sigma", "separation", "ratio", "snr"), [(1.0, 2.0, 1.0, 50), (1.0, 1.5, 1.0, 100), (0.7, 2.5, 0.5, 40)]
 )

@@ -29,7 +29,7 @@ def with_hits(image, truth, rng, reach_px):
     return hit
 
 
-@pytest.mark.slow(keep=["1.2-40"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "snr"), [(1.2, 15), (1.2, 40), (0.8, 30)])
 def test_hits_within_the_box_are_masked(star_mosaic, unit_gaussian, sigma, snr):
     prior = ShapePrior.round_psf(sigma, 0.03, 0.03)

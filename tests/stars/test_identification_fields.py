@@ -176,6 +176,7 @@ def confidences(limits, fields, seed):
     )
 
 
+@pytest.mark.slow
 def test_unrelated_fields_are_not_accepted():
     """A confidence c is exceeded by less than 1 - c of them; 2 more for 200 fields' luck."""
     confidence = np.concatenate([confidences((60.0, 0.5), 200, 1), confidences(WIDE, 40, 1)])
