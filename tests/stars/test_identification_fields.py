@@ -190,7 +190,7 @@ def test_less_than_one_unrelated_field_of_a_thousand_is_accepted():
     near, wide, lost = (
         confidences((60.0, 0.5), 1000, 2),
         confidences(WIDE, 1000, 2),
-        confidences(LOST, 300, 2),
+        confidences(LOST, 150, 2),
     )
     for confidence in (near, wide, lost):
         assert np.mean(confidence >= 0.999) < 1e-3 + 1e-9
