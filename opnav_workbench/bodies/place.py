@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates, maximum_filter
 from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.neighbours import without_others
+from opnav_workbench.bodies.neighbours import near_bodies, without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
 from opnav_workbench.bodies.place_search import search_place
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
@@ -110,9 +110,7 @@ def find_place(
         limit = near
     if 2.0 * predicted * ratio < BLURRED_PX:
         return _blurred_place(picture, name, ratio, expected, limit)
-    found = None
-    if limit is None:
-        found = _silhouette_place(picture, name, ratio, expected, near)
+    found = _silhouette_place(picture, name, ratio, expected, near) if limit is None else None
     if found is None or found.score < NEAR_SHARE:
         found = _silhouette_place(picture, name, ratio, expected, limit)
     return None if found is None else _on_limb(picture, name, found)
@@ -280,9 +278,11 @@ def _blurred_place(
 ) -> BodyPlace | None:
     """Return where a small body's light is near the expected place; else, if it may be far, where its silhouette is."""
     radius = 0.5 * picture.diameter_px(name) * ratio
-    whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
-    lit = without_others(picture, name, expected, whole)
-    alone = replace(picture, bad=picture.bad | ~(lit.use | lit.saturated))
+    alone = picture
+    if near_bodies(picture, name, expected):
+        whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
+        lit = without_others(picture, name, expected, whole)
+        alone = replace(picture, bad=picture.bad | ~(lit.use | lit.saturated))
 
     def seen(place: FloatArray, search_px: float) -> BodyPlace | None:
         peak = search_place(alone, name, place, radius, search_px, range_scale=1.0 / ratio)

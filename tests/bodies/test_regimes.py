@@ -20,7 +20,7 @@ LIMIT = UNRESOLVED_TO_PX
 KNOWN = FigureUncertainty(0.001, 0.001, 0.0001, 0.001)
 
 
-def find(picture, diameter, phase_deg):
+def find(picture, diameter):
     """Find as "auto" does."""
     method = choose_method(diameter)
     finders = {"unresolved": find_unresolved_body, "least_squares": find_least_squares, "disk": find_disk}
@@ -44,7 +44,7 @@ def test_no_bias_from_half_a_pixel_to_twelve(binned_stage, sigma_px, phase):
             true = 127.0 + rng.uniform(-0.5, 0.5, 2)
             model = stage.body(diameter, phase, true, TRIAXIAL, law=LunarLambert(0.5))
             light = stage.light(model, window=None)
-            found = find(stage.picture(light, [model], offset_px=rng.uniform(-1.0, 1.0, 2)), diameter, phase)
+            found = find(stage.picture(light, [model], offset_px=rng.uniform(-1.0, 1.0, 2)), diameter)
             assert found.status == "ok", (diameter, found.messages)
             # A disk's figure, law and PSF are solved too: its error is held to the sigma that they leave.
             sigma = np.sqrt(np.diag(found.covariance_px2).max()) if found.method == "disk" else 0.0

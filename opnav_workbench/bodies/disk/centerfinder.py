@@ -9,13 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
-from opnav_workbench.bodies.disk.measurement import (
-    HALF_PX,
-    MeasuredDisk,
-    alike,
-    crossing_covariance,
-    measure_disk,
-)
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, crossing_covariance, measure_disk
 from opnav_workbench.bodies.judgement import CenterReading, disk_reading, judged_center, second_reading
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
@@ -109,9 +103,9 @@ def _second_reading(disk: MeasuredDisk) -> SecondReading | None:
     """
     fit, read, start = disk.fit, disk.crossing, disk.place
     if read is not None:
-        place, covariance = fit.center_px + read.step_px, crossing_covariance(read)
+        place, covariance = fit.center_px + read.step_px, crossing_covariance(read.covariance[:2, :2])
     elif np.isfinite(start.center_sigma_px):
-        place, covariance = start.center_px, (start.center_sigma_px**2 + HALF_PX**2) * np.eye(2)
+        place, covariance = start.center_px, crossing_covariance(start.center_sigma_px**2 * np.eye(2))
     else:
         return None
     return second_reading("limb crossings", place, covariance, fit.center_px, fit.covariance_px2)

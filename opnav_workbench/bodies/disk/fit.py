@@ -44,9 +44,7 @@ __all__ = ["DiskFit", "DiskPixels", "DiskShape", "Unknown", "fit_disk"]
 
 MOST_PIECES, LEAST_PIECES, PIECE_PX = 48, 24, 1.5
 NODES = 5
-BROAD_RAD = (
-    1.0  # over which hemispheres differ: what the data of a small disk cannot tell from another center
-)
+BROAD_RAD = 1.0  # over which hemispheres differ: data of a small disk cannot tell that from another center
 DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     0.6,
     40.0,
@@ -249,12 +247,16 @@ class DiskFit:
         along the Sun's direction go together. So the size is known no better than `RIM_SHARE` of the PSF's width times
         the albedo's strength, whatever its own covariance says.
         """
-        whole = self.solution.covariance
-        with_size = whole[CENTER, Unknown.SIZE] / whole[Unknown.SIZE, Unknown.SIZE]
+        with_size = self.center_with_size_px
         rim = RIM_SHARE * self.prior.albedo * self.system.sharp_px / (0.5 * self.smooth_outline.diameter_px)
-        return np.asarray(
-            whole[np.ix_(CENTER, CENTER)] + rim**2 * np.outer(with_size, with_size) + self.valley_px2
-        )
+        own = self.solution.covariance[np.ix_(CENTER, CENTER)]
+        return np.asarray(own + rim**2 * np.outer(with_size, with_size) + self.valley_px2)
+
+    @property
+    def center_with_size_px(self) -> FloatArray:
+        """How far the solution's center (2,) goes along with the logarithm of its size."""
+        whole = self.solution.covariance
+        return np.asarray(whole[CENTER, Unknown.SIZE] / whole[Unknown.SIZE, Unknown.SIZE])
 
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo."""

@@ -22,6 +22,7 @@ RIDGE = 1e-11  # of a unit diagonal: keeps what nothing tells from becoming infi
 LARGEST_SCALE = 1e9
 # Albedo that changes within the PSF's width of the limb moves what is taken for the limb by so much of that width.
 UNRESOLVED_SHARE = 0.6
+
 __all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
 
 

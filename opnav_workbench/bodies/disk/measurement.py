@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, DiskPixels, Unknown, fit_disk
+from opnav_workbench.bodies.disk.fit import DiskFit, DiskPixels, Unknown, fit_disk
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import (
@@ -28,7 +28,6 @@ from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 
 __all__ = [
-    "HALF_PX",
     "MeasuredDisk",
     "alike",
     "crossing_covariance",
@@ -102,7 +101,7 @@ def measure_disk(
         place = find_place(picture, name, circle, search_px)
         if place is None:
             nothing = "nothing of its size and phase stands out of the sky"
-            if search_px is None and picture.diameter_px(name) < POINTLIKE_PX:
+            if circle is None and search_px is None and picture.diameter_px(name) < POINTLIKE_PX:
                 nothing += " near its expected place; farther off it may be any star, give a circle"
             return BodyCenter.without_center(name, method, "not_detected", nothing)
         pixels = _usable(picture, name, place)
@@ -180,11 +179,7 @@ def _along_the_valley(picture: BodyPicture, name: str, pixels: DiskPixels, fit: 
     fits = [fit]
     for sign in (-1.0, 1.0):
         log_size = sign * fit.figure.size_sigma
-        along = (
-            fit.solution.covariance[CENTER, Unknown.SIZE]
-            / fit.solution.covariance[Unknown.SIZE, Unknown.SIZE]
-        )
-        center = fit.center_px + along * (log_size - fit.shape.log_size)
+        center = fit.center_px + fit.center_with_size_px * (log_size - fit.shape.log_size)
         try:
             place = BodyPlace(center, float(np.exp(log_size)), 1.0)
             fits.append(fit_disk(picture, name, place, pixels, prior=fit.prior))
@@ -225,9 +220,9 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     return fit_crossings(crossings, fit.smooth_outline, sigma, expected, 1.0)
 
 
-def crossing_covariance(crossing: CrossingFit) -> FloatArray:
-    """Return the covariance (2, 2) px^2 of a center by crossings, with what half of the brightness may be beside a limb."""
-    return np.asarray(crossing.covariance[:2, :2] + HALF_PX**2 * np.eye(2))
+def crossing_covariance(scatter_px2: FloatArray) -> FloatArray:
+    """Return the covariance (2, 2), px^2, of a center by crossings: scatter, and what half of the brightness may be off."""
+    return np.asarray(scatter_px2 + HALF_PX**2 * np.eye(2))
 
 
 def alike(fit: DiskFit, crossing: CrossingFit | None) -> bool:
@@ -235,7 +230,9 @@ def alike(fit: DiskFit, crossing: CrossingFit | None) -> bool:
     if crossing is None:
         return False
     step = crossing.step_px
-    return same_center(step, sigmas_apart(step, crossing_covariance(crossing) + fit.covariance_px2))
+    return same_center(
+        step, sigmas_apart(step, crossing_covariance(crossing.covariance[:2, :2]) + fit.covariance_px2)
+    )
 
 
 def sigmas_apart(step_px: FloatArray, covariance_px2: FloatArray) -> float:
