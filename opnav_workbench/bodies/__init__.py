@@ -61,6 +61,7 @@ from opnav_workbench.bodies.picture import (
     displaced_model,
     model_picture,
     picture_from_circle,
+    stated_psf_sigma,
 )
 from opnav_workbench.bodies.results import (
     BODY_STATUSES,
@@ -113,4 +114,5 @@ __all__ = [
     "horizon_position",
     "model_picture",
     "picture_from_circle",
+    "stated_psf_sigma",
 ]

@@ -38,6 +38,7 @@ __all__ = [
     "pixel_rays",
     "placed_models",
     "sized_target",
+    "stated_psf_sigma",
     "sunlight_electrons",
 ]
 
@@ -87,6 +88,11 @@ class Circle:
 # ---- Everything that finding a body in a picture needs.
 
 MEASURED_PSF_SIGMA = 0.15
+
+
+def stated_psf_sigma(camera: Camera) -> float:
+    """Return the relative uncertainty of the width that a camera file states, where no star has measured it."""
+    return max(camera.psf.relative_sigma, MEASURED_PSF_SIGMA)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -478,7 +484,7 @@ def picture_from_circle(
         observer_velocity_km_s=np.zeros(3),
         models=(BodyModel(target, law=law or LunarLambert(LUNAR_WEIGHT), shape=shape),),
         psf=psf or camera.psf_shape or GaussianPsf(camera.psf.sigma_px, camera.psf.sigma_px),
-        psf_width_sigma=MEASURED_PSF_SIGMA if psf or camera.psf_shape else camera.psf.relative_sigma,
+        psf_width_sigma=MEASURED_PSF_SIGMA if psf or camera.psf_shape else stated_psf_sigma(camera),
         noise_model=_noise_model(camera),
     )
 

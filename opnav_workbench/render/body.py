@@ -4,7 +4,7 @@ The light (flux, center and spread) is summed over the surface, independent of t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -56,7 +56,7 @@ class FigureUncertainty:
     albedo_sigma: float = 0.2
 
     def __post_init__(self) -> None:
-        for label in ("size_sigma", "axes_sigma", "limb_roughness", "albedo_sigma"):
+        for label in (one.name for one in fields(self)):
             value = getattr(self, label)
             if not 0.0 < value < 1.0:
                 whole = "brightness" if label == "albedo_sigma" else "mean radius"

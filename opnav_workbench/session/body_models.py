@@ -5,7 +5,7 @@ where they are predicted, the others where they were found.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies import MEASURED_PSF_SIGMA, BodyCenter, BodyPicture, displaced_model
+from opnav_workbench.bodies import (
+    MEASURED_PSF_SIGMA,
+    BodyCenter,
+    BodyPicture,
+    displaced_model,
+    stated_psf_sigma,
+)
 from opnav_workbench.constants import SUN_RADIUS_KM
 from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
 from opnav_workbench.image import darkest_sky
@@ -123,7 +129,9 @@ def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> Shape
 
 def _figure(surface: TargetSurface, shape: ShapeModel | None) -> FigureUncertainty:
     """Return how far the figure may be wrong: as the mission says; where it does not, as on a first approach."""
-    stated = surface.model_dump(include=set(FigureUncertainty.__dataclass_fields__), exclude_none=True)
+    stated = surface.model_dump(
+        include={field.name for field in fields(FigureUncertainty)}, exclude_none=True
+    )
     default = FigureUncertainty() if shape is None else FigureUncertainty(axes_sigma=SHAPE_AXES_SIGMA)
     if surface.albedo_map is not None:
         default = replace(default, albedo_sigma=MAPPED_ALBEDO_SIGMA)
@@ -275,7 +283,7 @@ def _sunlight(context: Context) -> float | None:
 def _psf_width_sigma(context: Context, state: SessionState) -> float:
     """Return how well the width of the picture's PSF is known: without calibration and stars, as the camera file says."""
     measured = context.camera.psf_shape is not None or state.psf is not None
-    return MEASURED_PSF_SIGMA if measured else max(context.camera.psf.relative_sigma, MEASURED_PSF_SIGMA)
+    return MEASURED_PSF_SIGMA if measured else stated_psf_sigma(context.camera)
 
 
 def picture_psf(context: Context, state: SessionState) -> Psf:
