@@ -7,7 +7,7 @@ Source: PDS Standards Reference 3.8, chapters 12 (ODL), 14 (pointers) and 16 (SF
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -183,7 +183,7 @@ def image_pointer(name: str, label: PdsLabel) -> PdsPointer:
 
 
 def label_integer(
-    name: str, values: dict[str, HeaderValue], key: str, default: int | None = None, least: int = 0
+    name: str, values: Mapping[str, HeaderValue], key: str, default: int | None = None, least: int = 0
 ) -> int:
     """Return a whole number of a label.
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.image.file_bytes import check_size, image_error
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, read_raster
-from opnav_workbench.image.header import HeaderValue, header_number
+from opnav_workbench.image.formats.stored import Raster, StoredPicture, linear, read_raster
+from opnav_workbench.image.header import HeaderValue
 from opnav_workbench.image.pds_label import label_integer, label_items, label_value
 
 __all__ = ["IsisLabel", "detached_core", "is_isis_cube", "isis_label", "read_isis_cube"]
@@ -110,12 +110,9 @@ def read_isis_cube(name: str, label: IsisLabel, data: bytes) -> StoredPicture:
     tiled = str(core.get("FORMAT", "BandSequential")).upper() == "TILE"
     stored = _tiles(name, core, data, raster) if tiled else read_raster(name, data, raster)
     missing, saturated = _special(stored, kind)
-    base, multiplier = (
-        header_number(core.get(key, default)) for key, default in (("BASE", 0.0), ("MULTIPLIER", 1.0))
-    )
-    if base is None or multiplier is None:
-        raise image_error(name, "ISIS cube whose Base or Multiplier is no number; check the label.")
-    image = _physical(stored, missing, saturated, base, multiplier)
+    base, multiplier = core.get("BASE"), core.get("MULTIPLIER")
+    image = linear(name, stored, multiplier, base, "ISIS cube whose Base or Multiplier")
+    _mark(image, missing, saturated)
     return StoredPicture(image, label.values, saturated=saturated, channels=_band_names(label.values, bands))
 
 
@@ -128,7 +125,7 @@ def detached_core(label: IsisLabel) -> str | None:
 def _tiles(name: str, core: Mapping[str, HeaderValue], data: bytes, raster: Raster) -> NDArray[Any]:
     """Return the samples of tiles, which are whole at the right and lower end too."""
     tile_lines, tile_samples = (
-        label_integer(name, dict(core), key, least=1) for key in ("TILELINES", "TILESAMPLES")
+        label_integer(name, core, key, least=1) for key in ("TILELINES", "TILESAMPLES")
     )
     check_size(name, tile_lines * tile_samples)
     down, across = -(-raster.lines // tile_lines), -(-raster.samples // tile_samples)
@@ -154,16 +151,12 @@ def _special(stored: NDArray[Any], kind: str) -> tuple[BoolArray, BoolArray]:
     return np.asarray(low & ~saturated), np.asarray(saturated)
 
 
-def _physical(
-    stored: NDArray[Any], missing: BoolArray, saturated: BoolArray, base: float, multiplier: float
-) -> FloatArray:
-    """Return values in DN; nan where there is none, the highest of all where they are saturated."""
-    image = stored.astype(np.float64) * multiplier + base
+def _mark(image: FloatArray, missing: BoolArray, saturated: BoolArray) -> None:
+    """Put nan where there is no value, and the highest of all where they are saturated."""
     image[missing] = np.nan
     if saturated.any():
         valid = image[~(missing | saturated)]
         image[saturated] = valid.max() if valid.size else np.nan
-    return image
 
 
 def _band_names(values: Mapping[str, HeaderValue], bands: int) -> tuple[str, ...]:

@@ -7,14 +7,21 @@ import contextlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.image.file_bytes import image_error
 from opnav_workbench.image.formats.huffman import ENCODING, read_first_differences
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, full_scale, read_raster
-from opnav_workbench.image.header import HeaderValue, KeywordMap, header_number
+from opnav_workbench.image.formats.stored import (
+    BandOrder,
+    Raster,
+    StoredPicture,
+    full_scale,
+    linear,
+    read_raster,
+)
+from opnav_workbench.image.header import HeaderValue, KeywordMap
 from opnav_workbench.image.pds_label import PdsLabel, is_pds3, label_integer
 
 __all__ = [
@@ -29,7 +36,7 @@ BYTE_ORDERS = {"MSB": ">", "SUN": ">", "MAC": ">", "LSB": "<", "PC": "<", "VAX":
 SAMPLE_TYPE = re.compile(
     r"(?:(?P<maker>MSB|SUN|MAC|LSB|PC|VAX|IEEE)_)?(?P<unsigned>UNSIGNED_)?(?P<kind>INTEGER|REAL|FLOAT)"
 )
-STORAGE: dict[str, Literal["BSQ", "BIL", "BIP"]] = {
+STORAGE: dict[str, BandOrder] = {
     "BAND_SEQUENTIAL": "BSQ",
     "LINE_INTERLEAVED": "BIL",
     "SAMPLE_INTERLEAVED": "BIP",
@@ -66,13 +73,12 @@ def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel, keywords:
     order = _storage(name, image)
     raster = Raster(lines, line_samples, _sample_type(name, image), bands, order, offset, prefix, suffix)
     samples = read_raster(name, data, raster)
-    scale, zero = header_number(image.get("SCALING_FACTOR", 1.0)), header_number(image.get("OFFSET", 0.0))
-    if scale is None or zero is None:
-        raise image_error(name, "PDS3 label whose SCALING_FACTOR or OFFSET is no number; check the label.")
-    return StoredPicture(samples.astype(np.float64) * scale + zero, dict(label.values))
+    scale, zero = image.get("SCALING_FACTOR"), image.get("OFFSET")
+    values = linear(name, samples, scale, zero, "PDS3 label whose SCALING_FACTOR or OFFSET")
+    return StoredPicture(values, dict(label.values))
 
 
-def _storage(name: str, image: dict[str, HeaderValue]) -> Literal["BSQ", "BIL", "BIP"]:
+def _storage(name: str, image: dict[str, HeaderValue]) -> BandOrder:
     text = str(image.get("BAND_STORAGE_TYPE", "BAND_SEQUENTIAL")).upper().replace(" ", "_")
     if text not in STORAGE:
         raise image_error(name, f"PDS3 image of BAND_STORAGE_TYPE {text!r} is not read; check the label.")

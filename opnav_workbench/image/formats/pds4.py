@@ -5,7 +5,7 @@ Labels have no document type, and no entities of their own: one that has is refu
 Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element_Array, Special_Constants.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from xml.parsers import expat
 import numpy as np
 
 from opnav_workbench.image.file_bytes import image_error
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, read_raster
+from opnav_workbench.image.formats.stored import Raster, StoredPicture, linear, read_raster
 from opnav_workbench.image.header import HeaderValue, header_number
 from opnav_workbench.image.pds_label import label_integer, label_value
 
@@ -174,20 +174,13 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
         sizes[-2], sizes[-1], np.dtype(DATA_TYPES[kind]), sizes[0] if len(sizes) == 3 else 1, offset=offset
     )
     stored = read_raster(name, data, raster)
-    scale, zero = (
-        header_number(array.value(key) if array.value(key) is not None else default)
-        for key, default in (("SCALING_FACTOR", 1.0), ("VALUE_OFFSET", 0.0))
-    )
-    if scale is None or zero is None:
-        raise image_error(
-            name, "PDS4 label whose scaling_factor or value_offset is no number; check the label."
-        )
-    image = stored.astype(np.float64) * scale + zero
-    for key in MISSING:
-        image[stored == _constant(array, key)] = np.nan
+    scale, zero = array.value("SCALING_FACTOR"), array.value("VALUE_OFFSET")
+    image = linear(name, stored, scale, zero, "PDS4 label whose scaling_factor or value_offset")
+    for constant in _constants(array, MISSING):
+        image[stored == constant] = np.nan
     saturated = np.zeros(stored.shape, dtype=bool)
-    for key in SATURATED:
-        saturated |= stored == _constant(array, key)
+    for constant in _constants(array, SATURATED):
+        saturated |= stored == constant
     return StoredPicture(image, label.values, saturated=saturated)
 
 
@@ -211,7 +204,9 @@ def _whole(name: str, element: _Element, key: str, least: int) -> int:
     return label_integer(name, {} if value is None else {key: value}, key, least=least)
 
 
-def _constant(array: _Element, key: str) -> float:
-    """Return a special constant of an array; nan, which nothing equals, where it has none."""
-    value = header_number(array.value(key))
-    return np.nan if value is None else value
+def _constants(array: _Element, keys: Iterable[str]) -> Iterator[float]:
+    """Yield those special constants that an array has."""
+    for key in keys:
+        value = header_number(array.value(key))
+        if value is not None:
+            yield value

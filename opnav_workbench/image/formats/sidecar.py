@@ -33,7 +33,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, full_scale, read_raster
+from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, full_scale, read_raster
 from opnav_workbench.image.header import HeaderValue, KeywordMap
 from opnav_workbench.yaml_nodes import compose, plain_value, yaml_text
 
@@ -88,7 +88,7 @@ class Sidecar(BaseModel):
     line_prefix_bytes: Bytes = 0
     line_suffix_bytes: Bytes = 0
     channels: Annotated[int, Field(ge=1, le=64)] = 1
-    interleave: Literal["BSQ", "BIL", "BIP"] = "BIP"
+    interleave: BandOrder = "BIP"
 
 
 # ---- The file.

@@ -5,17 +5,18 @@ bytes that there are are checked before any array is made.
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from opnav_workbench.arrays import BoolArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.image.file_bytes import check_size, image_error, truncated_error
-from opnav_workbench.image.header import HeaderValue, KeywordMap
+from opnav_workbench.image.header import HeaderValue, KeywordMap, header_number
 
-__all__ = ["Raster", "StoredPicture", "full_scale", "header_value", "read_raster"]
+__all__ = ["BandOrder", "Raster", "StoredPicture", "full_scale", "header_value", "linear", "read_raster"]
 
+BandOrder: TypeAlias = Literal["BSQ", "BIL", "BIP"]
 MOST_LINE_BYTES = 1 << 24  # of prefixes and suffixes too: a line of a hundred thousand samples has less
 
 
@@ -66,6 +67,28 @@ def full_scale(image: NDArray[Any]) -> BoolArray | None:
     return np.asarray(image == np.iinfo(image.dtype).max)
 
 
+def linear(
+    name: str, stored: NDArray[Any], scale: HeaderValue | None, zero: HeaderValue | None, label: str
+) -> FloatArray:
+    """Return stored values times a label's scale (None: 1), plus its zero (None: 0).
+
+    Parameters
+    ----------
+    name, label
+        The file, its kind of label and that label's two words, for messages.
+
+    Raises
+    ------
+    ImageError
+        One of the two is no number.
+    """
+    factor = header_number(1.0 if scale is None else scale)
+    added = header_number(0.0 if zero is None else zero)
+    if factor is None or added is None:
+        raise image_error(name, f"{label} is no number; check the label.")
+    return stored.astype(np.float64) * factor + added
+
+
 @dataclass(frozen=True, slots=True)
 class Raster:
     """Where the samples of a picture are in a run of bytes.
@@ -84,7 +107,7 @@ class Raster:
     samples: int
     dtype: np.dtype[Any]
     bands: int = 1
-    order: Literal["BSQ", "BIL", "BIP"] = "BSQ"
+    order: BandOrder = "BSQ"
     offset: int = 0
     prefix: int = 0
     suffix: int = 0

@@ -5,13 +5,13 @@ Source: Deen (1992), "The VICAR File Format", JPL D-4186.
 
 import re
 from collections.abc import Iterator
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.image.file_bytes import check_size, image_error, truncated_error
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, read_raster
+from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, read_raster
 from opnav_workbench.image.header import HeaderValue
 
 __all__ = ["is_vicar", "read_vicar"]
@@ -28,7 +28,6 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d{1,3})?")
 INTEGERS = {"BYTE": "u1", "HALF": "i2", "WORD": "i2", "FULL": "i4", "LONG": "i4"}
 REALS = {"REAL": "f4", "DOUB": "f8"}
 INTEGER_ORDERS, REAL_ORDERS = {"HIGH": ">", "LOW": "<"}, {"IEEE": ">", "RIEEE": "<"}
-Order = Literal["BSQ", "BIL", "BIP"]
 
 
 def is_vicar(data: bytes) -> bool:
@@ -111,17 +110,16 @@ def _raster(name: str, items: dict[str, HeaderValue], label_size: int) -> Raster
     bands = max(_whole(name, items, "NB", 0, 1), 1)
     record, prefix, before = (_whole(name, items, key, 0, 0) for key in ("RECSIZE", "NBB", "NLB"))
     order: Any = items.get("ORG", "BSQ")
-    if order not in get_args(Order):
-        raise _damaged(name, f"ORG is {order!r}, expected {', '.join(get_args(Order))}")
-    raster = Raster(lines, samples, _sample_type(name, items), bands, order, 0, prefix)
+    if order not in get_args(BandOrder):
+        raise _damaged(name, f"ORG is {order!r}, expected {', '.join(get_args(BandOrder))}")
+    offset = label_size + before * record
+    raster = Raster(lines, samples, _sample_type(name, items), bands, order, offset, prefix)
     if order == "BIP":  # whose records are the bands of a sample
-        raster = Raster(lines, samples, raster.dtype, bands, order, label_size + before * record)
         if prefix or record != bands * raster.dtype.itemsize:
             raise _damaged(name, f"RECSIZE = {record} and NBB = {prefix} do not fit ORG = BIP")
-        return raster
-    if record != prefix + raster.line_bytes:
+    elif record != prefix + raster.line_bytes:
         raise _damaged(name, f"RECSIZE = {record}, but its lines have {prefix} and {raster.line_bytes} bytes")
-    return Raster(lines, samples, raster.dtype, bands, order, label_size + before * record, prefix)
+    return raster
 
 
 def _whole(name: str, items: dict[str, HeaderValue], key: str, least: int, default: int | None = None) -> int:
