@@ -9,7 +9,6 @@ Source: PDS Standards Reference 3.8, chapters 12 (ODL), 14 (pointers) and 16 (SF
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from opnav_workbench.image.file_bytes import image_error
 from opnav_workbench.image.header import HeaderValue
@@ -179,7 +178,7 @@ def image_pointer(name: str, label: PdsLabel) -> PdsPointer:
     position = int(found["at"] or 1) - 1
     in_records = position > 0 and not found["bytes"]
     unit = label_integer(name, label.values, "RECORD_BYTES", least=1) if in_records else 1
-    return PdsPointer(Path(file).name if file else None, max(position, 0) * unit)
+    return PdsPointer(file, max(position, 0) * unit)
 
 
 def label_integer(

@@ -7,7 +7,6 @@ Source: the cube format of ISIS (Integrated Software for Imagers and Spectromete
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -119,7 +118,7 @@ def read_isis_cube(name: str, label: IsisLabel, data: bytes) -> StoredPicture:
 def detached_core(label: IsisLabel) -> str | None:
     """Return the name of the file that holds the samples of a detached label; None where they follow in the same file."""
     name = label.core.get("^CORE")
-    return Path(str(name)).name if name is not None else None
+    return None if name is None else str(name)
 
 
 def _tiles(name: str, core: Mapping[str, HeaderValue], data: bytes, raster: Raster) -> NDArray[Any]:

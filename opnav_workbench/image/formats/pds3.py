@@ -3,10 +3,8 @@
 Source: PDS Standards Reference 3.8; its data object definitions for IMAGE.
 """
 
-import contextlib
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +23,6 @@ from opnav_workbench.image.header import HeaderValue, KeywordMap
 from opnav_workbench.image.pds_label import PdsLabel, is_pds3, label_integer
 
 __all__ = [
-    "file_beside",
     "is_variable_length",
     "read_pds_raw",
     "read_variable_length",
@@ -96,23 +93,6 @@ def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[Any]:
         )
     letter = "f" if real else "u" if match["unsigned"] else "i"
     return np.dtype(f"{BYTE_ORDERS.get(match['maker'], '>')}{letter}{bits // 8}")
-
-
-def file_beside(label_file: Path, name: str) -> Path:
-    """Return the file that a label names, in any case: labels are in capitals, archives often not.
-
-    Raises
-    ------
-    ImageError
-        It is not in the label's folder.
-    """
-    with contextlib.suppress(OSError):  # a folder that cannot be listed
-        for candidate in sorted(label_file.parent.iterdir()):
-            if candidate.name.lower() == name.lower():
-                return candidate
-    raise image_error(
-        label_file.name, f"the label names {name}, which is not beside it; put both into one folder."
-    )
 
 
 # ---- Files of records of variable length, each led by its length: the volumes of Voyager.

@@ -7,7 +7,6 @@ Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
@@ -90,7 +89,7 @@ def pds4_label(name: str, data: bytes) -> Pds4Label:
         array = next(area.all(*ARRAYS), None)
         file = next(area.all("FILE_NAME"), None)
         if array is not None and file is not None:
-            return Pds4Label(_values(root), Path(file.text).name, array)
+            return Pds4Label(_values(root), file.text, array)
     raise image_error(name, "PDS4 label without an Array_2D_Image in a file; give the label of an image.")
 
 

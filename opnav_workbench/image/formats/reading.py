@@ -4,6 +4,7 @@ A label or a sidecar may be given in the place of the file with the pixels; a fi
 the label or sidecar of its name.
 """
 
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from opnav_workbench.image.formats.display_picture import display_format, read_d
 from opnav_workbench.image.formats.fits_picture import is_fits, read_fits
 from opnav_workbench.image.formats.isis_cube import detached_core, is_isis_cube, isis_label, read_isis_cube
 from opnav_workbench.image.formats.pds3 import (
-    file_beside,
     is_variable_length,
     read_pds_raw,
     read_variable_length,
@@ -59,16 +59,36 @@ def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, St
         return _read_isis(file, data)
     if is_pds4(data):
         label = pds4_label(file.name, data)
-        pixels = file_beside(file, label.file)
+        pixels = _file_beside(file, label.file)
         return pixels, read_pds4(pixels.name, label, file_bytes(pixels))
     if is_sidecar(file):
         return _read_named_by_sidecar(file, keywords)
     return file, _read_pixels(file, data, keywords)
 
 
+def _file_beside(label_file: Path, named: str) -> Path:
+    """Return the file that a label or sidecar names, in its own folder only.
+
+    Case does not count: labels are in capitals, archives often not.
+    """
+    name = Path(named).name
+    with contextlib.suppress(OSError):  # a folder that cannot be listed
+        for candidate in sorted(label_file.parent.iterdir()):
+            if candidate.name.lower() == name.lower():
+                return candidate
+    raise image_error(
+        label_file.name, f"the label names {name}, which is not beside it; put both into one folder."
+    )
+
+
+def _plain(file: Path, data: bytes) -> bytes:
+    """Return the bytes of a file, unpacked where they are gzipped."""
+    return unpacked(file.name, data) if data.startswith(GZIP_START) else data
+
+
 def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture:
     """Read a file that holds pixels, and has a header or a sidecar."""
-    plain = unpacked(file.name, data) if data.startswith(GZIP_START) else data
+    plain = _plain(file, data)
     if is_fits(plain):
         return read_fits(file, plain, keywords)
     if is_vicar(plain):
@@ -122,7 +142,7 @@ def _read_pds3(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Pat
     pointer = image_pointer(label_file.name, label)
     if pointer.file is None:
         return label_file, read_pds_raw(label_file.name, data, pointer.offset_bytes, label, keywords)
-    pixels = file_beside(label_file, pointer.file)
+    pixels = _file_beside(label_file, pointer.file)
     content = file_bytes(pixels)
     if is_fits(content) or is_vicar(content) or content.startswith(GZIP_START):
         source = _read_pixels(pixels, content, keywords)
@@ -135,7 +155,7 @@ def _read_isis(file: Path, data: bytes) -> tuple[Path, StoredPicture]:
     core = detached_core(label)
     if core is None:
         return file, read_isis_cube(file.name, label, data)
-    pixels = file_beside(file, core)
+    pixels = _file_beside(file, core)
     return pixels, read_isis_cube(pixels.name, label, file_bytes(pixels))
 
 
@@ -145,9 +165,9 @@ def _read_named_by_sidecar(file: Path, keywords: KeywordMap) -> tuple[Path, Stor
         raise image_error(
             file.name, "is a sidecar that names no picture; give the picture, or add file: NAME."
         )
-    pixels = file_beside(file, Path(named).name)
+    pixels = _file_beside(file, named)
     data = file_bytes(pixels)
-    plain = unpacked(pixels.name, data) if data.startswith(GZIP_START) else data
+    plain = _plain(pixels, data)
     if is_sidecar(pixels) or is_fits(plain) or is_vicar(plain):
         raise image_error(file.name, f"names {pixels.name}, which needs no sidecar; give that file.")
     return pixels, _read_with_sidecar(pixels, plain, keywords, file)
