@@ -57,11 +57,10 @@ class PdsPointer:
 
 @dataclass(frozen=True, slots=True)
 class PdsLabel:
-    """A PDS3 label: its values, those inside ``OBJECT = IMAGE``, the text of ``^IMAGE``, and those of all pointers."""
+    """A PDS3 label: its values, those inside ``OBJECT = IMAGE``, and the texts of its pointers."""
 
     values: dict[str, HeaderValue]
     image: dict[str, HeaderValue]
-    pointer: str
     pointers: dict[str, str]
 
 
@@ -81,7 +80,7 @@ def parse_pds_label(data: bytes) -> PdsLabel:
         else:
             inside = image if item.inside[-1:] == ("IMAGE",) else values
             inside.setdefault(item.name, label_value(item.text))
-    return PdsLabel(values, image, pointers.get("IMAGE", ""), pointers)
+    return PdsLabel(values, image, pointers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +168,7 @@ def image_pointer(name: str, label: PdsLabel) -> PdsPointer:
     ImageError
         The label points to no image.
     """
-    found = POINTER.match(label.pointer.strip(" ()\t"))
+    found = POINTER.match(label.pointers.get("IMAGE", "").strip(" ()\t"))
     file = None if found is None else found["quoted"] or found["bare"]
     if found is None or not (file or found["at"]) or len(found["at"] or "") > MOST_DIGITS:
         raise image_error(
