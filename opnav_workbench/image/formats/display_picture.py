@@ -5,7 +5,6 @@ counts as saturated. Colors are channels: one is chosen in the mission file, or 
 8 bits are refused, as Pillow would cut them to 8.
 """
 
-import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from opnav_workbench.errors import ImageError
 from opnav_workbench.image.file_bytes import check_size, image_error
 from opnav_workbench.image.formats.stored import StoredPicture, full_scale
 from opnav_workbench.image.header import HeaderValue
-from opnav_workbench.supervised import TrialError, tried
+from opnav_workbench.supervised import tried
 
 __all__ = ["display_format", "read_display_picture"]
 
@@ -53,8 +52,7 @@ def read_display_picture(name: str, file: Path, data: bytes) -> StoredPicture:
         with Image.open(file, formats=(str(kind),)) as picture:
             check_size(name, picture.width * picture.height)
             _refuse_changed(name, picture, data)
-            with _one_line(name, damaged):
-                tried("image/picture_trial.py:try_display", str(file))
+            tried("image/picture_trial.py:try_display", str(file))
             stored, header = np.asarray(_plain(picture)), _words(picture)
             mode, frames = picture.mode, getattr(picture, "n_frames", 1)
     except (ImageError, MemoryError):
@@ -67,14 +65,6 @@ def read_display_picture(name: str, file: Path, data: bytes) -> StoredPicture:
             "JPEG keeps no faint detail: centers of faint stars may be off by more than their sigmas"
         )
     return _stored(stored, mode, header, messages)
-
-
-@contextlib.contextmanager
-def _one_line(name: str, words: str) -> Any:
-    try:
-        yield
-    except TrialError as error:
-        raise image_error(name, words.format(error)) from error
 
 
 def _refuse_changed(name: str, picture: Any, data: bytes) -> None:
@@ -116,12 +106,11 @@ def _stored(
     if values.ndim == 2:
         return StoredPicture(values, header, messages=tuple(messages), saturated=full_scale(values))
     names = COLORS.get(mode, ("red", "green", "blue"))
-    image = np.moveaxis(values, 2, 0)
-    if image.shape[0] > len(names):  # the last channel says where the picture is transparent
-        image = np.where(image[-1] == 0, np.nan, image[: len(names)].astype(np.float64))
-        saturated = np.moveaxis(values, 2, 0)[: len(names)] == np.iinfo(values.dtype).max
-    else:
-        saturated = np.asarray(full_scale(image))
+    channels = np.moveaxis(values, 2, 0)
+    image = channels[: len(names)]
+    saturated = np.asarray(full_scale(image))
+    if len(channels) > len(names):  # the last channel says where the picture is transparent
+        image = np.where(channels[-1] == 0, np.nan, image.astype(np.float64))
     if np.array_equal(image, np.broadcast_to(image[0], image.shape), equal_nan=image.dtype.kind == "f"):
         said = [*messages, "its channels are equal; one is taken"] if len(names) > 1 else messages
         return StoredPicture(image[0], header, messages=tuple(said), saturated=saturated[0])
