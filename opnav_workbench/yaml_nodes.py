@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-__all__ = ["YamlError", "compose", "plain_value", "yaml_text"]
+__all__ = ["LARGEST_BYTES", "LONGEST_NUMBER", "YamlError", "compose", "plain_value", "yaml_text"]
 
 LARGEST_BYTES = 4 << 20  # a table of states with a hundred thousand numbers
 DEEPEST = 40  # levels within levels; files of ours have eight

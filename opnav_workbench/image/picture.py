@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import ImageError, plain_line
+from opnav_workbench.files import sha256_of
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.contradictions import check_exposure, time_tolerance_s
 from opnav_workbench.image.file_bytes import file_bytes, image_error
@@ -269,9 +270,9 @@ def _exposure_contradictions(
         stated = (keywords.known(header, str(begin)), keywords.known(header, str(end)))
         first, last = (_seconds(value) for value in stated)
         if first is not None and last is not None:
-            as_utc = time.et is not None and all(isinstance(value, str) for value in stated)
-            tolerance_s = time_tolerance_s(*stated, *([time.utc] if as_utc else []))
-            middle_s = time.et if as_utc and time.et is not None else math.nan
+            tolerance_s, middle_s = time_tolerance_s(*stated), math.nan
+            if time.et is not None and all(isinstance(value, str) for value in stated):
+                tolerance_s, middle_s = time_tolerance_s(*stated, time.utc), time.et
             return check_exposure(keywords.exposure_s, exposure_s, (first, last), tolerance_s, middle_s)
     return check_exposure(keywords.exposure_s, exposure_s, None, 0.0, math.nan)
 
@@ -340,7 +341,7 @@ def read_image(
         warnings.simplefilter("always")
         data = file_bytes(file)
         pixels, source = read_stored(file, data, keywords)
-        digest = hashlib.sha256(data if pixels == file else pixels.read_bytes()).hexdigest()
+        digest = hashlib.sha256(data).hexdigest() if pixels == file else sha256_of(pixels)
         picture = picture_from_stored(pixels, digest, source, keywords, saturation_dn)
     return replace(picture, messages=(*picture.messages, *_remarks(caught)))
 

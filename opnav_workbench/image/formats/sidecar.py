@@ -35,14 +35,12 @@ from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, full_scale, read_raster
 from opnav_workbench.image.header import HeaderValue, KeywordMap
-from opnav_workbench.yaml_nodes import compose, plain_value, yaml_text
+from opnav_workbench.yaml_nodes import LARGEST_BYTES, LONGEST_NUMBER, compose, plain_value
 
 __all__ = ["Sidecar", "find_sidecar", "is_sidecar", "read_raw", "read_sidecar", "with_sidecar"]
 
 SUFFIXES = (".json", ".yaml", ".yml", ".csv")
-LARGEST_BYTES = 1 << 22
 MOST_WORDS = 10_000
-LONGEST_NUMBER = 40  # characters, as in YAML
 SAMPLE_TYPES = {
     "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4",
     "float32": "f4", "float64": "f8",
@@ -157,7 +155,7 @@ def _words(sidecar: Path, data: bytes, picture: str | None) -> Any:
         return json.loads(data.decode("utf-8-sig"))
     if suffix == ".csv":
         return _table_words(list(csv.reader(io.StringIO(data.decode("utf-8-sig")))), picture)
-    node = compose(yaml_text(sidecar))
+    node = compose(data.decode())
     return {} if node is None else plain_value(node)
 
 
@@ -169,9 +167,8 @@ def _table_words(rows: Sequence[Sequence[str]], picture: str | None) -> dict[str
     if all(len(row) == 2 for row in rows) and [cell.lower() for cell in rows[0]] != ["file", "utc"]:
         return {word: _cell(value) for word, value in rows if value}
     head, *body = rows
-    files = (
-        [word.lower() for word in head].index("file") if "file" in [word.lower() for word in head] else None
-    )
+    words = [word.lower() for word in head]
+    files = words.index("file") if "file" in words else None
     mine = body if files is None else [row for row in body if len(row) > files and row[files] == picture]
     if len(mine) != 1:
         raise ValueError(f"{len(mine)} rows for {picture}, expected one; a column named file tells them")
