@@ -96,6 +96,11 @@ def shape_file(text: str) -> ShapeFile:
     return ShapeFile(Path(path), unit) if path and unit in UNIT_KM else ShapeFile(Path(str(text)))
 
 
+def shape_text(path: Path, unit: str) -> str:
+    """Return a shape file as `shape_file` reads it."""
+    return str(path) if unit == "km" else f"{path}:{unit}"
+
+
 def targets_text(targets: Iterable[str] | None) -> str:
     """Return targets as `named_targets` reads them; empty where the mission's own are meant.
 
@@ -262,10 +267,7 @@ class Processing(BaseModel):
     @field_validator("shapes", mode="before")
     @classmethod
     def _known_shapes(cls, value: Any) -> Any:
-        shapes = named_shapes(value) if isinstance(value, str) else value
-        for shape in shapes.values() if isinstance(shapes, Mapping) else ():
-            shape_file(shape)
-        return shapes
+        return named_shapes(value) if isinstance(value, str) else value
 
     @field_validator("settings", mode="before")
     @classmethod
@@ -337,14 +339,10 @@ class Processing(BaseModel):
             if name in self.path_fields or (place.is_file() if name == "mission" else place.exists())
         }
         full: dict[str, Any] = {name: str(p.resolve() if base is None else p) for name, p in meant.items()}
-        shapes = {body: (base or Path()) / file.path for body, file in self.shape_files.items()}
-        if shapes:
-            named = {body: path.resolve() if base is None else path for body, path in shapes.items()}
-            units = {body: file.unit for body, file in self.shape_files.items()}
-            full["shapes"] = {
-                body: str(path) if units[body] == "km" else f"{path}:{units[body]}"
-                for body, path in named.items()
-            }
+        full["shapes"] = {
+            body: shape_text(file.path.resolve() if base is None else base / file.path, file.unit)
+            for body, file in self.shape_files.items()
+        }
         return self.changed(**full)
 
     @property

@@ -63,16 +63,16 @@ def settled_time(context: Context, et: float) -> SettledTime:
     picture, keywords = context.picture, KeywordMap(**context.mission.keywords)
     found = _against_kernels(context, keywords, et)
     if picture.rival_et is None:
-        return SettledTime(et, picture.utc or "", tuple(text for text in found.values() if text))
+        return SettledTime(et, picture.utc or "", tuple(filter(None, found.values())))
     rival = _against_kernels(context, keywords, picture.rival_et)
     agreeing, agreeing_with_rival = _agreeing(found, rival), _agreeing(rival, found)
     differ = f"{keywords.et} and {keywords.utc} differ by {et - picture.rival_et:+.3f} s"
     if len(agreeing_with_rival) > len(agreeing):
         why = f"{keywords.utc} is used, {_support(agreeing_with_rival)}"
-        left = tuple(text for text in rival.values() if text)
+        left = filter(None, rival.values())
         return SettledTime(picture.rival_et, text_from_et(picture.rival_et), (f"{differ}; {why}", *left))
     why = _support(agreeing) if agreeing else "as nothing tells which of them is wrong"
-    left = tuple(text for text in found.values() if text)
+    left = filter(None, found.values())
     return SettledTime(et, picture.utc or "", (f"{differ}; {keywords.et} is used, {why}", *left))
 
 
