@@ -325,7 +325,7 @@ def _attitude_gap(et: float, frame: str, *, has_velocity: bool) -> tuple[str, st
     structures = ck_structures(spiceypy.namfrm(frame))
     for structure in structures:
         clock = spiceypy.ckmeta(structure, "SCLK")
-        if pool.pool_value(f"SCLK_DATA_TYPE_{-clock}") is None:
+        if not pool.has_clock(clock):
             return f"the spacecraft clock {clock} is unknown", f"add the SCLK kernel of clock {clock}"
         window = windows_of("CK", structure)
         if not window.paths:

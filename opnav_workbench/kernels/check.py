@@ -187,7 +187,7 @@ def et_from_any_time(time: str | float, spacecraft_ids: Sequence[int]) -> float:
     except ValueError:
         text = str(time).strip()
     if CLOCK_READING.fullmatch(text):
-        clocks = [c for c in spacecraft_ids if pool.pool_value(f"SCLK_DATA_TYPE_{-c}") is not None]
+        clocks = [c for c in spacecraft_ids if pool.has_clock(c)]
         if not clocks:
             raise KernelError(
                 f"the clock reading {text!r} needs the SCLK kernel of the spacecraft; add it, or give UTC."
@@ -279,7 +279,7 @@ def _attitude_problems(request: SpiceRequest) -> list[str]:
 def _clock_problems(et: float, spacecraft_ids: Sequence[int]) -> list[str]:
     found = []
     for spacecraft in spacecraft_ids:
-        if pool.pool_value(f"SCLK_DATA_TYPE_{-spacecraft}") is None:
+        if not pool.has_clock(spacecraft):
             continue
         try:
             spiceypy.sce2s(spacecraft, et)

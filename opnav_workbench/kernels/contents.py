@@ -243,7 +243,7 @@ def _utc_spans(times: list[tuple[float, float]]) -> tuple[tuple[str, str], ...]:
 
 def _clock_spans(structure: int, ticks: list[tuple[float, float]]) -> tuple[tuple[str, str], ...]:
     clock = spiceypy.ckmeta(structure, "SCLK")
-    if pool.pool_value(f"SCLK_DATA_TYPE_{-clock}") is None:
+    if not pool.has_clock(clock):
         return tuple((f"tick {start:.0f}", f"tick {stop:.0f}") for start, stop in _joined_spans(ticks))
     return _utc_spans([(spiceypy.sct2e(clock, start), spiceypy.sct2e(clock, stop)) for start, stop in ticks])
 

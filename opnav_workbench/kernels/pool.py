@@ -21,6 +21,7 @@ __all__ = [
     "Snapshot",
     "active",
     "capture",
+    "has_clock",
     "isolated",
     "loaded_files",
     "opened",
@@ -164,3 +165,8 @@ def pool_value(name: str) -> PoolValue | None:
         return tuple(float(v) for v in spiceypy.gdpool(name, 0, size))
     except spiceypy.NotFoundError:
         return None
+
+
+def has_clock(clock: int) -> bool:
+    """Tell whether a loaded kernel describes the clock of this (negative) number; lock held."""
+    return pool_value(f"SCLK_DATA_TYPE_{-clock}") is not None

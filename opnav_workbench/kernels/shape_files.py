@@ -378,18 +378,16 @@ def _from_cube(points: FloatArray, side: int) -> tuple[FloatArray, IntArray]:
     vertices, which = np.unique(points, axis=0, return_inverse=True)
     faces = which.reshape(FACES, side + 1, side + 1)
     a, b, c, d = faces[:, :-1, :-1], faces[:, :-1, 1:], faces[:, 1:, 1:], faces[:, 1:, :-1]
-    near = np.linalg.norm(vertices[a] - vertices[c], axis=-1) <= np.linalg.norm(
-        vertices[b] - vertices[d], axis=-1
-    )
+    one, other = (np.linalg.norm(vertices[p] - vertices[q], axis=-1) for p, q in ((a, c), (b, d)))
+    near = one <= other
     first = np.where(near[..., None], np.stack([a, b, c], axis=-1), np.stack([a, b, d], axis=-1))
     second = np.where(near[..., None], np.stack([a, c, d], axis=-1), np.stack([b, c, d], axis=-1))
     plates = np.concatenate([first, second], axis=1).reshape(FACES, -1, CORNERS)
     corners = vertices[plates] - vertices.mean(axis=0)
     inward = np.einsum("fpi,fpi->f", corners[:, :, 0], np.cross(corners[:, :, 1], corners[:, :, 2])) < 0.0
     outward = np.where(inward[:, None, None], plates[..., ::-1], plates).reshape(-1, CORNERS)
-    distinct = (outward != np.roll(outward, 1, axis=1)).all(
-        axis=1
-    )  # at a pole, squares have a side without length
+    # At a pole, squares have a side without length.
+    distinct = (outward != np.roll(outward, 1, axis=1)).all(axis=1)
     return vertices, outward[distinct]
 
 

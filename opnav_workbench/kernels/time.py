@@ -119,7 +119,7 @@ LAST_FIELD = re.compile(r"\d+(?=\D*$)")
 def knows_clock(spacecraft_id: int) -> bool:
     """Tell whether a loaded kernel describes a spacecraft's clock."""
     with spice_call(f"clock {spacecraft_id}", needs_kernels=True):
-        return pool.pool_value(f"SCLK_DATA_TYPE_{abs(spacecraft_id)}") is not None
+        return pool.has_clock(spacecraft_id)
 
 
 def clock_tolerance_s(spacecraft_id: int, sclk: str, et: float) -> float:
@@ -141,9 +141,8 @@ def clock_tolerance_s(spacecraft_id: int, sclk: str, et: float) -> float:
     count = abs(et_from_sclk(spacecraft_id, _one_count_on(sclk)) - et_from_sclk(spacecraft_id, sclk))
     with spice_call(f"clock {spacecraft_id}", needs_kernels=True):
         records = pool.pool_value(f"SCLK01_COEFFICIENTS_{abs(spacecraft_id)}") or ()
-    numbers = np.array(records, dtype=np.float64).reshape(
-        -1, 3
-    )  # ticks, parallel time, seconds a whole count
+    # Ticks, parallel time, seconds a whole count.
+    numbers = np.array(records, dtype=np.float64).reshape(-1, 3)
     if len(numbers) < 2:
         return count
     rates = numbers[-LAST_RATES:, 2]
