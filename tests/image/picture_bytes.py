@@ -1,5 +1,7 @@
 """Picture files in bytes, written by the documents that describe their formats: what the readers' tests are given."""
 
+import heapq
+
 import numpy as np
 
 VICAR_FORMATS = {"u1": "BYTE", "i2": "HALF", "i4": "FULL", "f4": "REAL", "f8": "DOUB"}
@@ -103,14 +105,6 @@ def pds4_label(name: str, shape: tuple[int, ...], kind: str, *, offset: int = 0,
 """.encode()
 
 
-class _BitWriter:
-    def __init__(self) -> None:
-        self.bits: list[int] = []
-
-    def bytes(self) -> bytes:
-        return np.packbits(np.array(self.bits, np.uint8)).tobytes()
-
-
 def voyager_bytes(image: np.ndarray, suffix: int = 3) -> bytes:
     """A compressed picture in records led by their length, as on the volumes of Voyager.
 
@@ -118,18 +112,14 @@ def voyager_bytes(image: np.ndarray, suffix: int = 3) -> bytes:
     """
     lines, samples = image.shape
     whole = np.pad(image, ((0, 0), (0, suffix))).astype(np.int64)
-    steps = (
-        whole[:, :-1] - whole[:, 1:]
-    ) % 256  # the next is the one before minus the step; 1 to 256 are named
-    names = np.where(steps == 0, 256, steps)
+    steps = (whole[:, :-1] - whole[:, 1:]) % 256  # the next is the one before minus the step
+    names = np.where(steps == 0, 256, steps)  # 1 to 256
     counts = np.bincount(names.ravel(), minlength=512)[1:512]
     codes = _codes(counts)
     records = []
     for row in range(lines):
-        writer = _BitWriter()
-        for name in names[row]:
-            writer.bits += codes[int(name) - 1]
-        records.append(bytes([int(whole[row, 0])]) + writer.bytes())
+        bits = [bit for name in names[row] for bit in codes[int(name) - 1]]
+        records.append(bytes([int(whole[row, 0])]) + np.packbits(np.array(bits, np.uint8)).tobytes())
     histogram = counts.astype("<u4").tobytes()
     label = f"""CCSD3ZF0000100000001NJPL3IF0PDS200000001 = SFDU_LABEL
 RECORD_TYPE = VARIABLE_LENGTH
@@ -152,8 +142,6 @@ END""".encode().split(b"\n")
 
 
 def _codes(counts: np.ndarray) -> dict[int, list[int]]:
-    import heapq
-
     heap: list[tuple[int, int, list[int]]] = [(int(c), n, [n]) for n, c in enumerate(counts) if c]
     heapq.heapify(heap)
     codes: dict[int, list[int]] = {n: [] for _, n, _ in heap}
