@@ -25,7 +25,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -295,6 +295,20 @@ def read_star_list(path: str | Path) -> StarTable:
     CatalogError
         The file is missing, is not YAML, or a value is absent or out of range (named).
     """
+    try:
+        status = Path(path).stat()
+    except (OSError, ValueError):  # what is wrong with it, the reader tells
+        return _star_list(path)
+    return _star_list_once(path, (status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns))
+
+
+@lru_cache(maxsize=8)
+def _star_list_once(path: str | Path, _state: tuple[int, ...]) -> StarTable:
+    """Return a star list, read anew once the file has changed: every star of it may be a target, and asks for it."""
+    return _star_list(path)
+
+
+def _star_list(path: str | Path) -> StarTable:
     return _table_of_stars(read_model(path, StarList, "star list", CatalogError).stars)
 
 
