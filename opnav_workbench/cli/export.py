@@ -1,7 +1,7 @@
 """``opnav export``: observables of processed pictures as one file for orbit determination."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,10 +18,8 @@ from opnav_workbench.observables import (
     Observable,
     Origin,
     TdmOptions,
-    read_csv,
     read_ecsv,
-    read_json,
-    read_origins,
+    read_with_origins,
     write_csv,
     write_ecsv,
     write_observables_json,
@@ -33,11 +31,8 @@ __all__ = ["FORMATS", "export"]
 
 FORMATS = ("tdm", "csv", "json", "ecsv")
 TABLE, RESULT = "observables.ecsv", "result.json"
-READERS: dict[str, Callable[[Path], tuple[Observable, ...]]] = {
-    ".ecsv": read_ecsv,
-    ".csv": read_csv,
-    ".json": read_json,
-}
+READABLE = (".ecsv", ".csv", ".json")
+Told = tuple[tuple[Observable, ...], tuple[Origin, ...]]  # and how they came about
 
 SourcesArgument = Annotated[
     list[Path],
@@ -126,19 +121,10 @@ def _all_observables(sources: Sequence[Path]) -> tuple[list[Observable], list[Or
     found: list[Observable] = []
     origins: list[Origin] = []
     for source in sources:
-        found += _read_observables(source)
-        files = files_named(source, TABLE) if source.is_dir() else [source]
-        origins += [origin for file in files for origin in _origins_in(file)]
+        for observables, told in _read_source(source):
+            found += observables
+            origins += told
     return found, origins
-
-
-def _origins_in(file: Path) -> tuple[Origin, ...]:
-    """How observables came about: as their own file tells it, else as the result beside it does."""
-    result = file.parent / RESULT
-    told = read_origins(file) if file.name != RESULT else ()
-    if told or not result.is_file():
-        return told
-    return (Origin.of_result(read_result(result)),)
 
 
 def _origins_of(observables: Sequence[Observable], origins: Sequence[Origin]) -> list[Origin]:
@@ -148,23 +134,35 @@ def _origins_of(observables: Sequence[Observable], origins: Sequence[Origin]) ->
     return [replace(origin, images=tuple(i for i in origin.images if i in chosen)) for origin in named]
 
 
-def _read_observables(source: Path) -> tuple[Observable, ...]:
-    """Observables of a folder of results (or folders of folders), or of one file."""
+def _read_source(source: Path) -> Iterator[Told]:
+    """Yield what each file of a folder of results (or folders of folders) tells, or one file."""
     if source.is_dir():
         tables = files_named(source, TABLE)
         if not tables:
             raise SessionError(
                 f"{source} holds no {TABLE}; give a folder that opnav process wrote (--out there)."
             )
-        return tuple(o for table in tables for o in _with_spacecraft(read_ecsv(table), table.parent))
-    if source.name == RESULT:
+        for table in tables:
+            observables, origins = _read_file(table)
+            yield _with_spacecraft(observables, table.parent), origins
+    elif source.name == RESULT:
         table = source.parent / TABLE
         result = read_result(source)
         read = read_ecsv(table) if table.is_file() else observables_of_result(result, str(source))
-        return _with_spacecraft(read, source.parent)
-    if source.suffix not in READERS:
-        raise SessionError(f"{source} is no folder and no {', '.join(READERS)} file; nothing to export.")
-    return READERS[source.suffix](source)
+        yield _with_spacecraft(read, source.parent), (Origin.of_result(result),)
+    elif source.suffix in READABLE:
+        yield _read_file(source)
+    else:
+        raise SessionError(f"{source} is no folder and no {', '.join(READABLE)} file; nothing to export.")
+
+
+def _read_file(file: Path) -> Told:
+    """Read observables, and how they came about: as their own file tells it, else as the result beside it does."""
+    observables, told = read_with_origins(file)
+    result = file.parent / RESULT
+    if told or not result.is_file():
+        return observables, told
+    return observables, (Origin.of_result(read_result(result)),)
 
 
 def _with_spacecraft(observables: tuple[Observable, ...], folder: Path) -> tuple[Observable, ...]:

@@ -46,8 +46,8 @@ __all__ = [
     "read_csv",
     "read_ecsv",
     "read_json",
-    "read_origins",
     "read_result",
+    "read_with_origins",
     "table_observables",
     "write_csv",
     "write_ecsv",
@@ -126,6 +126,10 @@ def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
     SessionError
         The file cannot be read, or holds something else.
     """
+    return table_observables(_read_table(path), str(path))
+
+
+def _read_table(path: str | Path) -> QTable:
     try:
         table = QTable.read(path, format="ascii.ecsv")
     except (
@@ -139,28 +143,9 @@ def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
         raise SessionError(
             f"no observables can be read from {path}: {reason}. Give an ECSV file of observables."
         ) from error
-    as_of_today("observables", _versioned(table.meta), str(path), SessionError)
-    return table_observables(table, str(path))
-
-
-def _versioned(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables of version 0 said nothing of themselves, not even a schema."""
-    return dict(meta) if FORMAT_KEY in meta else {"schema": JSON_SCHEMA}
-
-
-def read_origins(path: str | Path) -> tuple[Origin, ...]:
-    """Return how the observables of a file came about, as the file tells it; empty where it does not."""
-    name, found = Path(path), ()
-    try:
-        if name.suffix == ".ecsv":
-            table = QTable.read(path, format="ascii.ecsv")
-            return origins_of_table(table.meta, dict.fromkeys(map(str, table["image"])))
-        if name.suffix == ".json":
-            data = json.loads(name.read_text(encoding="utf-8"))
-            return origins_of_table(data, dict.fromkeys(str(o["image"]) for o in data["observables"]))
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError):
-        return found  # whoever reads the observables is told
-    return found
+    if FORMAT_KEY in table.meta:  # tables of version 0 said nothing of themselves
+        as_of_today("observables", table.meta, str(path), SessionError)
+    return table
 
 
 # ---- Observables as CSV.
@@ -229,7 +214,7 @@ def read_csv(path: str | Path) -> tuple[Observable, ...]:
 
 # ---- Observables as JSON.
 
-JSON_FORMAT, JSON_SCHEMA = "opnav_workbench observables", 1
+JSON_FORMAT = "opnav_workbench observables"
 FIELD_TYPES = get_type_hints(Observable)
 FIELD_SHAPES = {field.name: field.shape for field in FIELDS}
 
@@ -272,6 +257,10 @@ def read_json(path: str | Path) -> tuple[Observable, ...]:
     SessionError
         The file cannot be read, or holds something else.
     """
+    return _observables_in(_read_content(path), path)
+
+
+def _read_content(path: str | Path) -> dict[str, Any]:
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -280,7 +269,10 @@ def read_json(path: str | Path) -> tuple[Observable, ...]:
         ) from error
     if not isinstance(data, dict) or data.get("format") != JSON_FORMAT:
         raise SessionError(f"{path} holds no observables; give a file that opnav export --format json wrote.")
-    data = as_of_today("observables", data, str(path), SessionError)
+    return as_of_today("observables", data, str(path), SessionError)
+
+
+def _observables_in(data: Mapping[str, Any], path: str | Path) -> tuple[Observable, ...]:
     try:
         return tuple(Observable(**_json_values(item)) for item in data["observables"])
     except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -309,6 +301,34 @@ def _json_array(name: str, value: Any) -> Any:
     if value is None:
         return np.full(FIELD_SHAPES[name], np.nan) if name in ALWAYS_ARRAYS else None
     return np.array(value, dtype=np.float64).reshape(FIELD_SHAPES[name])
+
+
+# ---- Observables and how they came about.
+
+
+def read_with_origins(path: str | Path) -> tuple[tuple[Observable, ...], tuple[Origin, ...]]:
+    """Read observables, and how they came about as the file tells it; empty where it does not, as in every CSV.
+
+    Parameters
+    ----------
+    path
+        Read as ECSV or JSON if it ends so, else as CSV.
+
+    Raises
+    ------
+    SessionError
+        The file cannot be read, or holds something else.
+    """
+    ending = Path(path).suffix
+    if ending == ".ecsv":
+        table = _read_table(path)
+        observables, told = table_observables(table, str(path)), table.meta
+    elif ending == ".json":
+        told = _read_content(path)
+        observables = _observables_in(told, path)
+    else:
+        return read_csv(path), ()
+    return observables, origins_of_table(told, dict.fromkeys(o.image for o in observables))
 
 
 # ---- Observables from a ``result.json`` alone: what it holds of them, when the table beside it is lost.

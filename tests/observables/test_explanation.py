@@ -17,7 +17,7 @@ from opnav_workbench.observables import (
     read_csv,
     read_ecsv,
     read_json,
-    read_origins,
+    read_with_origins,
     tdm_text,
     write_csv,
     write_ecsv,
@@ -161,8 +161,9 @@ def test_origins_read_back(approach_observables, tmp_path, name):
     other = Origin("generic", "pinhole", "0.0.9", "bundled", (), ("lor_1.fit",))
     path = tmp_path / f"o.{name}"
     READERS[name][0](approach_observables, path, [ORIGIN, other])
-    assert read_origins(path) == (ORIGIN, other)
-    assert len(READERS[name][1](path)) == len(approach_observables)
+    observables, origins = read_with_origins(path)
+    assert origins == (ORIGIN, other)
+    assert len(observables) == len(READERS[name][1](path)) == len(approach_observables)
 
 
 @pytest.mark.parametrize("name", ["ecsv", "json"])
