@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from opnav_workbench.format_versions import FORMAT_KEY, PRESENT_VERSION
+from opnav_workbench.format_versions import FORMAT_KEY, PRESENT_VERSION, stamped
 from opnav_workbench.version import __version__
 
 __all__ = [
@@ -79,14 +79,15 @@ class Origin:
         'lorri'
         """
         known = result.get("provenance") or {}
-        return cls(
-            mission=str(result.get("mission") or ""),
-            camera=str(result.get("camera") or ""),
-            version=str(known.get("version") or ""),
-            catalog=str(known.get("catalog") or ""),
-            kernels=tuple((str(k["file"]), str(k["sha256"])) for k in known.get("kernels") or ()),
-            images=(str(result["image"]),) if "image" in result else (),
-        )
+        where = {name: result.get(name) for name in ("mission", "camera")}
+        return cls.of_values({**known, **where}, [result["image"]] if "image" in result else [])
+
+    @classmethod
+    def of_values(cls, values: Mapping[str, Any], images: Iterable[str] = ()) -> "Origin":
+        """Return the origin of plain values, as `to_dict` made them; of these `images` where they tell none."""
+        texts = {name: str(values.get(name) or "") for name in ("mission", "camera", "version", "catalog")}
+        kernels = tuple((str(k["file"]), str(k["sha256"])) for k in values.get("kernels") or ())
+        return cls(**texts, kernels=kernels, images=tuple(map(str, values.get("images") or images)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, as they stand in a file."""
@@ -126,12 +127,12 @@ def explanation(origins: Sequence[Origin] = ()) -> dict[str, Any]:
     >>> explanation()["conventions"]["residual"]
     'observed minus computed; computed with the solved pointing'
     """
-    return {
-        FORMAT_KEY: PRESENT_VERSION["observables"],
+    said = {
         "written_by": f"opnav_workbench {__version__}",
         "conventions": dict(CONVENTIONS),
         "origins": [origin.to_dict() for origin in together(origins)],
     }
+    return stamped("observables", said)
 
 
 def explanation_lines(origins: Sequence[Origin] = ()) -> Iterator[str]:
@@ -166,13 +167,8 @@ def origins_of_table(meta: Mapping[str, Any], images: Iterable[str] = ()) -> tup
     images
         The table's pictures, for an origin that is of all of them.
     """
+    pictures = tuple(images)
     try:
-        return tuple(_origin(values, tuple(images)) for values in meta.get("origins") or ())
+        return tuple(Origin.of_values(values, pictures) for values in meta.get("origins") or ())
     except (AttributeError, KeyError, TypeError):
         return ()
-
-
-def _origin(values: Mapping[str, Any], images: tuple[str, ...]) -> Origin:
-    texts = {name: str(values.get(name) or "") for name in ("mission", "camera", "version", "catalog")}
-    kernels = tuple((str(k["file"]), str(k["sha256"])) for k in values.get("kernels") or ())
-    return Origin(**texts, kernels=kernels, images=tuple(map(str, values.get("images") or images)))
