@@ -9,7 +9,7 @@ from typing import Any
 
 from opnav_workbench.errors import OpNavError
 
-__all__ = ["FORMAT_KEY", "PRESENT_VERSION", "PROMISE", "as_of_today", "stamped"]
+__all__ = ["FORMAT_KEY", "PRESENT_VERSION", "PROMISE", "as_of_today", "stamped", "unstamped"]
 
 FORMAT_KEY = "format_version"
 PRESENT_VERSION: Mapping[str, int] = MappingProxyType(
@@ -39,6 +39,17 @@ def stamped(kind: str, content: Mapping[str, Any]) -> dict[str, Any]:
     {'format_version': 1, 'image': 'a.fit'}
     """
     return {FORMAT_KEY: PRESENT_VERSION[kind]} | dict(content)
+
+
+def unstamped(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a file's content without its version.
+
+    Examples
+    --------
+    >>> unstamped({"format_version": 1, "image": "a.fit"})
+    {'image': 'a.fit'}
+    """
+    return {key: value for key, value in content.items() if key != FORMAT_KEY}
 
 
 def as_of_today(
@@ -78,7 +89,7 @@ def as_of_today(
     today = dict(content)
     for step in range(version, newest):
         today = STEPS.get((kind, step), _unchanged)(today, label, failure)
-    return stamped(kind, {key: value for key, value in today.items() if key != FORMAT_KEY})
+    return stamped(kind, unstamped(today))
 
 
 # ---- From one version to the next: what changed.

@@ -22,7 +22,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.format_versions import FORMAT_KEY, as_of_today
+from opnav_workbench.format_versions import FORMAT_KEY, as_of_today, unstamped
 from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
 __all__ = [
@@ -217,8 +217,7 @@ def _without_version(content: Any, label: str, failure: type[OpNavError], node: 
     if not isinstance(content, Mapping) or FORMAT_KEY not in content:
         return content
     line = "" if node is None else f": line {_line(node, (FORMAT_KEY,))}"
-    today = as_of_today("yaml", content, f"{label}{line}", failure)
-    return {key: value for key, value in today.items() if key != FORMAT_KEY}
+    return unstamped(as_of_today("yaml", content, f"{label}{line}", failure))
 
 
 def _text(problem: Mapping[str, Any], model: type[BaseModel], content: Any, node: yaml.Node | None) -> str:

@@ -26,7 +26,7 @@ from astropy.table import QTable, Table
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import digest, files_named, read_json
-from opnav_workbench.format_versions import FORMAT_KEY, as_of_today
+from opnav_workbench.format_versions import as_of_today, unstamped
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
 __all__ = [
@@ -371,9 +371,7 @@ def _read_mapping(path: Path) -> dict[str, Any]:
         raise SessionError(f"{path.name} is missing; the run was not finished, process the picture again")
     written = read_json(path, "process the picture again")
     today = as_of_today(path.stem, written, path.name, SessionError)  # result or session
-    return {
-        key: value for key, value in today.items() if key != FORMAT_KEY
-    }  # the archive has a schema of its own
+    return unstamped(today)  # the archive has a schema of its own
 
 
 def without_times(value: Any) -> Any:
