@@ -48,14 +48,13 @@ def schema_of(kind: Kind) -> dict[str, Any]:
     if kind.is_yaml:
         version = {"type": "integer", "minimum": 0, "maximum": newest, "default": newest}
         made["properties"] = {FORMAT_KEY: version, **made["properties"]}
-    described = _described(made, kind.model)
     head = {
         "$schema": DIALECT,
         "$id": f"urn:opnav_workbench:{kind.name}:{newest}",
         "title": f"opnav_workbench {kind.what}",
         "$comment": PROMISE[kind.is_yaml],
     }
-    return head | {key: value for key, value in described.items() if key != "title"}
+    return head | {key: value for key, value in made.items() if key != "title"}
 
 
 def write_schemas(folder: Path) -> list[Path]:
