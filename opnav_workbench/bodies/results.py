@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 from functools import reduce
 from operator import or_
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ __all__ = [
     "BodyCenter",
     "BodyFlag",
     "BodyResiduals",
+    "BodyStatus",
     "DiskReading",
     "FreeEllipse",
     "JointCenters",
@@ -46,7 +48,8 @@ __all__ = [
 
 # ---- What a centerfinder says of a body; arrays are read-only.
 
-BODY_STATUSES = ("ok", "uncertain", "not_detected", "off_detector", "saturated", "failed")
+BodyStatus = Literal["ok", "uncertain", "not_detected", "off_detector", "saturated", "failed"]
+BODY_STATUSES: tuple[str, ...] = get_args(BodyStatus)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

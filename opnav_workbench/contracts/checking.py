@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.results import BODY_STATUSES
 from opnav_workbench.contracts.kinds import KINDS, Kind, kind_of_content
+from opnav_workbench.contracts.layouts import has_negative_variance, residual_off_px
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import read_json as read_json_file
 from opnav_workbench.format_versions import as_of_today
@@ -28,9 +29,7 @@ from opnav_workbench.yaml_file import file_faults, read_content
 __all__ = ["Checked", "check_file"]
 
 YAML_ENDINGS = (".yaml", ".yml")
-ROUNDING_PX = 1e-6
 ROUNDING_S = 2e-3  # a UTC is written to the millisecond
-ROUNDING_COVARIANCE = 1e-6  # of the trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,17 +129,18 @@ def _checked_json(file: Path, name: str | None) -> Checked:
         return Checked(file, kind.what, tuple(_json_fault(problem) for problem in error.errors()))
     except OpNavError as error:
         return Checked(file, kind.what, (_without_label(str(error), file, kind.what),))
-    if kind.name == "observables" and "observables" in today:
+    if kind.name == "observables":
         return Checked(file, kind.what, tuple(_table_faults(file, read_json)))
     return Checked(file, kind.what, ())
 
 
 def _json_fault(problem: Mapping[str, Any]) -> str:
     place = ".".join(str(part) for part in problem["loc"]) or "the file"
-    words = "this field is required" if problem["type"] == "missing" else str(problem["msg"])
+    if problem["type"] == "missing":
+        return f"{place}: this field is required"
     given = problem["input"]
     shown = f", not {json.dumps(given)}" if isinstance(given, str | int | float | None) else ""
-    return f"{place}: {words.removeprefix('Value error, ')}{'' if problem['type'] == 'missing' else shown}"
+    return f"{place}: {str(problem['msg']).removeprefix('Value error, ')}{shown}"
 
 
 # ---- Observables
@@ -167,10 +167,12 @@ def _row_faults(o: Observable) -> Iterator[str]:
     if o.light_time not in LIGHT_TIMES:
         yield f"light_time: {o.light_time!r} is none of {', '.join(LIGHT_TIMES)}"
     yield from _time_faults(o)
-    if o.observed_px is not None and o.residual_px is not None:
-        left = np.abs(o.residual_px - (o.observed_px - o.predicted_px)).max()
-        if left > ROUNDING_PX * max(1.0, float(np.abs(o.observed_px).max())):
-            yield f"pixel_oc, line_oc: not observed minus computed place, by {left:.3g} px"
+    if (
+        o.observed_px is not None
+        and o.residual_px is not None
+        and (left := residual_off_px(o.residual_px, o.observed_px, o.predicted_px))
+    ):
+        yield f"pixel_oc, line_oc: not observed minus computed place, by {left:.3g} px"
     for name in (
         "covariance_px2",
         "total_covariance_px2",
@@ -192,9 +194,7 @@ def _time_faults(o: Observable) -> Iterator[str]:
 
 
 def _covariance_faults(name: str, matrix: FloatArray | None) -> Iterator[str]:
-    if matrix is None or not np.isfinite(matrix).all():
-        return
-    if np.linalg.eigvalsh(matrix).min() < -ROUNDING_COVARIANCE * max(float(np.trace(matrix)), 0.0):
+    if matrix is not None and np.isfinite(matrix).all() and has_negative_variance(matrix):
         yield f"{name}: has a negative variance along a direction; it is no covariance"
 
 
@@ -222,10 +222,8 @@ def _tdm_faults(file: Path) -> Iterator[str]:
     if not len(table):
         yield "there are no angles in it (ANGLE_TYPE RADEC)"
     for row, entry in enumerate(table):
+        place = f"row {row} ({entry['target']}, {entry['utc']})"
         if not abs(entry["dec"].value) <= 90.0:
-            yield f"row {row} ({entry['target']}, {entry['utc']}): ANGLE_2: {entry['dec'].value} is no declination"
-        covariance = entry["covariance"].value
-        yield from (
-            f"row {row} ({entry['target']}, {entry['utc']}): {fault}"
-            for fault in _covariance_faults("COVARIANCE", covariance)
-        )
+            yield f"{place}: ANGLE_2: {entry['dec'].value} is no declination"
+        for fault in _covariance_faults("COVARIANCE", entry["covariance"].value):
+            yield f"{place}: {fault}"

@@ -8,15 +8,24 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model, model_validator
 from pydantic.config import JsonDict
 
-from opnav_workbench.format_versions import FORMAT_KEY
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.results import BodyStatus
 from opnav_workbench.observables.columns import FIELDS
 from opnav_workbench.session.inputs import AttitudeOrigin, AttitudeSource
 from opnav_workbench.session.settings import Settings
 
-__all__ = ["ObservablesFile", "ResultFile", "SessionFile", "StatusFile"]
+__all__ = [
+    "ObservablesFile",
+    "ResultFile",
+    "SessionFile",
+    "StatusFile",
+    "has_negative_variance",
+    "residual_off_px",
+]
 
 ROUNDING = 1e-6  # px, and of the trace of a covariance: what a file's digits may leave
 
@@ -27,14 +36,29 @@ class Layout(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False, protected_namespaces=())
 
 
+def has_negative_variance(covariance: FloatArray) -> bool:
+    """Tell whether a finite matrix (n, n) has a negative variance along a direction, beyond its digits."""
+    return bool(np.linalg.eigvalsh(covariance).min() < -_rounding(covariance))
+
+
+def residual_off_px(residual: ArrayLike, observed: ArrayLike, computed: ArrayLike) -> float:
+    """Return by how much a residual (2,) is not observed minus computed; 0 where it is, to the digits."""
+    seen = np.asarray(observed)
+    left = float(np.abs(np.asarray(residual) - (seen - np.asarray(computed))).max())
+    return left if left > ROUNDING * max(1.0, float(np.abs(seen).max())) else 0.0
+
+
+def _rounding(covariance: FloatArray) -> float:
+    return ROUNDING * max(float(np.trace(covariance)), 0.0)
+
+
 def _sound_covariance(matrix: list[list[float | None]]) -> list[list[float | None]]:
     values = np.array([[np.nan if v is None else v for v in row] for row in matrix], dtype=float)
     if np.isnan(values).any():
         return matrix
-    limit = ROUNDING * max(np.trace(values), 0.0)
-    if np.abs(values - values.T).max() > limit:
+    if np.abs(values - values.T).max() > _rounding(values):
         raise ValueError("a covariance is symmetric")
-    if np.linalg.eigvalsh(values).min() < -limit:
+    if has_negative_variance(values):
         raise ValueError("a covariance has no negative variance along any direction")
     return matrix
 
@@ -59,16 +83,13 @@ Rotation = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 PictureStatus = Literal["ok", "partial", "failed"]
 StarStatus = Literal["used", "rejected", "not_detected", "saturated", "off_detector", "blended"]
-BodyStatus = Literal["ok", "uncertain", "not_detected", "off_detector", "saturated", "failed"]
 
 
-def _same_residual(residual: Any, observed: Any, computed: Any, names: str) -> None:
-    """Check that a residual is observed minus computed, where all three are known."""
-    known = [value for value in (residual, observed, computed) if value is not None and None not in value]
-    if len(known) == 3:
-        left = np.array(known[0]) - (np.array(known[1]) - np.array(known[2]))
-        if np.abs(left).max() > ROUNDING * max(1.0, float(np.abs(known[1]).max())):
-            raise ValueError(f"residual is not observed minus {names}")
+def _same_residual(residual: Any, observed: Any, predicted: Any) -> None:
+    """Check that a residual is observed minus predicted, where all three are known."""
+    known = [value for value in (residual, observed, predicted) if value is not None and None not in value]
+    if len(known) == 3 and residual_off_px(*known):
+        raise ValueError("residual is not observed minus predicted")
 
 
 # ---- result.json
@@ -131,7 +152,7 @@ class Star(Layout):
 
     @model_validator(mode="after")
     def _residual(self) -> "Star":
-        _same_residual(self.residual_px, self.observed, self.predicted, "predicted")
+        _same_residual(self.residual_px, self.observed, self.predicted)
         return self
 
 
@@ -195,7 +216,7 @@ class Body(Layout):
 
     @model_validator(mode="after")
     def _residual(self) -> "Body":
-        _same_residual(self.residual_px, self.observed, self.predicted, "predicted")
+        _same_residual(self.residual_px, self.observed, self.predicted)
         return self
 
 
@@ -423,6 +444,3 @@ class ObservablesFile(Layout):
     origins: list[OriginEntry] = Field(description="How they came about.")
     fields: dict[str, dict[str, Any]] = Field(description="Unit, shape and meaning of every field.")
     observables: list[ObservableEntry] = Field(description="One a body, method and picture.")  # type: ignore[valid-type]
-
-
-assert FORMAT_KEY in ResultFile.model_fields
