@@ -16,6 +16,7 @@ light above the level at which the core is cut off counts as that level, and a r
 Reference: Moffat (1969), A&A 3, 455 (the profile).
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -138,10 +139,10 @@ def fit_wings(
     fits = []
     for place in places:
         # Beside a small core the pixels of its ends are half of what there is.
-        boxes = [
+        boxes = (
             _cut(raw, pixels.noise_dn, cores, lost, place, others, prior)
             for lost in (ends_lost, columns_lost)
-        ]
+        )
         fits.append(_measured(boxes, prior, noise_model))
     columns = (np.array([fit[k] for fit in fits]) for k in range(5))
     center, covariance, flux, flux_sigma, error = columns
@@ -229,13 +230,14 @@ def _cut(
     return _Box(middle, radius, x, y, raw[window].ravel(), usable, own.ravel())
 
 
-def _measured(boxes: list[_Box | None], prior: ShapePrior, noise_model: NoiseModel | None) -> Fit:
+def _measured(boxes: Iterable[_Box | None], prior: ShapePrior, noise_model: NoiseModel | None) -> Fit:
     """Return the first fit that describes its box; where none does, the middle of the last one's clipped light."""
+    box: _Box | None = None
     for box in boxes:
         found = _fit_one(box, prior, noise_model)
         if np.isfinite(found[0]).all():
             return found
-    return _clipped_middle(boxes[-1])
+    return _clipped_middle(box)
 
 
 def _fit_one(box: _Box | None, prior: ShapePrior, noise_model: NoiseModel | None) -> Fit:
