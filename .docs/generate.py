@@ -19,7 +19,6 @@ from opnav_workbench.parts import PARTS, install_command
 from opnav_workbench.processing.model import Processing
 
 PACKAGE = Path(opnav_workbench.__file__).parent
-README_PICTURES = ".assets"
 
 
 def write_generated(here: Path) -> None:
@@ -59,8 +58,7 @@ def public_modules(name: str) -> list[str]:
     top = PACKAGE / name
     if not top.is_dir():
         return [f"opnav_workbench.{name}"]
-    paths = [p for p in sorted(top.rglob("*.py")) if "__pycache__" not in p.parts]
-    parts = (p.relative_to(PACKAGE.parent).with_suffix("").parts for p in paths)
+    parts = (p.relative_to(PACKAGE.parent).with_suffix("").parts for p in sorted(top.rglob("*.py")))
     return [".".join(p[:-1] if p[-1] == "__init__" else p) for p in parts]
 
 

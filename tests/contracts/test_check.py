@@ -38,8 +38,6 @@ def refusals(kind, content):
 @pytest.fixture(scope="session")
 def result() -> dict:
     """A result as the program writes it, from numbers of our own."""
-    body = dict.fromkeys(KINDS["result"].model.model_fields)
-    del body
     rotation = [[3e-14, 0.0, 0.0], [0.0, 2e-14, 0.0], [0.0, 0.0, 9e-12]]
     pointing = {
         "ra_deg": 270.5, "dec_deg": -14.6, "twist_deg": 240.2, "quaternion_camera_from_j2000": [0.8, 0.6, 0.0, 0.0],
