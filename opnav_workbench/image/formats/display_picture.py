@@ -35,7 +35,7 @@ def display_format(data: bytes) -> str | None:
     return next((kind for start, kind in STARTS.items() if data.startswith(start)), None)
 
 
-def read_display_picture(name: str, file: Path, data: bytes) -> StoredPicture:
+def read_display_picture(file: Path, data: bytes) -> StoredPicture:
     """Read a PNG, TIFF or JPEG file.
 
     Raises
@@ -46,7 +46,7 @@ def read_display_picture(name: str, file: Path, data: bytes) -> StoredPicture:
     # A tenth of a second that pictures of other formats shall not wait for.
     from PIL import Image  # noqa: PLC0415
 
-    kind = display_format(data)
+    name, kind = file.name, display_format(data)
     damaged = f"damaged {kind} file ({{}}); copy or download it again."
     try:
         with Image.open(file, formats=(str(kind),)) as picture:

@@ -102,16 +102,18 @@ def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture
 def _read_with_sidecar(
     file: Path, data: bytes, keywords: KeywordMap, sidecar_file: Path | None
 ) -> StoredPicture:
-    sidecar = None if sidecar_file is None else read_sidecar(sidecar_file, file.name)
-    if display_format(data) is not None:
-        source = read_display_picture(file.name, file, data)
-    elif sidecar is not None and sidecar_file is not None:
-        source = read_raw(file.name, data, sidecar, sidecar_file.name)
-    else:
-        raise _unknown(file, data)
-    if sidecar is None or sidecar_file is None:
+    is_display = display_format(data) is not None
+    if sidecar_file is None:
+        if not is_display:
+            raise _unknown(file, data)
+        source = read_display_picture(file, data)
         _refuse_without_words(file, source, keywords)
         return source
+    sidecar = read_sidecar(sidecar_file, file.name)
+    if is_display:
+        source = read_display_picture(file, data)
+    else:
+        source = read_raw(file.name, data, sidecar, sidecar_file.name)
     return with_sidecar(source, sidecar, sidecar_file.name, keywords)
 
 
