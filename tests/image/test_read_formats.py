@@ -61,6 +61,14 @@ def check_sidecar(picture) -> None:
     assert picture.header["camera.gain"] == 2
 
 
+@pytest.fixture
+def gray(tmp_path):
+    """A gray PNG."""
+    path = tmp_path / "a.png"
+    Image.fromarray(PIXELS.astype(np.uint16)).save(path)
+    return path
+
+
 class TestDisplayPictures:
     @pytest.mark.parametrize("suffix", ["png", "tif"])
     @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -106,31 +114,25 @@ class TestDisplayPictures:
         assert np.argwhere(picture.bad).tolist() == [[0, 0]]
 
     @pytest.mark.parametrize("suffix", [".json", ".yaml", ".csv"])
-    def test_sidecars(self, tmp_path, suffix):
-        path = tmp_path / "a.png"
-        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
-        beside = path.with_suffix(suffix)
+    def test_sidecars(self, gray, suffix):
+        beside = gray.with_suffix(suffix)
         if suffix == ".csv":
             words = {k: v for k, v in SIDECAR.items() if k != "camera"} | {"camera.gain": 2}
             cells = {k: " ".join(map(str, v)) if isinstance(v, list) else v for k, v in words.items()}
             beside.write_text("\n".join(f"{word},{cell}" for word, cell in cells.items()))
         else:
             beside.write_text(json.dumps(SIDECAR))  # which is YAML, too
-        check_sidecar(read_image(path, MISSION))
+        check_sidecar(read_image(gray, MISSION))
 
-    def test_a_sidecar_tells_more_than_headers_of_the_mission(self, tmp_path):
-        path = tmp_path / "a.png"
-        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
-        path.with_suffix(".json").write_text(json.dumps(SIDECAR))
-        picture = read_image(path, KeywordMap(exposure_s="EXPTIME"))
+    def test_a_sidecar_tells_more_than_headers_of_the_mission(self, gray):
+        gray.with_suffix(".json").write_text(json.dumps(SIDECAR))
+        picture = read_image(gray, KeywordMap(exposure_s="EXPTIME"))
         assert (picture.exposure_s, picture.utc) == (2.0, SIDECAR["utc"])
         turn = Rotation.from_quat(SIDECAR["attitude"], scalar_first=True).as_matrix()
         np.testing.assert_allclose(picture.header_geometry.camera_from_j2000, turn, atol=1e-12)
 
-    def test_without_a_sidecar_the_remedy_is_one(self, tmp_path):
-        path = tmp_path / "a.png"
-        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
-        assert 'put a sidecar a.json beside it, such as {"utc":' in error_of(path, MISSION)
+    def test_without_a_sidecar_the_remedy_is_one(self, gray):
+        assert 'put a sidecar a.json beside it, such as {"utc":' in error_of(gray, MISSION)
 
     def test_a_table_of_pictures(self, tmp_path):
         path = tmp_path / "b.png"
@@ -147,23 +149,19 @@ class TestDisplayPictures:
             ([1], "words and their values"),
         ],
     )
-    def test_wrong_sidecars(self, tmp_path, words, said):
-        path = tmp_path / "a.png"
-        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
-        path.with_suffix(".json").write_text(json.dumps(words))
-        assert said in error_of(path)
+    def test_wrong_sidecars(self, gray, words, said):
+        gray.with_suffix(".json").write_text(json.dumps(words))
+        assert said in error_of(gray)
 
-    def test_what_would_be_changed_or_is_damaged(self, tmp_path):
-        path = tmp_path / "a.png"
-        Image.fromarray(PIXELS.astype(np.uint16)).save(path)
-        whole = bytearray(path.read_bytes())
-        path.write_bytes(whole[: len(whole) - 60])
-        assert "damaged PNG file" in error_of(path)
+    def test_what_would_be_changed_or_is_damaged(self, gray):
+        whole = bytearray(gray.read_bytes())
+        gray.write_bytes(whole[: len(whole) - 60])
+        assert "damaged PNG file" in error_of(gray)
         whole[24:26] = b"\x10\x02"
-        path.write_bytes(whole)
-        assert "PNG" in error_of(path)
-        path.with_suffix(".tif").write_bytes(b"II*\0" + bytes(40))
-        assert "damaged TIFF file" in error_of(path.with_suffix(".tif"))
+        gray.write_bytes(whole)
+        assert "PNG" in error_of(gray)
+        gray.with_suffix(".tif").write_bytes(b"II*\0" + bytes(40))
+        assert "damaged TIFF file" in error_of(gray.with_suffix(".tif"))
 
 
 class TestRaw:
