@@ -6,7 +6,7 @@ may take. The files under ``kernels_meta/<mission>/cameras`` are the examples. A
 
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, PositiveFloat
@@ -35,7 +35,7 @@ from opnav_workbench.photometry import Bandpass, ColorResponse
 from opnav_workbench.psf.schema import AnyPsf
 from opnav_workbench.yaml_file import Pair, StrictModel, Vector3, read_model
 
-__all__ = ["camera_fields"]
+__all__ = ["DETECTOR", "LENS_NAMES", "NAMES", "OPTICS", "ZERO_POINT", "CameraFile", "camera_fields"]
 
 
 # ---- The schema of camera files: what each field is called, its unit, and what values it may take.
@@ -57,14 +57,32 @@ def _powers(value: Any) -> Any:
 SipTerms = Annotated[dict[tuple[int, int], float], BeforeValidator(_powers)]
 
 
-class _NoDistortion(StrictModel):
+class _Lens(StrictModel):
+    """A distortion: its coefficients have the names that they have in its model."""
+
+    lens: ClassVar[type[Distortion]]
+
+    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
+        return self.lens(**self._terms(focal_mm))
+
+    def _terms(self, _focal_mm: float) -> dict[str, Any]:
+        return self.model_dump(exclude={"model"})
+
+
+class _LensOfFocalLength(_Lens):
+    """A distortion that counts in focal lengths."""
+
+    def _terms(self, focal_mm: float) -> dict[str, Any]:
+        return {"focal_mm": focal_mm, **super()._terms(focal_mm)}
+
+
+class _NoDistortion(_Lens):
+    lens = NoDistortion
     model: Literal["none"]
 
-    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return NoDistortion()
 
-
-class _Owen(StrictModel):
+class _Owen(_Lens):
+    lens = OwenDistortion
     model: Literal["owen"]
     e1_per_mm: float = 0.0
     e2_per_mm2: float = 0.0
@@ -73,13 +91,11 @@ class _Owen(StrictModel):
     e5_per_mm: float = 0.0
     e6_per_mm: float = 0.0
 
-    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return OwenDistortion(**self.model_dump(exclude={"model"}))
 
-
-class _Brown(StrictModel):
+class _Brown(_LensOfFocalLength):
     """OpenCV's coefficients, dimensionless."""
 
+    lens = BrownDistortion
     model: Literal["brown"]
     k1: float = 0.0
     k2: float = 0.0
@@ -94,13 +110,11 @@ class _Brown(StrictModel):
     s3: float = 0.0
     s4: float = 0.0
 
-    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return BrownDistortion(focal_mm=focal_mm, **self.model_dump(exclude={"model"}))
 
-
-class _Sip(StrictModel):
+class _Sip(_Lens):
     """Coefficients of u^p v^q keyed ``p_q``, px^(1 - p - q)."""
 
+    lens = SipDistortion
     model: Literal["sip"]
     ap: SipTerms
     bp: SipTerms
@@ -109,9 +123,10 @@ class _Sip(StrictModel):
         return SipDistortion.from_coefficients(pixel_from_mm, self.ap, self.bp)
 
 
-class _ForwardSip(StrictModel):
+class _ForwardSip(_Lens):
     """Coefficients of u^p v^q keyed ``p_q``, px^(1 - p - q)."""
 
+    lens = ForwardSipDistortion
     model: Literal["sip_forward"]
     a: SipTerms
     b: SipTerms
@@ -120,81 +135,65 @@ class _ForwardSip(StrictModel):
         return ForwardSipDistortion.from_coefficients(pixel_from_mm, self.a, self.b)
 
 
-class _Legendre(StrictModel):
+class _Legendre(_Lens):
+    lens = LegendreDistortion
     model: Literal["legendre"]
     half_size_mm: Pair
     x_coefficients: Terms
     y_coefficients: Terms
 
-    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return LegendreDistortion(
-            *(np.array(v) for v in (self.half_size_mm, self.x_coefficients, self.y_coefficients))
-        )
 
-
-class _Radial(StrictModel):
+class _Radial(_Lens):
     """As ISIS has it: ideal = distorted (1 - k0 - k1 r^2 - ...), r mm as measured."""
 
+    lens = RadialDistortion
     model: Literal["radial"]
     k0: float = 0.0
     k1_per_mm2: float = 0.0
     k2_per_mm4: float = 0.0
     k3_per_mm6: float = 0.0
 
-    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return RadialDistortion(**self.model_dump(exclude={"model"}))
 
-
-class _Taylor(StrictModel):
+class _Taylor(_Lens):
     """Coefficients of 1, x, y, x^2, x y, y^2, x^3, x^2 y, x y^2, y^3 (mm), distorted from ideal."""
 
+    lens = TaylorDistortion
     model: Literal["taylor"]
     x_coefficients: TaylorTerms
     y_coefficients: TaylorTerms
 
-    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return TaylorDistortion(np.array(self.x_coefficients), np.array(self.y_coefficients))
 
-
-class _Rational(StrictModel):
+class _Rational(_Lens):
     """Coefficients of x^2, x y, y^2, x, y, 1 (mm), ideal from distorted."""
 
+    lens = RationalDistortion
     model: Literal["rational"]
     x_numerator: QuadraticTerms
     y_numerator: QuadraticTerms
     denominator: QuadraticTerms
 
-    def build(self, _focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return RationalDistortion(
-            *(np.array(v) for v in (self.x_numerator, self.y_numerator, self.denominator))
-        )
 
-
-class _Fisheye(StrictModel):
+class _Fisheye(_LensOfFocalLength):
     """Kannala-Brandt: OpenCV's coefficients of the angle."""
 
+    lens = FisheyeDistortion
     model: Literal["fisheye"]
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
     k4: float = 0.0
 
-    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return FisheyeDistortion(focal_mm=focal_mm, **self.model_dump(exclude={"model"}))
 
-
-class _Cahvor(StrictModel):
+class _Cahvor(_LensOfFocalLength):
     """The O and R of CAHVOR and CAHVORE; `axis` in focal axes (pixel, line, boresight)."""
 
+    lens = CahvorDistortion
     model: Literal["cahvor"]
     axis: Vector3 = (0.0, 0.0, 1.0)
     r0: float = 0.0
     r1: float = 0.0
     r2: float = 0.0
     linearity: Annotated[float, Field(ge=-1.0, le=1.0)] = 1.0
-
-    def build(self, focal_mm: float, _pixel_from_mm: FloatArray) -> Distortion:
-        return CahvorDistortion(focal_mm, np.array(self.axis), self.r0, self.r1, self.r2, self.linearity)
 
 
 AnyDistortion = Annotated[
@@ -211,6 +210,12 @@ AnyDistortion = Annotated[
     | _Cahvor,
     Field(discriminator="model"),
 ]
+
+
+LENS_NAMES: dict[type[Distortion], str] = {
+    schema.lens: get_args(schema.model_fields["model"].annotation)[0]
+    for schema in get_args(get_args(AnyDistortion)[0])
+}
 
 
 class _Optics(StrictModel):
@@ -295,6 +300,16 @@ class _Origin(StrictModel):
     text: str
 
 
+# Fields of a `Camera` that stand in its file as they are, part by part.
+NAMES = ("name", "frame", "instrument_id", "source", "confirmed_by")
+OPTICS = ("focal_length_mm", "aperture_m", "obscuration", "pixel_from_mm", "focal_from_camera")
+DETECTOR = (
+    "n_pixel", "n_line", "center_pixel_line", "bits", "gain_e_per_dn", "read_noise_dn", "saturation_dn", "bias_dn",
+    "full_well_e", "dark_current_e_s", "frame_transfer_s", "prnu", "hot_pixel_fraction", "dead_pixel_fraction",
+)  # fmt: skip
+ZERO_POINT = ("zero_point_mag", "zero_point_b_v")
+
+
 class CameraFile(StrictModel):
     """One camera in one readout mode, as a YAML file describes it.
 
@@ -320,13 +335,10 @@ class CameraFile(StrictModel):
         optics, detector = self.optics, self.detector
         matrix = np.array(optics.pixel_from_mm)
         copied: tuple[tuple[BaseModel, tuple[str, ...]], ...] = (
-            (self, ("name", "frame", "instrument_id", "source", "confirmed_by")),
-            (optics, ("focal_length_mm", "aperture_m", "obscuration", "pixel_from_mm", "focal_from_camera")),
-            (detector, ("n_pixel", "n_line", "center_pixel_line", "bits")),
-            (detector, ("gain_e_per_dn", "read_noise_dn", "saturation_dn", "bias_dn", "full_well_e")),
-            (detector, ("dark_current_e_s", "frame_transfer_s")),
-            (detector, ("prnu", "hot_pixel_fraction", "dead_pixel_fraction")),
-            (photometry, ("zero_point_mag", "zero_point_b_v")),
+            (self, NAMES),
+            (optics, OPTICS),
+            (detector, DETECTOR),
+            (photometry, ZERO_POINT),
         )
         values = {name: getattr(part, name) for part, names in copied for name in names}
         return values | {
