@@ -12,7 +12,7 @@ Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self
@@ -153,15 +153,21 @@ class Camera(CameraResponse):
         """
         return cls(**camera_fields(path))
 
-    def to_yaml(self, path: str | PathLike[str]) -> None:
+    def to_yaml(self, path: str | PathLike[str], heading: str = "") -> None:
         """Write a camera file that `from_yaml` reads as this camera; what was guessed stands in it.
+
+        Parameters
+        ----------
+        heading
+            Comment on top, of one or more lines.
 
         Raises
         ------
         CameraError
             The point spread function is one that stands in a file of its own.
         """
-        write_camera_yaml(self, Path(path))
+        values = {item.name: getattr(self, item.name) for item in fields(self) if item.init}
+        write_camera_yaml(values, Path(path), heading)
 
     @property
     def guesses(self) -> tuple[Origin, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera, Origin
-from opnav_workbench.camera.saving import camera_mapping, yaml_document
+from opnav_workbench.camera.saving import yaml_document
 from opnav_workbench.files import make_folder, write_text
 from opnav_workbench.photometry import Bandpass
 
@@ -84,7 +84,7 @@ def able_to_simulate(camera: Camera) -> Camera:
 def write_camera(folder: Path, stem: str, camera: Camera, heading: str) -> Path:
     """Write ``cameras/STEM.yaml``."""
     path = make_folder(folder / "cameras") / f"{stem}.yaml"
-    write_text(path, f"# {heading}\n{yaml_document(camera_mapping(camera))}")
+    camera.to_yaml(path, heading)
     return path
 
 
