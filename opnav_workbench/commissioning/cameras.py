@@ -28,10 +28,9 @@ class Numbers:
     fov_deg: float | None = None  # from edge to edge along pixel
     size: tuple[int, int] | None = None  # pixels, lines
 
-    @property
-    def some(self) -> bool:
-        """Whether a camera is said by numbers."""
-        return any(value is not None for value in (self.focal_mm, self.pixel_um, self.fov_deg))
+    def size_with(self, shape: tuple[int, int] | None) -> tuple[int, int] | None:
+        """Return pixels and lines: the size told, else that of a picture's shape."""
+        return self.size or (None if shape is None else (shape[1], shape[0]))
 
 
 def camera_of_kernels(
@@ -54,7 +53,7 @@ def camera_of_kernels(
         No instrument is a camera, or none or several are the one; they are named, each with why not.
     """
     given: dict[str, Any] = {}
-    size = numbers.size or (None if shape is None else (shape[1], shape[0]))
+    size = numbers.size_with(shape)
     if numbers.focal_mm is not None:
         given["focal_length_mm"] = numbers.focal_mm
     found: list[Camera] = []
@@ -105,7 +104,7 @@ def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, num
     MissionError
         The numbers do not make a camera; the message says which are missing.
     """
-    size = numbers.size or (None if shape is None else (shape[1], shape[0]))
+    size = numbers.size_with(shape)
     if size is None:
         raise MissionError("how many pixels has the camera? Give a picture (--image) or --size 1024x1024.")
     if numbers.fov_deg is not None:

@@ -10,6 +10,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera, Origin
 from opnav_workbench.camera.saving import yaml_document
+from opnav_workbench.constants import HOUR_S, SUN_ID, SUN_RADIUS_KM
 from opnav_workbench.files import make_folder, write_text
 from opnav_workbench.photometry import Bandpass
 
@@ -28,9 +29,9 @@ WITHOUT_PICTURE = {  # what simulated pictures carry, where no picture says what
 }
 SUN = {
     "name": "SUN",
-    "id": 10,
+    "id": SUN_ID,
     "source": "IAU WGCCRE 2015; GM of DE440",
-    "radii_km": [695700.0] * 3,
+    "radii_km": [SUN_RADIUS_KM] * 3,
     "gm_km3_s2": 132712440041.27942,
 }
 SPAN_S = 1800
@@ -117,8 +118,7 @@ def write_scenario(
 ) -> Path:
     """Write ``star_fields.yaml`` (kernels) and ``pictures/star_fields.yaml``, and return the second."""
     middle = datetime.fromisoformat(place.utc.rstrip("Z"))
-    start, end = (middle + timedelta(seconds=s) for s in (-SPAN_S, SPAN_S))
-    write_text(folder / "star_fields.yaml", yaml_document(_kernels(craft, camera, place, start, end)))
+    write_text(folder / "star_fields.yaml", yaml_document(_kernels(craft, camera, place, middle)))
     ra, dec = PLEIADES_DEG
     aim: dict[str, Any] = {"source": "fixed", "ra_deg": ra, "dec_deg": dec}
     if place.quaternion is not None:
@@ -141,24 +141,20 @@ def write_scenario(
     return path
 
 
-def _kernels(craft: Craft, camera: Camera, place: Place, start: datetime, end: datetime) -> dict[str, Any]:
+def _kernels(craft: Craft, camera: Camera, place: Place, middle: datetime) -> dict[str, Any]:
     """A kernel scenario: the spacecraft on a straight line, the camera along the bus."""
+    start, end = (middle + timedelta(seconds=s) for s in (-SPAN_S, SPAN_S))
+    span = {"start": start.isoformat(), "end": end.isoformat()}
     frames = []
     if camera.frame != craft.bus_frame:
         turned = {"name": camera.frame, "id": camera.instrument_id, "relative_to": craft.bus_frame}
         frames.append({**turned, "matrix": np.eye(3).tolist()})
-    rows = []
-    for when in (start - timedelta(hours=1), end + timedelta(hours=1)):
-        passed_s = (when - datetime.fromisoformat(place.utc.rstrip("Z"))).total_seconds()
-        at = place.position_km + place.velocity_km_s * passed_s
-        rows.append([when.isoformat(), *at.tolist(), *place.velocity_km_s.tolist()])
-    instrument = f"{craft.mission.upper()}_CAMERA"
-    pitch_um = 1e3 / float(np.sqrt(abs(np.linalg.det(camera.pixel_from_mm))))
+    ra, dec = PLEIADES_DEG
     return {
         "mission": craft.mission,
         "name": "star_fields",
         "description": f"{craft.name}: invented motion, mounting and clock, for simulated star fields",
-        "span": {"start": start.isoformat(), "end": end.isoformat()},
+        "span": span,
         "spacecraft": {
             "name": craft.name,
             "id": craft.number,
@@ -166,32 +162,38 @@ def _kernels(craft: Craft, camera: Camera, place: Place, start: datetime, end: d
         },
         "clock": {"id": craft.number, "start": (start - timedelta(days=1)).isoformat()},
         "frames": frames,
-        "instruments": [
-            {
-                "name": instrument,
-                "id": camera.instrument_id,
-                "frame": camera.frame,
-                "focal_length_mm": camera.focal_length_mm,
-                "pixel_size_um": pitch_um,
-                "n_pixel": camera.n_pixel,
-                "n_line": camera.n_line,
-                "focal_from_camera": camera.focal_from_camera.tolist(),
-            }
-        ],
+        "instruments": [_instrument(craft, camera)],
         "bodies": [SUN],
         "pointing": {
-            "instrument": instrument,
-            "windows": [
-                {
-                    "start": start.isoformat(),
-                    "end": end.isoformat(),
-                    "ra_deg": PLEIADES_DEG[0],
-                    "dec_deg": PLEIADES_DEG[1],
-                }
-            ],
+            "instrument": _instrument_name(craft),
+            "windows": [{**span, "ra_deg": ra, "dec_deg": dec}],
         },
-        "trajectories": [
-            {"kind": "ephemeris", "target": "SUN"},
-            {"kind": "states", "target": craft.name, "center": 0, "source": "a straight line", "rows": rows},
-        ],
+        "trajectories": [{"kind": "ephemeris", "target": "SUN"}, _straight_line(craft, place, middle)],
     }
+
+
+def _instrument_name(craft: Craft) -> str:
+    return f"{craft.mission.upper()}_CAMERA"
+
+
+def _instrument(craft: Craft, camera: Camera) -> dict[str, Any]:
+    return {
+        "name": _instrument_name(craft),
+        "id": camera.instrument_id,
+        "frame": camera.frame,
+        "focal_length_mm": camera.focal_length_mm,
+        "pixel_size_um": 1e3 / float(np.sqrt(abs(np.linalg.det(camera.pixel_from_mm)))),
+        "n_pixel": camera.n_pixel,
+        "n_line": camera.n_line,
+        "focal_from_camera": camera.focal_from_camera.tolist(),
+    }
+
+
+def _straight_line(craft: Craft, place: Place, middle: datetime) -> dict[str, Any]:
+    """The spacecraft's way, an hour beyond the span on both sides."""
+    rows = []
+    for passed_s in (-SPAN_S - HOUR_S, SPAN_S + HOUR_S):
+        at = place.position_km + place.velocity_km_s * passed_s
+        when = middle + timedelta(seconds=passed_s)
+        rows.append([when.isoformat(), *at.tolist(), *place.velocity_km_s.tolist()])
+    return {"kind": "states", "target": craft.name, "center": 0, "source": "a straight line", "rows": rows}

@@ -129,14 +129,13 @@ def orientation_by_limb(
     camera_from_j2000 : (3, 3) array
         The camera's frame, as header or kernels have it.
     """
-    likeness = [
-        _likeness(context, c, target, observer, camera_from_j2000) for c in eight_cameras(context.camera)
-    ]
+    cameras = eight_cameras(context.camera)
+    likeness = [_likeness(context, c, target, observer, camera_from_j2000) for c in cameras]
     order = np.argsort(likeness)[::-1]
     best, second = float(likeness[order[0]]), float(likeness[order[1]])
     if not (best > ALIKE and best - second > CLEARLY):
         return None
-    camera = eight_cameras(context.camera)[order[0]]
+    camera = cameras[order[0]]
     hands = [np.sign(np.linalg.det(c.focal_from_camera)) for c in (camera, context.camera)]
     text = f"{target.name} as drawn is alike the picture to {best:.2f}, in the second of eight ways to {second:.2f}"
     return Orientation(camera, bool(order[0] != 0), hands[0] != hands[1], True, text)
