@@ -40,6 +40,8 @@ __all__ = ["NewMission", "Wanted", "new_mission"]
 
 INVENTED = 999  # the spacecraft's number, where nothing tells it
 FIRST_UTC = "2030-01-01T00:00:00"
+FIRST_POSITION_KM = np.array([1.0, 0.5, 0.2]) * AU_KM
+STEM = "camera"  # of the camera file
 SOLVED_STARS = 4  # that a pointing is believed from
 NAME = re.compile(r"^[a-z][a-z0-9_-]{0,38}$")
 
@@ -128,23 +130,24 @@ def new_mission(wanted: Wanted, say: Callable[[str], None] | None = None) -> New
         )
     if (wanted.folder / "mission.yaml").exists():
         raise MissionError(f"{wanted.folder}/mission.yaml is there already; name another folder (--out).")
-    shape, words = _looked_at(wanted.image)
-    camera = _camera(wanted, shape)
-    craft = _craft(wanted, camera, words)
-    maker = _Maker(wanted, craft, words, say or _silent)
     if wanted.image is None:
-        return maker.without_picture(camera)
-    return replace(maker.with_picture(camera), known_mission=_known_mission(wanted.image))
+        camera = _camera(wanted, None)
+        return _Maker(wanted, _craft(wanted, camera, ""), {}, say or _silent).without_picture(camera)
+    shape, header = _looked_at(wanted.image)
+    words = header_words(header)
+    camera = _camera(wanted, shape)
+    maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft), words.match, say or _silent)
+    made = maker.with_picture(camera, wanted.image, words)
+    return replace(made, known_mission=_known_mission(header))
 
 
-def _known_mission(image: Path) -> str:
+def _known_mission(header: Header) -> str:
     """The mission of the package that a picture's words name, if there is one."""
-    _, stored = read_stored(image, file_bytes(image), KeywordMap())
     for name in mission_names():
         mission = load_mission(name)
         if mission.keywords.get("required"):
             with suppress(OpNavError):
-                mission.camera_for(Header(stored.header))
+                mission.camera_for(header)
                 return name
     return ""
 
@@ -153,13 +156,11 @@ def _silent(_words: str) -> None:
     """Tell nobody."""
 
 
-def _looked_at(image: Path | None) -> tuple[tuple[int, int] | None, HeaderWords | None]:
-    """Shape of a picture and what its header's words hold, before any mission is known."""
-    if image is None:
-        return None, None
+def _looked_at(image: Path) -> tuple[tuple[int, int], Header]:
+    """Shape and header of a picture, before any mission is known."""
     _, stored = read_stored(image, file_bytes(image), KeywordMap())
     lines, pixels = stored.image.shape[-2:]
-    return (int(lines), int(pixels)), header_words(stored.header)
+    return (int(lines), int(pixels)), Header(stored.header)
 
 
 def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
@@ -170,9 +171,9 @@ def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
     return replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
 
 
-def _craft(wanted: Wanted, camera: Camera, words: HeaderWords | None) -> Craft:
+def _craft(wanted: Wanted, camera: Camera, told: str) -> Craft:
+    """Names and numbers of the spacecraft, which a picture may have told."""
     number = -(abs(camera.instrument_id) // 1000)
-    told = "" if words is None else words.spacecraft
     name = re.sub(r"[^A-Z0-9 _-]", " ", (told or wanted.name).upper()).strip()[:32]
     return Craft(
         wanted.name, name or wanted.name.upper(), number, f"{wanted.name.upper()}_BUS", number * 1000
@@ -183,21 +184,16 @@ def _craft(wanted: Wanted, camera: Camera, words: HeaderWords | None) -> Craft:
 class _Maker:
     wanted: Wanted
     craft: Craft
-    words: HeaderWords | None
+    match: dict[str, Any]
     say: Callable[[str], None]
-
-    @property
-    def stem(self) -> str:
-        return "camera"
 
     def write(
         self, camera: Camera, keywords: dict[str, Any] | None, told: str, folder: Path | None = None
     ) -> None:
         """Write mission and camera files."""
         heading, folder = f"Made by `opnav mission new`. {told}", folder or self.wanted.folder
-        write_camera(folder, self.stem, camera, heading)
-        match = {} if self.words is None else self.words.match
-        write_mission(folder, self.craft, self.stem, keywords, match, heading)
+        write_camera(folder, STEM, camera, heading)
+        write_mission(folder, self.craft, STEM, keywords, self.match, heading)
 
     # -- without a picture -------------------------------------------------------------------------------------
 
@@ -205,42 +201,38 @@ class _Maker:
         told = "no picture has shown how the detector lies; what was guessed stands under origins"
         camera = able_to_simulate(camera)
         self.write(camera, None, f"Without a picture: {told}.")
-        place = Place(FIRST_UTC, 1.0, np.array([1.0, 0.5, 0.2]) * AU_KM, np.array([-10.0, 25.0, 5.0]))
-        pictures = write_scenario(
-            self.wanted.folder, self.craft, self.stem, camera, place, self.wanted.catalog
-        )
+        place = Place(FIRST_UTC, 1.0, FIRST_POSITION_KM, np.array([-10.0, 25.0, 5.0]))
+        pictures = write_scenario(self.wanted.folder, self.craft, STEM, camera, place, self.wanted.catalog)
         made = self.simulated(pictures)
         return NewMission(self.wanted.folder, camera, camera.origins, told, False, "", pictures, made)
 
     # -- with a picture ----------------------------------------------------------------------------------------
 
-    def with_picture(self, camera: Camera) -> NewMission:
-        assert self.words is not None
-        assert self.wanted.image is not None
-        keywords = dict(self.words.keywords)
+    def with_picture(self, camera: Camera, image: Path, words: HeaderWords) -> NewMission:
+        keywords = dict(words.keywords)
         self.write(camera, keywords, "Being tried on a picture.")
         with self.kernels():
             self.say("reading the picture")
-            context = open_context(self.wanted.image, load_mission(self.wanted.folder), Settings())
-            found = self.orientation(context)
+            context = open_context(image, load_mission(self.wanted.folder), Settings())
+            found = self.orientation(context, words.keywords.get("target"))
             if found is not None:
-                camera = self.turned(camera, found)
+                camera = _turned(camera, found, image.name)
                 if found.inverse_quaternion:
                     keywords["quaternion_sense"] = _other_sense(keywords["quaternion_sense"])
             told = NOT_TOLD if found is None else found.text
             self.write(camera, keywords, f"How the detector lies: {told}.")
-            solved, place, session = self.solved()
+            solved, place, session = self.solved(image, words)
         if session is not None:
-            camera = _measured(camera, session, self.wanted.image.name)
+            camera = _measured(camera, session, image.name)
             if found is not None:
-                camera = replace(camera, confirmed_by=f"{self.wanted.image.name}: {solved}")
+                camera = replace(camera, confirmed_by=f"{image.name}: {solved}")
             self.write(camera, keywords, f"How the detector lies: {told}.")
         aside = (
             self.wanted.folder / SIMULATED
         )  # with guesses that a picture's own processing must not rest on
         self.write(able_to_simulate(camera), keywords, "To simulate pictures with.", aside)
-        pictures = write_scenario(aside, self.craft, self.stem, camera, place, self.wanted.catalog)
-        origins = (*camera.origins, *self.header_origins(found, keywords))
+        pictures = write_scenario(aside, self.craft, STEM, camera, place, self.wanted.catalog)
+        origins = (*camera.origins, *_header_origins(words, found, keywords))
         mirrored = found is not None and found.mirrored
         made = self.simulated(pictures)
         return NewMission(self.wanted.folder, camera, origins, told, mirrored, solved, pictures, made)
@@ -251,15 +243,14 @@ class _Maker:
             return nullcontext()
         return KernelSet([self.wanted.kernels, *self.wanted.instrument_kernels])
 
-    def orientation(self, context: Context) -> Orientation | None:
-        """By the stars, else by the limb of the target."""
+    def orientation(self, context: Context, word: str | None) -> Orientation | None:
+        """By the stars, else by the limb of the target: the one wanted, or the one that a word of the header names."""
         frames = _frames(context)
         self.say("looking for stars")
         with suppress(OpNavError):
             found = orientation_by_stars(context, open_catalog(self.wanted.catalog), frames)
             if found is not None:
                 return found
-        word = self.words.keywords.get("target") if self.words is not None else None
         target = self.wanted.target or (str(context.picture.header[word]) if word else "")
         if KernelSet.active() is None or not frames or not target:
             return None
@@ -271,40 +262,12 @@ class _Maker:
             return orientation_by_limb(context, seen, observer, frames[0])
         return None
 
-    def header_origins(self, found: Orientation | None, keywords: dict[str, Any]) -> tuple[Origin, ...]:
-        """Where the words of the header come from; the sense of a quaternion is told by the stars, where they tell all."""
-        assert self.words is not None
-        if found is None or not found.sure or "quaternion" not in keywords:
-            return self.words.origins
-        text = (
-            f"{', '.join(keywords['quaternion'])}, {keywords['quaternion_sense']}: the picture agrees with it"
-        )
-        others = tuple(o for o in self.words.origins if o.field != "quaternion")
-        return (*others, Origin("quaternion", "derived", text))
-
-    def turned(self, camera: Camera, found: Orientation) -> Camera:
-        """The camera with the axes that the picture tells, and where they come from."""
-        assert self.wanted.image is not None
-        others = tuple(o for o in camera.origins if o.field != "focal_from_camera")
-        axes = np.array2string(found.camera.focal_from_camera[:2].round(6) + 0.0, separator=", ").replace(
-            "\n", ""
-        )
-        how = Origin(
-            "focal_from_camera",
-            "derived" if found.sure else "guessed",
-            f"pixel, line {axes}, by {self.wanted.image.name}: {found.text}",
-        )
-        return replace(camera, focal_from_camera=found.camera.focal_from_camera, origins=(*others, how))
-
-    def solved(self) -> tuple[str, Place, ImageSession | None]:
+    def solved(self, image: Path, words: HeaderWords) -> tuple[str, Place, ImageSession | None]:
         """Solve the picture with the new mission: what came out, where to simulate it, and the session, if solved."""
-        assert self.words is not None
-        assert self.wanted.image is not None
-        utc = self.words.utc or FIRST_UTC
-        place = Place(utc, self.words.exposure_s or 1.0, np.array([1.0, 0.5, 0.2]) * AU_KM, np.zeros(3))
+        place = Place(words.utc or FIRST_UTC, words.exposure_s or 1.0, FIRST_POSITION_KM, np.zeros(3))
         self.say("solving the picture")
         try:
-            session = ImageSession.open(self.wanted.image, self.wanted.folder, catalog=self.wanted.catalog)
+            session = ImageSession.open(image, self.wanted.folder, catalog=self.wanted.catalog)
             inputs = session.inputs
             place = Place(
                 inputs.utc.removesuffix("Z").removesuffix(" UTC"),
@@ -331,6 +294,30 @@ class _Maker:
         self.say("simulating a picture")
         (report,) = simulate(load_picture_scenario(pictures), self.wanted.folder / SIMULATED, jobs=1)
         return report.files
+
+
+def _header_origins(
+    words: HeaderWords, found: Orientation | None, keywords: dict[str, Any]
+) -> tuple[Origin, ...]:
+    """Where the words of the header come from; the sense of a quaternion is told by the stars, where they tell all."""
+    if found is None or not found.sure or "quaternion" not in keywords:
+        return words.origins
+    text = f"{', '.join(keywords['quaternion'])}, {keywords['quaternion_sense']}: the picture agrees with it"
+    others = tuple(o for o in words.origins if o.field != "quaternion")
+    return (*others, Origin("quaternion", "derived", text))
+
+
+def _turned(camera: Camera, found: Orientation, image: str) -> Camera:
+    """The camera with the axes that a picture tells, and where they come from."""
+    others = tuple(o for o in camera.origins if o.field != "focal_from_camera")
+    axes = found.camera.focal_from_camera
+    shown = np.array2string(axes[:2].round(6) + 0.0, separator=", ").replace("\n", "")
+    how = Origin(
+        "focal_from_camera",
+        "derived" if found.sure else "guessed",
+        f"pixel, line {shown}, by {image}: {found.text}",
+    )
+    return replace(camera, focal_from_camera=axes, origins=(*others, how))
 
 
 def _measured(camera: Camera, session: ImageSession, image: str) -> Camera:
