@@ -9,7 +9,7 @@ frame), positions are km in J2000 and count from the target: the spacecraft's, a
 Source: DOI-USGS/ale (CC0), ``formatters/formatter.py``; DOI-USGS/usgscsm, ``Distortion.cpp``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -238,11 +238,11 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
     CameraError
         Something is missing, or the camera's distortion is none that a Community Sensor Model knows.
     """
-    missing = [
-        name
+    needed = {
+        name: getattr(data, name)
         for name in ("position_km", "sun_position_km", "body_from_j2000", "radii_km")
-        if getattr(data, name) is None
-    ]
+    }
+    missing = [name for name, value in needed.items() if value is None]
     if missing:
         raise CameraError(f"image support data need {', '.join(missing)}; load the kernels that give them.")
     camera = data.camera
@@ -259,8 +259,11 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
         "interpolation_method": "lagrange",
         "center_ephemeris_time": data.et,
         "starting_ephemeris_time": data.et,
-        "radii": {**dict(zip(("semimajor", "semiminor"), _list(data.radii_km), strict=True)), "unit": "km"},
-        "body_rotation": _turning(data.body_from_j2000, data.et, target_frame),
+        "radii": {
+            **dict(zip(("semimajor", "semiminor"), _list(needed["radii_km"]), strict=True)),
+            "unit": "km",
+        },
+        "body_rotation": _turning(needed["body_from_j2000"], data.et, target_frame),
         "instrument_pointing": {
             **_turning(attitude, data.et, camera.instrument_id),
             "constant_frames": [camera.instrument_id],
@@ -279,8 +282,8 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
         "focal2pixel_samples": [0.0, *matrix[0].tolist()],
         "focal2pixel_lines": [0.0, *matrix[1].tolist()],
         "optical_distortion": _told_distortion(camera),
-        "instrument_position": _moving(data.position_km, data.velocity_km_s, data.et),
-        "sun_position": _moving(data.sun_position_km, None, data.et),
+        "instrument_position": _moving(needed["position_km"], data.velocity_km_s, data.et),
+        "sun_position": _moving(needed["sun_position_km"], None, data.et),
     }
 
 
@@ -332,32 +335,30 @@ def _taylor_fit(ideal: FloatArray, measured: FloatArray) -> tuple[dict[str, list
     return {"x": fit[:, 0].tolist(), "y": fit[:, 1].tolist()}, float(np.abs(terms @ fit - measured).max())
 
 
-def _list(array: FloatArray | None) -> list[float]:
-    return [] if array is None else [float(v) for v in array]
+def _list(array: FloatArray) -> list[float]:
+    return [float(v) for v in array]
 
 
-def _turning(rotation: FloatArray | None, et: float, frame: int) -> dict[str, Any]:
-    matrix = np.eye(3) if rotation is None else rotation
+def _turning(rotation: FloatArray, et: float, frame: int) -> dict[str, Any]:
     return {
         "time_dependent_frames": [frame, J2000],
         "ck_table_start_time": et,
         "ck_table_end_time": et,
         "ck_table_original_size": 1,
         "ephemeris_times": [et],
-        "quaternions": [quaternion_from_matrix(matrix).tolist()],
+        "quaternions": [quaternion_from_matrix(rotation).tolist()],
         "angular_velocities": [[0.0, 0.0, 0.0]],
         "reference_frame": J2000,
     }
 
 
-def _moving(position_km: FloatArray | None, velocity_km_s: FloatArray | None, et: float) -> dict[str, Any]:
-    velocity: Sequence[float] = [0.0, 0.0, 0.0] if velocity_km_s is None else _list(velocity_km_s)
+def _moving(position_km: FloatArray, velocity_km_s: FloatArray | None, et: float) -> dict[str, Any]:
     return {
         "spk_table_start_time": et,
         "spk_table_end_time": et,
         "spk_table_original_size": 1,
         "ephemeris_times": [et],
         "positions": [_list(position_km)],
-        "velocities": [list(velocity)],
+        "velocities": [[0.0, 0.0, 0.0] if velocity_km_s is None else _list(velocity_km_s)],
         "reference_frame": J2000,
     }
