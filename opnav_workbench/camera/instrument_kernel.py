@@ -33,7 +33,7 @@ from opnav_workbench.camera.origins import How, Origin
 from opnav_workbench.constants import ARCSEC_PER_RAD, RAD_PER_DEG
 from opnav_workbench.errors import CameraError
 
-__all__ = ["camera_fields_from_ik"]
+__all__ = ["SHORTEST_FOCAL_MM", "camera_fields_from_ik", "nearest_axes"]
 
 Values = Mapping[str, tuple[Any, ...]]
 
@@ -220,16 +220,29 @@ def _isis_orientation(
 ) -> tuple[str, FloatArray, FloatArray, FloatArray]:
     """As `_orientation`: focal axes along X and Y of the frame, with the signs that make the scale positive."""
     frame, boresight = _isis_frame(kernel)
-    along = int(np.abs(mm_from_pixel[:, 0]).argmax())  # X or Y, whichever runs most along pixel
     turn = np.zeros((2, 3))
-    for row, axis in enumerate((along, 1 - along)):
-        turn[row, axis] = np.sign(mm_from_pixel[axis, row])
+    turn[:, :2] = nearest_axes(mm_from_pixel.T)
     pixel_from_mm: FloatArray = np.asarray(np.linalg.inv(turn[:, :2] @ mm_from_pixel), dtype=np.float64)
     names = ", ".join(f"{'-' if row.sum() < 0.0 else '+'}{'XY'[int(np.abs(row).argmax())]}" for row in turn)
     kernel.note("known", "focal_from_camera", f"pixel, line along {names} of {frame}: TRANSX, TRANSY")
     kernel.note("known", "pixel_from_mm", f"{_short(pixel_from_mm)} px/mm: TRANSX, TRANSY")
     offset_px = -np.linalg.inv(mm_from_pixel) @ shift_mm
     return frame, np.vstack([turn, boresight]), pixel_from_mm, np.asarray(offset_px, dtype=np.float64)
+
+
+def nearest_axes(along_xy: FloatArray) -> FloatArray:
+    """Return unit vectors (2, 2) along X and Y or against them: those that pixel and line run most along.
+
+    Parameters
+    ----------
+    along_xy : (2, 2) array
+        Rows: how pixel and line run, in X and Y.
+    """
+    along = int(np.abs(along_xy[0]).argmax())
+    turn = np.zeros((2, 2))
+    for row, axis in enumerate((along, 1 - along)):
+        turn[row, axis] = np.sign(along_xy[row, axis]) or 1.0
+    return turn
 
 
 def _isis_mm_from_pixel(pool: Values) -> tuple[FloatArray, FloatArray] | None:

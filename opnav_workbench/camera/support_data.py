@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion
+from opnav_workbench.camera.instrument_kernel import SHORTEST_FOCAL_MM, nearest_axes
 from opnav_workbench.camera.lens_models import RadialDistortion, TaylorDistortion, centered
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.errors import CameraError, OpNavError
@@ -30,7 +31,6 @@ __all__ = ["SupportData", "read_support_data", "support_data"]
 
 FRAME_MODEL = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 FIRST_CENTER = 0.5  # line and sample of the first pixel's center in a Community Sensor Model
-SHORTEST_FOCAL_MM = 1.0
 J2000 = 1
 FIT_POINTS, FIT_PX = 41, 0.01  # along an edge of the detector; what a description of distortion may be off
 # Of X and Y in the terms of transverse distortion
@@ -153,11 +153,7 @@ def _camera(data: Mapping[str, Any]) -> Camera:
 
 def _aligned(pixel_from_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Focal axes along X and Y of the sensor's frame as sample and line run most along them, and px/mm in these."""
-    along = int(np.abs(pixel_from_xy[0]).argmax())
-    turn = np.zeros((2, 2))
-    for row, axis in enumerate((along, 1 - along)):
-        turn[row, axis] = np.sign(pixel_from_xy[row, axis]) or 1.0
-    axes = np.eye(3)
+    turn, axes = nearest_axes(pixel_from_xy), np.eye(3)
     axes[:2, :2] = turn
     return axes, pixel_from_xy @ turn.T
 
