@@ -119,10 +119,17 @@ def make_from_shape(
 
 CK_FILE = "reconstructed.bc"
 YAML_SUFFIXES = (".yaml", ".yml")
+RunFolder = Annotated[Path, typer.Argument(help="Folder that opnav process wrote.", show_default=False)]
+ResultsMission = Annotated[
+    str | None,
+    typer.Option(
+        "--mission", "-m", help="Mission name or YAML; default the results' own.", show_default=False
+    ),
+]
 
 
 def make_ck(
-    run_dir: Annotated[Path, typer.Argument(help="Folder that opnav process wrote.", show_default=False)],
+    run_dir: RunFolder,
     out: Annotated[
         Path | None, typer.Option(help=f"The CK; default RUN_DIR/{CK_FILE}.", show_default=False)
     ] = None,
@@ -132,12 +139,7 @@ def make_ck(
             help="Metakernel, kernel folder or kernel-set name: LSK, SCLK and FK.", show_default=False
         ),
     ] = None,
-    mission: Annotated[
-        str | None,
-        typer.Option(
-            "--mission", "-m", help="Mission name or YAML; default the results' own.", show_default=False
-        ),
-    ] = None,
+    mission: ResultsMission = None,
     without_twist: Annotated[
         bool,
         typer.Option("--without-twist", help="Take pictures whose stars left the twist open, too."),
@@ -166,7 +168,7 @@ def make_ck(
 
 
 def make_isd(
-    run_dir: Annotated[Path, typer.Argument(help="Folder that opnav process wrote.", show_default=False)],
+    run_dir: RunFolder,
     target: Annotated[
         str,
         typer.Option("--target", "-t", help="Body that the pictures shall be mapped on.", show_default=False),
@@ -175,12 +177,7 @@ def make_isd(
         str,
         typer.Option(help="Metakernel, kernel folder or kernel-set name: SPK and PCK.", show_default=False),
     ],
-    mission: Annotated[
-        str | None,
-        typer.Option(
-            "--mission", "-m", help="Mission name or YAML; default the results' own.", show_default=False
-        ),
-    ] = None,
+    mission: ResultsMission = None,
     out: Annotated[Path | None, typer.Option(help="Folder; default RUN_DIR.", show_default=False)] = None,
 ) -> None:
     """Write solved pictures as image support data (JSON) of the Community Sensor Model.
