@@ -77,13 +77,8 @@ class Readout(StrictModel):
             0 if w is None or w not in header else _whole(header, w) - self.first_is
             for w in (self.first_pixel, self.first_line)
         ]
-        size = None
-        if (
-            self.n_pixel is not None
-            and self.n_line is not None
-            and {self.n_pixel, self.n_line} <= set(header)
-        ):
-            size = (_whole(header, self.n_pixel), _whole(header, self.n_line))
+        told = [w for w in (self.n_pixel, self.n_line) if w is not None and w in header]
+        size = (_whole(header, told[0]), _whole(header, told[1])) if len(told) == 2 else None
         return read_out(camera, binning=steps, first=(starts[0], starts[1]), size=size)
 
     def _factor(self, header: Mapping[str, Any], word: str) -> int:

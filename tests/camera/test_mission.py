@@ -10,7 +10,7 @@ import yaml
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.support_data import read_support_data
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.image.header import KeywordMap
+from opnav_workbench.image.header import Header, KeywordMap
 from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import TargetState
@@ -152,6 +152,13 @@ def test_header_words_tell_window_and_binning_of_one_camera_file(tmp_path):
     ):
         with pytest.raises(CameraError, match=message):
             mission.camera_for(header)
+
+
+def test_words_of_a_window_are_found_in_any_case(tmp_path):
+    choice = {"file": "cameras/pinhole.yaml", "readout": {"n_pixel": "n_pixel", "n_line": "n_line"}}
+    mission = load_mission(mission_file(tmp_path, cameras=[choice]))
+    part = mission.camera_for(Header({"N_PIXEL": 400, "N_LINE": 300}))
+    assert (part.n_pixel, part.n_line) == (400, 300)
 
 
 @pytest.mark.realdata
