@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -19,6 +20,7 @@ __all__ = [
     "Context",
     "faintest_magnitude",
     "open_context",
+    "typical_noise_dn",
     "with_focal_scale",
     "zero_point_mag",
 ]
@@ -31,7 +33,7 @@ DETECTION_SNR = 5.0  # lower than for blind detection: a false detection matches
 MIN_BODY_RADIUS_PX, BODY_PSF_SIGMAS = 6.0, 6.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Context:
     """A picture ready for measuring.
 
@@ -88,14 +90,26 @@ def zero_point_mag(context: Context) -> float | None:
     return zero_point + 2.5 * float(np.log10(context.picture.exposure_s))
 
 
+_TYPICAL_NOISE_DN: WeakKeyDictionary[Context, float] = WeakKeyDictionary()
+
+
+def typical_noise_dn(context: Context) -> float:
+    """Median noise of the pixels; nan where it is known in none. Found once a picture: pages ask for it at each key."""
+    noise = _TYPICAL_NOISE_DN.get(context)
+    if noise is None:
+        known = context.noise_dn[np.isfinite(context.noise_dn)]
+        noise = _TYPICAL_NOISE_DN[context] = float(np.median(known)) if known.size else float("nan")
+    return noise
+
+
 def faintest_magnitude(context: Context) -> float:
     """Magnitude of the faintest star detected in this exposure; inf where no zero point is known."""
-    zero_point, noise = zero_point_mag(context), context.noise_dn[np.isfinite(context.noise_dn)]
-    if zero_point is None or noise.size == 0:
+    zero_point = zero_point_mag(context)
+    if zero_point is None or np.isnan(noise := typical_noise_dn(context)):
         return float("inf")
     # A PSF of this width spreads its light over as many pixels.
     pixels = 4.0 * np.pi * (context.camera.psf.sigma_px**2 + PIXEL_VARIANCE_PX2)
-    return zero_point - 2.5 * float(np.log10(DETECTION_SNR * np.median(noise) * np.sqrt(pixels)))
+    return zero_point - 2.5 * float(np.log10(DETECTION_SNR * noise * np.sqrt(pixels)))
 
 
 def open_context(path: str | Path, mission: Mission, settings: Settings) -> Context:

@@ -12,6 +12,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession, JournalEntry
+from opnav_workbench.session.context import typical_noise_dn
 from opnav_workbench.session.star_boxes import StarBox
 from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_REASONS, Action, ActionRegistry
@@ -251,7 +252,6 @@ class StarsTab(Tab):
         self.focus_id = ""
         self.search = runner.search
         self._box_cache = _BoxCache()
-        self._noise: tuple[object, float] = (None, 1.0)
 
     # -- what stands -------------------------------------------------------------------------------------------
 
@@ -341,12 +341,9 @@ class StarsTab(Tab):
         )
 
     def _noise_dn(self) -> float:
-        """Typical noise of the picture: computed once, as it is asked for at each key."""
-        noise = self.runner.session.context.noise_dn
-        if self._noise[0] is not noise:
-            finite = noise[np.isfinite(noise)]
-            self._noise = (noise, float(np.median(finite)) if finite.size else 1.0)
-        return self._noise[1]
+        """Typical noise of the picture; 1 where none is known."""
+        noise = typical_noise_dn(self.runner.session.context)
+        return noise if np.isfinite(noise) else 1.0
 
     # -- actions -----------------------------------------------------------------------------------------------
 
