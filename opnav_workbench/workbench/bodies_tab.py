@@ -167,34 +167,34 @@ def _second_shown(center: BodyCenter, prediction: Prediction | None) -> SecondSh
     second = center.detail.second if isinstance(center.detail, DiskReading) else None
     if second is None or center.pixel_line is None:
         return None
-    sigma = np.sqrt(np.diag(second.covariance_px2))
-    pixel, line = second.pixel_line
-    values = [
-        f"{pixel:.3f} ± {sigma[0]:.3f}",
-        f"{line:.3f} ± {sigma[1]:.3f}",
-        f"{second.covariance_px2[0, 1] / (sigma[0] * sigma[1]):+.2f}",
-    ]
-    if prediction is not None:
-        values += [f"{pixel - prediction.pixel:+.3f}", f"{line - prediction.line:+.3f}"]
+    rows = _place_rows(second.pixel_line, second.covariance_px2, prediction)
     off = second.pixel_line - center.pixel_line
     apart = f"{off[0]:+.2f} px, {off[1]:+.2f} lines apart: {second.difference_sigmas:.1f} sigma"
-    return SecondShown(second.method, apart, tuple(values))
+    return SecondShown(second.method, apart, tuple(value for _, value in rows))
 
 
 def _center_rows(
     center: BodyCenter, pixel_line: FloatArray, prediction: Prediction | None
 ) -> list[tuple[str, str]]:
-    sigma = np.sqrt(np.diag(center.covariance_px2))
+    rows = _place_rows(pixel_line, center.covariance_px2, prediction)
+    if np.isfinite(center.diameter_px):
+        rows.append(("diameter", f"{center.diameter_px:.2f} px"))
+    return rows
+
+
+def _place_rows(
+    pixel_line: FloatArray, covariance_px2: FloatArray, prediction: Prediction | None
+) -> list[tuple[str, str]]:
+    """Names and values of a measured place; of another reading of the same pixels the values stand beside these."""
+    sigma = np.sqrt(np.diag(covariance_px2))
     rows = [
         ("pixel", f"{pixel_line[0]:.3f} ± {sigma[0]:.3f}"),
         ("line", f"{pixel_line[1]:.3f} ± {sigma[1]:.3f}"),
-        ("correlation", f"{center.covariance_px2[0, 1] / (sigma[0] * sigma[1]):+.2f}"),
+        ("correlation", f"{covariance_px2[0, 1] / (sigma[0] * sigma[1]):+.2f}"),
     ]
     if prediction is not None:
         rows.append(("O − C pixel", f"{pixel_line[0] - prediction.pixel:+.3f}"))
         rows.append(("O − C line", f"{pixel_line[1] - prediction.line:+.3f}"))
-    if np.isfinite(center.diameter_px):
-        rows.append(("diameter", f"{center.diameter_px:.2f} px"))
     return rows
 
 
