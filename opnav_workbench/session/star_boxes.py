@@ -61,6 +61,11 @@ class StarBox:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    @property
+    def place_px(self) -> FloatArray:
+        """Where the star is seen (2,), expected where it is not."""
+        return self.predicted_px if self.observed_px is None else self.observed_px
+
 
 def star_boxes(
     context: Context, inputs: Inputs, state: SessionState, ids: Sequence[str] | None = None

@@ -298,15 +298,13 @@ class StarsTab(Tab):
         if box is None:
             self.runner.viewer.focus(None)
             return
-        place = box.predicted_px if box.observed_px is None else box.observed_px
-        self.runner.viewer.focus(place, max(self.radius_px, MIN_RING_PX))
+        self.runner.viewer.focus(box.place_px, max(self.radius_px, MIN_RING_PX))
 
     def look(self) -> None:
         """Bring the star under decision into the middle."""
         box = self.focused
         if box is not None:
-            place = box.predicted_px if box.observed_px is None else box.observed_px
-            self.runner.viewer.look(place)
+            self.runner.viewer.look(box.place_px)
 
     def html(self) -> str:
         """Return the page: the star under decision large, the others as a grid, the pointing live."""
@@ -491,7 +489,7 @@ class StarsTab(Tab):
     def _nearest(self, pixel: float, line: float) -> str | None:
         if not self.boxes:
             return None
-        places = np.array([b.predicted_px if b.observed_px is None else b.observed_px for b in self.boxes])
+        places = np.array([box.place_px for box in self.boxes])
         distance = np.hypot(*(places - (pixel, line)).T)
         distance = np.where(np.isfinite(distance), distance, np.inf)
         reach = max(
