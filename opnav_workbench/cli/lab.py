@@ -126,9 +126,8 @@ def put_notebook(folder: Path, parameters: LabParameters) -> Path:
 def _drop_dead_views(cells: list[dict[str, Any]]) -> None:
     """Take out what showed the widgets of a kernel that is gone: the new one knows nothing of them."""
     for cell in cells:
-        shown = cell.get("outputs", [])
-        if any(WIDGET_VIEW in output.get("data", {}) for output in shown):
-            cell["outputs"] = [output for output in shown if WIDGET_VIEW not in output.get("data", {})]
+        if "outputs" in cell:
+            cell["outputs"] = [one for one in cell["outputs"] if WIDGET_VIEW not in one.get("data", {})]
 
 
 def _set_parameters(cells: list[dict[str, Any]], parameters: LabParameters) -> None:

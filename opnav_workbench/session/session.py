@@ -33,7 +33,7 @@ from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
-from opnav_workbench.session.inputs import Inputs, InputSource
+from opnav_workbench.session.inputs import Inputs, InputSource, LostField
 from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
@@ -396,9 +396,7 @@ class ImageSession:
         """
         with self.lock:
             found = asked_field(self.context, self.source, self.inputs, self._catalog)
-            self._history.inputs = input_values.with_lost_field(
-                self.context, self.source, self.inputs, found, self._catalog
-            )
+            self._take_lost_field(found)
         return found.message
 
     def refit_stars(
@@ -786,10 +784,13 @@ class ImageSession:
             return False
         lost = lost_field(self.context, self.source, self.inputs, self._catalog)
         if lost is not None:
-            self._history.inputs = input_values.with_lost_field(
-                self.context, self.source, self.inputs, lost, self._catalog
-            )
+            self._take_lost_field(lost)
         return lost is not None
+
+    def _take_lost_field(self, lost: LostField) -> None:
+        self._history.inputs = input_values.with_lost_field(
+            self.context, self.source, self.inputs, lost, self._catalog
+        )
 
     def _bodies_in_scene(self) -> dict[str, Any]:
         """Name the mission's bodies that may hide, shade or outshine the one that is looked for."""
