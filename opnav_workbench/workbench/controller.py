@@ -104,10 +104,11 @@ class WorkbenchController:
     def handle(self, event: PageEvent) -> None:
         """Do what the page reports; whatever goes wrong appears in the status line."""
         with self.runner.handling():
-            if self._waits(self._act(event)):
-                self.runner.wait_in_line(lambda: self.do(self._act(event), event))
+            act = self._act(event)
+            if self._waits(act):
+                self.runner.wait_in_line(lambda: self.do(self._act(event), event))  # what a key means by then
             else:
-                self.do(self._act(event), event)
+                self.do(act, event)
 
     def _act(self, event: PageEvent) -> str:
         """Return what an event means now: the action of its key, or what it says itself."""
@@ -160,7 +161,7 @@ class WorkbenchController:
             if self.queue.opened is None:
                 return
             if self.runner.running is not None and (
-                self.runner.line or self.runner.tool or self.tab_name != "stars"
+                self.runner.line or self.runner.tool or not self.current_tab.clicks_look
             ):
                 self.runner.wait_in_line(task)
             else:

@@ -246,6 +246,7 @@ class StarsTab(Tab):
     """The tab of the stars."""
 
     name = "stars"
+    clicks_look = True
 
     def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
         super().__init__(runner, registry)

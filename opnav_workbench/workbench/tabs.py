@@ -449,6 +449,7 @@ class Tab:
     """A tab.  Each public attribute is for the workbench that holds it."""
 
     name = ""
+    clicks_look = False  # whether a click without a tool only looks around
 
     def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
         self.runner = runner
