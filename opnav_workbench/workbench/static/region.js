@@ -33,9 +33,15 @@ function morph(node, wanted) {
 // Whether the kernel answers: one watch for all regions of a workbench.  Only what tells that it has ended makes it dead.
 class Life {
   constructor(root) {
-    Object.assign(this, { root, asked: 0, heard: Date.now() });
+    Object.assign(this, { root, asked: 0, heard: Date.now(), listening: new AbortController() });
     this.watch = setInterval(() => this.look(), 500);
-    document.addEventListener("opnav-kernel-ended", () => this.end()); // where a front end tells
+    const { signal } = this.listening; // else the page keeps every workbench that it has shown
+    document.addEventListener("opnav-kernel-ended", () => this.end(), { signal }); // where a front end tells
+  }
+
+  stop() {
+    clearInterval(this.watch);
+    this.listening.abort();
   }
 
   ask() {
@@ -64,7 +70,7 @@ class Life {
   }
 
   end() {
-    clearInterval(this.watch);
+    this.stop();
     delete this.root.dataset.owWait;
     if (this.root.classList.contains("ow-dead")) return;
     this.root.classList.add("ow-dead");
@@ -325,7 +331,7 @@ function render({ model, el }) {
     if (model.get("keymap").length) adopt(shell, post);
   };
   attached();
-  return () => clearInterval(shell?.owLife?.watch);
+  return () => shell?.owLife?.stop();
 }
 
 export default { render };
