@@ -24,7 +24,13 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.directions import ParameterDirection, directions_of, is_determined, scales_of
 from opnav_workbench.estimation.measurements import Dynamics, Measurements, measurements_of
-from opnav_workbench.estimation.parameters import APriori, ParameterGroup, parse_groups, prior_rows
+from opnav_workbench.estimation.parameters import (
+    APriori,
+    ParameterGroup,
+    parse_groups,
+    prior_rows,
+    relative_state_matrix,
+)
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.observables import Observable
 from opnav_workbench.robust import equal_sigmas
@@ -225,12 +231,7 @@ class Estimate:
         body
             An observed body; empty for the system as a whole.
         """
-        matrix = np.zeros((6, len(self.correction)))
-        for group in self.groups:
-            mover, _, quantity = group.kind.partition("_")
-            if quantity in ("position", "velocity") and group.moves(body):
-                rows = slice(0, 3) if quantity == "position" else slice(3, 6)
-                matrix[rows, group.columns] += np.eye(3) * (1.0 if mover == "spacecraft" else -1.0)
+        matrix = relative_state_matrix(self.groups, len(self.correction), body)
         return matrix @ self.correction, symmetric(matrix @ self.covariance @ matrix.T)
 
 
@@ -347,15 +348,16 @@ def observability(
     return _directions(problem, np.zeros(problem.prior.shape[1]))
 
 
-def _problem(
-    observables: Sequence[Observable],
-    parameters: Sequence[str],
-    epoch_et: float | None,
-    a_priori: APriori | None,
-    transitions: tuple[Transition, Transition],
-    statuses: Sequence[str],
-) -> tuple[_Problem, tuple[str, ...]]:
-    groups = parse_groups(parameters)
+def usable_observables(
+    observables: Sequence[Observable], groups: Sequence[ParameterGroup], statuses: Sequence[str]
+) -> tuple[list[Observable], tuple[str, ...]]:
+    """Return what can be estimated from, and what is left out, in words.
+
+    Raises
+    ------
+    EstimationError
+        Nothing is usable, or a parameter is of a body that nobody has seen.
+    """
     usable = [o for o in observables if o.observed_px is not None and o.status in statuses]
     if not usable:
         raise EstimationError(
@@ -366,9 +368,22 @@ def _problem(
     absent = [g.name for g in groups if g.body and g.body.casefold() not in names]
     if absent:
         raise EstimationError(f"{', '.join(absent)}: no observable of that body.")
+    kept = {id(o) for o in usable}
+    return usable, tuple(f"{o.name} in {o.image}: {o.status}" for o in observables if id(o) not in kept)
+
+
+def _problem(
+    observables: Sequence[Observable],
+    parameters: Sequence[str],
+    epoch_et: float | None,
+    a_priori: APriori | None,
+    transitions: tuple[Transition, Transition],
+    statuses: Sequence[str],
+) -> tuple[_Problem, tuple[str, ...]]:
+    groups = parse_groups(parameters)
+    usable, left_out = usable_observables(observables, groups, statuses)
     dynamics = Dynamics(max(o.et for o in usable) if epoch_et is None else epoch_et, *transitions)
     measured = measurements_of(usable, groups, dynamics)
-    left_out = tuple(f"{o.name} in {o.image}: {o.status}" for o in observables if o not in usable)
     everything = np.ones(len(usable), bool), np.ones(len(measured.range_of), bool)
     return _Problem(usable, groups, dynamics, measured, prior_rows(groups, a_priori), *everything), left_out
 
@@ -439,16 +454,21 @@ def _postfit_residuals(problem: _Problem, solution: _Solution) -> tuple[PostfitR
     )
 
 
-def _reject(problem: _Problem, outlier: PostfitResidual, reject_sigmas: float) -> None:
-    mask = problem.centers if outlier.kind == "center" else problem.ranges
-    mask[outlier.number] = False
-    rejected = int((~problem.centers).sum() + (~problem.ranges).sum())
-    total = len(problem.centers) + len(problem.ranges)
+def require_few_rejected(rejected: int, total: int, reject_sigmas: float) -> None:
+    """Refuse to go on when outliers are no exception any more."""
     if rejected > MOST_REJECTED * total:
         raise EstimationError(
             f"{rejected} of {total} measurements are more than {reject_sigmas:g} sigma off: the sigmas or the "
             "parameters do not fit the pictures; estimate more, or look at the centers."
         )
+
+
+def _reject(problem: _Problem, outlier: PostfitResidual, reject_sigmas: float) -> None:
+    mask = problem.centers if outlier.kind == "center" else problem.ranges
+    mask[outlier.number] = False
+    rejected = int((~problem.centers).sum() + (~problem.ranges).sum())
+    total = len(problem.centers) + len(problem.ranges)
+    require_few_rejected(rejected, total, reject_sigmas)
     problem.reasons[outlier.kind, outlier.number] = outlier.reason
 
 

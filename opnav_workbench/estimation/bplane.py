@@ -17,7 +17,7 @@ Reference: Kizner (1961), Planetary and Space Science 7, 125, doi:10.1016/0032-0
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,13 +25,13 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.constants import OBLIQUITY_J2000_RAD
 from opnav_workbench.errors import EstimationError
-from opnav_workbench.estimation.batch import Estimate
 from opnav_workbench.geometry.differences import jacobian_by_differences
 
 __all__ = [
     "BPlane",
     "BPlaneSolution",
     "ErrorEllipse",
+    "RelativeState",
     "b_plane",
     "b_plane_partials",
     "error_ellipse",
@@ -296,8 +296,15 @@ def error_ellipse(covariance_km2: ArrayLike) -> ErrorEllipse:
     return ErrorEllipse(major, minor, float(np.arctan2(vectors[1, 1], vectors[0, 1]) % np.pi))
 
 
+class RelativeState(Protocol):
+    """What corrects the spacecraft's state relative to a body: an `Estimate`, a `FilterEstimate`, or one of your own."""
+
+    def relative_state(self, body: str = "") -> tuple[FloatArray, FloatArray]:
+        """Return the correction (6,), km and km/s at the epoch, J2000, and its covariance (6, 6)."""
+
+
 def map_to_b_plane(
-    estimate: Estimate,
+    estimate: RelativeState,
     position_km: ArrayLike,
     velocity_km_s: ArrayLike,
     gm_km3_s2: float = 0.0,
@@ -309,6 +316,8 @@ def map_to_b_plane(
 
     Parameters
     ----------
+    estimate
+        Of the batch or of the filter.
     position_km, velocity_km_s : (3,) array_like
         A priori spacecraft relative to the body at the estimate's epoch, J2000, geometric.
     gm_km3_s2, pole

@@ -9,7 +9,14 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import EstimationError
 
-__all__ = ["APriori", "ParameterGroup", "parameter_count", "parse_groups", "prior_rows"]
+__all__ = [
+    "APriori",
+    "ParameterGroup",
+    "parameter_count",
+    "parse_groups",
+    "prior_rows",
+    "relative_state_matrix",
+]
 
 PARAMETER_UNITS = {
     "target_position": "km",
@@ -104,6 +111,23 @@ def parse_groups(names: Sequence[str]) -> tuple[ParameterGroup, ...]:
 def parameter_count(groups: Sequence[ParameterGroup]) -> int:
     """Return the number of parameters."""
     return sum(group.size for group in groups)
+
+
+def relative_state_matrix(groups: Sequence[ParameterGroup], count: int, body: str = "") -> FloatArray:
+    """Return d(spacecraft's state relative to a body, at the epoch)/d(parameters), (6, count).
+
+    Parameters
+    ----------
+    body
+        An observed body; empty for the system as a whole.
+    """
+    matrix = np.zeros((6, count))
+    for group in groups:
+        mover, _, quantity = group.kind.partition("_")
+        if quantity in ("position", "velocity") and group.moves(body):
+            rows = slice(0, 3) if quantity == "position" else slice(3, 6)
+            matrix[rows, group.columns] += np.eye(3) * (1.0 if mover == "spacecraft" else -1.0)
+    return matrix
 
 
 def prior_rows(groups: Sequence[ParameterGroup], a_priori: APriori | None) -> FloatArray:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.errors import EstimationError, SessionError
 from opnav_workbench.estimation import BPlane, Estimate, b_plane, b_plane_partials, estimate, straight_line
-from opnav_workbench.estimation.parameters import parameter_count, parse_groups
+from opnav_workbench.estimation.parameters import parameter_count, parse_groups, relative_state_matrix
 from opnav_workbench.files import write_json
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.mission import load_mission
@@ -373,7 +373,7 @@ def solve_rehearsal(
     )
     after, after_covariance = found.relative_state(flyby.body)
     before_covariance = _a_priori_covariance(found)
-    relative = _relative_matrix(found, flyby)
+    relative = relative_state_matrix(found.groups, len(found.correction), flyby.body)
     return OrtSolution(
         package=package.name,
         epoch_utc=package.epoch_utc,
@@ -402,17 +402,6 @@ def solve_rehearsal(
 def _a_priori_covariance(found: Estimate) -> FloatArray:
     rows = found.a_priori_rows
     return symmetric(np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64))
-
-
-def _relative_matrix(found: Estimate, flyby: PredictedFlyby) -> FloatArray:
-    """Return d(relative state)/d(parameters), (6, n)."""
-    matrix = np.zeros((6, len(found.correction)))
-    for group in found.groups:
-        mover, _, quantity = group.kind.partition("_")
-        if quantity in ("position", "velocity") and group.moves(flyby.body):
-            rows = slice(0, 3) if quantity == "position" else slice(3, 6)
-            matrix[rows, group.columns] += np.eye(3) * (1.0 if mover == "spacecraft" else -1.0)
-    return matrix
 
 
 def _residual_row(residual: Any) -> dict[str, Any]:
