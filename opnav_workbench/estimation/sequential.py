@@ -457,8 +457,8 @@ def _with_models(
     m = len(observables)
     moved = np.zeros((m, 6, len(layout.models)))
     for k, model in enumerate(layout.models):
-        if model.trajectory is not None:
-            moved[:, :, k] = [model.trajectory(dynamics.epoch_et, o.et) for o in observables]
+        if (trajectory := model.trajectory) is not None:
+            moved[:, :, k] = np.array([trajectory(dynamics.epoch_et, o.et) for o in observables], float)
     none = np.zeros((m, 3, len(layout.models)))
     return replace(
         measured,
@@ -478,7 +478,7 @@ def _direct_partials(observables: Sequence[Observable], rows: int, layout: _Layo
         centers = slice(2 * i, 2 * i + 2)
         for k, model in enumerate(layout.models):
             if model.pixels is not None:
-                direct[centers, start + k] = model.pixels(o)
+                direct[centers, start + k] = np.asarray(model.pixels(o), float)
         for source in layout.sources:
             if not isinstance(source.kind, Acceleration):
                 direct[centers, source.columns] = source.kind.partials(o)
@@ -566,7 +566,7 @@ def _increments(
     for acceleration, columns in layout.accelerations:
         if not acceleration.acts(start_et, end_et):
             continue
-        rows = [place[int(c)] for c in layout.mover_columns(acceleration.mover)]
+        rows = np.array([place[int(c)] for c in layout.mover_columns(acceleration.mover)])
         v, g, h = acceleration_increments(acceleration, end_et - start_et, *weights[acceleration.mover])
         further = np.zeros((n, h.shape[1]))
         further[rows] = h
@@ -658,8 +658,8 @@ def _whitened(
     layout = problem.layout
     residual, partials = picture.evaluate(reference)
     residual = residual + partials @ reference
-    chosen = np.concatenate([rows for (_, _, rows), u in zip(picture.units, used, strict=True) if u] or [[]])
-    rows = chosen.astype(np.int64)
+    chosen = [unit[2] for unit, u in zip(picture.units, used, strict=True) if u]
+    rows = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
     factor = np.linalg.cholesky(picture.measured.covariance[np.ix_(rows, rows)])
     table = np.column_stack(
         [partials[rows][:, layout.solved], residual[rows], partials[rows][:, layout.considered]]
@@ -819,19 +819,35 @@ def _scatter(
     partials: FloatArray,
     at: Smoothed,
 ) -> list[PostfitResidual]:
-    """Residuals of a picture over what the fit predicts for them, considered parameters included."""
-    layout = problem.layout
-    own = partials[:, layout.solved]
-    mapped = own @ at.root @ at.root.T @ own.T
-    by_considered = (partials[:, layout.considered] - own @ at.state[:, 1:]) @ problem.considered_root
-    further = by_considered @ by_considered.T
-    covariance = picture.measured.covariance
-    return [
-        postfit_residual(
-            kind, unit, rows, bool(u), residual, covariance, mapped - further if u else mapped + further
-        )
-        for unit, ((kind, _, rows), u) in enumerate(zip(picture.units, used, strict=True))
-    ]
+    """Residuals of a picture over what the fit predicts for them, considered parameters included.
+
+    What is not used is held against the used centers of its picture too, whose pointing error it shares.
+    """
+    chosen = [rows for (_, _, rows), u in zip(picture.units, used, strict=True) if u]
+    of_used = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
+    judged = []
+    for unit, ((kind, _, rows), u) in enumerate(zip(picture.units, used, strict=True)):
+        others = of_used[:0] if u else of_used
+        left, own, moved = _given_others(picture.measured.covariance, residual, partials, rows, others)
+        solved = moved[:, problem.layout.solved]
+        by_state = solved @ at.root
+        by_considered = moved[:, problem.layout.considered] - solved @ at.state[:, 1:]
+        further = by_considered @ problem.considered_root
+        mapped = by_state @ by_state.T + (-1.0 if u else 1.0) * further @ further.T
+        all_rows = np.arange(len(rows))
+        scatter = postfit_residual(kind, unit, all_rows, bool(u), left, own, mapped)
+        judged.append(replace(scatter, rows=rows))
+    return judged
+
+
+def _given_others(
+    covariance: FloatArray, residual: FloatArray, partials: FloatArray, rows: IntArray, others: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Residual, covariance and partials of measurements, less what errors that they share with others explain."""
+    weight = np.linalg.solve(covariance[np.ix_(others, others)], covariance[np.ix_(others, rows)]).T
+    left = residual[rows] - weight @ residual[others]
+    own = covariance[np.ix_(rows, rows)] - weight @ covariance[np.ix_(others, rows)]
+    return left, own, partials[rows] - weight @ partials[others]
 
 
 def _leave_out(problem: _Problem, k: int, outlier: PostfitResidual, reject_sigmas: float) -> None:
@@ -937,6 +953,7 @@ def _filter_residuals(
     for k, (picture, reference) in enumerate(zip(problem.pictures, references, strict=True)):
         partials = picture.evaluate(reference)[1]
         a_priori = picture.evaluate(np.zeros(problem.layout.count))[0]
+        smoothed = picture.evaluate(_full(problem.layout, found.smoothed[k].state[:, 0]))[0]
         before, after = (_passed(problem, picture, at[k]) for at in (found.before, found.after))
         sizes = _predicted_sizes(problem, picture, found.before[k], before, partials)
         for unit, (kind, number, rows) in enumerate(picture.units):
@@ -950,7 +967,7 @@ def _filter_residuals(
                     a_priori=a_priori[rows],
                     before=before[rows],
                     after=after[rows],
-                    smoothed=scatter.residual,
+                    smoothed=smoothed[rows],
                     covariance=picture.measured.covariance[np.ix_(rows, rows)],
                     before_sigmas=sizes[unit],
                     sigmas=scatter.sigmas,

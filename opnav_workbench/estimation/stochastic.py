@@ -374,7 +374,7 @@ def _noise_root(steps: float) -> FloatArray:
     half = 0.5 * np.diff(edges)[:, None]
     u = (edges[:-1, None] + half * (1.0 + nodes)).ravel()
     rows = _response(u) * np.sqrt(2.0 * (half * weights).ravel())
-    root = np.linalg.qr(rows.T, mode="r").T
+    root = np.asarray(np.linalg.qr(rows.T, mode="r")).T
     return np.asarray(root * np.where(np.diag(root) < 0.0, -1.0, 1.0))
 
 
