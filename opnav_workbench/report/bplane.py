@@ -4,7 +4,7 @@ T to the right and R down, as target planes are drawn: with a pole in the north,
 solution has a marker of its own as well.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 
 import numpy as np
@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.estimation import BPlane, BPlaneSolution
+from opnav_workbench.constants import DAY_S
+from opnav_workbench.estimation import BPlane, BPlaneCutoff, BPlaneSolution
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.report.drawing import SERIES_COLORS, error_ellipse_patch, new_figure
 
-__all__ = ["bplane_figure"]
+__all__ = ["bplane_figure", "bplane_history_figure"]
 
 MARKERS = ("o", "s", "^", "D", "v")
 SIGMAS = (1.0, 3.0)
@@ -64,6 +65,89 @@ def bplane_figure(
     _draw_close_up(close, solutions, marks)
     _draw_arrivals(times, solutions, marks)
     return figure
+
+
+def bplane_history_figure(
+    history: Sequence[BPlaneCutoff], *, points: Mapping[str, BPlane] | None = None, title: str = ""
+) -> Figure:
+    """Draw what was known of a flyby against the time of data cutoff.
+
+    Parameters
+    ----------
+    history
+        As `estimation.b_plane_history` returns it; cutoffs without a solution are left out.
+    points
+        Further flybys, such as the truth or the aim point.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Left the 1-sigma ellipses in the B-plane, pale to dark as pictures come in; right B.T, B.R and arrival against the
+        last picture, with 1 sigma.
+
+    Raises
+    ------
+    ValueError
+        No cutoff has a solution.
+    """
+    solved = [(cutoff, cutoff.solution) for cutoff in history if cutoff.solution is not None]
+    if not solved:
+        raise ValueError("no data cutoff with a solution to draw")
+    reference = solved[0][1].a_priori
+    marks = {name: point.in_axes_of(reference) for name, point in (points or {}).items()}
+    figure = new_figure(12.0, 5.4, title or _heading(reference), fontsize=11)
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 1.1))
+    _draw_cutoffs(figure.add_subplot(grid[:, 0]), solved, marks)
+    for row, name in enumerate(("B·T, km", "B·R, km", "arrival, s")):
+        axes = figure.add_subplot(grid[row, 1])
+        _draw_course(axes, solved, marks, row)
+        axes.set_ylabel(name)
+        axes.tick_params(labelsize=8, labelbottom=row == 2)
+    axes.set_xlabel("data cutoff, days before the last picture")
+    return figure
+
+
+def _draw_cutoffs(
+    axes: Axes, solved: Sequence[tuple[BPlaneCutoff, BPlaneSolution]], marks: Mapping[str, FloatArray]
+) -> None:
+    corners = []
+    for k, (cutoff, solution) in enumerate(solved):
+        dark = 0.25 + 0.75 * (k + 1) / len(solved)
+        axes.add_patch(
+            error_ellipse_patch(
+                solution.values_after,
+                solution.covariance,
+                1.0,
+                edgecolor=SERIES_COLORS[0],
+                linewidth=1.2,
+                alpha=dark,
+            )
+        )
+        label = f"{cutoff.pictures} pictures" if k == len(solved) - 1 else None
+        axes.plot(*solution.values_after[:2], ".", color=SERIES_COLORS[0], alpha=dark, label=label)
+        corners += [solution.values_after + sign * solution.sigma for sign in (-1.0, 1.0)]
+    _draw_marks(axes, marks)
+    _square(axes, np.array([*corners, *marks.values()])[:, :2], None)
+    axes.set_title("1 sigma after each picture", fontsize=10)
+    axes.legend(fontsize=8, loc="best")
+
+
+def _draw_course(
+    axes: Axes,
+    solved: Sequence[tuple[BPlaneCutoff, BPlaneSolution]],
+    marks: Mapping[str, FloatArray],
+    row: int,
+) -> None:
+    """One value against the cutoff; arrivals relative to the a priori one."""
+    zero = solved[0][1].values_before[2] if row == 2 else 0.0
+    last = solved[-1][0].cutoff_et
+    days = [(cutoff.cutoff_et - last) / DAY_S for cutoff, _ in solved]
+    values = [solution.values_after[row] - zero for _, solution in solved]
+    sigmas = [solution.sigma[row] for _, solution in solved]
+    axes.errorbar(days, values, yerr=sigmas, color=SERIES_COLORS[0], marker="o", markersize=4, capsize=3)
+    for style, (name, mark) in zip(cycle(("-", "--", ":")), marks.items(), strict=False):
+        axes.axhline(mark[row] - zero, color="k", linestyle=style, linewidth=0.9, label=name)
+    axes.grid(alpha=0.25)
 
 
 def _heading(reference: BPlane) -> str:
@@ -177,10 +261,11 @@ def _draw_marks(axes: Axes, marks: Mapping[str, FloatArray]) -> None:
         axes.plot(*values[:2], marker, color="k", markersize=8, linestyle="none", label=name)
 
 
-def _square(axes: Axes, places: FloatArray, radius_km: float) -> None:
-    """Show all places and the body in a square, R growing downward."""
+def _square(axes: Axes, places: FloatArray, radius_km: float | None) -> None:
+    """Show all places, and the body if there is one, in a square, R growing downward."""
     low, high = places.min(axis=0), places.max(axis=0)
-    low, high = np.minimum(low, -radius_km), np.maximum(high, radius_km)
+    if radius_km is not None:
+        low, high = np.minimum(low, -radius_km), np.maximum(high, radius_km)
     half = (0.5 + MARGIN) * max(float((high - low).max()), 1e-6)
     center = 0.5 * (low + high)
     axes.set(xlim=(center[0] - half, center[0] + half), ylim=(center[1] + half, center[1] - half))

@@ -46,7 +46,7 @@ def mass_on_springs(state):
 
 
 def test_mass_on_two_springs_as_published():
-    """Eleven ranges and rates of unit weight; published: 3.00019 m, 1.18181e-3 m/s, residuals 1.16e-4 and 4.66e-4 rms."""
+    """Eleven ranges and rates of unit weight; published: 3.00019 m, 1.18181e-3 m/s, residuals 1.16e-4, 4.66e-4 rms."""
     ranges, rates = (np.array(text.split(), float) for text in (RANGES, RATES))
     w = np.sqrt((SPRINGS["k1"] + SPRINGS["k2"]) / SPRINGS["mass"])
     moved = np.array([[np.cos(w), np.sin(w) / w], [-w * np.sin(w), np.cos(w)]])  # by one second

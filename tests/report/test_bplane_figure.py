@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from matplotlib.patches import Ellipse
 
-from opnav_workbench.estimation import b_plane
+from opnav_workbench.constants import DAY_S
+from opnav_workbench.estimation import BPlaneCutoff, b_plane
 from opnav_workbench.estimation.bplane import BPlaneSolution
-from opnav_workbench.report.bplane import bplane_figure
+from opnav_workbench.report.bplane import bplane_figure, bplane_history_figure
 from opnav_workbench.report.drawing import png_bytes
 
 VELOCITY = np.array([0.0, -13.78, 0.0])
@@ -55,3 +56,26 @@ def test_figure_shows_solutions_and_truth(flybys, solutions):
 def test_figure_without_a_solution_is_an_error():
     with pytest.raises(ValueError, match="at least one"):
         bplane_figure({})
+
+
+def test_history_shows_every_cutoff(flybys, solutions):
+    history = [BPlaneCutoff("a", 0.0, 1, None, reason="not determined")]
+    history += [
+        BPlaneCutoff(name, (k + 1) * DAY_S, k + 2, solution)
+        for k, (name, solution) in enumerate(solutions.items())
+    ]
+    figure = bplane_history_figure(history, points={"truth": flybys[1]})
+    plane, *courses = figure.axes
+    assert [patch.width for patch in plane.patches] == pytest.approx(
+        [2.0 * s.ellipse.semi_major_km for s in solutions.values()]
+    )
+    assert plane.get_ylim()[0] > plane.get_ylim()[1]  # R points down
+    for row, axes in enumerate(courses):
+        (line,) = [x for x in axes.containers[0].lines if hasattr(x, "get_xdata")]
+        assert list(line.get_xdata()) == [-1.0, 0.0]
+        expected = [
+            s.values_after[row] - (s.values_before[2] if row == 2 else 0.0) for s in solutions.values()
+        ]
+        assert list(line.get_ydata()) == pytest.approx(expected)
+    with pytest.raises(ValueError, match="no data cutoff"):
+        bplane_history_figure(history[:1])
