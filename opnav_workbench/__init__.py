@@ -47,6 +47,8 @@ this list to its top; a package imports what stands below it.
     O, C, O-C, covariances and partials of bodies' centers; their files.
 ``calibration``
     Optics, mounting and PSF of a camera from its own star pictures.
+``landmarks``
+    Small patches of a body's surface found in pictures, and the camera's pose from them.
 ``bodies``
     Centers of target bodies in a picture.
 ``stars``
@@ -114,6 +116,8 @@ Where to change what
 --------------------
 how a limb scan is chosen
     ``bodies.limb_scan.selection``; by hand in ``session.body_steps`` and ``workbench.limb_scan_choice``
+how landmarks are drawn, matched and judged
+    ``landmarks.drawing``, ``landmarks.matching``, ``landmarks.finder``; the pose: ``landmarks.pose``
 how a body's center is found
     a module of ``bodies`` beside ``bodies.cross_correlation``; which one "auto" means: ``bodies.method``
 a star catalog
@@ -155,6 +159,8 @@ journal
     All steps and decisions of a session, in order, with time and outcome.
 kernel
     A file of SPICE; a kernel set is what one metakernel loads.
+landmark, maplet
+    A point of a body's surface that pictures are searched for; the patch of heights and albedo about it.
 limb, terminator
     The edge of a body against the sky; the edge of its lit part.
 night

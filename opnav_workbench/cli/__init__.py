@@ -36,6 +36,8 @@ One module a command or group of commands; nothing else in the package imports t
     SPICE kernels: list, check, fetch, make, brief, geometry, make-ck.
 ``kernel_tables``
     What the kernels commands print.
+``landmarks``
+    Maplets of a body: made from its shape, shown.
 ``catalog``
     Star catalogs: list, info, build, fetch, cone.
 ``calibrate``

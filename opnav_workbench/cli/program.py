@@ -87,6 +87,11 @@ COMMANDS = {
         "kernels_app",
         "SPICE kernels: list, check, fetch and make them, look into them, and use them.",
     ),
+    "landmarks": CommandEntry(
+        "landmarks",
+        "landmarks_app",
+        "Landmarks: make maplets of a body from its shape and albedo map, and show what a file of them holds.",
+    ),
     "catalog": CommandEntry("catalog", "catalog_app", "Star catalogs: list, info, build, fetch, cone."),
     "calibrate": CommandEntry(
         "calibrate",

@@ -18,10 +18,11 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.results import BODY_STATUSES
 from opnav_workbench.contracts.kinds import KINDS, Kind, kind_of_content
 from opnav_workbench.contracts.layouts import has_negative_variance, residual_off_px
-from opnav_workbench.errors import OpNavError, SessionError
+from opnav_workbench.errors import MissionError, OpNavError, SessionError
 from opnav_workbench.files import read_json as read_json_file
 from opnav_workbench.format_versions import as_of_today
 from opnav_workbench.geometry.times import et_from_text
+from opnav_workbench.landmarks import Maplets
 from opnav_workbench.observables import Observable, read_csv, read_ecsv, read_json, read_tdm, tdm_table
 from opnav_workbench.observables.observable import LIGHT_TIMES
 from opnav_workbench.yaml_file import file_faults, read_content
@@ -74,12 +75,14 @@ def check_file(path: str | Path, kind: str | None = None) -> Checked:
         )
     if ending == ".tdm":
         return Checked(file, "tracking data message", tuple(_tdm_faults(file)))
+    if ending == ".npz":
+        return Checked(file, "maplets", tuple(_maplet_faults(file)))
     if ending in YAML_ENDINGS:
         return _checked_yaml(file, kind)
     if ending == ".json":
         return _checked_json(file, kind)
     raise SessionError(
-        f"{file} has no ending that tells what it is; check {', '.join((*YAML_ENDINGS, '.json', *TABLES, '.tdm'))} files."
+        f"{file} has no ending that tells what it is; check {', '.join((*YAML_ENDINGS, '.json', *TABLES, '.tdm', '.npz'))} files."
     )
 
 
@@ -141,6 +144,16 @@ def _json_fault(problem: Mapping[str, Any]) -> str:
     given = problem["input"]
     shown = f", not {json.dumps(given)}" if isinstance(given, str | int | float | None) else ""
     return f"{place}: {str(problem['msg']).removeprefix('Value error, ')}{shown}"
+
+
+# ---- Maplets
+
+
+def _maplet_faults(file: Path) -> Iterator[str]:
+    try:
+        Maplets.read(file)
+    except MissionError as error:
+        yield _without_label(str(error), file, "maplets")
 
 
 # ---- Observables

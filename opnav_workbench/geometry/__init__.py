@@ -20,7 +20,12 @@ Come in by the functions that the package exports, such as `apparent_direction`,
     UTC and TDB seconds past J2000 without kernels.
 """
 
-from opnav_workbench.geometry.aberration import Convention, apparent_direction, geometric_direction
+from opnav_workbench.geometry.aberration import (
+    Convention,
+    aberration_jacobian,
+    apparent_direction,
+    geometric_direction,
+)
 from opnav_workbench.geometry.conics import (
     Ellipse,
     ellipse_from_conic,
@@ -50,6 +55,7 @@ from opnav_workbench.geometry.spacemotion import et_from_jyear, jyear_from_et, p
 __all__ = [
     "Convention",
     "Ellipse",
+    "aberration_jacobian",
     "angle_between",
     "apparent_direction",
     "camera_from_j2000",

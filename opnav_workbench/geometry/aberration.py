@@ -21,7 +21,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.geometry.rotations import unit
 
-__all__ = ["Convention", "apparent_direction", "geometric_direction"]
+__all__ = ["Convention", "aberration_jacobian", "apparent_direction", "geometric_direction"]
 
 Convention = Literal["spice", "relativistic"]
 
@@ -88,6 +88,18 @@ def geometric_direction(
     if convention == "relativistic":
         return _boost(n, -beta)
     return unit(n - beta)
+
+
+def aberration_jacobian(directions: ArrayLike, velocity_km_s: ArrayLike) -> FloatArray:
+    """Return d(apparent direction)/d(geometric one) (..., 3, 3) at unit vectors (..., 3), in SPICE's convention.
+
+    The apparent direction n' satisfies n = unit(n' - beta): n' = beta + k n with k from |n'| = 1.
+    """
+    n, beta = np.asarray(directions, float), np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S
+    along = _dot(n, beta)
+    root = np.sqrt(along**2 + 1.0 - _dot(beta, beta))
+    gradient = beta * (along / root - 1.0)
+    return np.asarray((root - along)[..., None] * np.eye(3) + n[..., :, None] * gradient[..., None, :])
 
 
 def _boost(n: FloatArray, beta: FloatArray) -> FloatArray:

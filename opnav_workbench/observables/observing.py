@@ -16,10 +16,15 @@ from opnav_workbench.bodies import BodyCenter, BodyFlag, JointCenters
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import apparent_direction, geometric_direction, radec_from_unit, tangent_basis
+from opnav_workbench.geometry import (
+    aberration_jacobian,
+    apparent_direction,
+    geometric_direction,
+    radec_from_unit,
+    tangent_basis,
+)
 from opnav_workbench.observables.observable import LIGHT_TIMES, Observable
 from opnav_workbench.observables.partials import (
-    aberration_jacobian,
     numerical_position_partials,
     numerical_target_partials,
     seen_place_jacobian,

@@ -29,12 +29,11 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import apparent_direction, unit
+from opnav_workbench.geometry import aberration_jacobian, apparent_direction, unit
 from opnav_workbench.geometry.differences import STEP_COUNT, STEP_RATIO, limit_of_slopes
 from opnav_workbench.geometry.light_time import LIGHT_TIME_PASSES, light_time_jacobian, where_light_left
 
 __all__ = [
-    "aberration_jacobian",
     "analytic_position_partials",
     "analytic_target_partials",
     "numerical_position_partials",
@@ -173,19 +172,6 @@ def seen_place_jacobian(position_km: ArrayLike, target_velocity_km_s: ArrayLike 
     if target_velocity_km_s is None:
         return np.eye(3)
     return light_time_jacobian(position_km, target_velocity_km_s)
-
-
-def aberration_jacobian(direction: ArrayLike, velocity_km_s: ArrayLike) -> FloatArray:
-    """Derivative of the apparent direction with respect to the geometric one (SPICE's convention), (3, 3).
-
-    The apparent direction n' satisfies n = unit(n' - beta): n' = beta + k n with k from |n'| = 1.
-    """
-    geometric, beta = np.asarray(direction, float), np.asarray(velocity_km_s, float) / SPEED_OF_LIGHT_KM_S
-    along = float(beta @ geometric)
-    root = np.sqrt(along**2 + 1.0 - beta @ beta)
-    k = -along + root
-    gradient = beta * (along / root - 1.0)
-    return np.asarray(k * np.eye(3) + np.outer(geometric, gradient))
 
 
 def _of_seen_position(

@@ -1,0 +1,65 @@
+"""Landmarks: small patches of a body's surface, found in pictures, and the camera's pose from them.
+
+Enter by `Maplets.read` (or `make_maplets`, from a shape) and `find_landmarks` on a `BodyPicture`; by `pose_from_landmarks`
+for measured points of any origin.
+
+``maplets``
+    Patches of the surface: heights and albedo on local grids, their file.
+``making``
+    Maplets made from a shape or an ellipsoid, with an albedo map.
+``prediction``
+    Where landmarks appear, which can be found, and their partials.
+``drawing``
+    Maplets drawn as the picture would see them.
+``matching``
+    Correlation and fit of a patch; what its residuals say of its error.
+``results``
+    Centers, statuses and poses.
+``pose``
+    Position and attitude of the camera, robust, with covariance.
+``finder``
+    From a picture to judged landmarks.
+"""
+
+from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed
+from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
+from opnav_workbench.landmarks.maplets import Maplets
+from opnav_workbench.landmarks.pose import (
+    PosedLandmarks,
+    PoseKnowledge,
+    camera_position_from_landmarks,
+    pose_from_landmarks,
+)
+from opnav_workbench.landmarks.prediction import (
+    LandmarkPartials,
+    LandmarkPrediction,
+    landmark_partials,
+    predict_landmarks,
+)
+from opnav_workbench.landmarks.results import (
+    LANDMARK_STATUSES,
+    LandmarkCenters,
+    LandmarkSolution,
+    PoseSolution,
+)
+
+__all__ = [
+    "LANDMARK_STATUSES",
+    "LandmarkCenters",
+    "LandmarkPartials",
+    "LandmarkPrediction",
+    "LandmarkSolution",
+    "Maplets",
+    "PoseKnowledge",
+    "PoseSolution",
+    "PosedLandmarks",
+    "camera_position_from_landmarks",
+    "ellipsoid_shape",
+    "find_landmarks",
+    "judge_landmarks",
+    "landmark_partials",
+    "make_maplets",
+    "pose_from_landmarks",
+    "posed",
+    "predict_landmarks",
+]

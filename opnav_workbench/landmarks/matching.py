@@ -1,0 +1,265 @@
+"""A template against the picture: the correlation's peak, then shift, gain and bias by least squares.
+
+What a rendered patch lacks (the terrain between samples, albedo, the law) is no white noise: it is of the patch's own size.
+Its autocorrelation is measured in the residuals of all patches together, and the covariance of a shift is that of a linear
+estimator under it, C = W R W' with R the residuals' covariance: never below the bound that noise alone sets.
+
+Units  px, DN
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.landmarks.drawing import Templates
+
+__all__ = [
+    "PatchFit",
+    "PicturePlanes",
+    "correlate",
+    "fit_patch",
+    "law_share",
+    "pooled_autocorrelation",
+    "with_covariance",
+]
+
+LEAST_PIXELS = 60  # of a template that are covered and good
+MOST_STEPS, STEP_TOLERANCE_PX = 12, 1e-3
+MOST_FIT_SHIFT_PX = 1.5  # from the correlation's peak; farther, the peak was none
+LAGS = 12  # px over which residuals are held to be correlated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PicturePlanes:
+    """The picture as patches are cut from it: light above the sky, its variance, and which pixels count."""
+
+    signal: FloatArray
+    variance: FloatArray
+    good: BoolArray
+
+    def window(self, first: IntArray, size: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return signal, variance and good pixels (size, size) from (pixel, line) on; off the detector nothing is good."""
+        n_line, n_pixel = self.signal.shape
+        x0, y0 = int(first[0]), int(first[1])
+        x, y = max(x0, 0), max(y0, 0)
+        right, bottom = min(x0 + size, n_pixel), min(y0 + size, n_line)
+        signal, variance, good = (
+            np.zeros((size, size)),
+            np.ones((size, size)),
+            np.zeros((size, size), dtype=bool),
+        )
+        if right > x and bottom > y:
+            into = (slice(y - y0, bottom - y0), slice(x - x0, right - x0))
+            of = (slice(y, bottom), slice(x, right))
+            signal[into], variance[into], good[into] = self.signal[of], self.variance[of], self.good[of]
+        return signal, variance, good
+
+
+def correlate(planes: PicturePlanes, templates: Templates, row: int, radius: int) -> FloatArray:
+    """Return normalized correlations (2 r + 1, 2 r + 1), [line, pixel], of a template moved by -r .. r px.
+
+    Pixels that are not good, or not the maplet's, are left out; where too few are left the correlation is -1.
+    """
+    wide = templates.size + 2 * radius
+    data, _, good = planes.window(templates.first[row] - radius, wide)
+    template, _, _ = templates.at(row, np.zeros(2))
+    mask = templates.covered[row].astype(np.float64)
+    level = float(data[good].mean()) if good.any() else 0.0
+    weight = good.astype(np.float64)
+    data = (data - level) * weight
+    template = (template - (template * mask).sum() / max(mask.sum(), 1.0)) * mask
+    length = fft.next_fast_len(wide, real=True)
+    of_data = fft.rfft2(np.stack([data, data * data, weight]), (length, length))
+    of_template = np.conj(fft.rfft2(np.stack([template, template * template, mask]), (length, length)))
+    pairs = [(0, 0), (0, 2), (1, 2), (2, 0), (2, 1), (2, 2)]
+    n = 2 * radius + 1
+    dt, d, dd, t, tt, count = (
+        fft.irfft2(of_data[a] * of_template[b], (length, length))[:n, :n] for a, b in pairs
+    )
+    count = np.maximum(count, 1e-9)
+    covariance = dt - d * t / count
+    variance = np.maximum(dd - d * d / count, 0.0) * np.maximum(tt - t * t / count, 0.0)
+    floor = 1e-12 * max(float(variance.max()), 1e-300)
+    score = np.where(variance > floor, covariance / np.sqrt(np.maximum(variance, floor)), -1.0)
+    return np.where(count >= min(LEAST_PIXELS, 0.5 * mask.sum()), np.clip(score, -1.0, 1.0), -1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PatchFit:
+    """A template fitted to the picture.
+
+    Attributes
+    ----------
+    shift_px : (2,) array
+        Of the template as drawn.
+    gain
+        Picture over template.
+    correlation
+        Normalized, of data and model at the fit.
+    residual, weight : (size, size) arrays
+        Data minus model over the sigma of each pixel; weight 0: not used.
+    operator : (2, size, size) array
+        d(shift) / d(residual).
+    noise_covariance_px2 : (2, 2) array
+        By the picture's noise alone.
+    """
+
+    shift_px: FloatArray
+    gain: float
+    correlation: float
+    residual: FloatArray
+    weight: FloatArray
+    operator: FloatArray
+    noise_covariance_px2: FloatArray
+
+
+def fit_patch(planes: PicturePlanes, templates: Templates, row: int, whole: IntArray) -> PatchFit | None:
+    """Fit shift, gain, bias and a slope of the bias; None where that does not converge.
+
+    Parameters
+    ----------
+    whole : (2,) array of int
+        Shift of the correlation's peak, whole pixels: the fit looks about it.
+    """
+    data, variance, good = planes.window(templates.first[row] + whole, templates.size)
+    used = good & templates.covered[row]
+    if used.sum() < LEAST_PIXELS:
+        return None
+    sigma = np.sqrt(variance[used])
+    y, x = (grid[used] / templates.size for grid in np.mgrid[: templates.size, : templates.size])
+    shift, gain = np.zeros(2), 1.0
+    measured = data[used] / sigma
+    for _ in range(MOST_STEPS):
+        template, by_pixel, by_line = (plane[used] / sigma for plane in templates.at(row, shift))
+        nuisance = np.stack([template, 1.0 / sigma, x / sigma, y / sigma], axis=1)
+        light, *_ = np.linalg.lstsq(nuisance, measured, rcond=None)
+        gain = float(light[0])
+        residual = measured - nuisance @ light
+        design = np.concatenate([gain * np.stack([by_pixel, by_line], axis=1), nuisance], axis=1)
+        normal = design.T @ design
+        scale = np.sqrt(np.diag(normal))
+        if not np.all(scale > 0.0):
+            return None
+        inverse = _inverse(normal / np.outer(scale, scale))
+        if inverse is None:
+            return None
+        inverse /= np.outer(scale, scale)
+        operator = inverse[:2] @ design.T
+        step = operator @ residual
+        shift = shift + np.clip(step, -0.5, 0.5)
+        if np.abs(shift).max() > MOST_FIT_SHIFT_PX:
+            return None
+        if np.abs(step).max() < STEP_TOLERANCE_PX:
+            break
+    else:
+        return None
+    model = measured - residual
+    flat, level = model * sigma, data[used]
+    correlation = float(np.corrcoef(flat, level)[0, 1]) if np.ptp(flat) > 0.0 else 0.0
+    planes_of = [np.zeros(data.shape) for _ in range(4)]
+    for plane, values in zip(
+        planes_of, (residual, operator[0], operator[1], np.ones(len(sigma))), strict=True
+    ):
+        plane[used] = values
+    return PatchFit(
+        shift + whole,
+        gain,
+        correlation,
+        planes_of[0],
+        planes_of[3],
+        np.stack(planes_of[1:3]),
+        inverse[:2, :2],
+    )
+
+
+def _inverse(matrix: FloatArray) -> FloatArray | None:
+    try:
+        factor = np.linalg.inv(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(factor.T @ factor)
+
+
+# ---- How the surface shades its slopes, as the picture has it.
+
+SHARES = np.linspace(0.0, 1.0, 21)
+
+
+def law_share(planes: PicturePlanes, templates: Templates, fits: Sequence[PatchFit | None]) -> float:
+    """Return the share of the templates' second law that fits all patches best, each with its own gain, bias and slope."""
+    lost = np.zeros(len(SHARES))
+    weight = np.stack([1.0 - SHARES, SHARES])
+    for row, fit in enumerate(fits):
+        if fit is None:
+            continue
+        whole = np.rint(fit.shift_px).astype(np.int64)
+        data, variance, _ = planes.window(templates.first[row] + whole, templates.size)
+        used = fit.weight > 0.0
+        y, x = (grid[used] / templates.size for grid in np.mgrid[: templates.size, : templates.size])
+        rows = np.stack([data[used], *templates.by_law(row, fit.shift_px - whole)[:, used]], axis=1)
+        slow = np.stack([np.ones(len(x)), x, y], axis=1) / np.sqrt(variance[used])[:, None]
+        rows = rows / np.sqrt(variance[used])[:, None]
+        rows -= slow @ np.linalg.lstsq(slow, rows, rcond=None)[0]
+        gram = rows.T @ rows
+        own = np.einsum("ks,kl,ls->s", weight, gram[1:, 1:], weight)
+        shared = np.maximum(gram[0, 1:] @ weight, 0.0) ** 2 / np.maximum(own, 1e-300)
+        lost += np.log(np.maximum(gram[0, 0] - shared, 1e-9 * gram[0, 0])) * used.sum()
+    return float(SHARES[np.argmin(lost)])
+
+
+# ---- What the residuals say of the error.
+
+
+def pooled_autocorrelation(fits: Sequence[PatchFit]) -> FloatArray:
+    """Return the autocorrelation (2 lags + 1, 2 lags + 1) of residuals, each patch by its own variance.
+
+    With few pixels a patch's own fit takes out what is slow; a bias of parts in the number of its pixels.
+    """
+    product, count = np.zeros((2 * LAGS + 1,) * 2), np.zeros((2 * LAGS + 1,) * 2)
+    for fit in fits:
+        inside = fit.weight > 0.0
+        variance = float(np.mean(fit.residual[inside] ** 2))
+        if not variance > 0.0:
+            continue
+        product += _lagged(fit.residual) / variance
+        count += _lagged(fit.weight)
+    rho = product / np.maximum(count, 1.0)
+    middle = rho[LAGS, LAGS]
+    return np.asarray(rho / middle) if middle > 0.0 else np.zeros_like(rho)
+
+
+def _lagged(plane: FloatArray) -> FloatArray:
+    """Return sums of products of a plane with itself, moved by up to `LAGS`."""
+    length = fft.next_fast_len(plane.shape[0] + LAGS + 1, real=True)
+    spectrum = fft.rfft2(plane, (length, length))
+    sums = fft.irfft2(spectrum * np.conj(spectrum), (length, length))
+    return np.asarray(np.roll(sums, (LAGS, LAGS), axis=(0, 1))[: 2 * LAGS + 1, : 2 * LAGS + 1])
+
+
+def with_covariance(fit: PatchFit, rho: FloatArray) -> FloatArray:
+    """Return the covariance (2, 2) px^2 of a fit's shift under correlated residuals, at least that of the noise alone."""
+    inside = fit.weight > 0.0
+    freedom = max(int(inside.sum()) - 6, 1)
+    variance = float(np.sum(fit.residual[inside] ** 2)) / freedom
+    length = fft.next_fast_len(fit.weight.shape[0] + 2 * LAGS + 1, real=True)
+    kernel = np.zeros((length, length))
+    kernel[: 2 * LAGS + 1, : 2 * LAGS + 1] = rho
+    spectrum = fft.rfft2(np.roll(kernel, (-LAGS, -LAGS), axis=(0, 1)))
+    size = fit.weight.shape[0]
+    blurred = fft.irfft2(fft.rfft2(fit.operator, (length, length)) * spectrum, (length, length))[
+        :, :size, :size
+    ]
+    by_model = variance * np.einsum("iyx,jyx->ij", fit.operator, blurred)
+    by_model = 0.5 * (by_model + by_model.T)
+    # White residuals of that size bound it from below: an autocorrelation measured on few pixels may dip.
+    white = variance * np.einsum("iyx,jyx->ij", fit.operator, fit.operator)
+    return _larger(_larger(by_model, white), fit.noise_covariance_px2)
+
+
+def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a covariance that is nowhere below either of two."""
+    value, axes = np.linalg.eigh(a - b)
+    return np.asarray(b + (axes * np.maximum(value, 0.0)) @ axes.T)
