@@ -82,7 +82,8 @@ def check_file(path: str | Path, kind: str | None = None) -> Checked:
     if ending == ".json":
         return _checked_json(file, kind)
     raise SessionError(
-        f"{file} has no ending that tells what it is; check {', '.join((*YAML_ENDINGS, '.json', *TABLES, '.tdm', '.npz'))} files."
+        f"{file} has no ending that tells what it is; check "
+        f"{', '.join((*YAML_ENDINGS, '.json', *TABLES, '.tdm', '.npz'))} files."
     )
 
 
