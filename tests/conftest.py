@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from opnav_workbench.simulation.truth import Truth
 
 DATA_VARIABLE = "OPNAV_DATA"
+BROWSER = "tests/browser/"
 SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run
 LEFT_OUT = pytest.StashKey[int]()
 
@@ -140,6 +141,30 @@ class Fuzz:
 def fuzz(pytestconfig: pytest.Config) -> Fuzz:
     options = pytestconfig.getoption
     return Fuzz(options("--fuzz"), is_whole(pytestconfig), options("--fuzz-seed"))
+
+
+# ---- Which process runs what
+
+
+@pytest.hookimpl(optionalhook=True, wrapper=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int, int]:
+    """The whole run has a process more than there are cores: notebooks, servers and a browser are often waited for."""
+    cores = yield
+    return cores + 1 if config.getoption("--all") else cores
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """A file runs in one process, and the browser's files all in the same: one server and one browser serve them."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return BROWSER if nodeid.startswith(BROWSER) else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
 
 
 # ---- Flight data, and what is made once a run

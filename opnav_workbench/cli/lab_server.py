@@ -38,6 +38,8 @@ OVERRIDES = {
     "@jupyterlab/apputils-extension:notification": {"fetchNews": "false", "checkForUpdates": False},
     "@jupyterlab/notebook-extension:tracker": {"windowingMode": "none"},  # no cell is taken out of the page
 }
+# JupyterLab is not built anew here: without this each page would ask node whether it should be, for a second.
+PAGE = {"page_config_data": {"buildAvailable": False, "buildCheck": False}}
 # The side bars begin closed, so that the workbench has the whole width; JupyterLab keeps what the analyst then changes.
 LAYOUT = {
     "layout-restorer:data": {
@@ -140,6 +142,7 @@ class LabServer:
             "--ServerApp.port_retries=0",
             f"--ServerApp.root_dir={self.folder}",
             "--LabApp.extension_manager=readonly",
+            f"--ServerApp.tornado_settings={PAGE}",
             f"--LabApp.extra_labextensions_path={EXTENSION}",
         ]
         is_root = hasattr(os, "geteuid") and os.geteuid() == 0  # a container; Jupyter refuses unless told

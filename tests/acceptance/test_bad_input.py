@@ -83,16 +83,15 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_one_clear_line_and_the_others_are_kept(case, good_picture, tmp_path, capsys, monkeypatch):
-    spoil, pattern = CASES[case]
-    bad, out = tmp_path / "bad.fit", tmp_path / "run"
-    spoil(good_picture, bad)
+def test_one_clear_line_each_and_the_others_are_kept(good_picture, tmp_path, capsys, monkeypatch):
+    bad, out = {case: tmp_path / f"{case}.fit" for case in CASES}, tmp_path / "run"
+    for case, (spoil, _) in CASES.items():
+        spoil(good_picture, bad[case])
     status, _, err = _run(
         capsys,
         monkeypatch,
         "process",
-        bad,
+        *bad.values(),
         good_picture,
         "--mission",
         "new_horizons",
@@ -101,16 +100,16 @@ def test_one_clear_line_and_the_others_are_kept(case, good_picture, tmp_path, ca
         "--out",
         out,
     )
-    (line,) = _failure_lines(err)
     assert status == 3
-    assert "bad.fit" in line
-    assert re.search(pattern, line, re.IGNORECASE), line
     assert "Traceback" not in err
     good = json.loads((out / good_picture.stem / "result.json").read_text())
     assert good["status"] == "ok"
-    spoiled = json.loads((out / "bad" / "result.json").read_text())
-    assert spoiled["status"] == "failed"
-    assert spoiled["messages"]
+    for (case, (_, pattern)), line in zip(CASES.items(), _failure_lines(err), strict=True):
+        assert f"{case}.fit" in line
+        assert re.search(pattern, line.replace(case, ""), re.IGNORECASE), line
+        spoiled = json.loads((out / case / "result.json").read_text())
+        assert spoiled["status"] == "failed", case
+        assert spoiled["messages"], case
 
 
 def test_missing_sclk_kernel(good_picture, tmp_path, capsys, monkeypatch):
