@@ -105,6 +105,7 @@ def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
         tmp_path / "out.ipynb",
         parameters={"out": str(tmp_path / "run")},
         progress_bar=False,
+        request_save_on_cell_execute=False,
     )
     assert list((tmp_path / "run").rglob("result.json"))
     if notebook == "target_centers.ipynb":

@@ -24,6 +24,7 @@ def _run(folder: Path, **parameters: Any) -> dict[str, Any]:
         folder / "out.ipynb",
         parameters={"out": str(folder / "run"), **parameters},
         progress_bar=False,
+        request_save_on_cell_execute=False,
     )
     return json.loads((folder / "run" / "result.json").read_text())
 

@@ -24,6 +24,7 @@ def executed(name: str, folder: Path, **parameters: object) -> Path:
         parameters={"out": str(out), "fast": True, **parameters},
         cwd=str(folder),
         progress_bar=False,
+        request_save_on_cell_execute=False,
     )
     return out
 

@@ -25,6 +25,7 @@ def executed(name: str, folder: Path) -> Path:
         parameters={"out": str(out), "fast": True},
         cwd=str(folder),
         progress_bar=False,
+        request_save_on_cell_execute=False,
     )
     return out
 

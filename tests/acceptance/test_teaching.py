@@ -269,7 +269,11 @@ def run(notebook, folder, **parameters):
     source, executed = folder / "lesson.ipynb", folder / "executed.ipynb"
     nbformat.write(notebook, source)
     papermill.execute_notebook(
-        source, executed, parameters={"out": str(folder / "out"), **parameters}, progress_bar=False
+        source,
+        executed,
+        parameters={"out": str(folder / "out"), **parameters},
+        progress_bar=False,
+        request_save_on_cell_execute=False,
     )
     return nbformat.read(executed, as_version=4)
 

@@ -29,6 +29,7 @@ def run(tmp_path, **parameters):
         {"mode": "headless"} | parameters,
         cwd=tmp_path,
         progress_bar=False,
+        request_save_on_cell_execute=False,
         kernel_name="python3",
     )
     return out
