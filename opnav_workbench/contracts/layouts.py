@@ -129,7 +129,7 @@ class Pointing(Layout):
     iterations: list[Step] = Field(description="Steps of the solution.")
     rms_px: Number = Field(description="Root mean square of the used stars' residuals; pixels.")
     n_stars: int = Field(ge=0, description="Stars in use.")
-    model: str = Field(description="euler or image_plane.")
+    model: str = Field(description="euler or image_plane; carried: from other pictures' stars.")
     excess_sigma_px: Number = Field(description="Scatter beyond the stars' covariances; pixels.")
     chi2_reduced: Number = Field(description="Of the star residuals.")
     twist_solved: bool = Field(description="Whether the stars determine the twist.")

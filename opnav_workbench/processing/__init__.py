@@ -7,6 +7,8 @@ YAML or a queue; `run_policy` does it with an open session.
     `Processing`: every option with its description, default and allowed values; targets with their methods.
 ``automatic``
     The automatic policy on an open session: stars, pointing, targets, and the farther search for bodies.
+``carrying``
+    Pictures without stars take the pointing of their neighbors.
 ``pictures``
     Pictures from their files to their folders of results.
 ``notebook``

@@ -23,7 +23,15 @@ from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.scene import BodyPrediction
 from opnav_workbench.session import ImageSession, Settings
 
-__all__ = ["Progress", "open_or_resume", "open_picture", "run_policy", "silent", "solve_stars"]
+__all__ = [
+    "Progress",
+    "find_targets",
+    "open_or_resume",
+    "open_picture",
+    "run_policy",
+    "silent",
+    "solve_stars",
+]
 
 Progress = Callable[[str], None]
 
@@ -116,6 +124,18 @@ def _steps(session: ImageSession, opened: OpenedProcessing) -> Iterator[tuple[st
     targets = _add_targets(session, opened)
     yield "finding stars", lambda: _identify(session, opened)
     yield "solving the pointing", lambda: _repoint_twice(session, opened)
+    yield from _target_steps(session, opened, targets)
+
+
+def find_targets(session: ImageSession, opened: OpenedProcessing) -> None:
+    """Find the targets of a session, the largest first, and compute the observables."""
+    for _, step in _target_steps(session, opened, session.state.targets):
+        step()
+
+
+def _target_steps(
+    session: ImageSession, opened: OpenedProcessing, targets: Sequence[str]
+) -> Iterator[tuple[str, Callable[[], object]]]:
     for name in _largest_first(session, opened, targets):
         yield f"finding {name}", lambda name=name: _find_target(session, opened, name)  # type: ignore[misc]
     yield "computing observables", session.observables

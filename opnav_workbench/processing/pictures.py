@@ -8,7 +8,7 @@ import inspect
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,12 @@ from opnav_workbench.errors import OpNavError, SessionError, plain_line
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json, write_text
 from opnav_workbench.format_versions import stamped
 from opnav_workbench.processing.automatic import Progress, open_picture, run_policy, silent
+from opnav_workbench.processing.carrying import FIGURE_FILE, carry_between
 from opnav_workbench.processing.model import OpenedProcessing, Processing
 from opnav_workbench.session import RESULT_FILE
 
 __all__ = ["Outcome", "failed_result", "process", "process_image", "process_images"]
 
-FIGURE_FILE = "summary.png"
 TRACEBACK_FILE = "traceback.txt"
 LONGEST_REASON = 300  # characters of an unforeseen error: the rest stands in its traceback
 
@@ -174,7 +174,24 @@ def process_images(
         for image in images:
             outcomes.append(process_image(image, opened, out, partial(say, image.name)))
             done(outcomes[-1])
-    return tuple(outcomes)
+        return _with_carried(outcomes, opened, say)
+
+
+def _with_carried(
+    outcomes: Sequence[Outcome], opened: OpenedProcessing, say: Callable[[str, str], None]
+) -> tuple[Outcome, ...]:
+    """Return the outcomes after pictures without stars have taken their neighbors' pointing, where that is asked for."""
+    folders = [outcome.folder for outcome in outcomes if outcome.folder is not None]
+    made = carry_between(folders, opened, say)
+    return tuple(
+        outcome if outcome.folder not in made else _carried_outcome(outcome, made[outcome.folder])
+        for outcome in outcomes
+    )
+
+
+def _carried_outcome(outcome: Outcome, result: dict[str, Any]) -> Outcome:
+    words = "its pointing is carried from other pictures: see its messages"
+    return replace(outcome, result=result, error="", note="; ".join(filter(None, (outcome.note, words))))
 
 
 def _check_names(images: Sequence[Path]) -> None:

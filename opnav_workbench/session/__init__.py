@@ -60,13 +60,14 @@ from opnav_workbench.session.session import ImageSession
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox
 from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, StarStatus
-from opnav_workbench.session.storage import RESULT_FILE
+from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE
 
 __all__ = [
     "ATTITUDE_SOURCES",
     "BODY_METHODS",
     "MEASURED_STATUSES",
     "RESULT_FILE",
+    "SESSION_FILE",
     "Context",
     "Decisions",
     "ImageSession",

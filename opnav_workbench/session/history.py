@@ -209,6 +209,7 @@ STEPS: dict[str, tuple[Step, OutcomeText]] = {
     "reject_stars": (star_steps.reject_stars, lambda _, p: f"{len(p['ids'])} rejected"),
     "accept_stars": (star_steps.accept_stars, lambda _, p: f"{len(p['ids'])} accepted"),
     "repoint": (pointing.repoint, pointing.repoint_outcome),
+    "carry_pointing": (pointing.carry_pointing, pointing.carried_outcome),
     "add_target": (body_steps.add_target, lambda _, p: f"{p['name']} expected"),
     "skip_target": (body_steps.skip_target, lambda _, p: f"{p['name']} left out"),
     "set_circle": (

@@ -27,16 +27,32 @@ from opnav_workbench.session.state import (
     has_center,
     with_decisions,
 )
-from opnav_workbench.stars.pointing import MotionTails, PointingSolution, solve_pointing
+from opnav_workbench.stars.pointing import (
+    AttitudeMotion,
+    MotionTails,
+    PointingSolution,
+    SolvedAttitude,
+    carry_attitude,
+    solve_pointing,
+)
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
+from opnav_workbench.stars.pointing.carried import (
+    CARRIED,
+    CarriedAttitude,
+    carried_pointing,
+    carried_words,
+    moved_from,
+)
 
 __all__ = [
     "attitude_covariance",
     "best_attitude",
+    "carry_pointing",
     "current_observables",
     "field_is_sure",
     "pointing_doubt",
     "repoint",
+    "solved_attitude",
     "with_observables",
     "with_renewed_observables",
 ]
@@ -156,7 +172,8 @@ def repoint(
     usable = np.array([s.status == "used" for s in candidates], dtype=bool) & has_center(state)
     solved = state.replace(status=candidates)
     if usable.any():
-        solved = _solved(context, inputs, solved, usable, parameters)
+        start = _start(context, inputs, state, bool(parameters.get("a_priori")))
+        solved = _solved(context, inputs, solved, usable, model, start)
     else:
         none = f"no usable star among {len(candidates)} candidates; the a priori pointing stands."
         solved = solved.replace(pointing=None).with_notes("pointing", none)
@@ -165,7 +182,12 @@ def repoint(
 
 
 def _solved(
-    context: Context, inputs: Inputs, state: SessionState, usable: BoolArray, parameters: dict[str, Any]
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    usable: BoolArray,
+    model: Any,
+    start: dict[str, Any],
 ) -> SessionState:
     assert state.a_priori is not None
     assert state.centers is not None
@@ -177,13 +199,13 @@ def _solved(
         context.camera,
         inputs.a_priori_camera_from_j2000,
         catalog_covariance_px2=state.a_priori.covariance_px2,
-        model=parameters["model"],
+        model=model,
         usable=usable,
         trusted=[verdict == ACCEPTED for verdict in verdicts],
         motion_tails=MotionTails(
             state.a_priori.motion_px2, state.a_priori.motion_shares, state.a_priori.motion_variances
         ),
-        **_start(context, inputs, state, bool(parameters.get("a_priori"))),
+        **start,
     )
     status = tuple(
         StarStatus("rejected", reason) if offered and not used else status
@@ -224,6 +246,98 @@ def _near_a_priori(context: Context, state: SessionState) -> bool:
         return True
     most = HAND_TWIST_SIGMAS * context.camera.a_priori_sigma_rad[2]
     return found.search == BY_HAND and abs(found.twist_rad) <= most
+
+
+# ---- The attitude carried from pictures with stars.
+
+
+def solved_attitude(context: Context, inputs: Inputs, state: SessionState) -> SolvedAttitude:
+    """Return what other pictures may carry to themselves.
+
+    Raises
+    ------
+    SessionError
+        The pointing is not solved for sure, or nothing was known before that another picture could have in common.
+    """
+    if state.pointing is not None and state.pointing.model == CARRIED:
+        raise SessionError(
+            f"{context.picture.name} has no pointing to carry: its own is carried from others."
+        )
+    if state.pointing is None or pointing_doubt(state):
+        raise SessionError(f"{context.picture.name} has no pointing to carry: {pointing_doubt(state)}.")
+    if inputs.told_by_stars:
+        raise SessionError(
+            f"{context.picture.name} has no pointing to carry: only its stars tell its attitude; give kernels or a header "
+            "with attitudes."
+        )
+    return SolvedAttitude(
+        image=context.picture.name,
+        et=inputs.et,
+        camera_from_j2000=state.pointing.camera_from_j2000,
+        a_priori_camera_from_j2000=inputs.a_priori_camera_from_j2000,
+        covariance_rad2=state.pointing.covariance_rad2,
+    )
+
+
+def carry_pointing(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Take the pointing from the stars of other pictures; stars of its own, in a field that is sure, count with it."""
+    if inputs.told_by_stars:
+        raise SessionError(
+            "no pointing can be carried here: neither kernels nor header tell how the camera moved since the other pictures."
+        )
+    neighbors = [
+        SolvedAttitude(
+            str(n["image"]),
+            float(n["et"]),
+            *(
+                np.asarray(n[name], float)
+                for name in ("camera_from_j2000", "a_priori_camera_from_j2000", "covariance_rad2")
+            ),
+        )
+        for n in parameters["neighbors"]
+    ]
+    carried = carry_attitude(
+        inputs.a_priori_camera_from_j2000, inputs.et, neighbors, AttitudeMotion(**parameters["motion"])
+    )
+    used = state.mask("used") if state.centers is not None else np.zeros(0, bool)
+    if state.pointing is not None and used.any() and field_is_sure(state):
+        solved = _with_own_stars(context, inputs, state, used, carried)
+    else:
+        stars = 0 if state.a_priori is None else len(state.a_priori)
+        pointing = carried_pointing(carried, context.camera, inputs.a_priori_camera_from_j2000, stars)
+        statuses = tuple(
+            StarStatus("rejected", "not identified for sure") if status.status == "used" else status
+            for status in state.status
+        )
+        solved = state.replace(pointing=pointing, star_field=None, status=statuses)
+        solved = solved.with_notes("pointing", *pointing.messages).with_notes("stars")
+    return with_renewed_observables(context, inputs, solved)
+
+
+def _with_own_stars(
+    context: Context, inputs: Inputs, state: SessionState, used: BoolArray, carried: CarriedAttitude
+) -> SessionState:
+    assert state.pointing is not None
+    moved = replace(inputs, a_priori_camera_from_j2000=carried.camera_from_j2000)
+    start = {"a_priori_covariance_rad2": carried.covariance_rad2}
+    model = state.pointing.model
+    usable = used & has_center(state)
+    solved = _solved(context, moved, state, usable, "euler" if model == CARRIED else model, start)
+    assert solved.pointing is not None
+    words = carried_words(carried, context.camera)
+    pointing = moved_from(solved.pointing, context.camera, inputs.a_priori_camera_from_j2000, words)
+    return solved.replace(pointing=pointing).with_notes("pointing", *pointing.messages)
+
+
+def carried_outcome(state: SessionState, parameters: dict[str, Any]) -> str:
+    """One line of what came out, for the journal."""
+    assert state.pointing is not None
+    return (
+        f"pointing of {len(parameters['neighbors'])} other pictures, moved by {state.pointing.delta_pixel:+.2f} px, "
+        f"{state.pointing.delta_line:+.2f} lines; {state.pointing.n_stars} stars of its own"
+    )
 
 
 def repoint_outcome(state: SessionState, _: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -20,7 +21,7 @@ from astropy.table import QTable
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
-from opnav_workbench.files import json_text, make_folder, sha256_of
+from opnav_workbench.files import json_text, make_folder, plain_values, sha256_of
 from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import Observable, observables_table
@@ -35,13 +36,14 @@ from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource, LostField
 from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
-from opnav_workbench.session.pointing import best_attitude, current_observables
+from opnav_workbench.session.pointing import best_attitude, current_observables, solved_attitude
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import origin_of, result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox, star_boxes
 from opnav_workbench.session.star_field import catalog_stars, nudge_reach_px, unknown_star_ids
 from opnav_workbench.session.state import SessionState, open_decisions
+from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
 
 __all__ = ["ImageSession"]
 
@@ -536,6 +538,46 @@ class ImageSession:
         self._step("repoint", {"model": model} | ({"a_priori": True} if a_priori else {}), reason)
 
     # -- steps: bodies and observables ---------------------------------------------------------------------------
+
+    def solved_attitude(self) -> SolvedAttitude:
+        """Return this picture's solved attitude for others to carry (`carry_pointing`); no step of the session.
+
+        Raises
+        ------
+        SessionError
+            The pointing is not solved for sure from stars, or nothing but the stars tells the attitude.
+        """
+        return solved_attitude(self.context, self.inputs, self.state)
+
+    def carry_pointing(
+        self, neighbors: Sequence[SolvedAttitude], motion: AttitudeMotion, reason: str = ""
+    ) -> None:
+        """Take the pointing from the stars of pictures taken shortly before or after (`pointing.carry_pointing`).
+
+        What the a priori attitude is off by is theirs, and what may have changed since is in the covariance. Stars of
+        this picture count with it, where its own pointing is solved and sure. Observables computed before follow.
+
+        Parameters
+        ----------
+        neighbors
+            As their sessions' `solved_attitude` says; their a priori attitudes come from the same source as this one's.
+        motion
+            How much the error of a priori attitudes may change between pictures.
+        reason
+            For the journal.
+
+        Raises
+        ------
+        SessionError
+            Neither kernels nor header tell this picture's attitude.
+        PointingError
+            No neighbor.
+        """
+        parameters = {
+            "neighbors": [plain_values(asdict(n)) for n in neighbors],
+            "motion": asdict(motion),
+        }
+        self._step("carry_pointing", parameters, reason)
 
     def add_target(self, name: str) -> None:
         """Expect a body or target star in the picture, in identification too (`body_steps.add_target`).

@@ -43,6 +43,13 @@ class Settings:
         Faintest catalog magnitude asked for.
     focal_scale
         By what the focal length of the camera file is multiplied.
+    carry_within_s
+        A picture whose stars do not tell its pointing takes it from pictures of the same call that were taken within so
+        many seconds; 0: never.
+    carry_jitter_px, carry_walk_px, carry_drift_px_s
+        How the error of the a priori attitude may change between such pictures, 1 sigma about each axis: of every picture
+        its own (px), random walk (px per square root of a second), constant rate (px/s). A pixel is what moves the sky
+        across the boresight by one; use what your attitude system's error budget says.
     lost_detections
         Where the field is not identified for sure around its a priori place, the whole sky is searched if so many
         detections may be stars; 0: never.
@@ -64,6 +71,10 @@ class Settings:
     mag_limit: float = 30.0
     focal_scale: float = 1.0
     lost_detections: int = 8
+    carry_within_s: float = 0.0
+    carry_jitter_px: float = 0.5
+    carry_walk_px: float = 0.05
+    carry_drift_px_s: float = 0.0
 
     @property
     def wide_searches(self) -> tuple[tuple[float, float], ...]:

@@ -4,6 +4,8 @@
     Iterated weighted least squares, its covariance, and the a priori attitude as a measurement.
 ``attitude_steps``
     Two characterizations of an attitude step: Euler angles, and a shift and rotation of the picture.
+``carried``
+    An attitude carried from pictures with stars to one without.
 ``closed_form``
     Wahba's problem (SVD, q-method): an attitude to start from.
 ``motion_tails``
@@ -17,6 +19,12 @@
 """
 
 from opnav_workbench.stars.pointing.attitude_steps import PointingModel
+from opnav_workbench.stars.pointing.carried import (
+    AttitudeMotion,
+    CarriedAttitude,
+    SolvedAttitude,
+    carry_attitude,
+)
 from opnav_workbench.stars.pointing.closed_form import wahba
 from opnav_workbench.stars.pointing.motion_tails import MotionTails
 from opnav_workbench.stars.pointing.solution import (
@@ -28,12 +36,16 @@ from opnav_workbench.stars.pointing.solution import (
 from opnav_workbench.stars.pointing.solver import PointingStart, solve_pointing
 
 __all__ = [
+    "AttitudeMotion",
+    "CarriedAttitude",
     "MotionTails",
     "PictureShift",
     "PointingModel",
     "PointingSolution",
     "PointingStart",
+    "SolvedAttitude",
     "attitude_shift",
+    "carry_attitude",
     "iteration_table",
     "solve_pointing",
     "wahba",

@@ -1,0 +1,137 @@
+"""A pair: a long exposure with stars, and short ones of the body alone that take its pointing."""
+
+import numpy as np
+import pytest
+
+from opnav_workbench.errors import SessionError
+from opnav_workbench.geometry import matrix_from_quaternion, vector_from_rotation
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.mission import load_mission
+from opnav_workbench.observables import read_ecsv
+from opnav_workbench.processing import process
+from opnav_workbench.session import ImageSession
+from opnav_workbench.simulation import (
+    OpenedScenario,
+    PictureScenario,
+    ScenarioPicture,
+    expose_picture,
+    truth_of,
+    write_picture,
+)
+from opnav_workbench.stars.pointing import AttitudeMotion
+
+pytestmark = pytest.mark.slow
+
+KERNELS = "new_horizons/pluto_approach"
+SHIFT_PX = (7.6, -3.1)  # the a priori attitude's error, the same in all three
+TIMES = {
+    "long": ("2015-07-12T08:46:47", 0.1),
+    "short": ("2015-07-12T08:46:57", 0.002),
+    "late": ("2015-07-12T10:46:57", 0.002),
+}
+SETTINGS = "carry_within_s=60,carry_jitter_px=0.03,carry_walk_px=0.005,lost_detections=0"
+
+
+@pytest.fixture(scope="module")
+def truths(tmp_path_factory):
+    """LORRI 4x4 pictures of Pluto, 47 px wide: ten seconds and two hours after the one with stars."""
+    scenario = PictureScenario.model_validate(
+        {
+            "mission": "new_horizons",
+            "catalog": "bundled",
+            "magnitude_limit": 13.0,
+            "seed": 5,
+            "bodies": [{"name": "PLUTO", "law": {"law": "lunar_lambert", "lunar_weight": 0.5}}],
+            "attitude": {"actual": {"source": "error", "shift_px": SHIFT_PX, "twist_deg": 0.05}},
+            "pictures": [
+                {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": exposure_s}
+                for name, (utc, exposure_s) in TIMES.items()
+            ],
+        }
+    )
+    mission, folder, made = load_mission("new_horizons"), tmp_path_factory.mktemp("pair"), {}
+    with KernelSet(KERNELS):
+        opened = OpenedScenario.open(scenario)
+        for index, picture in enumerate(scenario.pictures):
+            chosen = ScenarioPicture(index, picture)
+            shown = expose_picture(opened.inputs(chosen))
+            report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
+            made[picture.name] = truth_of(shown, mission, report.files[0])
+    return made
+
+
+@pytest.fixture(scope="module")
+def processed(truths, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run")
+    said = []
+    outcomes = process(
+        [truths[name].picture for name in TIMES],
+        mission="new_horizons",
+        kernels=KERNELS,
+        targets="PLUTO",
+        settings=SETTINGS,
+        out=out,
+        say=lambda name, words: said.append((name, words)),
+    )
+    return dict(zip(TIMES, outcomes, strict=True)), said
+
+
+def attitude_error(truth, result):
+    solved = matrix_from_quaternion(result["pointing"]["quaternion_camera_from_j2000"])
+    return vector_from_rotation(truth.camera_from_j2000 @ solved.T)
+
+
+def test_body_picture_without_stars_has_its_neighbors_pointing(truths, processed):
+    outcomes, said = processed
+    long, short, late = (outcomes[name] for name in TIMES)
+    assert long.result["pointing"]["n_stars"] >= 3
+    assert late.result["status"] != "ok"  # two hours are more than the minute that was asked for
+    assert short.result["status"] == "ok"
+    assert ("short", "carrying the pointing of long.fit") in said
+    pointing = short.result["pointing"]
+    assert (pointing["model"], pointing["n_stars"]) == ("carried", 0)
+    assert np.hypot(pointing["delta_pixel"] - SHIFT_PX[0], pointing["delta_line"] - SHIFT_PX[1]) < 0.3
+    error = attitude_error(truths["short"], short.result)
+    covariance = np.array(pointing["covariance_rad2"])
+    assert error @ np.linalg.solve(covariance, error) < 16.0
+    own = np.array(long.result["pointing"]["covariance_rad2"])
+    assert np.linalg.eigvalsh(covariance - own).min() > -1e-16  # never surer than the stars it comes from
+    assert "carried from the stars of long.fit (10 s before it)" in short.result["messages"][0]
+    assert "carried from other pictures" in short.note
+    assert not short.error
+
+
+def test_its_body_is_an_observable_with_the_added_covariance(truths, processed):
+    outcomes, _ = processed
+    (o,) = read_ecsv(outcomes["short"].folder / "observables.ecsv")
+    true = np.array(truths["short"].bodies["PLUTO"])
+    assert o.status == "ok"
+    assert np.hypot(*(o.observed_px - true)) < 0.2
+    # The place predicted with the carried pointing is off by no more than its covariance says.
+    from_pointing = o.total_covariance_px2 - o.covariance_px2
+    assert np.sqrt(np.diag(from_pointing)).min() > 0.03  # the jitter that was stated
+    assert o.residual_px @ np.linalg.solve(o.total_covariance_px2, o.residual_px) < 16.0
+
+
+def test_session_carries_and_is_replayed(truths, processed, tmp_path):
+    outcomes, _ = processed
+    long, late = (ImageSession.resume(outcomes[name].folder) for name in ("long", "late"))
+    motion = AttitudeMotion(jitter_rad=1e-6, walk_rad=1e-7)
+    with pytest.raises(
+        SessionError, match=r"late.fit has no pointing to carry: the star field is not identified"
+    ):
+        late.solved_attitude()
+    late.carry_pointing([long.solved_attitude()], motion, "the pair before it")
+    assert late.journal[-1].outcome.startswith("pointing of 1 other pictures, moved by")
+    late.save(tmp_path / "late")
+    again = ImageSession.resume(tmp_path / "late")
+    assert again.state.pointing.camera_from_j2000.tobytes() == late.state.pointing.camera_from_j2000.tobytes()
+    with pytest.raises(SessionError, match="its own is carried from others"):
+        again.solved_attitude()
+    again.undo()
+    assert again.state.pointing is None or again.state.pointing.model != "carried"
+    # A picture's own stars count with what is carried: it is surer than either.
+    before = long.state.pointing
+    long.carry_pointing([long.solved_attitude()], AttitudeMotion(jitter_rad=1e-3))
+    assert long.state.pointing.n_stars == before.n_stars
+    np.testing.assert_allclose(long.state.pointing.camera_from_j2000, before.camera_from_j2000, atol=1e-6)
