@@ -27,7 +27,7 @@ from opnav_workbench.rehearsal.results import picture_results
 from opnav_workbench.rehearsal.scenario import load_ort_scenario, ort_scenario_names
 from opnav_workbench.rehearsal.score import OrtScore, score_rehearsal
 from opnav_workbench.rehearsal.sealed_truth import log_path, logged_delivery, reveal
-from opnav_workbench.rehearsal.solution import DISK_SIGMA_PX, SOLUTION_FILE, OrtSolution, solve_rehearsal
+from opnav_workbench.rehearsal.solution import SOLUTION_FILE, OrtSolution, solve_rehearsal
 from opnav_workbench.rehearsal.truth_checks import TruthCheck
 
 __all__ = ["new", "ort", "solve"]
@@ -203,8 +203,11 @@ def solve(
     ] = False,
     disk_sigma: Annotated[
         float,
-        typer.Option(min=0.0, help="Pixels added (in squares) to the sigmas of disks, for unknown surfaces."),
-    ] = DISK_SIGMA_PX,
+        typer.Option(
+            min=0.0,
+            help="Pixels added (in squares) to the sigmas of disks, for centers that say nothing of unknown surfaces.",
+        ),
+    ] = 0.0,
 ) -> None:
     """Process every picture of a rehearsal blind, and estimate what its briefing asks for.
 

@@ -14,6 +14,8 @@ considered, by `observability` for what pictures determine, and by `triangulate`
     Linear algebra of the square-root information filter and smoother.
 ``history``
     `b_plane_history`: the flyby as known after each picture.
+``common_errors``
+    `estimate_with_common_errors`: centers whose errors beyond noise are in part the same in all pictures.
 ``parameters``
     What is solved for, and what is known of it before.
 ``measurements``
@@ -41,6 +43,7 @@ from opnav_workbench.estimation.bplane import (
     error_ellipse,
     map_to_b_plane,
 )
+from opnav_workbench.estimation.common_errors import CommonErrorEstimate, estimate_with_common_errors
 from opnav_workbench.estimation.directions import ParameterDirection
 from opnav_workbench.estimation.history import BPlaneCutoff, b_plane_history
 from opnav_workbench.estimation.near_stars import StarPositions, best_pairs, nearest_stars, star_positions
@@ -69,6 +72,7 @@ __all__ = [
     "BPlaneCutoff",
     "BPlaneSolution",
     "CenterBias",
+    "CommonErrorEstimate",
     "Edit",
     "ErrorEllipse",
     "Estimate",
@@ -90,6 +94,7 @@ __all__ = [
     "best_pairs",
     "error_ellipse",
     "estimate",
+    "estimate_with_common_errors",
     "filter_estimate",
     "focal_length",
     "gravity",

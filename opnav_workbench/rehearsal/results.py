@@ -8,11 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.observables import Observable, read_ecsv
 
-__all__ = ["SURFACE_FROM_PX", "PictureResult", "chosen_observables", "picture_results"]
+__all__ = [
+    "SURFACE_FROM_PX",
+    "PictureResult",
+    "chosen_observables",
+    "noise_covariances_px2",
+    "picture_results",
+]
 
 RESULT_FILE, TABLE_FILE = "result.json", "observables.ecsv"
 RESULT_STATUSES = ("ok", "partial", "failed")
@@ -131,6 +138,21 @@ def chosen_observables(
                 status = next(o.status for o in reversed(picture.observables) if o.name == name)
                 left_out.append(f"{name} in {picture.name}: {status.replace('_', ' ')}")
     return tuple(chosen), tuple(left_out)
+
+
+def noise_covariances_px2(
+    pictures: Sequence[PictureResult], observables: Sequence[Observable]
+) -> tuple[FloatArray | None, ...]:
+    """Return the covariances (2, 2) px^2 of the noise alone in the centers of observables; None where nobody told."""
+    told = {
+        (str(picture.result.get("image")), str(body.get("name")), str(body.get("method"))): body.get(
+            "noise_covariance_px2"
+        )
+        for picture in pictures
+        for body in picture.result.get("bodies") or ()
+    }
+    found = [told.get((o.image, o.name, o.method)) for o in observables]
+    return tuple(None if noise is None else np.array(noise, dtype=np.float64) for noise in found)
 
 
 def _weighted(observable: Observable, disk_sigma_px: float) -> Observable:

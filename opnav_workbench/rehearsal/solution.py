@@ -16,12 +16,25 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.errors import EstimationError, SessionError
-from opnav_workbench.estimation import BPlane, Estimate, b_plane, b_plane_partials, estimate, straight_line
+from opnav_workbench.estimation import (
+    BPlane,
+    CommonErrorEstimate,
+    Estimate,
+    b_plane,
+    b_plane_partials,
+    estimate_with_common_errors,
+    straight_line,
+)
 from opnav_workbench.estimation.parameters import parameter_count, parse_groups, relative_state_matrix
 from opnav_workbench.files import write_json
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal.results import PictureResult, chosen_observables, picture_results
+from opnav_workbench.rehearsal.results import (
+    PictureResult,
+    chosen_observables,
+    noise_covariances_px2,
+    picture_results,
+)
 from opnav_workbench.version import __version__
 
 if TYPE_CHECKING:
@@ -126,7 +139,8 @@ def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
             )
     if "made_by" in content:
         fields["made_by"] = str(content["made_by"])
-    fields["disk_sigma_px"] = float(content.get("disk_sigma_px", 0.0))
+    for name in ("disk_sigma_px", "common_share"):
+        fields[name] = float(content.get(name, 0.0))
     fields["residuals"] = tuple(_residual_from_row(row) for row in content.get("residuals", ()))
     return fields
 
@@ -220,10 +234,10 @@ def predicted_flyby(package: "OrtPackage") -> PredictedFlyby:
 
 SOLUTION_FILE = "solution.json"
 SCHEMA = "opnav_ort_solution_1"
-# What albedo and scattering law of a disk that nobody has seen do to its center, beside what the centerfinder says of its
-# sigma. Measured on limb scans of Pluto, 67 to 179 px wide, without perturbations: six mottled maps (reflectance 0.2 to 0.8)
-# 0.022 px rms, 0.065 px at most, which is 3 of the centerfinder's sigmas in the mean; Lambert's law where a flatter one is
-# expected 0.03 to 0.085 px, always on the same side. The paper's Table 3 has 0.03 and 0.12 arcsec, 0.03 and 0.12 px.
+# The most that a team need add to the sigmas of disks whose centerfinder says nothing of albedo and law. Measured on limb
+# scans of Pluto, 67 to 179 px wide, without perturbations: six mottled maps (reflectance 0.2 to 0.8) 0.022 px rms, 0.065 px
+# at most, which is 3 of their sigmas in the mean; Lambert's law where a flatter one is expected 0.03 to 0.085 px, always on
+# the same side. The paper's Table 3 has 0.03 and 0.12 arcsec, 0.03 and 0.12 px. The method `disk` has them in its own sigma.
 DISK_SIGMA_PX = 0.05
 # Excess centering error of stars that a calibrated camera stays below.
 EXCESS_PX = 0.05
@@ -259,6 +273,8 @@ class OrtSolution:
         SHA-256 of the files that it rests on, by picture and file.
     disk_sigma_px
         Added (in squares) to the sigmas of the centers of disks.
+    common_share
+        Of the centers' errors beyond noise, what the measurements take to be the same in all pictures.
     """
 
     package: str
@@ -283,6 +299,7 @@ class OrtSolution:
     pictures: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     made_by: str = f"opnav_workbench {__version__}"
     disk_sigma_px: float = 0.0
+    common_share: float = 0.0
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -341,9 +358,7 @@ class OrtSolution:
         return cls(**read_solution_file(path, SCHEMA))
 
 
-def solve_rehearsal(
-    package: "OrtPackage", results: str | Path, *, disk_sigma_px: float = DISK_SIGMA_PX
-) -> OrtSolution:
+def solve_rehearsal(package: "OrtPackage", results: str | Path, *, disk_sigma_px: float = 0.0) -> OrtSolution:
     """Estimate a package's parameters from what a team found in its pictures.
 
     Parameters
@@ -351,7 +366,7 @@ def solve_rehearsal(
     results
         Folder of the pictures' folders, each with ``result.json`` and ``observables.ecsv``.
     disk_sigma_px
-        Added (in squares) to the sigmas of the centers of disks, for surfaces that nobody knows.
+        Added (in squares) to the sigmas of the centers of disks, for surfaces of which a centerfinder says nothing.
 
     Raises
     ------
@@ -363,24 +378,26 @@ def solve_rehearsal(
     pictures = picture_results((p.name for p in package.pictures), results)
     observables, left_out = chosen_observables(pictures, disk_sigma_px)
     flyby = predicted_flyby(package)
-    found = estimate(
+    common = estimate_with_common_errors(
         observables,
+        noise_covariances_px2(pictures, observables),
         tuple(package.parameters),
         epoch_et=flyby.epoch_et,
         a_priori=dict(package.parameters),
         target_transition=straight_line,
         spacecraft_transition=straight_line,
     )
-    after, after_covariance = found.relative_state(flyby.body)
+    found = common.independent
+    after, after_covariance = common.relative_state(flyby.body)
     before_covariance = _a_priori_covariance(found)
     relative = relative_state_matrix(found.groups, len(found.correction), flyby.body)
     return OrtSolution(
         package=package.name,
         epoch_utc=package.epoch_utc,
         parameters=tuple(package.parameters),
-        correction=found.correction,
+        correction=common.correction,
         sigma_before=np.sqrt(np.diag(before_covariance)),
-        covariance=found.covariance,
+        covariance=common.covariance,
         b_plane_body=flyby.body,
         b_plane_before=flyby.b_plane_values,
         b_plane_after=flyby.corrected(after),
@@ -390,12 +407,13 @@ def solve_rehearsal(
         chi2_after=found.chi2_after,
         degrees_of_freedom=found.degrees_of_freedom,
         probability=found.probability,
-        residuals=tuple(_residual_row(r) for r in found.residuals),
+        residuals=_residual_rows(common),
         words=tuple(d.words for d in found.directions),
         left_out=left_out,
         messages=(*_camera_message(pictures), *_messages(found)),
         pictures={p.name: p.sha256 for p in pictures if p.sha256},
         disk_sigma_px=disk_sigma_px,
+        common_share=common.share,
     )
 
 
@@ -404,8 +422,11 @@ def _a_priori_covariance(found: Estimate) -> FloatArray:
     return symmetric(np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64))
 
 
-def _residual_row(residual: Any) -> dict[str, Any]:
-    return {name: getattr(residual, name) for name in residual.__slots__}
+def _residual_rows(common: CommonErrorEstimate) -> tuple[dict[str, Any], ...]:
+    return tuple(
+        {name: getattr(r, name) for name in r.__slots__} | {"after": after}
+        for r, after in zip(common.independent.residuals, common.after, strict=True)
+    )
 
 
 def _camera_message(pictures: Sequence[PictureResult]) -> tuple[str, ...]:
@@ -431,7 +452,7 @@ def _messages(found: Estimate) -> tuple[str, ...]:
     if found.probability > 1.0 - LEAST_PROBABILITY:
         messages.append(
             f"chi-squared {found.chi2_after:.1f} for {found.degrees_of_freedom} degrees of freedom: the centers agree "
-            "better than their sigmas say; what is added for unknown surfaces may be more than these need"
+            "better than their sigmas say; these surfaces may be kinder than what is allowed for"
         )
     messages += [
         f"{r.body} in {r.image}: {r.kind} not used, {r.reason}" for r in found.residuals if not r.used

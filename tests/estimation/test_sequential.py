@@ -287,11 +287,11 @@ def thrusting(observables, noise, displaced, rng, sigma, tau, bias):
 
 @pytest.mark.slow
 def test_errors_over_sigmas_of_a_pushed_spacecraft(approach, noise_of, displaced):
-    """Smoothed and last states of 100 spacecraft, each pushed otherwise; and the filter's residuals before their update."""
+    """Smoothed and last states of 60 spacecraft, each pushed otherwise; and the filter's residuals before their update."""
     observables = approach().observables(np.linspace(4.0, 2.0, 6), names=("PLUTO",))
     noise, rng, tau = noise_of(observables), np.random.default_rng(5), 0.6 * DAY_S
     errors, sizes, before = [], [], []
-    for _ in range(100):
+    for _ in range(60):
         drawn, true = thrusting(observables, noise, displaced, rng, 5e-10, tau, 0.1)
         start = straight_line(drawn[0].et, drawn[-1].et)
         prior = (
@@ -312,9 +312,9 @@ def test_errors_over_sigmas_of_a_pushed_spacecraft(approach, noise_of, displaced
         sizes.append(error @ np.linalg.solve(covariances[3], error))
         before += [r.before_sigmas**2 for r in found.residuals[1:]]
     scatter = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert (np.abs(scatter - 1.0) < 0.22).all(), scatter  # 100 trials know it to 0.07
-    assert np.mean(sizes) == pytest.approx(6.0, abs=3.5 * np.sqrt(12.0 / 100))
-    assert np.mean(before) == pytest.approx(1.0, abs=0.15)
+    assert (np.abs(scatter - 1.0) < 0.28).all(), scatter  # 60 trials know it to 0.09
+    assert np.mean(sizes) == pytest.approx(6.0, abs=3.5 * np.sqrt(12.0 / 60))
+    assert np.mean(before) == pytest.approx(1.0, abs=0.2)
 
 
 # -- considered parameters -------------------------------------------------------------------------------------------
@@ -353,13 +353,13 @@ def test_sensitivity_is_what_a_wrong_constant_does(as_believed, noise_of, lorri)
 
 @pytest.mark.slow
 def test_considered_covariance_over_many_trials(as_believed, noise_of, displaced, lorri):
-    """100 trials: wrong radius, focal length and spacecraft position, none solved for, an acceleration beside them."""
+    """60 trials: wrong radius, focal length and spacecraft position, none solved for, an acceleration beside them."""
     observables = [o for o in as_believed[6:] if o.name == "PLUTO"]
     rng, noise = np.random.default_rng(7), noise_of(observables)
     sigmas = {"range_scale": 2e-3, "spacecraft_position": 5.0, "focal_length": 1e-3}
     focal = focal_length(lorri, sigmas["focal_length"])
     errors, computed = [], []
-    for _ in range(100):
+    for _ in range(60):
         scale, craft, length = 2e-3 * rng.normal(), 5.0 * rng.normal(size=3), 1e-3 * rng.normal()
         target = 20.0 * rng.normal(size=3)
         drawn = []
@@ -381,7 +381,7 @@ def test_considered_covariance_over_many_trials(as_believed, noise_of, displaced
         errors.append((found.correction[:3] - target) / found.sigma[:3])
         computed.append((found.correction[:3] - target) / np.sqrt(np.diag(found.computed_covariance)[:3]))
     scatter = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert (np.abs(scatter - 1.0) < 0.2).all(), scatter
+    assert (np.abs(scatter - 1.0) < 0.28).all(), scatter
     assert np.sqrt(np.mean(np.square(computed), axis=0)).max() > 1.3  # without them it would be too sure
 
 

@@ -1,0 +1,85 @@
+"""Errors of centers that pictures have in common: what the measurements say of the share, and sigmas that hold."""
+
+import numpy as np
+import pytest
+
+from opnav_workbench.estimation import estimate, estimate_with_common_errors
+
+DAYS = np.linspace(8.0, 3.0, 6)
+NOISE = 0.01**2 * np.eye(2)
+
+
+@pytest.fixture(scope="module")
+def pictures(approach):
+    """Centers of Pluto and Charon, 0.1 px of error beyond 0.01 px of noise; the pointing known ten times better."""
+    return approach(pointing_sigma_px=0.01).observables(DAYS)
+
+
+def spoiled(observables, displaced, rng, share):
+    """Centers with noise, errors of their own, and one error east and north that all of them have."""
+    common, drawn = rng.normal(size=2), []
+    for o in observables:
+        u, _, v = np.linalg.svd(o.sky_partials_px_per_rad)
+        sigma = np.sqrt(0.1**2 - 0.01**2)
+        error = sigma * (np.sqrt(share) * u @ v @ common + np.sqrt(1.0 - share) * rng.normal(size=2))
+        pointing = np.linalg.cholesky(o.total_covariance_px2 - o.covariance_px2 + 1e-12 * np.eye(2))
+        drawn.append(displaced(o, error + 0.01 * rng.normal(size=2) + pointing @ rng.normal(size=2)))
+    return drawn
+
+
+def solved(drawn):
+    return estimate_with_common_errors(
+        drawn,
+        [NOISE] * len(drawn),
+        ["target_position"],
+        a_priori={"target_position": 5000.0},
+        reject_sigmas=np.inf,
+    )
+
+
+def test_measurements_tell_what_is_common(pictures, displaced):
+    rng = np.random.default_rng(2)
+    shares = {s: solved(spoiled(pictures, displaced, rng, s)).share for s in (0.0, 0.98)}
+    assert shares[0.0] < 0.35
+    assert shares[0.98] > 0.7
+
+
+def test_without_model_errors_it_is_the_batch(pictures, noise_of):
+    drawn = noise_of(pictures).draw(np.random.default_rng(2))
+    batch = estimate(drawn, ["target_position"], a_priori={"target_position": 5000.0})
+    found = estimate_with_common_errors(
+        drawn, [None] * len(drawn), ["target_position"], a_priori={"target_position": 5000.0}
+    )
+    assert np.abs((found.correction - batch.correction) / batch.sigma).max() < 1e-6
+    np.testing.assert_allclose(found.covariance, batch.covariance, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.weights, 0.1, rtol=1e-6)
+    for mine, theirs in zip(found.after, found.independent.residuals, strict=True):
+        np.testing.assert_allclose(mine, theirs.after, atol=1e-6)
+
+
+def test_outliers_are_those_of_the_batch(pictures, displaced):
+    drawn = spoiled(pictures, displaced, np.random.default_rng(3), 0.5)
+    drawn[7] = displaced(drawn[7], np.array([0.8, -0.7]))
+    options = {"parameters": ["target_position"], "a_priori": {"target_position": 5000.0}}
+    found = estimate_with_common_errors(drawn, [NOISE] * len(drawn), **options)
+    assert [(r.image, r.body) for r in found.independent.residuals if not r.used] == [
+        ("lor_003.fit", "CHARON")
+    ]
+    rest = estimate_with_common_errors(
+        [o for k, o in enumerate(drawn) if k != 7], [NOISE] * (len(drawn) - 1), **options
+    )
+    np.testing.assert_allclose(found.correction, rest.correction, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_errors_over_sigmas_whatever_is_common(pictures, displaced):
+    """16 approaches with shares of all sizes; where all is common, taking none as common is too sure across."""
+    rng, sizes, careless = np.random.default_rng(4), [], []
+    for _ in range(16):
+        drawn = spoiled(pictures, displaced, rng, rng.uniform())
+        found = solved(drawn)
+        error = found.correction
+        sizes.append(error @ np.linalg.solve(found.covariance, error) / 3.0)
+        careless.append(error @ np.linalg.solve(found.independent.covariance, error) / 3.0)
+    assert 0.7 < np.sqrt(np.mean(sizes)) < 1.3  # 16 trials know it to 0.1
+    assert np.sqrt(np.mean(careless)) > 1.2

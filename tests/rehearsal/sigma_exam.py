@@ -1,0 +1,76 @@
+"""Rehearsals of many seeds, blind, and their errors over sigmas: whether the covariances are such that they can be used.
+
+    python tests/rehearsal/sigma_exam.py --scenario new_horizons/pluto_final_approach --seeds 50 --out exam
+
+What is there already is kept (pictures, their results) and only estimated again, so that it can be stopped at any time.
+About half a minute of processor time a seed. ``--mottled`` gives Pluto and Charon surfaces of reflectance 0.25 to 0.75 that
+nobody told the team of.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from opnav_workbench.headless.rehearsal_run import process_package
+from opnav_workbench.rehearsal import open_rehearsal, reveal, solve_rehearsal
+from opnav_workbench.rehearsal.making import new_rehearsal
+from opnav_workbench.rehearsal.scenario import load_ort_scenario
+from opnav_workbench.rehearsal.solution import predicted_flyby
+
+MOTTLED = {"bodies": ["PLUTO", "CHARON"], "dark": 0.25, "bright": 0.75}
+
+
+def errors_of(scenario, seed: int, out: Path):
+    """Errors and sigmas of B.T, B.R, arrival and the worst known direction; squared length of all errors over sigmas."""
+    folder = out / f"package_{seed}"
+    if not (folder / "ort.yaml").is_file():
+        new_rehearsal(scenario, folder, seed=seed, jobs=1)
+    package = open_rehearsal(folder)
+    process_package(package, out / f"run_{seed}")
+    solution, truth, flyby = (
+        solve_rehearsal(package, out / f"run_{seed}"),
+        reveal(package),
+        predicted_flyby(package),
+    )
+    true = flyby.corrected(np.asarray(truth.relative_state_km) - flyby.state)
+    parameters = np.concatenate([np.atleast_1d(truth.parameters[name]) for name in solution.parameters])
+    off = solution.correction - parameters
+    values, vectors = np.linalg.eigh(solution.covariance)
+    error = np.append(solution.b_plane_after - true, off @ vectors[:, -1])
+    sigma = np.append(solution.b_plane_sigma, np.sqrt(values[-1]))
+    return error, sigma, float(off @ np.linalg.solve(solution.covariance, off)) / len(off)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenario", default="new_horizons/pluto_final_approach")
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--mottled", action="store_true")
+    asked = parser.parse_args()
+    scenario = load_ort_scenario(asked.scenario)
+    if asked.mottled:
+        values = scenario.model_dump(mode="json", exclude_none=True)
+        values["perturbations"]["albedo"] = MOTTLED
+        scenario = type(scenario).model_validate(values)
+    rows = []
+    for seed in range(1, asked.seeds + 1):
+        error, sigma, size = errors_of(scenario, seed, asked.out)
+        rows.append((error / sigma, size, sigma))
+        shown = "  ".join(f"{e:+9.2f} ({e / s:+.2f})" for e, s in zip(error, sigma, strict=True))
+        sys.stdout.write(f"seed {seed:3d}  B.T, B.R km, arrival s, worst km: {shown}\n")
+        sys.stdout.flush()
+    over = np.array([row[0] for row in rows])
+    rms = np.sqrt(np.mean(over**2, axis=0))
+    whole = np.sqrt(np.mean([row[1] for row in rows]))
+    typical = np.mean([row[2] for row in rows], axis=0)
+    sys.stdout.write(
+        f"{len(rows)} seeds, error over sigma: {np.round(rms, 2)}, all {whole:.2f}; sigmas {np.round(typical, 2)}\n"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
