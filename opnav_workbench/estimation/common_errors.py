@@ -13,7 +13,7 @@ mean over the shares, its covariance that within them and between them.
 Reference: Hoeting et al. (1999), Statistical Science 14, 382, doi:10.1214/ss/1009212519 (model averaging).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,7 +136,8 @@ def _kept(
         if (o.image, o.name, "center") not in used:
             continue
         ranged = (o.image, o.name, "range") in used
-        kept.append(replace(o, status="ok", **({} if ranged else {"measured_range_km": np.nan})))
+        measured_km = o.measured_range_km if ranged else float("nan")
+        kept.append(replace(o, status="ok", measured_range_km=measured_km))
         roots.append(_model_root(o, of_noise))
     return kept, roots
 
@@ -167,13 +168,14 @@ def _common_errors(
     observables: Sequence[Observable], roots: Sequence[FloatArray], share: float
 ) -> tuple[ModelParameter, ...]:
     moved = {(o.image, o.name): np.sqrt(share) * root for o, root in zip(observables, roots, strict=True)}
-    east, north = (
-        ModelParameter(
-            f"common error {axis}", 1.0, "sigma", pixels=lambda o, k=k: moved[o.image, o.name][:, k]
-        )  # type: ignore[misc]
-        for k, axis in enumerate(("east", "north"))
+
+    def along(axis: int) -> Callable[[Observable], FloatArray]:
+        return lambda o: moved[o.image, o.name][:, axis]
+
+    return tuple(
+        ModelParameter(f"common error {name}", 1.0, "sigma", pixels=along(axis))
+        for axis, name in enumerate(("east", "north"))
     )
-    return east, north
 
 
 def _minus_two_log_likelihood(found: FilterEstimate, observables: Sequence[Observable]) -> float:
