@@ -107,6 +107,8 @@ this list to its top; a package imports what stands below it.
     Constants of nature, of the sky and of statistics, with their sources.
 ``lazy_names``
     Names of a package whose modules are loaded at their first use.
+``paths``
+    Paths that others name, asked about without surprise.
 ``errors``
     One root error, one leaf per thing that can be wrong.
 ``version``

@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 from urllib.request import Request
 
 from opnav_workbench.errors import DownloadError
-from opnav_workbench.files import sha256_of
+from opnav_workbench.files import json_value, sha256_of, text_of
 from opnav_workbench.version import __version__
 
 __all__ = ["Opener", "Progress", "download", "require_web_address"]
@@ -114,7 +114,7 @@ class RemoteFile:
     def validator(self) -> str:
         """The server's mark of the file that the partial one belongs to; empty if there is none."""
         try:
-            note = json.loads(self.note.read_text(encoding="utf-8"))
+            note = json_value(text_of(self.note))
         except (OSError, ValueError):
             return ""
         same = isinstance(note, dict) and note.get("url") == self.url

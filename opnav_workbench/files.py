@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.paths import regular_size
 
 __all__ = [
     "atomic_path",
@@ -21,16 +22,19 @@ __all__ = [
     "given_cell",
     "inside",
     "json_text",
+    "json_value",
     "make_folder",
     "plain_cell",
     "plain_values",
     "read_json",
     "sha256_of",
+    "text_of",
     "write_json",
     "write_text",
 ]
 
 HASH_CHUNK_BYTES = 1 << 20
+LARGEST_TEXT_BYTES = 256 << 20  # a result with a hundred thousand stars has 60 MB
 
 
 @contextlib.contextmanager
@@ -159,12 +163,48 @@ def read_json(path: str | os.PathLike[str], advice: str) -> dict[str, Any]:
         The file is missing or damaged, or holds something else: what is wrong with it, then `advice`.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=lambda _: None)
-    except (OSError, ValueError, RecursionError) as error:  # a number of thousands of digits is a ValueError
+        data = json_value(text_of(path))
+    except (OSError, ValueError) as error:
         raise SessionError(f"{path} cannot be read ({error}); {advice}") from error
     if not isinstance(data, dict):
         raise SessionError(f"{path} cannot be read (it holds no mapping); {advice}")
     return data
+
+
+def text_of(path: str | os.PathLike[str]) -> str:
+    """Return the text of a file that others may have written.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, is no regular file (a pipe would block, a device never end), or larger than
+        `LARGEST_TEXT_BYTES`.
+    UnicodeDecodeError
+        It is no UTF-8.
+    """
+    size = regular_size(path)
+    if size > LARGEST_TEXT_BYTES:
+        raise OSError(f"{size} bytes, more than {LARGEST_TEXT_BYTES}")
+    return Path(path).read_text(encoding="utf-8")
+
+
+def json_value(text: str | bytes) -> Any:
+    """Return what JSON of others stands for; NaN and Infinity, which JSON does not know, are None.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, nested too deep, or has a number of thousands of digits.
+
+    Examples
+    --------
+    >>> json_value('{"sigma": NaN, "center": [1, 2.5]}')
+    {'sigma': None, 'center': [1, 2.5]}
+    """
+    try:
+        return json.loads(text, parse_constant=lambda _: None)
+    except RecursionError as error:
+        raise ValueError("nested too deep") from error
 
 
 def plain_values(value: Any) -> Any:

@@ -19,6 +19,7 @@ from pydantic import AfterValidator, Field, TypeAdapter
 from opnav_workbench.camera import Camera, read_out
 from opnav_workbench.errors import CameraError, MissionError
 from opnav_workbench.image.header import KeywordMap, header_matches
+from opnav_workbench.paths import is_file, is_folder
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import Photometry, TargetState
 from opnav_workbench.yaml_file import StrictModel, read_model
@@ -349,9 +350,9 @@ def _find_mission_file(name_or_path: str | PathLike[str]) -> Path:
     if name_or_path in known:
         return kernels_meta_dir() / str(name_or_path) / FILE_NAME
     path = Path(name_or_path)
-    if path.is_dir() and (path / FILE_NAME).is_file():
+    if is_folder(path) and is_file(path / FILE_NAME):
         return path / FILE_NAME
-    if path.is_file():
+    if is_file(path):
         return path
     close = difflib.get_close_matches(str(name_or_path).lower().replace("-", "_"), known, n=1, cutoff=0.5)
     hint = f" Did you mean {close[0]}?" if close else ""

@@ -8,6 +8,7 @@ from pathlib import Path
 import platformdirs
 
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.paths import is_file
 
 __all__ = [
     "CACHE_VARIABLE",
@@ -99,7 +100,7 @@ def ready_file(source: str | PathLike[str], folder: str, what: str, failure: typ
         mission, _, name = str(source).partition("/")
         return kernels_meta_dir() / mission / folder / f"{name}.yaml"
     path = Path(source)
-    if path.is_file() or path.suffix:
+    if is_file(path) or path.suffix:
         return path
     close = difflib.get_close_matches(str(source), names, n=1)
     hint = f"did you mean {close[0]}? " if close else ""

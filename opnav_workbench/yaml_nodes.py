@@ -7,12 +7,13 @@ error of the reader below. So events are counted before anything is built of the
 what aliases repeat, and times stay texts: what may be a time says the model that takes it.
 """
 
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
+
+from opnav_workbench.paths import regular_size
 
 __all__ = ["LARGEST_BYTES", "LONGEST_NUMBER", "YamlError", "compose", "plain_value", "yaml_text"]
 
@@ -70,12 +71,9 @@ def yaml_text(path: Path) -> str:
     YamlError
         It is larger than `LARGEST_BYTES`.
     """
-    status = path.stat()
-    if stat.S_ISREG(status.st_mode):
-        if status.st_size > LARGEST_BYTES:
-            raise YamlError(f"{status.st_size} bytes, more than {LARGEST_BYTES}")
-    elif not stat.S_ISDIR(status.st_mode):  # a pipe would block; what a folder is, reading tells
-        raise OSError("it is a pipe or device, no file")
+    size = regular_size(path)
+    if size > LARGEST_BYTES:
+        raise YamlError(f"{size} bytes, more than {LARGEST_BYTES}")
     return path.read_text(encoding="utf-8")
 
 

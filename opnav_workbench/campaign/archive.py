@@ -29,6 +29,7 @@ from opnav_workbench.observables import (
     write_tdm,
 )
 from opnav_workbench.observables.explanation import explanation, together
+from opnav_workbench.paths import is_folder
 from opnav_workbench.session.storage import SESSION_FILE
 
 __all__ = ["ARCHIVE_FILE", "EXPORT_FORMATS", "Campaign", "ImageEntry", "export_observables"]
@@ -135,7 +136,7 @@ class Campaign:
 
     def __init__(self, path: str | Path, *, create: bool = True) -> None:
         file = Path(path)
-        self._database = Database(file / ARCHIVE_FILE if file.is_dir() else file, create=create)
+        self._database = Database(file / ARCHIVE_FILE if is_folder(file) else file, create=create)
 
     def __enter__(self) -> "Campaign":
         return self

@@ -24,6 +24,7 @@ import sqlalchemy as sa
 from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.campaign.schema import APPLICATION_ID, SCHEMA_VERSION, metadata, tables
 from opnav_workbench.errors import SessionError
+from opnav_workbench.paths import exists
 
 __all__ = ["ARCHIVE_FILE", "ArchiveDamaged", "Database"]
 
@@ -183,7 +184,7 @@ class Database:
 
 def _check_file(path: Path, create: bool) -> None:
     """Refuse early what SQLite would answer with riddles."""
-    if not path.exists():
+    if not exists(path):
         if not create:
             raise SessionError(f"there is no campaign archive {path}; make one: opnav campaign ingest RUN.")
         try:

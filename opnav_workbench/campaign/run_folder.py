@@ -25,8 +25,9 @@ from astropy.table import QTable, Table
 
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, row_of
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import digest, files_named, read_json
+from opnav_workbench.files import digest, files_named, read_json, text_of
 from opnav_workbench.format_versions import as_of_today, unstamped
+from opnav_workbench.paths import exists, is_file, is_folder
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
 __all__ = [
@@ -64,7 +65,7 @@ def read_observables(path: Path) -> tuple[tuple[ObservableColumn, ...], list[dic
         The file is no ECSV table of observables.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = text_of(path).splitlines()
         head = list(takewhile(lambda line: line.startswith("#"), lines))
         body = lines[len(head) :]
         columns, delimiter = _header("\n".join([*head, body[0]]))
@@ -177,7 +178,7 @@ def find_runs(path: str | Path) -> Iterator[Path]:
         There is no such folder, or no run in it.
     """
     top = Path(path)
-    if not top.is_dir():
+    if not is_folder(top):
         raise SessionError(
             f"there is no folder {top}; give run folders (with {RESULT_FILE}) or folders of them."
         )
@@ -343,7 +344,7 @@ def _observables(
     """The observables' file, which must be there and agree with the result, except for a picture that failed early."""
     wanted = [(body["name"], body["method"]) for body in result.get("bodies") or ()]
     path = place / TABLE_FILE
-    if not path.is_file():
+    if not is_file(path):
         if wanted:
             raise SessionError(f"{TABLE_FILE} is missing; process the picture again")
         return (), []
@@ -367,7 +368,7 @@ def _processed_utc(place: Path, journal: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _read_mapping(path: Path) -> dict[str, Any]:
-    if not path.exists():
+    if not exists(path):
         raise SessionError(f"{path.name} is missing; the run was not finished, process the picture again")
     written = read_json(path, "process the picture again")
     today = as_of_today(path.stem, written, path.name, SessionError)  # result or session

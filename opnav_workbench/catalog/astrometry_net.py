@@ -47,6 +47,7 @@ from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.fits_layout import FITS_MALFORMED, check_fits_layout
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
+from opnav_workbench.paths import regular_size
 
 __all__ = ["open_astrometry_net"]
 
@@ -70,6 +71,7 @@ def read_index(file: Path) -> tuple[FloatArray, float, dict[str, NDArray[Any]]]:
         The file is no whole index file.
     """
     try:
+        regular_size(file)
         with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
             check_fits_layout(content)
         with warnings.catch_warnings(), fits.open(file, memmap=True) as hdus:

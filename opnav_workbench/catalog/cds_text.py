@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.paths import exists, is_folder
 
 __all__ = ["TextRows", "read_rows", "source_files"]
 
@@ -125,9 +126,9 @@ def source_files(folder: Path, names: list[str], what: str, remedy: str) -> list
     CatalogError
         The folder is missing, is none, is empty, or holds none of the files.
     """
-    if not folder.exists():
+    if not exists(folder):
         raise CatalogError(f"the folder {folder} does not exist; {remedy}")
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise CatalogError(f"{folder} is a file, not the folder of {what}; {remedy}")
     present = {entry.name.lower(): entry for entry in folder.iterdir()}
     found = [present.get(name, present.get(f"{name}.gz")) for name in names]

@@ -50,6 +50,7 @@ from opnav_workbench.catalog.quality import StarQuality, quality_flags
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.paths import is_file
 
 __all__ = ["HIPPARCOS_JYEAR", "HipparcosStars", "open_hip2", "read_hipparcos"]
 
@@ -167,7 +168,7 @@ def open_hip2(argument: str, progress: Progress | None = None) -> StoredCatalog:
         The file is missing or not in the layout of CDS I/311.
     """
     given = Path(argument).expanduser()
-    file = given if given.is_file() else source_files(given, ["hip2.dat"], "Hipparcos-2", HIP2_REMEDY)[0]
+    file = given if is_file(given) else source_files(given, ["hip2.dat"], "Hipparcos-2", HIP2_REMEDY)[0]
     identity = {"rule": RULE, **source_identity([file])}
     stars = cached_stars(cache_path(cache_name("hip2", file)), identity, partial(_records, file, progress))
     return StoredCatalog(

@@ -25,6 +25,7 @@ from opnav_workbench.catalog.whole_sky import WHOLE_SKY, fetched_names, fetched_
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.parts import install_command
+from opnav_workbench.paths import is_file, is_folder
 
 __all__ = ["CatalogStatus", "catalog_contents", "catalog_status", "open_catalog"]
 
@@ -152,9 +153,9 @@ def _contents(spec: str) -> list[tuple[str, str]]:
 
 def _source_files(argument: str) -> list[Path]:
     path = Path(argument).expanduser()
-    if path.is_dir():
+    if is_folder(path):
         return sorted(file for file in path.rglob("*") if file.is_file())
-    return [path] if path.is_file() else sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207
+    return [path] if is_file(path) else sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207
 
 
 def _state_of(file: Path) -> str:

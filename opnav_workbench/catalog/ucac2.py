@@ -24,6 +24,7 @@ from opnav_workbench.catalog.zones import (
 )
 from opnav_workbench.constants import FASTEST_STAR_RAD_YR, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.paths import is_file, is_folder
 
 __all__ = ["UCAC2_RECORD", "open_ucac2"]
 
@@ -59,10 +60,10 @@ def open_ucac2(argument: str) -> StoredCatalog:
         The folder is missing, empty or holds no zone file.
     """
     given = Path(argument).expanduser()
-    folder = given / "u2" if (given / "u2").is_dir() else given
+    folder = given / "u2" if is_folder(given / "u2") else given
     files = open_zones(folder, LAYOUT)
     places = (folder, given / "info", given.parent / "info")
-    index = next((p / "u2index.da" for p in places if (p / "u2index.da").is_file()), None)
+    index = next((p / "u2index.da" for p in places if is_file(p / "u2index.da")), None)
     return StoredCatalog(
         name=f"ucac2:{argument}",
         facts={

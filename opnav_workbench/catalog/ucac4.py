@@ -33,6 +33,7 @@ from opnav_workbench.catalog.zones import (
 )
 from opnav_workbench.constants import FASTEST_STAR_RAD_YR, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.paths import is_file, is_folder
 
 __all__ = ["UCAC4_RECORD", "open_ucac4"]
 
@@ -76,7 +77,7 @@ def open_ucac4(argument: str) -> StoredCatalog:
         The folder is missing, empty or holds no zone file.
     """
     given = Path(argument).expanduser()
-    folder = given / "u4b" if (given / "u4b").is_dir() else given
+    folder = given / "u4b" if is_folder(given / "u4b") else given
     fast, index = (_index_file(given, name) for name in ("u4hpm.dat", "u4index.unf"))
     layout = _layout(_fast_motions(fast) if fast else {})
     files = open_zones(folder, layout)
@@ -113,7 +114,7 @@ def _layout(fast: dict[int, tuple[float, float]]) -> ZoneLayout:
 def _index_file(given: Path, name: str) -> Path | None:
     """Return a file of ``u4i``, wherever that stands beside the zone files."""
     places = (given / "u4i", given.parent / "u4i", given)
-    return next((place / name for place in places if (place / name).is_file()), None)
+    return next((place / name for place in places if is_file(place / name)), None)
 
 
 def _fast_motions(path: Path) -> dict[int, tuple[float, float]]:

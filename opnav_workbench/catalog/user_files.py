@@ -44,6 +44,7 @@ from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import EPOCHS_JYEAR, StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.paths import regular_size
 from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = ["open_npz", "read_star_list"]
@@ -110,6 +111,7 @@ def open_npz(path: str | Path) -> IndexedCatalog:
 
 def _load(file: Path) -> dict[str, NDArray[Any]]:
     try:
+        regular_size(file)
         with file.open("rb") as stream:  # numpy leaves a file open that turns out to be no archive
             return _arrays(file, stream)
     except FileNotFoundError as error:

@@ -30,6 +30,7 @@ from opnav_workbench.catalog.star_store import GUARD_RAD, Candidates, ra_spans
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import J2000_JYEAR, RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.paths import exists, is_folder
 
 __all__ = ["UCAC_BAND", "ZoneLayout", "ZoneStore", "columns_at_j2000", "open_zones"]
 
@@ -65,9 +66,9 @@ def open_zones(folder: Path, layout: ZoneLayout) -> dict[int, Path]:
     CatalogError
         The folder is missing, empty or holds no zone file.
     """
-    if not folder.exists():
+    if not exists(folder):
         raise CatalogError(f"the folder {folder} does not exist; {layout.remedy}")
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise CatalogError(f"{folder} is a file, not the folder of {layout.name}; {layout.remedy}")
     entries = {entry.name.lower(): entry for entry in folder.iterdir()}
     zones = {

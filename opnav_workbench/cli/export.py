@@ -26,6 +26,7 @@ from opnav_workbench.observables import (
     write_tdm,
 )
 from opnav_workbench.observables.files import observables_of_result, read_result
+from opnav_workbench.paths import is_folder
 
 __all__ = ["FORMATS", "export"]
 
@@ -136,7 +137,7 @@ def _origins_of(observables: Sequence[Observable], origins: Sequence[Origin]) ->
 
 def _read_source(source: Path) -> Iterator[Told]:
     """Yield what each file of a folder of results (or folders of folders) tells, or one file."""
-    if source.is_dir():
+    if is_folder(source):
         tables = files_named(source, TABLE)
         if not tables:
             raise SessionError(

@@ -30,6 +30,7 @@ from opnav_workbench.kernels import (
     utc_from_et,
 )
 from opnav_workbench.kernels.coverage import covered_share
+from opnav_workbench.paths import is_file
 
 __all__ = ["print_brief", "print_check", "print_fetched", "print_kernel_sets", "print_made"]
 
@@ -124,7 +125,7 @@ def print_brief(console: Console, told: KernelBrief) -> None:
     if told.variables:
         console.print(_variable_table(told))
     for path in told.listed:
-        here = "" if path.is_file() else "  [bold red]not there[/]"
+        here = "" if is_file(path) else "  [bold red]not there[/]"
         console.print(f"  {shown(str(path))}{here}", highlight=False, soft_wrap=True)
 
 

@@ -7,7 +7,6 @@ make-isd                   the same as image support data (JSON) for mapping pro
 geometry                   times, states, attitude and targets at an epoch
 """
 
-import json
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
@@ -35,7 +34,7 @@ from opnav_workbench.cli.kernel_tables import (
 from opnav_workbench.cli.terminal import EXIT_PARTLY, shown
 from opnav_workbench.downloads import Progress as DownloadProgress
 from opnav_workbench.errors import KernelError, OpNavError, SessionError, counted
-from opnav_workbench.files import json_text, make_folder, write_json
+from opnav_workbench.files import json_text, make_folder, read_json, write_json
 from opnav_workbench.kernels import (
     FetchedKernels,
     KernelKind,
@@ -56,6 +55,7 @@ from opnav_workbench.kernels.dsk_files import write_dsk
 from opnav_workbench.kernels.kernel_set import unknown_name
 from opnav_workbench.kernels.shape_files import read_shape
 from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.paths import exists, is_file
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import GeometryReport, geometry_report
 from opnav_workbench.session import (
@@ -81,7 +81,7 @@ def make_from_scenario(source: str, out: Path | None, *, actual: bool) -> tuple[
     """
     named = kernels_meta_dir() / f"{source}.yaml"
     scenario = named if source in known_names() and named.is_file() else Path(source)
-    if not scenario.exists() and not scenario.suffix:
+    if not exists(scenario) and not scenario.suffix:
         raise KernelError(unknown_name(source))
     folder = out or Path("kernels") / scenario.stem
     metakernel = make_kernels(scenario, folder, actual=actual)
@@ -224,11 +224,8 @@ def _results_of_run(run_dir: Path) -> list[dict[str, Any]]:
 
 
 def _read_result(path: Path) -> dict[str, Any]:
-    try:
-        result = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SessionError(f"{path} cannot be read ({error}); process the picture again.") from error
-    if not isinstance(result, dict) or not {"image", "mission", "camera"} <= set(result):
+    result = read_json(path, "process the picture again.")
+    if not {"image", "mission", "camera"} <= set(result):
         raise SessionError(f"{path} is not the result of a picture; process the picture again.")
     return result
 
@@ -523,7 +520,7 @@ def brief_(
     """
     console = Console()
     helpers = [*KernelSet(kernels).paths] if kernels is not None else []
-    helpers += [path for path in files if path.suffix.lower() in (".tsc", ".tf") and path.is_file()]
+    helpers += [path for path in files if path.suffix.lower() in (".tsc", ".tf") and is_file(path)]
     for number, path in enumerate(files):
         if number:
             console.print()

@@ -22,6 +22,7 @@ from opnav_workbench.files import make_folder, write_text
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.parts import need
+from opnav_workbench.paths import exists, is_file
 from opnav_workbench.processing import Processing
 from opnav_workbench.processing.model import NO_TARGETS
 from opnav_workbench.processing.queue_file import read_queue
@@ -109,7 +110,7 @@ def put_notebook(folder: Path, parameters: LabParameters) -> Path:
     """
     make_folder(folder)
     path = folder / NOTEBOOK
-    source = path if path.is_file() else notebooks_dir() / NOTEBOOK
+    source = path if is_file(path) else notebooks_dir() / NOTEBOOK
     try:
         notebook: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
         _set_parameters(notebook["cells"], parameters)
@@ -201,7 +202,7 @@ def lab(
 
 def _given_pictures(images: list[Path], given: Mapping[str, Any]) -> LabParameters:
     how = processing_of(given).with_full_paths()
-    missing = [image for image in images if not image.exists()]
+    missing = [image for image in images if not exists(image)]
     how.opened()  # what is wrong is told here, not in the notebook
     if missing:
         raise SessionError(f"there is no picture {missing[0]}; check the path.")

@@ -6,12 +6,13 @@ nothing that navigates. A test holds the table and the commands together.
 
 import gc
 import io
+import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
-from rich.console import Console
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
@@ -24,6 +25,10 @@ __all__ = ["COMMANDS", "CommandEntry", "app", "main"]
 
 # At Python's 700 the garbage collector looks through what imports made so often that it takes a tenth of a short command.
 OBJECTS_BETWEEN_COLLECTIONS = 10_000
+# What typer raises of arguments, under whatever name it has its click.
+MISUSE: type[Exception] = next(
+    kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
+)
 
 
 class CommandEntry(NamedTuple):
@@ -125,11 +130,19 @@ class CommandOnCall(TyperCommand):
 
 
 class CommandTable(TyperGroup):
-    """The group of all commands in `COMMANDS`."""
+    """The group of all commands in `COMMANDS`; Ctrl-C ends any of them with a line and a status of its own."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = {name: CommandOnCall(name, entry) for name, entry in COMMANDS.items()}
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was called."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:
+            error_console().print("stopped; what was finished is kept.")
+            raise typer.Exit(getattr(stop, "status", EXIT_STOPPED)) from stop
 
 
 app = typer.Typer(
@@ -159,18 +172,55 @@ def common(
 
 
 def main() -> None:
-    """Run the program; a known error is one line on standard error and exit status 2."""
+    """Run the program; what was wrong is one line on standard error, and exit status 2."""
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that is no text must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        app()
-    except (OpNavError, ModuleNotFoundError) as error:
-        known = missing_part(error) if isinstance(error, ModuleNotFoundError) else error
-        if known is None:
+        status = app(standalone_mode=False)
+        _flush()
+    except Exception as error:
+        reason = _reason(error)
+        if reason is None:
             raise
-        error_console().print(f"[bold red]error:[/] {shown(str(known))}", highlight=False)
+        if reason:
+            error_console().print(f"[bold red]error:[/] {shown(reason)}", highlight=False)
         sys.exit(EXIT_BAD_INPUT)
-    except KeyboardInterrupt:
-        Console(stderr=True).print("stopped; finished images are kept.")
-        sys.exit(EXIT_STOPPED)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _flush() -> None:
+    """Write what is printed, so that a full disk is told; a pipe that nobody reads any more is no fault."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  Python flushes once more at its end
+        if not isinstance(error, BrokenPipeError):
+            raise
+
+
+def _reason(error: Exception) -> str | None:
+    """Return what a person is told of an error; None of a defect of ours."""
+    if isinstance(error, ModuleNotFoundError):
+        part = missing_part(error)
+        return None if part is None else str(part)
+    if isinstance(error, OpNavError):
+        return str(error)
+    if isinstance(error, MISUSE):
+        return _misuse(error)
+    if isinstance(error, OSError):  # of the machine: a disk that is full, a folder that is gone
+        where = "" if error.filename is None else f" ({os.fsdecode(error.filename)})"
+        return f"{error.strerror or error}{where}; see to that, and call it again."
+    if isinstance(error, MemoryError):
+        return "not enough memory for this; give less at a time, or a machine that has more."
+    return None
+
+
+def _misuse(error: Any) -> str:
+    """Return in one line what is wrong with the arguments; empty where help was shown instead."""
+    words = " ".join(error.format_message().split())
+    context = getattr(error, "ctx", None)
+    help_of = "opnav" if context is None else context.command_path
+    if not words or type(error).__name__ == "NoArgsIsHelpError":
+        return ""
+    return f"{words.removesuffix('.')}; {help_of} --help tells what it takes."

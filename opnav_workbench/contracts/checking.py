@@ -25,6 +25,7 @@ from opnav_workbench.geometry.times import et_from_text
 from opnav_workbench.landmarks import Maplets
 from opnav_workbench.observables import Observable, read_csv, read_ecsv, read_json, read_tdm, tdm_table
 from opnav_workbench.observables.observable import LIGHT_TIMES
+from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_file import file_faults, read_content
 
 __all__ = ["Checked", "check_file"]
@@ -67,7 +68,7 @@ def check_file(path: str | Path, kind: str | None = None) -> Checked:
     """
     file = Path(path)
     ending = file.suffix.casefold()
-    if not file.is_file():
+    if not is_file(file):
         raise SessionError(f"{file} is no file; give files that opnav reads or writes.")
     if ending in TABLES:
         return Checked(

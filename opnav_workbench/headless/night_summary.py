@@ -1,6 +1,5 @@
 """The morning after: what came out of every picture, as plain values (``summary.json``), for a page, and for the queue."""
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -9,7 +8,7 @@ from typing import Any
 
 from opnav_workbench import report
 from opnav_workbench.campaign.run_folder import attention_reasons
-from opnav_workbench.files import inside, write_json, write_text
+from opnav_workbench.files import inside, json_value, text_of, write_json, write_text
 from opnav_workbench.headless.night import Night, NightPicture
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
 from opnav_workbench.headless.records import NightRecord, read_record
@@ -145,7 +144,7 @@ def _read_result(folder: Path, record: NightRecord | None) -> dict[str, Any]:
     if record is not None and record.reason and not (folder / RESULT_FILE).exists():
         return {"status": "failed", "messages": [record.reason]}
     try:
-        result: dict[str, Any] = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+        result: dict[str, Any] = json_value(text_of(folder / RESULT_FILE))
         return {"status": result["status"], "messages": list(result["messages"])} | result
     except (OSError, ValueError, KeyError, TypeError):
         return {

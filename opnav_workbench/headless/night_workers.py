@@ -7,7 +7,6 @@ and writes into the picture's working folder only; the night moves that to its p
 
 import contextlib
 import importlib
-import json
 import os
 import subprocess
 import sys
@@ -24,7 +23,7 @@ import psutil
 
 from opnav_workbench import errors
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import write_json
+from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.headless.faults import FAULTS, fault_of_report
 from opnav_workbench.parts import install_command
 from opnav_workbench.processing.pictures import failed_result
@@ -230,7 +229,7 @@ def _kill_family(pid: int) -> None:
 def _read_report(folder: Path, code: int) -> tuple[str, str]:
     """Fault and reason as the process left them."""
     try:
-        report = json.loads((folder / REPORT_FILE).read_text(encoding="utf-8"))
+        report = json_value(text_of(folder / REPORT_FILE))
         (folder / REPORT_FILE).unlink()
     except (OSError, ValueError):
         return (

@@ -5,12 +5,11 @@ from those that one did.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from opnav_workbench.files import sha256_of, write_json
+from opnav_workbench.files import json_value, sha256_of, text_of, write_json
 from opnav_workbench.session.history import JOURNAL_FILE
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE
 
@@ -74,7 +73,7 @@ class NightRecord:
 def read_record(folder: Path) -> NightRecord | None:
     """Return the record of a picture's folder; None where there is none that can be read."""
     try:
-        data = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))
+        data = json_value(text_of(folder / RECORD_FILE))
         values = data["record"] | {"stamp": tuple(data["record"].get("stamp", ()))}
         return NightRecord(**values) if data["schema"] == SCHEMA else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -108,7 +107,7 @@ def is_of_an_analyst(record: NightRecord | None, session: str) -> bool:
 def result_status(folder: Path) -> str:
     """Return the status of a folder's result; empty where there is none that can be read."""
     try:
-        return str(json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))["status"])
+        return str(json_value(text_of(folder / RESULT_FILE))["status"])
     except (OSError, ValueError, KeyError, TypeError):
         return ""
 

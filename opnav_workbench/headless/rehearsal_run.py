@@ -4,13 +4,12 @@ A picture that is lost, damaged or cannot be solved is an outcome with its reaso
 """
 
 import contextlib
-import json
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import make_folder, sha256_of
+from opnav_workbench.files import json_value, make_folder, sha256_of, text_of
 from opnav_workbench.processes import in_processes
 from opnav_workbench.processing import OpenedProcessing, Outcome, Processing, process_image
 from opnav_workbench.rehearsal.package import OrtPackage
@@ -78,7 +77,7 @@ def _earlier_outcome(path: Path, out: Path) -> Outcome | None:
     """Return what was made of a picture before; None where nothing, or of another picture of that name."""
     folder = out / path.stem
     try:
-        result = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+        result = json_value(text_of(folder / RESULT_FILE))
         same = result["sha256"] == sha256_of(path)
         reason = "; ".join(result["messages"]) if result["status"] == "failed" else ""
     except (OSError, ValueError, KeyError, TypeError):

@@ -9,6 +9,7 @@ from pathlib import Path
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.image.formats.sidecar import find_sidecar
+from opnav_workbench.paths import is_file, is_folder
 
 __all__ = ["FolderOwner", "NoPictures", "picture_files", "picture_names"]
 
@@ -39,9 +40,9 @@ def picture_files(images: Iterable[str | Path]) -> tuple[Path, ...]:
 
 def _expanded(image: str | Path) -> list[Path]:
     path = Path(image).expanduser()
-    if path.is_file():
+    if is_file(path):
         return [path.resolve()]
-    if path.is_dir():
+    if is_folder(path):
         inside = [p for p in path.iterdir() if p.is_file() and _is_picture(p)]
         return _sorted(inside) or _nothing(
             f"the folder {path} holds no picture ({', '.join(PICTURE_SUFFIXES)})."

@@ -20,6 +20,7 @@ from opnav_workbench.kernels.pool import loaded_files
 from opnav_workbench.kernels.shape_files import checked_shape
 from opnav_workbench.kernels.states import body_id
 from opnav_workbench.kernels.writing import new_das, require_frame
+from opnav_workbench.paths import is_file
 
 __all__ = ["is_dsk", "read_dsk", "shape_file_of", "write_dsk"]
 
@@ -117,7 +118,7 @@ def read_dsk(path: str | os.PathLike[str]) -> tuple[FloatArray, IntArray]:
     KernelError
         The file cannot be read, or has a segment of another type than 2.
     """
-    if not Path(path).is_file():
+    if not is_file(path):
         raise KernelError(f"shape {path}: no such file; give a DSK (.bds) file.")
     vertices: list[FloatArray] = []
     plates: list[IntArray] = []

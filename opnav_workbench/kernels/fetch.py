@@ -4,7 +4,6 @@ Beside the kernels stands ``manifest.lock.json`` with the digest of every file t
 manifest knows no digest, the first download is trusted and its digest written down there; from then on it counts.
 """
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +13,7 @@ from typing import Any
 
 from opnav_workbench.downloads import Progress, download
 from opnav_workbench.errors import KernelError, SessionError
-from opnav_workbench.files import inside, make_folder, sha256_of, write_json, write_text
+from opnav_workbench.files import inside, json_value, make_folder, sha256_of, text_of, write_json, write_text
 from opnav_workbench.kernels.files import kernel_file
 from opnav_workbench.kernels.manifest import (
     KernelKind,
@@ -134,7 +133,7 @@ class _DigestFile:
         self.entries: dict[str, dict[str, Any]] = {}
         if path.is_file():
             try:
-                self.entries = dict(json.loads(path.read_text(encoding="utf-8"))["kernels"])
+                self.entries = dict(json_value(text_of(path))["kernels"])
             except (ValueError, KeyError, TypeError) as error:
                 raise KernelError(
                     f"{path} is damaged ({error}); delete it, and the kernels beside it count as new."

@@ -32,6 +32,7 @@ from opnav_workbench.kernels.loading import (
 )
 from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.kernels.manifest import fetched_metakernel
+from opnav_workbench.paths import exists, is_file
 from opnav_workbench.resources import CACHE_VARIABLE, cache_root, kernels_meta_dir
 from opnav_workbench.version import __version__
 from opnav_workbench.yaml_nodes import compose, plain_value
@@ -172,7 +173,7 @@ def kernel_sets() -> tuple[KernelSetInfo, ...]:
 
 def _set_info(name: str) -> KernelSetInfo:
     path = kernels_meta_dir() / f"{name}.yaml"
-    if not path.is_file() or path.with_suffix(".tm").is_file():
+    if not is_file(path) or is_file(path.with_suffix(".tm")):
         return KernelSetInfo(name, "", "", "", built=True)
     head = _scenario_head(path)
     span = head.get("span") or {}
@@ -251,9 +252,9 @@ def _entries(source: KernelSource) -> Iterator[KernelFile | MissingFile]:
         return entries_at(_metakernel_of_name(source), named=True)
     path = Path(os.path.expanduser(source)).absolute()  # noqa: PTH111 (Path's own raises for a user it cannot find)
     require_short_path(path)
-    if path.suffix == ".yaml" and path.is_file() and _is_scenario(path):
+    if path.suffix == ".yaml" and is_file(path) and _is_scenario(path):
         return entries_at(scenario_metakernel(f"{path.parent.name}/{path.stem}", path))
-    if isinstance(source, str) and not path.exists() and not path.suffix:
+    if isinstance(source, str) and not exists(path) and not path.suffix:
         fetched = fetched_metakernel(source)
         if fetched is None:
             raise KernelError(unknown_name(source))

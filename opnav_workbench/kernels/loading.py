@@ -28,6 +28,7 @@ from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_text
 from opnav_workbench.kernels.coverage import Coverage
 from opnav_workbench.kernels.files import KINDS, KernelFile, kernel_file, looks_like_kernel
+from opnav_workbench.paths import exists, is_file, is_folder
 
 __all__ = [
     "KernelSource",
@@ -88,7 +89,7 @@ def none_missing(entries: Iterable[KernelFile | MissingFile]) -> tuple[KernelFil
 def entries_at(path: Path, *, named: bool = False) -> Iterator[KernelFile | MissingFile]:
     """Yield a file, followed by what it lists, or the kernels of a folder; `named` as in `listed_files` (not here_first)."""
     require_short_path(path)
-    if path.is_dir():
+    if is_folder(path):
         yield from _folder_kernels(path)
     else:
         yield from _expanded_file(path, named=named)
@@ -115,7 +116,7 @@ def _expanded_file(
     if path in above:
         raise KernelError(f"{path} lists itself through {above[-1]}; remove it from KERNELS_TO_LOAD.")
     require_short_path(path, listed_in)
-    if not path.is_file():
+    if not is_file(path):
         yield MissingFile(path, listed_in)
         return
     entry = kernel_file(path)
@@ -185,7 +186,7 @@ def _substituted(name: str, paths: dict[str, str], metakernel: Path) -> str:
 
 def _located(name: str, folders: tuple[Path, ...]) -> Path:
     candidates = [Path(os.path.normpath(folder / name)) for folder in folders]
-    return next((c for c in candidates if c.exists()), candidates[-1])
+    return next((c for c in candidates if exists(c)), candidates[-1])
 
 
 # ---- Kernel sets: SPICE kernels opened for a block of code, and everything back as it was afterwards.

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field
 
 from opnav_workbench.downloads import require_web_address
 from opnav_workbench.errors import DownloadError, KernelError, MissionError
+from opnav_workbench.paths import is_file
 from opnav_workbench.resources import cache_root, kernels_meta_dir
 from opnav_workbench.yaml_file import StrictModel, read_model
 
@@ -145,7 +146,7 @@ def load_manifest(name_or_path: str | PathLike[str]) -> tuple[Manifest, Path]:
     """
     known = manifest_missions()
     path = kernels_meta_dir() / str(name_or_path) / FILE_NAME if name_or_path in known else Path(name_or_path)
-    if not path.is_file():
+    if not is_file(path):
         close = difflib.get_close_matches(str(name_or_path).lower().replace("-", "_"), known, n=1, cutoff=0.5)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise MissionError(
@@ -193,7 +194,7 @@ def fetched_metakernel(name: str) -> Path | None:
         return None
     manifest, _ = load_manifest(mission)
     path = kernels_folder(mission) / manifest.metakernel
-    if not path.is_file():
+    if not is_file(path):
         raise KernelError(
             f"the flight kernels of {mission} are not on this machine; run: opnav kernels fetch {mission}"
         )

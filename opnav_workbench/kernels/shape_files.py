@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import KernelError
+from opnav_workbench.paths import regular_size
 
 __all__ = ["SHAPE_FORMATS", "UNIT_KM", "ShapeFile", "checked_shape", "read_shape"]
 
@@ -269,9 +270,7 @@ def read_shape(path: str | os.PathLike[str], unit: str = "km") -> tuple[FloatArr
 
 def _content(path: Path) -> bytes:
     """Return a file's bytes; a device, which never ends, is no file, and the largest shapes have some 300 MB."""
-    if path.exists() and not path.is_file():
-        raise KernelError(f"shape {path} is no regular file; shapes are {SHAPE_FORMATS}.")
-    if (size := path.stat().st_size) > LARGEST_BYTES:
+    if (size := regular_size(path)) > LARGEST_BYTES:
         raise KernelError(f"shape {path} has {size} bytes, more than {LARGEST_BYTES}; give a coarser one.")
     return path.read_bytes()
 

@@ -13,6 +13,7 @@ import numpy as np
 from astropy import units as u
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import json_value
 from opnav_workbench.observables.explanation import ASTROMETRIC
 from opnav_workbench.observables.observable import Observable
 
@@ -306,7 +307,7 @@ def rows_to_observables(rows: Iterable[Mapping[str, Any]], source: str) -> tuple
             )
         try:
             made.append(Observable(**{field.name: _field_value(field, row) for field in FIELDS}))
-        except (ValueError, TypeError, IndexError) as error:
+        except (ValueError, TypeError, IndexError, AttributeError) as error:
             raise SessionError(f"{source}, row {number}: {error}. Export the observables again.") from error
     return tuple(made)
 
@@ -341,5 +342,5 @@ def _text_value(field: ExportField, text: str) -> Any:
     if field.name == "messages":
         return tuple(text.split("; ")) if text else ()
     if field.name == "center_cross_px2":
-        return {name: np.array(cross) for name, cross in json.loads(text).items()} if text else {}
+        return {name: np.array(cross) for name, cross in json_value(text).items()} if text else {}
     return text

@@ -13,7 +13,7 @@ Files are written whole or not at all.
 
 import csv
 import io
-import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -25,7 +25,8 @@ from astropy.table import QTable
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import atomic_path, given_cell, plain_cell, write_json, write_text
+from opnav_workbench.files import atomic_path, given_cell, plain_cell, text_of, write_json, write_text
+from opnav_workbench.files import read_json as json_mapping
 from opnav_workbench.format_versions import FORMAT_KEY, as_of_today
 from opnav_workbench.observables.columns import (
     ALWAYS_ARRAYS,
@@ -131,14 +132,11 @@ def read_ecsv(path: str | Path) -> tuple[Observable, ...]:
 
 def _read_table(path: str | Path) -> QTable:
     try:
-        table = QTable.read(path, format="ascii.ecsv")
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        IndexError,
-    ) as error:  # what astropy raises of a bad header
+        lines = text_of(path).splitlines()
+        with warnings.catch_warnings():  # of units and kinds of columns: what is needed is checked below
+            warnings.simplefilter("ignore")
+            table = QTable.read(lines, format="ascii.ecsv")
+    except Exception as error:  # astropy raises whatever a bad header leads it to
         reason = " ".join(str(error).split())
         raise SessionError(
             f"no observables can be read from {path}: {reason}. Give an ECSV file of observables."
@@ -195,7 +193,7 @@ def read_csv(path: str | Path) -> tuple[Observable, ...]:
         The file cannot be read, or holds something else.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = text_of(path)
     except (OSError, UnicodeDecodeError) as error:
         raise SessionError(
             f"no observables can be read from {path}: {error}. Give a CSV file of observables."
@@ -261,13 +259,8 @@ def read_json(path: str | Path) -> tuple[Observable, ...]:
 
 
 def _read_content(path: str | Path) -> dict[str, Any]:
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise SessionError(
-            f"no observables can be read from {path}: {error}. Give a JSON file of observables."
-        ) from error
-    if not isinstance(data, dict) or data.get("format") != JSON_FORMAT:
+    data = json_mapping(path, "give a JSON file of observables.")
+    if data.get("format") != JSON_FORMAT:
         raise SessionError(f"{path} holds no observables; give a file that opnav export --format json wrote.")
     return as_of_today("observables", data, str(path), SessionError)
 
@@ -280,7 +273,8 @@ def _observables_in(data: Mapping[str, Any], path: str | Path) -> tuple[Observab
 
 
 def _json_values(item: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: _json_value(name, value) for name, value in item.items()}
+    """The fields of an observable; a field that a later version added is let be, as `format_version` promises."""
+    return {name: _json_value(name, value) for name, value in item.items() if name in FIELD_TYPES}
 
 
 def _json_value(name: str, value: Any) -> Any:
@@ -356,13 +350,8 @@ def read_result(path: str | Path) -> dict[str, Any]:
     SessionError
         The file cannot be read, or is no result.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise SessionError(
-            f"no result can be read from {path}: {error}. Give a file of opnav process."
-        ) from error
-    if not isinstance(data, dict) or "bodies" not in data or "pointing" not in data:
+    data = json_mapping(path, "give a result of opnav process.")
+    if "bodies" not in data or "pointing" not in data:
         raise SessionError(f"{path} is no result of opnav process (no bodies or pointing in it).")
     return as_of_today("result", data, str(path), SessionError)
 

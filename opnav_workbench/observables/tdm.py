@@ -27,7 +27,7 @@ from astropy import units as u
 from astropy.table import QTable
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import write_text
+from opnav_workbench.files import text_of, write_text
 from opnav_workbench.format_versions import FORMAT_KEY, PRESENT_VERSION
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.observables.explanation import ASTROMETRIC, Origin, origin_lines
@@ -309,8 +309,9 @@ def read_tdm(path: str | Path) -> TrackingMessage:
         The file cannot be read or breaks the standard's syntax; the message names the line.
     """
     try:
-        text = Path(path).read_text(encoding="ascii")
-    except (OSError, UnicodeDecodeError) as error:
+        text = text_of(path)
+        text.encode("ascii")
+    except (OSError, ValueError) as error:
         raise SessionError(
             f"no tracking data message can be read from {path}: {error}. Give a file in keyword-value notation."
         ) from error

@@ -19,6 +19,7 @@ from opnav_workbench.catalog import read_star_list
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.kernels import KernelSet
+from opnav_workbench.paths import is_file
 from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.scene import BodyPrediction
 from opnav_workbench.session import ImageSession, Settings
@@ -67,7 +68,7 @@ def open_or_resume(image: str | Path, folder: str | Path, opened: OpenedProcessi
 
 def _opening(image: str | Path, opened: OpenedProcessing) -> dict[str, Any]:
     settings = opened.settings
-    if opened.decisions.images and Path(image).is_file():
+    if opened.decisions.images and is_file(image):
         recorded = opened.decisions.recorded(sha256_of(image))
         if recorded is not None:
             settings = Settings.from_dict(Settings().to_dict() | recorded.settings)

@@ -19,6 +19,7 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.kernels.shape_files import SHAPE_FORMATS, UNIT_KM, ShapeFile
 from opnav_workbench.mission import Mission, load_mission
+from opnav_workbench.paths import exists, is_file
 from opnav_workbench.session import BODY_METHODS, Settings
 from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.decisions import Decisions, load_decisions
@@ -336,7 +337,7 @@ class Processing(BaseModel):
         meant = {
             name: place
             for name, place in places.items()
-            if name in self.path_fields or (place.is_file() if name == "mission" else place.exists())
+            if name in self.path_fields or (is_file(place) if name == "mission" else exists(place))
         }
         full: dict[str, Any] = {name: str(p.resolve() if base is None else p) for name, p in meant.items()}
         full["shapes"] = {
@@ -365,7 +366,7 @@ class Processing(BaseModel):
             One of them is not what it should be: refused at once, as it would fail for every picture.
         """
         for body, file in self.shape_files.items():
-            if not file.path.is_file():
+            if not is_file(file.path):
                 raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
         return OpenedProcessing(
             how=self.plain,

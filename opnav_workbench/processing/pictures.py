@@ -17,6 +17,7 @@ from opnav_workbench import report
 from opnav_workbench.errors import OpNavError, SessionError, plain_line
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json, write_text
 from opnav_workbench.format_versions import stamped
+from opnav_workbench.paths import is_file
 from opnav_workbench.processing.automatic import Progress, open_picture, run_policy, silent
 from opnav_workbench.processing.carrying import FIGURE_FILE, carry_between
 from opnav_workbench.processing.model import OpenedProcessing, Processing
@@ -238,6 +239,9 @@ def process_image(
             report.write_summary(session, folder / FIGURE_FILE)
     except OpNavError as error:
         return _recorded_failure(path, folder, opened, str(error))
+    except OSError as error:  # of the machine: a disk that is full, a folder that is gone
+        reason = f"{error.strerror or error}; see to that, and process it again."
+        return _recorded_failure(path, folder, opened, f"{plain_line(path.name)}: {reason}")
     except Exception as error:  # a defect of ours must not cost the other pictures
         return _recorded_defect(path, folder, opened, error)
     result = session.result()
@@ -260,7 +264,7 @@ def failed_result(image: Path, mission: str, reason: str) -> dict[str, Any]:
     """Return the ``result.json`` of a picture that could not be processed, so that a night's summary can name it."""
     result = {"image": plain_line(image.name), "mission": mission, "status": "failed", "messages": [reason]}
     with contextlib.suppress(OSError):  # a file that cannot be read has no fingerprint
-        if image.is_file():  # a pipe would block, a device never end
+        if is_file(image):  # a pipe would block, a device never end
             result["sha256"] = sha256_of(image)
     return stamped("result", result)
 

@@ -10,14 +10,14 @@
 stand beside ``targets`` where they differ from their defaults; empty targets are the mission's own, ``["none"]`` none.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import inside, write_json
+from opnav_workbench.files import inside, json_value, text_of, write_json
+from opnav_workbench.paths import is_file, is_folder
 from opnav_workbench.processing.model import NO_TARGETS, Processing
 from opnav_workbench.session.storage import SESSION_FILE
 
@@ -96,13 +96,13 @@ def read_queue(folder: str | Path) -> AnalystQueue:
         No such folder, nothing in it to work on, or a damaged file.
     """
     place = Path(folder)
-    if not place.is_dir():
+    if not is_folder(place):
         raise SessionError(f"there is no folder {place}; give one that opnav nightly or opnav process wrote.")
     path = place / QUEUE_FILE
-    if not path.is_file():
+    if not is_file(path):
         return _queue_of_sessions(place)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json_value(text_of(path))
         if data["schema"] != SCHEMA:
             raise SessionError(
                 f"{path} has schema {data['schema']}, this version reads {SCHEMA}; update opnav_workbench."
@@ -137,7 +137,7 @@ def _queue_of_sessions(place: Path) -> AnalystQueue:
 
 def _queued_session(folder: Path) -> QueuedImage:
     try:
-        data: Any = json.loads((folder / SESSION_FILE).read_text(encoding="utf-8"))
+        data: Any = json_value(text_of(folder / SESSION_FILE))
         image = str(data["image"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SessionError(

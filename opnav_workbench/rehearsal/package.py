@@ -25,6 +25,7 @@ from pydantic import PositiveFloat
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import inside, plain_values, sha256_of, write_text
 from opnav_workbench.mission import mission_names
+from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = [
@@ -135,7 +136,7 @@ def read_content(folder: Path) -> OrtContent:
         There is none, or it is not one that this version reads.
     """
     path = folder / PACKAGE_FILE
-    if not path.is_file():
+    if not is_file(path):
         raise SessionError(
             f"{folder} is no rehearsal package: it has no {PACKAGE_FILE}. Make one with opnav ort new SCENARIO --out DIR."
         )

@@ -1,6 +1,5 @@
 """What a team made of a rehearsal's pictures: the result of each, and the one observable of each body that counts."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,8 +9,9 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import sha256_of
+from opnav_workbench.files import read_json, sha256_of
 from opnav_workbench.observables import Observable, read_ecsv
+from opnav_workbench.paths import is_folder
 
 __all__ = [
     "SURFACE_FROM_PX",
@@ -80,7 +80,7 @@ def picture_results(names: Iterable[str], results: str | Path) -> tuple[PictureR
         The folder is not there, or a file in it is damaged.
     """
     folder = Path(results)
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise SessionError(f"no folder of results {folder}; give the one that opnav ort solve wrote.")
     return tuple(_read(name, folder / name) for name in names)
 
@@ -89,7 +89,7 @@ def _read(name: str, folder: Path) -> PictureResult:
     path, table = folder / RESULT_FILE, folder / TABLE_FILE
     if not path.is_file():
         return PictureResult(name, NOT_REPORTED, ("no result.json",))
-    result = _json(path)
+    result = read_json(path, "process the picture again.")
     status = str(result.get("status"))
     if status not in RESULT_STATUSES:
         raise SessionError(
@@ -99,16 +99,6 @@ def _read(name: str, folder: Path) -> PictureResult:
     hashes = {p.name: sha256_of(p) for p in (path, table) if p.is_file()}
     messages = tuple(str(words) for words in result.get("messages") or ())
     return PictureResult(name, status, messages, result, observables, hashes)
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SessionError(f"{path} cannot be read: {error}; process the picture again.") from error
-    if not isinstance(content, dict):
-        raise SessionError(f"{path} holds no result; process the picture again.")
-    return content
 
 
 def chosen_observables(

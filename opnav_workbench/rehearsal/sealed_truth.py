@@ -25,7 +25,8 @@ from cryptography.fernet import Fernet, InvalidToken
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import OpNavError, SessionError
-from opnav_workbench.files import atomic_path, plain_values, sha256_of, write_text
+from opnav_workbench.files import atomic_path, json_value, plain_values, sha256_of, text_of, write_text
+from opnav_workbench.paths import is_file
 from opnav_workbench.rehearsal.package import PICTURE_FOLDER, OrtPackage
 from opnav_workbench.simulation import Truth
 from opnav_workbench.simulation.charge import CosmicRayHits
@@ -310,7 +311,7 @@ def logged_delivery(
     SessionError
         There is no such key, or the log cannot be read or written: then the truth must not be opened.
     """
-    if not Path(key).is_file():
+    if not is_file(key):
         raise SessionError(f"no key {key}; the director of the rehearsal has it. Give it with --key.")
     folder, path = Path(run).resolve(), log_path(key)
     files = {
@@ -342,7 +343,7 @@ def _read_log(path: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     try:
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        return [json_value(line) for line in text_of(path).splitlines() if line.strip()]
     except (OSError, ValueError) as error:
         raise SessionError(
             f"the log of reveals {path} cannot be read ({error}); without it nobody can tell what was delivered blind."

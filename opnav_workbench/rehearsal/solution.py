@@ -4,7 +4,6 @@ Its file is checked field by field: a team may write it with programs of its own
 package's predicted kernels have; corrections of it lie in the axes of its B-plane.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +25,7 @@ from opnav_workbench.estimation import (
     straight_line,
 )
 from opnav_workbench.estimation.parameters import parameter_count, parse_groups, relative_state_matrix
-from opnav_workbench.files import write_json
+from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal.results import (
@@ -104,7 +103,7 @@ def read_solution_file(path: str | Path, schema: str) -> dict[str, Any]:
         It cannot be read, is of another schema, lacks a field, or holds numbers that cannot be meant.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = json_value(text_of(path))
     except (OSError, ValueError) as error:
         raise SessionError(f"no solution can be read from {path}: {error}. Run opnav ort solve.") from error
     if not isinstance(content, dict) or content.pop("schema", None) != schema:

@@ -24,6 +24,7 @@ from typing import Any, Self
 from filelock import FileLock, Timeout
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import json_value, text_of
 
 __all__ = ["FolderLock", "check_unlocked"]
 
@@ -158,7 +159,7 @@ def _stands(lock: FileLock, path: Path) -> bool:
 
 def _holder(path: Path) -> Mapping[str, Any]:
     try:
-        holder = json.loads(path.read_text(encoding="utf-8"))
+        holder = json_value(text_of(path))
     except (OSError, ValueError):
         return {}
     return holder if isinstance(holder, dict) else {}

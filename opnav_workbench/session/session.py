@@ -25,6 +25,7 @@ from opnav_workbench.files import json_text, make_folder, plain_values, sha256_o
 from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import Observable, observables_table
+from opnav_workbench.paths import exists
 from opnav_workbench.scene import BodyPrediction, StarPrediction, predict_body
 from opnav_workbench.session import inputs as input_values
 from opnav_workbench.session import storage
@@ -752,7 +753,7 @@ class ImageSession:
         SessionError
             The file cannot be written, or what is there is no decisions file.
         """
-        older = [load_decisions(path)] if Path(path).exists() else []
+        older = [load_decisions(path)] if exists(path) else []
         return write_decisions(path, [*older, Decisions.from_session(self, who)])
 
     def write_ck(self, path: str | Path, *, without_twist: bool = False) -> Reconstruction:

@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from opnav_workbench.errors import MissionError, OpNavError
+from opnav_workbench.paths import exists
 from opnav_workbench.resources import ready_file, ready_names
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.targets import Photometry
@@ -316,7 +317,7 @@ class PicturesFile(ScenarioFile):
         self, *, kernels: str | None = None, catalog: str | None = None, seed: int | None = None
     ) -> Self:
         """Return the same with other sources; what is None stays. A path counts from the working folder."""
-        if kernels is not None and Path(kernels).exists():
+        if kernels is not None and exists(kernels):
             kernels = str(Path(kernels).absolute())
         given = {"kernels": kernels, "catalog": catalog, "seed": seed}
         return self.model_copy(update={name: value for name, value in given.items() if value is not None})
@@ -329,7 +330,7 @@ class PicturesFile(ScenarioFile):
 def path_beside(named: str, folder: Path) -> str:
     """Return a path that counts from `folder` as such, and a name as it is."""
     path = folder / named
-    return str(path) if path.exists() else named
+    return str(path) if exists(path) else named
 
 
 def require_distinct(names: Sequence[str]) -> None:

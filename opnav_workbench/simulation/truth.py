@@ -5,7 +5,6 @@
 ``NAME.truth.fits``   the scene's electrons without noise, and the cosmic rays
 """
 
-import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import atomic_path, write_json
+from opnav_workbench.files import atomic_path, json_value, text_of, write_json
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.simulation.charge import CosmicRayHits
 from opnav_workbench.simulation.picture import Trails
@@ -303,7 +302,7 @@ def read_truth(path: str | PathLike[str]) -> Truth:
     """
     description, table, image = truth_paths(path)
     try:
-        values = json.loads(description.read_text(encoding="utf-8"))
+        values = json_value(text_of(description))
         objects = objects_from_ecsv(table)
         with fits.open(image, memmap=False) as hdus:
             light = None if hdus[0].data is None else hdus[0].data.astype(np.float64)

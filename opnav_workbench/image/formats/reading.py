@@ -30,6 +30,7 @@ from opnav_workbench.image.formats.stored import StoredPicture
 from opnav_workbench.image.formats.vicar import is_vicar, read_vicar
 from opnav_workbench.image.header import KeywordMap
 from opnav_workbench.image.pds_label import image_pointer, is_pds3, parse_pds_label
+from opnav_workbench.paths import is_file
 
 __all__ = ["read_stored"]
 
@@ -129,7 +130,7 @@ def _refuse_without_words(file: Path, source: StoredPicture, keywords: KeywordMa
 
 
 def _unknown(file: Path, data: bytes) -> Exception:
-    label = next((file.with_suffix(s) for s in LABELS if file.with_suffix(s).is_file()), None)
+    label = next((file.with_suffix(s) for s in LABELS if is_file(file.with_suffix(s))), None)
     if label is not None:
         return image_error(file.name, f"has no header of its own; give its label {label.name}.")
     return image_error(

@@ -21,7 +21,6 @@ and a row for each picture, told by ``file``.
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,10 +30,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from opnav_workbench.files import json_value
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, full_scale, read_raster
 from opnav_workbench.image.header import HeaderValue, KeywordMap
+from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_nodes import LARGEST_BYTES, LONGEST_NUMBER, compose, plain_value
 
 __all__ = ["Sidecar", "find_sidecar", "is_sidecar", "read_raw", "read_sidecar", "with_sidecar"]
@@ -101,7 +102,7 @@ def find_sidecar(picture: Path) -> Path | None:
     """Return the sidecar of a picture: of its name with another ending, or with one more; None where there is none."""
     for suffix in SUFFIXES:
         for candidate in (picture.with_suffix(suffix), picture.with_name(picture.name + suffix)):
-            if candidate != picture and candidate.is_file():
+            if candidate != picture and is_file(candidate):
                 return candidate
     return None
 
@@ -152,7 +153,7 @@ def _own_name(word: str) -> str:
 def _words(sidecar: Path, data: bytes, picture: str | None) -> Any:
     suffix = sidecar.suffix.lower()
     if suffix == ".json":
-        return json.loads(data.decode("utf-8-sig"))
+        return json_value(data.decode("utf-8-sig"))
     if suffix == ".csv":
         return _table_words(list(csv.reader(io.StringIO(data.decode("utf-8-sig")))), picture)
     node = compose(data.decode())

@@ -37,6 +37,7 @@ from opnav_workbench.kernels.making.scenario import (
 from opnav_workbench.kernels.making.state_tables import read_states, table_states
 from opnav_workbench.kernels.time import et_from_utc_datetime
 from opnav_workbench.kernels.writing import WINDOW_STATES, SpkExcerpt, SpkSegment, spk_excerpts, write_spk
+from opnav_workbench.paths import is_file
 
 __all__ = ["BuildFolders", "spk_segments"]
 
@@ -297,6 +298,6 @@ def _ephemeris(scenario: Scenario, trajectory: EphemerisExcerpt) -> States:
 
 def _spk_file(trajectory: EphemerisExcerpt, place: BuildFolders) -> Path:
     path = place.folder / str(trajectory.file)  # a full path stays what it is
-    if not path.is_file():
+    if not is_file(path):
         raise MissionError(f"file: {path} is not there; give an SPK beside the scenario or a full path")
     return path

@@ -188,7 +188,7 @@ def _bands(index: SkyIndex, plane: Plane) -> list[Band]:
 
 
 def _rounds(plane: Plane) -> Iterator[IntArray]:
-    """Yield sets of four detections (q, 4), those of brighter ones first, without those too wide or too small."""
+    """Yield sets of four detections (q > 0, 4), those of brighter ones first, without those too wide or too small."""
     width = np.sqrt(plane.area_px2)
     apart = np.linalg.norm(plane.places[:, None] - plane.places, axis=2) / plane.scale_rad
     before = 0
@@ -205,7 +205,9 @@ def _rounds(plane: Plane) -> Iterator[IntArray]:
         sides = np.stack([apart[quads[:, i], quads[:, j]] for i, j in combinations(range(STARS), 2)])
         widest = sides.max(axis=0)
         reach = PATTERN_REACH * width / np.sqrt(quads[:, -1] + 1.0)
-        yield quads[(widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > 0.02 * widest)]
+        good = (widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > 0.02 * widest)
+        if good.any():
+            yield quads[good]
 
 
 def _proposals(
