@@ -147,12 +147,29 @@ class Database:
 
     @contextlib.contextmanager
     def read(self) -> Iterator[sa.Connection]:
-        """Yield a connection that sees one state of the archive, whatever others write meanwhile."""
+        """Yield a connection that sees one state of the archive, whatever others write meanwhile.
+
+        Raises
+        ------
+        SessionError
+            The archive cannot be read, or a cell of it is damaged.
+        """
         try:
             with self._engine.connect() as connection, connection.begin():
                 yield connection
         except sa.exc.DBAPIError as error:
             raise self._named(error) from error
+        except (
+            ArithmeticError,
+            AttributeError,
+            LookupError,
+            TypeError,
+            ValueError,
+        ) as error:  # a damaged cell
+            raise SessionError(
+                f"campaign archive {self.path} holds what it cannot hold ({error!r}); "
+                "`opnav campaign ingest` makes a new one from the run folders."
+            ) from error
 
     def _retried(self, work: Callable[[], Answer]) -> Answer:
         for attempt in range(ATTEMPTS):

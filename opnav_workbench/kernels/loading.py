@@ -127,8 +127,13 @@ def _expanded_file(
 
 
 def require_short_path(path: Path, listed_in: Path | None = None) -> None:
-    """Raise KernelError where a path is longer than SPICE takes."""
-    length = len(os.fsencode(path))
+    """Raise KernelError where a path is longer than SPICE takes, or no text."""
+    try:
+        length = len(str(path).encode())
+    except UnicodeEncodeError as error:  # a name of any bytes
+        raise KernelError(
+            f"the path {path} has bytes that are no UTF-8, which SPICE cannot be told; rename it, or give a symbolic link."
+        ) from error
     if length > LONGEST_PATH_BYTES:
         within = f" (listed in {listed_in})" if listed_in else ""
         raise KernelError(

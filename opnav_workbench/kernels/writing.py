@@ -29,6 +29,7 @@ from opnav_workbench.geometry.rotations import (
 )
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_words
 from opnav_workbench.kernels.files import DafSegment, segments
+from opnav_workbench.kernels.loading import require_short_path
 from opnav_workbench.kernels.text_kernels import comment_lines
 
 __all__ = ["SpkExcerpt", "SpkSegment", "new_das", "require_frame", "spk_excerpts", "write_ck", "write_spk"]
@@ -114,6 +115,7 @@ def _new_file(
 ) -> Iterator[int]:
     lines = comment_lines(comment)
     final = Path(path)
+    require_short_path(final)
     try:
         with atomic_path(final) as temporary, spice_call(f"writing {final}"):
             temporary.unlink()  # SPICE makes the file itself, and refuses one that exists

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from opnav_workbench.errors import SessionError
 from opnav_workbench.format_versions import FORMAT_KEY, PRESENT_VERSION, stamped
 from opnav_workbench.version import __version__
 
@@ -73,6 +74,11 @@ class Origin:
     def of_result(cls, result: Mapping[str, Any]) -> "Origin":
         """Return what a ``result.json`` says of its origin.
 
+        Raises
+        ------
+        SessionError
+            Its provenance is damaged.
+
         Examples
         --------
         >>> Origin.of_result({"image": "a.fit", "camera": "lorri"}).camera
@@ -80,7 +86,13 @@ class Origin:
         """
         known = result.get("provenance") or {}
         where = {name: result.get(name) for name in ("mission", "camera")}
-        return cls.of_values({**known, **where}, [result["image"]] if "image" in result else [])
+        image = result.get("image")
+        try:
+            return cls.of_values({**known, **where}, [] if image is None else [image])
+        except (AttributeError, KeyError, TypeError) as error:
+            raise SessionError(
+                f"the provenance in the result of {image} is damaged ({error!r}); process the picture again."
+            ) from error
 
     @classmethod
     def of_values(cls, values: Mapping[str, Any], images: Iterable[str] = ()) -> "Origin":

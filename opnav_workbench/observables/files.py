@@ -103,7 +103,10 @@ def table_observables(table: QTable, source: str = "table") -> tuple[Observable,
     ()
     """
     known = [column for column in COLUMNS if column.name in table.colnames]
-    rows = ({column.name: _ecsv_cell(row[column.name], column.unit) for column in known} for row in table)
+    try:
+        rows = [{column.name: _ecsv_cell(row[column.name], column.unit) for column in known} for row in table]
+    except (ValueError, TypeError) as error:  # another unit, a text for a number
+        raise SessionError(f"{source}: {error}. Export the observables again.") from error
     return rows_to_observables(rows, source)
 
 
