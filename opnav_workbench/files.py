@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 HASH_CHUNK_BYTES = 1 << 20
+LONGEST_WHOLE = 40  # digits; twice those of a 64-bit number
 LARGEST_TEXT_BYTES = 256 << 20  # a result with a hundred thousand stars has 60 MB
 
 
@@ -189,12 +190,12 @@ def text_of(path: str | os.PathLike[str]) -> str:
 
 
 def json_value(text: str | bytes) -> Any:
-    """Return what JSON of others stands for; NaN and Infinity, which JSON does not know, are None.
+    """Return what JSON of others stands for; NaN, Infinity and 1e400, which no double holds, are None.
 
     Raises
     ------
     ValueError
-        It is no JSON, nested too deep, or has a number of thousands of digits.
+        It is no JSON, nested too deep, or has a whole number of more than `LONGEST_WHOLE` digits.
 
     Examples
     --------
@@ -202,9 +203,20 @@ def json_value(text: str | bytes) -> Any:
     {'sigma': None, 'center': [1, 2.5]}
     """
     try:
-        return json.loads(text, parse_constant=lambda _: None)
+        return json.loads(text, parse_constant=lambda _: None, parse_int=_whole, parse_float=_finite)
     except RecursionError as error:
         raise ValueError("nested too deep") from error
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > LONGEST_WHOLE:  # no double, no count
+        raise ValueError(f"a number of {len(digits)} digits")
+    return int(digits)
+
+
+def _finite(number: str) -> float | None:
+    value = float(number)
+    return value if math.isfinite(value) else None
 
 
 def plain_values(value: Any) -> Any:

@@ -1,0 +1,242 @@
+"""Commands with hostile files and arguments: no traceback, no hang, one line, the right status, no half file.
+
+As in ``test_fuzz``: few in the short run, more with ``--all``, any number with ``--fuzz``.  A command runs in this process
+by the program's own `main`, in a folder where nothing that it may write to by mistake matters.
+"""
+
+import contextlib
+import io
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from opnav_workbench.cli.program import main
+from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_PARTLY
+from opnav_workbench.contracts import check_file
+from opnav_workbench.observables import read_with_origins
+from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.resources import kernels_meta_dir
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from hostile import GROWTH_MB, SECONDS, LateError, mutant, mutant_arguments, peak_mb, within
+
+META = kernels_meta_dir() / "new_horizons"
+BINARY = (".fit", ".npz", ".sqlite", ".bsp")
+LONGEST_ERROR = 2100
+BORESIGHT = (0.0, 0.0, -1.0)  # of LORRI
+FARTHEST_RAD = 6e-4  # of a right pointing from the truth: 2 arcmin, aberration with the wrong velocity; a false one is far
+
+STARS = "stars:\n- {name: a, ra_deg: 1.5, dec_deg: -2, epoch_jyear: 2016.0, mag: 5.5, parallax_mas: 3}\n"
+DECISIONS = """images:
+  "*":
+    who: M. Jones
+    reject:
+    - {star: TYC 1234-567-1, reason: cosmic ray}
+"""
+NIGHT = (
+    "mission: new_horizons\nimages: [p.fit]\ntargets: none\nattitude: header\nsettings: {max_shift_px: 100}\n"
+)
+PLANETS = """KPL/PCK
+\\begindata
+BODY999_RADII = ( 1188.3 1188.3 1188.3 )
+BODY999_POLE_RA = ( 132.993 0. 0. )
+\\begintext
+"""
+SHAPE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+# ---- Commands, and the good files that they read.
+
+
+@dataclass(frozen=True)
+class Command:
+    """Arguments as a shell gives them; ``FILE`` is the file that is damaged."""
+
+    line: str
+    files: tuple[str, ...] = ()
+    whole: int = 40  # inputs of the whole run
+
+    def arguments(self, file: str) -> list[str]:
+        return self.line.replace("FILE", file).split()
+
+
+CAMERA, MISSION = "nh/cameras/lorri_4x4.yaml", "nh/mission.yaml"
+RESULT, TABLE = "run/p/result.json", "run/p/observables.ecsv"
+CHECKED = (
+    "nh/sequences/pluto_approach.yaml", "nh/rehearsals/pluto_flyby_targeting.yaml", "nh/pictures/pluto_limb.yaml",
+    "nh/manifest.yaml", "decisions.yaml", "stars.yaml", "night.yaml", MISSION, CAMERA,
+)  # fmt: skip
+COMMANDS = {
+    "check": Command("check FILE", CHECKED, 100),
+    "check what was written": Command(
+        "check FILE", (RESULT, "run/p/session.json", "o.csv", "o.json", "o.tdm"), 100
+    ),
+    "export tdm": Command("export run --format tdm --out out/x.tdm", (RESULT, TABLE)),
+    "export csv": Command(f"export {RESULT} --format csv --targets PLUTO --out out/x.csv", (RESULT,), 60),
+    "export ecsv": Command("export o.json --format ecsv --out out/x.ecsv", ("o.json",), 60),
+    "export json": Command("export o.csv --format json --out out/x.json", ("o.csv",), 60),
+    "cone": Command("catalog cone npz:s.npz 10 -5 60 --epoch 2015.5 --json", ("s.npz",), 60),
+    "cone to a file": Command("catalog cone npz:s.npz 10 5 60 --out out/c.ecsv --mag 9", ("s.npz",), 40),
+    "catalog": Command("catalog info npz:s.npz", ("s.npz",), 40),
+    "mission": Command(f"mission show {MISSION}", (MISSION, CAMERA)),
+    "kernels check": Command("kernels check k.tpc --time 2015-07-01T00:00:00", ("k.tpc",)),
+    "kernels brief": Command("kernels brief k.tpc", ("k.tpc",)),
+    "kernels make": Command("kernels make nh/pluto_opnav.yaml --out out/k", ("nh/pluto_opnav.yaml",), 15),
+    "shape": Command("kernels make s.obj --body PLUTO --out out/k.bds", ("s.obj",)),
+    "make-ck": Command(f"kernels make-ck run --out out/k.bc --kernels {DEMO_KERNELS}", (RESULT,)),
+    "make-isd": Command(f"kernels make-isd run --out out/i --kernels {DEMO_KERNELS}", (RESULT,)),
+    "geometry": Command(
+        f"kernels geometry {DEMO_KERNELS} -m {MISSION} --time 2015-05-28T12:00:00 --json", (MISSION, CAMERA)
+    ),
+    "campaign": Command("campaign ingest run --archive out/a.sqlite", (RESULT, TABLE), 30),
+    "archive": Command("campaign query bodies --archive a.sqlite --since 2015-01-01", ("a.sqlite",)),
+    "archived": Command("campaign export out/x.csv --archive a.sqlite", ("a.sqlite",)),
+    "simulate": Command("simulate nh/pictures/pluto_limb.yaml --out out/s --only none", CHECKED[2:3]),
+    "plan": Command("plan nh/sequences/pluto_approach.yaml --no-exposures --only none", CHECKED[:1]),
+    "ort": Command(f"ort new {CHECKED[1]} --out run --pictures 1 --jobs 1", CHECKED[1:2]),
+    "nightly": Command("nightly night.yaml --why p.fit --out out/n", ("night.yaml", "p.fit"), 15),
+    "process": Command(
+        f"process p.fit --mission {MISSION} --attitude header --targets none --decisions decisions.yaml --out out/r",
+        ("p.fit", MISSION, CAMERA, "decisions.yaml"),
+        12,
+    ),
+    "doctor": Command("doctor"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(demo_truths, tmp_path_factory) -> Iterator[Path]:
+    """Where commands run: deep, so that paths that climb lead nowhere."""
+    home = tmp_path_factory.mktemp("commands").joinpath(*"abcde")
+    shutil.copytree(META, home / "nh")
+    shutil.copy(demo_truths[0].picture, home / "p.fit")
+    written = {
+        "stars.yaml": STARS, "decisions.yaml": DECISIONS, "night.yaml": NIGHT, "k.tpc": PLANETS, "s.obj": SHAPE,
+    }  # fmt: skip
+    for name, text in written.items():
+        (home / name).write_text(text)
+    sky = np.linspace(0, 359, 30), np.linspace(-80, 80, 30), np.linspace(1, 9, 30)
+    np.savez(home / "s.npz", **dict(zip(("ra_deg", "dec_deg", "mag"), sky, strict=True)))
+    (home / "loop").symlink_to("loop")
+    os.mkfifo(home / "pipe")
+    before = Path.cwd()
+    os.chdir(home)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}.items():
+            patch.setenv(name, value)
+        yield home
+    os.chdir(before)
+
+
+@pytest.fixture(scope="module")
+def with_run(folder) -> Path:
+    """The folder with what a processed picture leaves."""
+    how = f"--mission new_horizons --kernels {DEMO_KERNELS} --targets PLUTO --out run"
+    assert answer(f"process p.fit {how}".split())[0] == 0
+    for kind in ("csv", "json", "tdm"):
+        assert answer(f"export run --format {kind} --out o.{kind}".split())[0] == 0
+    assert answer(["campaign", "ingest", "run", "--archive", "a.sqlite"])[0] == 0
+    return folder
+
+
+def answer(arguments: list[str]) -> tuple[int, str, str]:
+    """Run the program; return exit status, standard output and standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        patch.setattr(sys, "argv", ["opnav", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    return int(ended.value.code or 0), out.getvalue(), err.getvalue()
+
+
+# ---- What must be true of every answer.
+
+
+def check_answer(status: int, out: str, err: str) -> None:
+    assert status in (0, EXIT_BAD_INPUT, EXIT_PARTLY)
+    said = out + err
+    assert "Traceback" not in said
+    assert "unforeseen" not in said
+    assert all(line.isprintable() for line in said.split("\n"))
+    if status == EXIT_BAD_INPUT and not out:  # `check` prints faults; a group without a command its help
+        assert err.startswith("error: ")
+        assert err.count("\n") == 1
+        assert len(err) < LONGEST_ERROR
+
+
+def check_left(home: Path, truth) -> None:
+    """No temporary file, and nothing written that is not whole."""
+    assert [p for p in home.rglob(".*") if not p.name.startswith(".opnav")] == []
+    for path in home.joinpath("out").rglob("*"):
+        if path.suffix in (".json", ".ecsv", ".csv", ".tdm") and path.is_file():
+            assert path.suffix != ".json" or json.loads(path.read_text(), parse_constant=_no_json) is not None
+            if path.name in ("x.ecsv", "x.csv", "x.json"):
+                assert read_with_origins(path)[0]
+            elif path.name in ("result.json", "x.tdm"):
+                assert check_file(path).faults == ()
+        if path.name == "result.json":
+            check_pointing(json.loads(path.read_text()), truth)
+
+
+def _no_json(word: str) -> None:
+    raise AssertionError(f"{word} is no JSON")
+
+
+def check_pointing(result: dict, truth) -> None:
+    if result["status"] != "ok":
+        return
+    pointing = result["pointing"]
+    ra, dec = np.radians([pointing["ra_deg"], pointing["dec_deg"]])
+    seen = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    assert np.arccos(np.clip(seen @ truth, -1.0, 1.0)) < FARTHEST_RAD
+    assert (np.linalg.eigvalsh(pointing["covariance_rad2"]) > 0.0).all()
+
+
+# ---- The exams.
+
+READY = ("check", "cone", "mission", "kernels brief", "simulate", "doctor")  # need no processed picture
+FROM_RUN = ("run", "o.csv", "o.json", "o.tdm", "a.sqlite")
+
+
+@pytest.mark.slow(keep=READY)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_command(name, fuzz, folder, demo_truths, request):
+    command, rng = COMMANDS[name], fuzz.random(name)
+    if any(word in f"{command.line} {command.files}" for word in FROM_RUN):
+        request.getfixturevalue("with_run")
+    truth = demo_truths[0].camera_from_j2000.T @ BORESIGHT
+    before = peak_mb()
+    for number in range(fuzz.count(4, command.whole)):
+        file = command.files[rng.integers(0, len(command.files))] if command.files else ""
+        arguments = command.arguments(file)
+        good = folder.joinpath(file).read_bytes() if file and rng.random() < 0.7 else None
+        if good is None:
+            arguments = mutant_arguments(arguments, rng)
+        else:
+            text = not file.endswith(BINARY)
+            folder.joinpath(file).write_bytes(mutant(good, rng, text=text))
+        try:
+            with within(2.0 * SECONDS):
+                told = answer(arguments)
+            check_answer(*told)
+            check_left(folder, truth)
+        except (Exception, LateError) as error:  # a finding: the file is kept
+            kept = "" if good is None else shutil.copy(folder / file, folder / f"finding{Path(file).suffix}")
+            raise AssertionError(f"{name}, input {number}: {arguments} {kept}: {error!r}") from error
+        finally:
+            if good is not None:
+                folder.joinpath(file).write_bytes(good)
+            shutil.rmtree(folder / "out", ignore_errors=True)
+    assert peak_mb() - before < GROWTH_MB
