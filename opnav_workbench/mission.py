@@ -64,13 +64,13 @@ class Readout(StrictModel):
     n_line: Keyword | None = None
     first_is: Literal[0, 1] = 0
 
-    def of(self, camera: Camera, header: Mapping[str, Any]) -> Camera:
-        """Return a camera as a picture's header says that it was read out.
+    def told(self, header: Mapping[str, Any]) -> dict[str, tuple[int, int] | None]:
+        """Return binning, first pixel and line, and size, as a picture's header says them: `read_out` takes them.
 
         Raises
         ------
         CameraError
-            A word's value is no number, or the window lies off the detector.
+            A word's value is no number.
         """
         words = (self.binning, self.binning) if isinstance(self.binning, str) else self.binning
         steps = (1, 1) if words is None else (self._factor(header, words[0]), self._factor(header, words[1]))
@@ -80,7 +80,7 @@ class Readout(StrictModel):
         ]
         told = [w for w in (self.n_pixel, self.n_line) if w is not None and w in header]
         size = (_whole(header, told[0]), _whole(header, told[1])) if len(told) == 2 else None
-        return read_out(camera, binning=steps, first=(starts[0], starts[1]), size=size)
+        return {"binning": steps, "first": (starts[0], starts[1]), "size": size}
 
     def _factor(self, header: Mapping[str, Any], word: str) -> int:
         if word not in header:
@@ -302,12 +302,36 @@ class Mission:
         ... ).name
         'LORRI 4x4'
         """
+        choice = self._choice_for(header)
+        return _read_out(Camera.from_yaml(choice.file), self.readout_told(header))
+
+    def readout_told(self, header: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return binning, first and size of a picture, as its header says them; None where its camera has one readout.
+
+        Raises
+        ------
+        CameraError
+            No camera of the mission fits, or a word's value is no number.
+        """
+        choice = self._choice_for(header)
+        return None if choice.readout is None else choice.readout.told(header)
+
+    def camera_as_read(self, name: str, readout: Mapping[str, Any] | None) -> Camera:
+        """Return the camera of a name as a readout of `readout_told` leaves it.
+
+        Raises
+        ------
+        CameraError
+            There is no such camera, or the readout is none of it.
+        """
+        return _read_out(self.camera_named(name), readout)
+
+    def _choice_for(self, header: Mapping[str, Any]) -> CameraChoice:
         required = self.keywords.get("required", {})
         for choice in self.cameras:
             wanted = {**required, **choice.match}
             if all(header_matches(header.get(keyword), value) for keyword, value in wanted.items()):
-                camera = Camera.from_yaml(choice.file)
-                return camera if choice.readout is None else choice.readout.of(camera, header)
+                return choice
         keywords = sorted({*required, *(keyword for choice in self.cameras for keyword in choice.match)})
         found = ", ".join(f"{k} = {header[k]!r}" if k in header else f"no {k}" for k in keywords)
         raise CameraError(
@@ -315,6 +339,21 @@ class Mission:
             f"{', '.join(self.camera_names)}. Choose the mission of this picture "
             f"(--mission), or add its camera to {self.path}."
         )
+
+
+def _read_out(camera: Camera, readout: Mapping[str, Any] | None) -> Camera:
+    if readout is None:
+        return camera
+    try:
+        (binning, first), size = (tuple(map(int, readout[k])) for k in ("binning", "first")), readout["size"]
+        return read_out(
+            camera,
+            binning=(binning[0], binning[1]),
+            first=(first[0], first[1]),
+            size=None if size is None else (int(size[0]), int(size[1])),
+        )
+    except (IndexError, KeyError, TypeError, ValueError) as error:
+        raise CameraError(f"{camera.name}: {dict(readout)} is no readout ({error!r}).") from error
 
 
 def mission_names() -> tuple[str, ...]:

@@ -29,11 +29,12 @@ from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.image import Header, KeywordMap
 from opnav_workbench.image.file_bytes import file_bytes
 from opnav_workbench.image.formats.reading import read_stored
-from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc, knows_frame
+from opnav_workbench.kernels import KernelSet, camera_attitude, knows_frame
 from opnav_workbench.mission import load_mission, mission_names
 from opnav_workbench.scene import body_target, observer_from_kernels
 from opnav_workbench.session import ImageSession, Settings
 from opnav_workbench.session.context import Context, open_context
+from opnav_workbench.session.inputs import mid_exposure_et
 from opnav_workbench.simulation import load_picture_scenario, simulate
 
 __all__ = ["NewMission", "Wanted", "new_mission"]
@@ -256,7 +257,7 @@ class _Maker:
             return None
         self.say(f"comparing {target} with eight drawings")
         with suppress(OpNavError):
-            et = _et(context)
+            et = mid_exposure_et(context)
             observer = observer_from_kernels(self.craft.number, et)
             seen = body_target(target, self.craft.number, et)
             return orientation_by_limb(context, seen, observer, frames[0])
@@ -354,16 +355,9 @@ def _frames(context: Context) -> list[FloatArray]:
     if kernels is not None:
         with suppress(OpNavError):
             if knows_frame(frame):
-                return [np.asarray(camera_attitude(frame, _et(context)))]
+                return [np.asarray(camera_attitude(frame, mid_exposure_et(context)))]
     geometry = context.picture.header_geometry
     if geometry is None or geometry.camera_from_j2000 is None:
         return []
     stated = np.asarray(geometry.camera_from_j2000)
     return [stated, stated.T]
-
-
-def _et(context: Context) -> float:
-    picture = context.picture
-    if picture.et is not None:
-        return picture.et
-    return et_from_utc(str(picture.utc))

@@ -5,6 +5,7 @@ Residuals are observed minus computed; null stands for what is not known.
 """
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -237,6 +238,12 @@ class KernelEntry(Layout):
     sha256: Digest = Field(description="Of its bytes.")
 
 
+THRESHOLDS: dict[str, Any] = {field.name: (field.type, field.default) for field in fields(Settings)}
+SettingsEntry = create_model(
+    "Settings", __base__=Layout, __doc__="Limits of searches and other thresholds.", **THRESHOLDS
+)
+
+
 class Provenance(Layout):
     """By what the result came about."""
 
@@ -248,12 +255,26 @@ class Provenance(Layout):
     )
     observer_source: str | None = Field(default=None, description="What told the spacecraft's state.")
     image_notes: list[str] = Field(default=[], description="What the reader said of the picture.")
-    settings: Settings | None = Field(default=None, description="Limits of searches and other thresholds.")
+    contradictions: list[str] = Field(
+        default=[],
+        description="Which facts of the header contradict each other, or the kernels, or cannot be.",
+    )
+    settings: SettingsEntry | None = Field(  # type: ignore[valid-type]  # made of the dataclass
+        default=None, description="Limits of searches and other thresholds."
+    )
     decisions: list[dict[str, Any]] = Field(default=[], description="Verdicts of analysts on stars.")
     placed_stars: list[dict[str, Any]] = Field(default=[], description="Stars placed by hand.")
     circles: list[dict[str, Any]] = Field(default=[], description="Circles that start bodies.")
     limb_scans: list[dict[str, Any]] = Field(default=[], description="Limb scans chosen by hand.")
     notes: list[str] = Field(default=[], description="Notes of analysts.")
+
+
+class ReadoutEntry(Layout):
+    """What of the detector a picture shows: a window, in pixels of the detector, binned."""
+
+    binning: tuple[int, int] = Field(description="Pixels of the detector in one, along pixel and line.")
+    first: tuple[int, int] = Field(description="Pixel and line, counted from 0, at which the window begins.")
+    size: tuple[int, int] | None = Field(description="Pixels and lines of the picture; null: to the end.")
 
 
 SOLVED = ("sha256", "utc", "et", "exposure_s", "camera", "pointing", "stars", "bodies", "provenance")
@@ -279,6 +300,9 @@ class ResultFile(Layout):
     exposure_s: Number = Field(default=None, description="Exposure time; s.")
     mission: str | None = Field(description="Mission.")
     camera: str | None = Field(default=None, description="Camera.")
+    readout: ReadoutEntry | None = Field(
+        default=None, description="Window and binning, where the camera has several."
+    )
     status: PictureStatus = Field(
         description="ok: pointing in all three angles and every requested target in the field; partial: less; failed."
     )
@@ -349,7 +373,9 @@ class SessionFile(Layout):
     image: str = Field(min_length=1, description="Path of the picture's file.")
     sha256: Digest = Field(description="Of the picture's file.")
     mission: str = Field(min_length=1, description="Name, or path of the mission file.")
-    settings: Settings = Field(description="Limits of searches and other thresholds.")
+    settings: SettingsEntry = Field(  # type: ignore[valid-type]  # made of the dataclass
+        description="Limits of searches and other thresholds."
+    )
     catalog: str = Field(description="Spec of the star catalog.")
     target_stars: str | None = Field(description="List of stars that are targets.")
     attitude: AttitudeSource = Field(description="Where the a priori attitude was to come from.")

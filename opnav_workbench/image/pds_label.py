@@ -193,6 +193,6 @@ def label_integer(
     value = values.get(key, default)
     if not isinstance(value, int) or value < least:
         raise image_error(
-            name, f"PDS3 label with {key} = {value!r}, expected a whole number from {least}; check the label."
+            name, f"label with {key} = {value!r}, expected a whole number from {least}; check the label."
         )
     return value

@@ -74,6 +74,8 @@ class Picture:
         for ET against UTC, on which a clock may decide: `rival_et`.
     rival_et
         Mid-exposure by the header's UTC, where its ET states another time; None where they agree.
+    keywords
+        Under which its words were found: the mission's, and those of a sidecar; None: not read from a file.
     """
 
     path: Path
@@ -91,6 +93,7 @@ class Picture:
     messages: tuple[str, ...]
     contradictions: tuple[str, ...] = ()
     rival_et: float | None = None
+    keywords: KeywordMap | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -159,6 +162,7 @@ def picture_from_stored(
         messages=(*planes.messages, *time.messages, *read.messages, *wrong),
         contradictions=(*time.contradictions, *wrong),
         rival_et=time.rival_et,
+        keywords=keywords,
     )
 
 

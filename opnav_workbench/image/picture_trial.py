@@ -22,9 +22,7 @@ def try_fits(path: str) -> None:
     Exception
         Whatever the library says of a file that is damaged.
     """
-    data = Path(path).read_bytes()
-    if data.startswith(b"\x1f\x8b"):
-        data = gzip.decompress(data)
+    data = _unpacked(path)
     with warnings.catch_warnings(), fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as hdus:
         warnings.simplefilter("ignore")  # the reader proper tells them
         for hdu in hdus:
@@ -43,6 +41,12 @@ def try_display(path: str) -> None:
     # The process that tries FITS files need not load it.
     from PIL import Image  # noqa: PLC0415
 
-    with warnings.catch_warnings(), Image.open(path, formats=("PNG", "TIFF", "JPEG")) as picture:
+    data = io.BytesIO(_unpacked(path))
+    with warnings.catch_warnings(), Image.open(data, formats=("PNG", "TIFF", "JPEG")) as picture:
         warnings.simplefilter("ignore")
         picture.load()
+
+
+def _unpacked(path: str) -> bytes:
+    data = Path(path).read_bytes()
+    return gzip.decompress(data) if data.startswith(b"\x1f\x8b") else data

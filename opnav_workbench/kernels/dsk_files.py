@@ -102,6 +102,8 @@ def is_dsk(path: str | os.PathLike[str]) -> bool:
     KernelError
         It is a DSK that is damaged.
     """
+    if not is_file(path):  # a pipe would block
+        return str(path).lower().endswith((".bds", ".dsk"))
     try:
         with Path(path).open("rb") as stream:
             begins = stream.read(len(DSK_WORD)) == DSK_WORD

@@ -60,7 +60,8 @@ def settled_time(context: Context, et: float) -> SettledTime:
     et
         As the header has it, TDB s past J2000.
     """
-    picture, keywords = context.picture, KeywordMap(**context.mission.keywords)
+    picture = context.picture
+    keywords = picture.keywords or KeywordMap(**context.mission.keywords)  # a sidecar has words of its own
     found = _against_kernels(context, keywords, et)
     if picture.rival_et is None:
         return SettledTime(et, picture.utc or "", tuple(filter(None, found.values())))

@@ -46,6 +46,7 @@ __all__ = [
     "inputs_added",
     "inputs_dict",
     "inputs_from",
+    "mid_exposure_et",
     "with_inputs_added",
     "with_lost_field",
     "with_scene",
@@ -188,7 +189,7 @@ def collect_inputs(
     NoAttitudeError
         Nothing tells it.
     """
-    time = settled_time(context, _et(context))
+    time = settled_time(context, mid_exposure_et(context))
     et = time.et
     origin: AttitudeOrigin
     if lost is None or lost.camera_from_j2000 is None:
@@ -221,10 +222,11 @@ def with_target(context: Context, source: InputSource, inputs: Inputs, name: str
     shape: ShapeFile | None = None
     if target is None:
         target = _body_target(context, source, inputs, name)
-        by_kernels = shape_file_of(name)
         given = source.shapes.get(name)
-        shape = None if by_kernels is None else ShapeFile(by_kernels)
-        shape = shape if given is None else ShapeFile(given.path.resolve(), given.unit)
+        if given is not None:  # it outranks the kernels', which may be large or damaged
+            shape = ShapeFile(given.path.resolve(), given.unit)
+        elif (by_kernels := shape_file_of(name)) is not None:
+            shape = ShapeFile(by_kernels)
     with_it = replace(inputs, targets=MappingProxyType({**inputs.targets, name: target}))
     if shape is None:
         return with_it
@@ -287,7 +289,7 @@ def _cone(
     return catalog.cone(ra, dec, min(radius_rad, MAX_CONE_RAD), mag_limit=mag_limit, et_s=inputs.et)
 
 
-def _et(context: Context) -> float:
+def mid_exposure_et(context: Context) -> float:
     """Mid-exposure time from the header's ET, UTC or clock reading, in this order."""
     picture = context.picture
     if picture.et is not None:

@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from opnav_workbench.camera import Camera
 from opnav_workbench.camera.support_data import SupportData, support_data
 from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.kernels import KernelSet, body_id, state
 from opnav_workbench.mission import Mission
 from opnav_workbench.scene import body_target
+from opnav_workbench.session.context import with_focal_scale
 
 __all__ = ["support_data_of_result"]
 
@@ -53,7 +55,7 @@ def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: 
         )
     radii = np.asarray(seen.radii_km)
     data = SupportData(
-        camera=mission.camera_named(str(result["camera"])),
+        camera=_camera(result, mission),
         et=et,
         camera_from_j2000=matrix_from_quaternion(pointing["quaternion_camera_from_j2000"]),
         position_km=-apparent.position_km,
@@ -64,3 +66,10 @@ def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: 
         spacecraft=mission.spacecraft_name,
     )
     return support_data(data, body_id(target))
+
+
+def _camera(result: Mapping[str, Any], mission: Mission) -> Camera:
+    """Return the camera that the picture was solved with: its window and binning, and its settled focal length."""
+    camera = mission.camera_as_read(str(result["camera"]), result.get("readout"))
+    settings = (result.get("provenance") or {}).get("settings") or {}
+    return with_focal_scale(camera, float(settings.get("focal_scale", 1.0)))

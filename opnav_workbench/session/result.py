@@ -104,6 +104,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "exposure_s": frame.exposure_s,
         "mission": context.mission.name,
         "camera": context.camera.name,
+        **({} if (readout := context.mission.readout_told(frame.header)) is None else {"readout": readout}),
         "status": overall_status(context.camera, state, observables),
         "messages": list(state.messages),
         "identification": _identification(state),

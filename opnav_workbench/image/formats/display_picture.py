@@ -5,6 +5,7 @@ counts as saturated. Colors are channels: one is chosen in the mission file, or 
 8 bits are refused, as Pillow would cut them to 8.
 """
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def read_display_picture(file: Path, data: bytes) -> StoredPicture:
     name, kind = file.name, display_format(data)
     damaged = f"damaged {kind} file ({{}}); copy or download it again."
     try:
-        with Image.open(file, formats=(str(kind),)) as picture:
+        with Image.open(io.BytesIO(data), formats=(str(kind),)) as picture:
             check_size(name, picture.width * picture.height)
             _refuse_changed(name, picture, data)
             tried("image/picture_trial.py:try_display", str(file))
