@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.paths import regular_size
+from opnav_workbench.paths import exists, is_file, is_folder, regular_size
 
 __all__ = [
     "atomic_path",
@@ -52,10 +52,12 @@ def atomic_path(path: str | os.PathLike[str], mode: int = 0o644) -> Iterator[Pat
     Raises
     ------
     SessionError
-        The folder cannot be written (read-only, disk full); an older file stays as it was.
+        The folder cannot be written (read-only, disk full), or a device has that name; what stood there stays as it was.
     """
     final = Path(path)
     temporary: Path | None = None
+    if exists(final) and not is_file(final) and not is_folder(final):
+        raise SessionError(f"cannot write {final}: it is a pipe or device, no file; give a file's name.")
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{final.stem}-", suffix=final.suffix)

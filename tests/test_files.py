@@ -1,13 +1,14 @@
 """Files: JSON read with a clear word on what is wrong, and digests that depend on values alone."""
 
 import hashlib
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import digest, files_named, read_json, write_json
+from opnav_workbench.files import digest, files_named, read_json, write_json, write_text
 
 
 def test_json_comes_back_and_what_is_no_number_is_none(tmp_path):
@@ -44,3 +45,15 @@ def test_files_of_a_name_but_not_in_hidden_folders(tmp_path):
     found = files_named(tmp_path, "result.json")
     assert [path.parent.relative_to(tmp_path).as_posix() for path in found] == ["a/deep", "b"]
     assert len(files_named(tmp_path / ".attic", "result.json", "session.json")) == 1  # asked for by its name
+
+
+def test_a_device_is_never_replaced(tmp_path):
+    """As root, a file renamed over ``/dev/null`` would have been the end of it for everybody."""
+    (tmp_path / "null").symlink_to(os.devnull)
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("null", "pipe"):
+        before = (tmp_path / name).lstat()
+        with pytest.raises(SessionError, match=r"is a pipe or device, no file; give a file's name"):
+            write_text(tmp_path / name, "text")
+        assert (tmp_path / name).lstat().st_ino == before.st_ino
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["null", "pipe"]

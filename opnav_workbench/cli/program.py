@@ -177,7 +177,7 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that is no text must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        status = app(standalone_mode=False)
+        status = app(prog_name="opnav", standalone_mode=False)
         _flush()
     except Exception as error:
         reason = _reason(error)

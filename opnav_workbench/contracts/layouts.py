@@ -269,12 +269,15 @@ class Provenance(Layout):
     notes: list[str] = Field(default=[], description="Notes of analysts.")
 
 
+Pixels = Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
 class ReadoutEntry(Layout):
     """What of the detector a picture shows: a window, in pixels of the detector, binned."""
 
-    binning: tuple[int, int] = Field(description="Pixels of the detector in one, along pixel and line.")
-    first: tuple[int, int] = Field(description="Pixel and line, counted from 0, at which the window begins.")
-    size: tuple[int, int] | None = Field(description="Pixels and lines of the picture; null: to the end.")
+    binning: Pixels = Field(description="Pixels of the detector in one, along pixel and line.")
+    first: Pixels = Field(description="Pixel and line, counted from 0, at which the window begins.")
+    size: Pixels | None = Field(description="Pixels and lines of the picture; null: to the end.")
 
 
 SOLVED = ("sha256", "utc", "et", "exposure_s", "camera", "pointing", "stars", "bodies", "provenance")

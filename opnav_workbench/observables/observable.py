@@ -138,6 +138,8 @@ class Observable:
     def __post_init__(self) -> None:
         if self.status not in BODY_STATUSES:
             raise ValueError(f"status {self.status!r} is none of {', '.join(BODY_STATUSES)}")
+        if not np.isfinite(self.et):
+            raise ValueError(f"et {self.et} is no time")
         cross = {name: readonly(value, (2, 2), name) for name, value in self.center_cross_px2.items()}
         object.__setattr__(self, "center_cross_px2", MappingProxyType(cross))
         freeze_arrays(self)

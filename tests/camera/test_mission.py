@@ -1,5 +1,6 @@
 """Missions: names and files, and which camera a header belongs to."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -258,3 +259,15 @@ def test_figures_that_cassini_measured_are_known_better_than_on_a_first_approach
     for surface in load_mission("cassini").target_surfaces.values():
         assert surface.size_sigma < 0.01
         assert surface.axes_sigma < 0.01
+
+
+def test_a_readout_that_was_told_is_found_again(tmp_path):
+    choice = {"file": "cameras/pinhole.yaml", "match": {}, "readout": READOUT}
+    mission = load_mission(mission_file(tmp_path, cameras=[choice]))
+    header = {"BIN": "half", "FIRST_PIXEL": 101, "FIRST_LINE": 201, "N_PIXEL": 400, "N_LINE": 300}
+    told = json.loads(json.dumps(mission.readout_told(header)))  # as a result keeps it
+    name = mission.camera_names[0]
+    assert repr(mission.camera_as_read(name, told)) == repr(mission.camera_for(header))
+    assert mission.camera_as_read(name, None).n_pixel == 1024
+    with pytest.raises(CameraError, match="is no readout"):
+        mission.camera_as_read(name, {"binning": [1]})

@@ -16,7 +16,7 @@ from opnav_workbench.kernels import KernelSet
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.scene import body_target, observer_from_kernels, predict_body
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import ImageSession, support_data_of_result
 
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 APPROACH = ("new_horizons/pluto_approach", "--mission", "new_horizons")
@@ -197,3 +197,21 @@ def test_make_ck_of_no_run(tmp_path, content):
     said = run("make-ck", tmp_path, "--kernels", DEMO_KERNELS, fails=SessionError)
     assert str(tmp_path) in said
     assert "\n" not in said
+
+
+def test_support_data_of_a_binned_window(run_dir, tmp_path):
+    """Of a picture that shows a part of the detector, the whole detector's were written."""
+    result = json.loads((run_dir / "solved" / "result.json").read_text())
+    mission = load_mission("new_horizons")
+    whole = mission.camera_named("lorri_1x1")
+    part = {"binning": [2, 2], "first": [100, 20], "size": [200, 50]}
+    settings = result["provenance"]["settings"] | {"focal_scale": 1.01}
+    changed = result | {"camera": whole.name, "readout": part, "provenance": {"settings": settings}}
+    path = tmp_path / "a.isd.json"
+    with KernelSet(DEMO_KERNELS):
+        path.write_text(json.dumps(support_data_of_result(changed, mission, "PLUTO")))
+    camera = read_support_data(path).camera
+    assert (camera.n_pixel, camera.n_line) == (200, 50)
+    assert camera.pixel_scale_rad == pytest.approx(2.0 * whole.pixel_scale_rad / 1.01, rel=1e-3)
+    middle = (whole.center_pixel_line - [100, 20] + 0.5) / 2 - 0.5
+    np.testing.assert_allclose(camera.center_pixel_line, middle, atol=1e-6)

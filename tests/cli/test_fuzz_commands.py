@@ -126,6 +126,7 @@ def folder(demo_truths, tmp_path_factory) -> Iterator[Path]:
     sky = np.linspace(0, 359, 30), np.linspace(-80, 80, 30), np.linspace(1, 9, 30)
     np.savez(home / "s.npz", **dict(zip(("ra_deg", "dec_deg", "mag"), sky, strict=True)))
     (home / "loop").symlink_to("loop")
+    (home / "zero").symlink_to("/dev/zero")  # a link, which alone could be replaced
     os.mkfifo(home / "pipe")
     before = Path.cwd()
     os.chdir(home)

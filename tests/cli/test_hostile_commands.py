@@ -160,3 +160,78 @@ def test_main_prints_one_line(monkeypatch, capsys):
         main()
     assert ended.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def ended(monkeypatch, capsys, *arguments):
+    """Run the program as a shell would; return exit status and standard error."""
+    monkeypatch.setattr(sys, "argv", ["opnav", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    return stop.value.code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("proces", "No such command 'proces'. Did you mean 'process'"),
+        ("catalog cone bundled x 1 2", "Invalid value for 'ra'"),
+        ("kernels make a.yaml --out", "Option '--out' requires an argument"),
+        ("process", "Missing argument 'images'; opnav process --help tells what it takes"),
+        ("doctor \udcff", "unexpected extra argument"),
+    ],
+)
+def test_wrong_usage_is_one_line(line, words, monkeypatch, capsys):
+    status, said = ended(monkeypatch, capsys, *line.split())
+    assert status == 2
+    assert said.startswith("error: ")
+    assert words.lower() in said.lower()
+    assert said.count("\n") == 1
+    assert said.rstrip("\n").isprintable()
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(28, "No space left on device", "run/a"), "No space left on device (run/a); see to that"),
+        (MemoryError(), "not enough memory"),
+    ],
+)
+def test_the_machine_s_faults_are_one_line(error, words, monkeypatch, capsys):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr("opnav_workbench.cli.catalog.catalog_status", fails)
+    status, said = ended(monkeypatch, capsys, "catalog", "list")
+    assert status == 2
+    assert said.startswith(f"error: {words}")
+    assert said.count("\n") == 1
+
+
+def test_defects_of_ours_keep_their_traceback(monkeypatch):
+    def fails(*_, **__):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("opnav_workbench.cli.catalog.catalog_status", fails)
+    monkeypatch.setattr(sys, "argv", ["opnav", "catalog", "list"])
+    with pytest.raises(ZeroDivisionError):
+        main()
+
+
+def test_a_full_disk_under_standard_output_is_told(monkeypatch, capsys):
+    with Path("/dev/full").open("w", encoding="utf-8") as full, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", full)
+        status, said = ended(monkeypatch, capsys, "catalog", "list")
+        with pytest.raises(OSError, match="No space"):
+            full.close()
+    assert status == 2
+    assert said.startswith("error: No space left on device")
+
+
+def test_ctrl_c_ends_any_command_with_a_line(monkeypatch, capsys):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("opnav_workbench.cli.catalog.catalog_status", stopped)
+    status, said = ended(monkeypatch, capsys, "catalog", "list")
+    assert status == 130
+    assert said == "stopped; what was finished is kept.\n"

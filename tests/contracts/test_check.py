@@ -307,3 +307,16 @@ def test_every_field_is_described():
         for part in [schema, *schema.get("$defs", {}).values()]:
             silent = [f for f, s in part.get("properties", {}).items() if not s.get("description")]
             assert not silent, (name, part.get("title"), silent)
+
+
+def test_what_a_later_version_added_is_passed_over(result, tmp_path):
+    """A new threshold ended the check in a traceback; contradictions had no place in the layout."""
+    content = result | {"provenance": result["provenance"] | {"settings": {"max_stars": 9, "new_limit": 1.0}}}
+    assert checked(tmp_path, "result.json", content) == ()
+    content["provenance"] |= {"contradictions": [1]}
+    assert "contradictions.0: " in checked(tmp_path, "result.json", content)[0]
+    content["provenance"] |= {"contradictions": ["ET and UTC differ"]}
+    content["readout"] = {"binning": [2, 2], "first": [0, 8], "size": None}
+    assert checked(tmp_path, "result.json", content) == ()
+    assert unnamed(KINDS["result"].model, content) == ["provenance.0.settings.0.new_limit"]
+    assert refusals(KINDS["result"], content) == []

@@ -8,7 +8,8 @@ import time
 import numpy as np
 import pytest
 from astropy.io import fits
-from picture_bytes import vicar_bytes
+from picture_bytes import isis_bytes, vicar_bytes
+from PIL import Image
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import KeywordMap, read_image
@@ -158,3 +159,23 @@ def test_a_compressed_picture_is_read(tmp_path):
         read_image(path, KEYWORDS)
     path.write_bytes(gzip.compress(PLAIN))
     np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, PICTURE)
+
+
+def test_labels_are_called_what_they_are(tmp_path):
+    """A label of ISIS was said to be one of PDS3."""
+    path = tmp_path / "a.cub"
+    path.write_bytes(
+        isis_bytes(PICTURE[None], "Real", (10, 10)).replace(b"  Lines   = 30", b"  Lines   = xx", 1)
+    )
+    with pytest.raises(ImageError, match=r"a\.cub: label with LINES = 'xx', expected a whole number"):
+        read_image(path, KEYWORDS)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "TIFF"])
+def test_gzipped_pictures_of_displays(tmp_path, kind):
+    """They were called damaged."""
+    stream = io.BytesIO()
+    Image.fromarray(PICTURE.astype(np.uint16)).save(stream, kind)
+    path = tmp_path / f"a.{kind.lower()}.gz"
+    path.write_bytes(gzip.compress(stream.getvalue()))
+    np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, PICTURE.astype(np.uint16))

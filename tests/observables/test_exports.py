@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import json_text
 from opnav_workbench.observables import (
     Observable,
+    Origin,
     joint_covariance_px2,
     read_csv,
     read_ecsv,
@@ -19,7 +21,7 @@ from opnav_workbench.observables import (
     write_ecsv,
     write_observables_json,
 )
-from opnav_workbench.observables.files import csv_text, observables_of_result
+from opnav_workbench.observables.files import csv_text, observables_dict, observables_of_result
 
 FORMATS = {
     "csv": (write_csv, read_csv),
@@ -161,3 +163,61 @@ def test_result_json_alone_gives_what_it_holds(approach_observables):
     assert missing.observed_px is None
     with pytest.raises(SessionError, match=r"damaged.*process the picture again"):
         observables_of_result({"bodies": [{}], "pointing": None}, "x/result.json")
+
+
+def changed_json(observables, path, change):
+    """Write observables as JSON with the first of them changed."""
+    content = json.loads(json_text(observables_dict(observables)))
+    change(content["observables"][0])
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_a_field_that_a_later_version_added_is_passed_over(approach_observables, tmp_path):
+    """As `format_version` promises; it was "damaged"."""
+    path = changed_json(approach_observables, tmp_path / "o.json", lambda first: first.update(surface="icy"))
+    assert [o.name for o in read_json(path)] == [o.name for o in approach_observables]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda first: first.update(status="0.0002"),
+        lambda first: first.update(et="9" * 400),
+        lambda first: first.update(center_cross_px2=1.5),
+    ],
+)
+def test_values_that_no_observable_has(approach_observables, tmp_path, change):
+    with pytest.raises(SessionError, match=r"damaged|no time"):
+        read_json(changed_json(approach_observables, tmp_path / "o.json", change))
+
+
+def test_a_table_that_was_shifted_is_refused(approach_observables, tmp_path):
+    """A comma too many: numbers stand where texts belong."""
+    path = tmp_path / "o.csv"
+    write_csv(approach_observables, path)
+    text = path.read_text()
+    path.write_text(text.replace("\nlor_0.fit,", "\n,lor_0.fit,", 1))
+    with pytest.raises(SessionError, match="row 0"):
+        read_csv(path)
+    damaged = [line if line.startswith("#") else line.replace(",ok,", ",1.5,") for line in text.splitlines()]
+    path.write_text("\n".join(damaged))
+    with pytest.raises(SessionError, match=r"status '1\.5' is none of"):
+        read_csv(path)
+
+
+def test_an_ecsv_of_other_units_is_one_line_and_no_warning(approach_observables, tmp_path):
+    """What astropy warns of (here an error) reached the console, or its own exception did."""
+    path = tmp_path / "o.ecsv"
+    write_ecsv(approach_observables, path)
+    text = path.read_text()
+    for unit in ("r0", "pix / ''"):
+        path.write_text(text.replace("unit: km,", f"unit: {unit!r},"))
+        with pytest.raises(SessionError, match=r"convert|unit"):
+            read_ecsv(path)
+
+
+def test_a_result_whose_provenance_is_none(tmp_path):
+    result = {"image": "a.fit", "provenance": [1], "bodies": [], "pointing": None}
+    with pytest.raises(SessionError, match=r"provenance in the result of a\.fit is damaged"):
+        Origin.of_result(result)

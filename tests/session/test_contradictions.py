@@ -1,21 +1,27 @@
 """Headers that contradict themselves or the kernels: the picture is partial, and nothing is silently believed."""
 
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
 from astropy.io import fits
+from PIL import Image
 
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.image.contradictions import believed_state, printed_unit_s
 from opnav_workbench.kernels import KernelSet
+from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.mission import load_mission
 from opnav_workbench.processing import Processing, process_image
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
-from opnav_workbench.session import ImageSession, write_reconstructed_ck
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.session import ImageSession, Settings, write_reconstructed_ck
+from opnav_workbench.session.context import open_context
+from opnav_workbench.session.inputs import with_target
 
 DAY_S = 86400.0
 KEYWORDS = KeywordMap(**load_mission("new_horizons").keywords)
@@ -37,8 +43,8 @@ def told(truth, tmp_path):
     return write
 
 
-def contradictions(path):
-    return ImageSession.open(path, "new_horizons", catalog=DEMO_CATALOG).inputs.contradictions
+def contradictions(path, mission="new_horizons"):
+    return ImageSession.open(path, mission, catalog=DEMO_CATALOG).inputs.contradictions
 
 
 @pytest.mark.slow
@@ -180,3 +186,41 @@ def test_flight_frames(data_dir, tmp_path):
     fits.setval(path, "EXPTIME", value=500.6)
     (line,) = read_image(path, KEYWORDS).contradictions
     assert line == "EXPTIME is an exposure of 500.6 s, but the header's begin and end lie 0.5006 s apart"
+
+
+def test_a_sidecar_s_own_words_are_held_against_the_clock(truth, kernels, tmp_path):
+    """Of a picture whose words a sidecar tells, the mission's keywords found nothing, and messages named none."""
+    with fits.open(truth.picture) as hdus:
+        pixels, header = hdus[0].data, hdus[0].header
+    partition, seconds, ticks = re.split("[/:]", header["SPCSCLK"])
+    late = f"{partition}/{int(seconds) + 5000:010}:{ticks}"
+    scale = 60000.0 / pixels.max()
+    Image.fromarray(np.clip(pixels * scale, 0, 65535).astype(np.uint16)).save(tmp_path / "p.png")
+    sidecar = {"utc": str(header["SPCUTCAL"]).replace("UTC", "").strip(), "sclk": late}
+    sidecar |= {k: header[k] for k in ("MISSION", "INSTRU", "SCANTYPE")} | {"exposure_s": header["EXPTIME"]}
+    (tmp_path / "p.json").write_text(json.dumps(sidecar))
+    mission = tmp_path / "mission.yaml"
+    nh = kernels_meta_dir() / "new_horizons"
+    text = (nh / "mission.yaml").read_text().replace("cameras/", f"{nh}/cameras/")
+    text = text.replace("stars.yaml", f"{nh}/stars.yaml")
+    mission.write_text(re.sub(r"^  (sclk|et|utc|exposure_s): .*\n", "", text, flags=re.MULTILINE))
+    picture = open_context(tmp_path / "p.png", load_mission(mission), Settings()).picture
+    assert (picture.keywords.sclk, picture.sclk) == ("SIDECAR.sclk.0", sidecar["sclk"])
+    (said,) = (line for line in contradictions(tmp_path / "p.png", mission) if "clock" in line)
+    assert f"SIDECAR.sclk.0 = {late} is" in said
+
+
+def test_a_given_shape_asks_no_kernel_for_another(truth, kernels, tmp_path, monkeypatch):
+    """The kernels' own may be large, or damaged; the given one outranks it."""
+
+    def asked(_):
+        raise AssertionError("asked for a shape though one is given")
+
+    monkeypatch.setattr("opnav_workbench.session.inputs.shape_file_of", asked)
+    shape = tmp_path / "s.obj"
+    shape.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    session = ImageSession.open(
+        truth.picture, "new_horizons", catalog=DEMO_CATALOG, shapes={"PLUTO": ShapeFile(shape)}
+    )
+    with_it = with_target(session.context, session.source, session.inputs, "PLUTO")
+    assert with_it.shapes["PLUTO"] == shape

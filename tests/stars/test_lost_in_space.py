@@ -80,3 +80,12 @@ def test_damaged_bands_are_made_again(sky, tmp_path):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
         np.testing.assert_array_equal(index_of_stars(*some, folder=tmp_path).band(0).patterns, made.patterns)
         assert path.read_bytes() == whole
+
+
+def test_detections_in_one_place_have_no_pattern(index):
+    """No four of them are wide enough; the search ended in a traceback."""
+    places = 500.0 + np.linspace(0.0, 0.5, 12)[:, None] * [1.0, 2.0]
+    assert (
+        solve_lost(index, detections(places, np.linspace(100.0, 1.0, 12)), camera(2e4)).camera_from_j2000
+        is None
+    )
