@@ -1,5 +1,6 @@
 """``opnav export``: observables of processed pictures as one file for orbit determination."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from opnav_workbench.bodies.results import BODY_STATUSES
 from opnav_workbench.cli.terminal import shown
 from opnav_workbench.errors import MissionError, SessionError
 from opnav_workbench.files import files_named
@@ -123,9 +125,19 @@ def _all_observables(sources: Sequence[Path]) -> tuple[list[Observable], list[Or
     origins: list[Origin] = []
     for source in sources:
         for observables, told in _read_source(source):
+            _check_meant(source, observables)
             found += observables
             origins += told
     return found, origins
+
+
+def _check_meant(source: Path, observables: Sequence[Observable]) -> None:
+    """Refuse what is no observable, though it can be read: a table whose columns were shifted."""
+    for o in observables:
+        if o.status not in BODY_STATUSES or not math.isfinite(o.et):
+            raise SessionError(
+                f"{source}, {o.image} {o.name}: status {o.status!r} at et {o.et} is no observable; opnav check tells more."
+            )
 
 
 def _origins_of(observables: Sequence[Observable], origins: Sequence[Origin]) -> list[Origin]:

@@ -239,9 +239,7 @@ class KernelEntry(Layout):
 
 
 THRESHOLDS: dict[str, Any] = {field.name: (field.type, field.default) for field in fields(Settings)}
-SettingsEntry = create_model(
-    "Settings", __base__=Layout, __doc__="Limits of searches and other thresholds.", **THRESHOLDS
-)
+SettingsEntry = create_model("Settings", __base__=Layout, __doc__=Settings.__doc__, **THRESHOLDS)
 
 
 class Provenance(Layout):

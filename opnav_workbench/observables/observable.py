@@ -11,7 +11,6 @@ from types import MappingProxyType
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly, symmetric
-from opnav_workbench.bodies.results import BODY_STATUSES
 
 __all__ = ["LIGHT_TIMES", "Observable", "cross_covariance_px2", "joint_covariance_px2"]
 
@@ -136,10 +135,6 @@ class Observable:
     center_cross_px2: Mapping[str, FloatArray] = field(default_factory=_nothing)
 
     def __post_init__(self) -> None:
-        if self.status not in BODY_STATUSES:
-            raise ValueError(f"status {self.status!r} is none of {', '.join(BODY_STATUSES)}")
-        if not np.isfinite(self.et):
-            raise ValueError(f"et {self.et} is no time")
         cross = {name: readonly(value, (2, 2), name) for name, value in self.center_cross_px2.items()}
         object.__setattr__(self, "center_cross_px2", MappingProxyType(cross))
         freeze_arrays(self)

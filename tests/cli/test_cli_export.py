@@ -150,3 +150,13 @@ def test_errors_are_one_line(run, tmp_path, monkeypatch, arguments, message):
 def test_help_shows_an_example():
     output = opnav("--help").output
     assert "opnav export run --format tdm --out approach.tdm" in output
+
+
+def test_rows_that_are_no_observables_are_not_handed_on(run, tmp_path):
+    """A table whose columns were shifted can be read; what it says is none of what a body can be."""
+    table = run / "a" / "observables.ecsv"
+    table.write_text(table.read_text().replace(" ok ", " 0.002 ", 1))
+    answer = opnav(run, "-o", tmp_path / "x.csv")
+    assert isinstance(answer.exception, SessionError)
+    assert "a.fit PLUTO: status '0.002'" in str(answer.exception)
+    assert not (tmp_path / "x.csv").exists()

@@ -182,13 +182,13 @@ def test_a_field_that_a_later_version_added_is_passed_over(approach_observables,
 @pytest.mark.parametrize(
     "change",
     [
-        lambda first: first.update(status="0.0002"),
-        lambda first: first.update(et="9" * 400),
+        lambda first: first.update(et="soon"),
+        lambda first: first.update(et=10**400),
         lambda first: first.update(center_cross_px2=1.5),
     ],
 )
 def test_values_that_no_observable_has(approach_observables, tmp_path, change):
-    with pytest.raises(SessionError, match=r"damaged|no time"):
+    with pytest.raises(SessionError, match=r"damaged|cannot be read"):
         read_json(changed_json(approach_observables, tmp_path / "o.json", change))
 
 
@@ -199,10 +199,6 @@ def test_a_table_that_was_shifted_is_refused(approach_observables, tmp_path):
     text = path.read_text()
     path.write_text(text.replace("\nlor_0.fit,", "\n,lor_0.fit,", 1))
     with pytest.raises(SessionError, match="row 0"):
-        read_csv(path)
-    damaged = [line if line.startswith("#") else line.replace(",ok,", ",1.5,") for line in text.splitlines()]
-    path.write_text("\n".join(damaged))
-    with pytest.raises(SessionError, match=r"status '1\.5' is none of"):
         read_csv(path)
 
 
