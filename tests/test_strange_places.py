@@ -14,7 +14,7 @@ from opnav_workbench.contracts import check_file
 from opnav_workbench.errors import KernelError, OpNavError, SessionError
 from opnav_workbench.files import json_value, read_json
 from opnav_workbench.image import KeywordMap, read_image
-from opnav_workbench.kernels import KernelSet
+from opnav_workbench.kernels import KernelSet, et_from_utc
 from opnav_workbench.kernels.dsk_files import is_dsk
 from opnav_workbench.kernels.making.scenario import load_scenario
 from opnav_workbench.kernels.manifest import load_manifest
@@ -23,6 +23,7 @@ from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import read_csv, read_ecsv, read_tdm, read_with_origins
 from opnav_workbench.planning.sequence import load_sequence
 from opnav_workbench.processing import process
+from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.rehearsal.scenario import load_ort_scenario
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.decisions import load_decisions
@@ -104,3 +105,8 @@ def test_json_that_is_too_much(text):
 def test_json_of_a_device_is_refused(tmp_path):
     with pytest.raises(SessionError, match="pipe or device"):
         read_json("/dev/zero", "give another.")
+
+
+def test_spice_is_asked_in_text():
+    with KernelSet(DEMO_KERNELS), pytest.raises(KernelError, match=r"no UTF-8, which SPICE cannot be told"):
+        et_from_utc("2015-05-28T12:\udca20:00")

@@ -166,15 +166,14 @@ class Database:
             TypeError,
             ValueError,
         ) as error:  # a damaged cell
-            raise SessionError(
-                f"campaign archive {self.path} holds what it cannot hold ({error!r}); "
-                "`opnav campaign ingest` makes a new one from the run folders."
-            ) from error
+            raise self._impossible(error) from error
 
     def _retried(self, work: Callable[[], Answer]) -> Answer:
         for attempt in range(ATTEMPTS):
             try:
                 return work()
+            except UnicodeDecodeError as error:  # a damaged name, in SQLite's own message
+                raise self._impossible(error) from error
             except (sa.exc.DBAPIError, sqlite3.Error) as error:
                 if not _busy(error) or attempt == ATTEMPTS - 1:
                     raise self._named(error) from error
@@ -186,6 +185,12 @@ class Database:
         self._written(lambda connection: migrate(connection, self.path))
         with contextlib.closing(self._engine.raw_connection()) as connection:
             connection.cursor().execute("PRAGMA journal_mode=WAL")  # outside any transaction
+
+    def _impossible(self, error: Exception) -> SessionError:
+        return SessionError(
+            f"campaign archive {self.path} holds what it cannot hold ({error!r}); "
+            "`opnav campaign ingest` makes a new one from the run folders."
+        )
 
     def _named(self, error: DatabaseError) -> SessionError:
         kind = (

@@ -436,6 +436,10 @@ def spice_call(request: SpiceRequest | str, *, needs_kernels: bool = False) -> I
         except spiceypy.SpiceyError as error:
             spiceypy.reset()
             raise KernelError(explanation(error, asked)) from error
+        except UnicodeEncodeError as error:
+            raise KernelError(
+                f"{asked.what}: {error.object!r} has bytes that are no UTF-8, which SPICE cannot be told; correct it."
+            ) from error
 
 
 def toolkit_version() -> str:

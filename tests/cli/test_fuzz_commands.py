@@ -62,7 +62,7 @@ class Command:
 
     line: str
     files: tuple[str, ...] = ()
-    whole: int = 40  # inputs of the whole run
+    whole: int = 30  # inputs of the whole run
 
     def arguments(self, file: str) -> list[str]:
         return self.line.replace("FILE", file).split()
@@ -75,38 +75,38 @@ CHECKED = (
     "nh/manifest.yaml", "decisions.yaml", "stars.yaml", "night.yaml", MISSION, CAMERA,
 )  # fmt: skip
 COMMANDS = {
-    "check": Command("check FILE", CHECKED, 100),
+    "check": Command("check FILE", CHECKED, 60),
     "check what was written": Command(
-        "check FILE", (RESULT, "run/p/session.json", "o.csv", "o.json", "o.tdm"), 100
+        "check FILE", (RESULT, "run/p/session.json", "o.csv", "o.json", "o.tdm"), 15
     ),
-    "export tdm": Command("export run --format tdm --out out/x.tdm", (RESULT, TABLE)),
-    "export csv": Command(f"export {RESULT} --format csv --targets PLUTO --out out/x.csv", (RESULT,), 60),
-    "export ecsv": Command("export o.json --format ecsv --out out/x.ecsv", ("o.json",), 60),
-    "export json": Command("export o.csv --format json --out out/x.json", ("o.csv",), 60),
+    "export tdm": Command("export run --format tdm --out out/x.tdm", (RESULT, TABLE), 12),
+    "export csv": Command(f"export {RESULT} --format csv --targets PLUTO --out out/x.csv", (RESULT,), 20),
+    "export ecsv": Command("export o.json --format ecsv --out out/x.ecsv", ("o.json",), 20),
+    "export json": Command("export o.csv --format json --out out/x.json", ("o.csv",), 40),
     "cone": Command("catalog cone npz:s.npz 10 -5 60 --epoch 2015.5 --json", ("s.npz",), 60),
-    "cone to a file": Command("catalog cone npz:s.npz 10 5 60 --out out/c.ecsv --mag 9", ("s.npz",), 40),
-    "catalog": Command("catalog info npz:s.npz", ("s.npz",), 40),
+    "cone to a file": Command("catalog cone npz:s.npz 10 5 60 --out out/c.ecsv --mag 9", ("s.npz",)),
+    "catalog": Command("catalog info npz:s.npz", ("s.npz",)),
     "mission": Command(f"mission show {MISSION}", (MISSION, CAMERA)),
     "kernels check": Command("kernels check k.tpc --time 2015-07-01T00:00:00", ("k.tpc",)),
     "kernels brief": Command("kernels brief k.tpc", ("k.tpc",)),
-    "kernels make": Command("kernels make nh/pluto_opnav.yaml --out out/k", ("nh/pluto_opnav.yaml",), 15),
+    "kernels make": Command("kernels make nh/pluto_opnav.yaml --out out/k", ("nh/pluto_opnav.yaml",), 8),
     "shape": Command("kernels make s.obj --body PLUTO --out out/k.bds", ("s.obj",)),
     "make-ck": Command(f"kernels make-ck run --out out/k.bc --kernels {DEMO_KERNELS}", (RESULT,)),
-    "make-isd": Command(f"kernels make-isd run --out out/i --kernels {DEMO_KERNELS}", (RESULT,)),
+    "make-isd": Command(f"kernels make-isd run --out out/i --target PLUTO --kernels {DEMO_KERNELS}", (RESULT,)),
     "geometry": Command(
         f"kernels geometry {DEMO_KERNELS} -m {MISSION} --time 2015-05-28T12:00:00 --json", (MISSION, CAMERA)
     ),
-    "campaign": Command("campaign ingest run --archive out/a.sqlite", (RESULT, TABLE), 30),
+    "campaign": Command("campaign ingest run --archive out/a.sqlite", (RESULT, TABLE), 10),
     "archive": Command("campaign query bodies --archive a.sqlite --since 2015-01-01", ("a.sqlite",)),
     "archived": Command("campaign export out/x.csv --archive a.sqlite", ("a.sqlite",)),
     "simulate": Command("simulate nh/pictures/pluto_limb.yaml --out out/s --only none", CHECKED[2:3]),
     "plan": Command("plan nh/sequences/pluto_approach.yaml --no-exposures --only none", CHECKED[:1]),
-    "ort": Command(f"ort new {CHECKED[1]} --out run --pictures 1 --jobs 1", CHECKED[1:2]),
-    "nightly": Command("nightly night.yaml --why p.fit --out out/n", ("night.yaml", "p.fit"), 15),
+    "ort": Command(f"ort new {CHECKED[1]} --out run --pictures 1 --jobs 1", CHECKED[1:2], 8),
+    "nightly": Command("nightly night.yaml --why p.fit --out out/n", ("night.yaml", "p.fit"), 8),
     "process": Command(
         f"process p.fit --mission {MISSION} --attitude header --targets none --decisions decisions.yaml --out out/r",
         ("p.fit", MISSION, CAMERA, "decisions.yaml"),
-        12,
+        6,
     ),
     "doctor": Command("doctor"),
 }  # fmt: skip
