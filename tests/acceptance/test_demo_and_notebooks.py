@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import papermill
 import pytest
 from astropy.table import QTable
 from typer.testing import CliRunner
@@ -72,14 +71,14 @@ def test_demo_statistics_over_seeds(tmp_path):
     errors = []
     with KernelSet(DEMO_KERNELS):
         how = Processing(mission=DEMO_MISSION, catalog=DEMO_CATALOG, targets=DEMO_TARGETS).opened()
-        for seed in range(1, 16):
+        for seed in range(1, 11):
             truth = simulate_picture(request.reseeded(seed), mission, DEMO_CATALOG, tmp_path / str(seed))
             outcome = process_image(truth.picture, how, None)  # no files: a third of the time is their figure
             assert outcome.result["status"] == "ok", outcome.result["messages"]
             errors.append([row.sigmas for row in compare(truth, outcome.result, camera)])
     scatter = np.array(errors)
-    # 15 trials of 7 quantities: the standard deviation of a unit normal is known to 7 % from 105 values.
-    assert scatter.shape == (15, 7)
+    # 10 trials of 7 quantities: the standard deviation of a unit normal is known to 8.5 % from 70 values; 3 of these.
+    assert scatter.shape == (10, 7)
     assert 0.75 < scatter.std() < 1.25
     assert np.abs(scatter).max() < 4.5
 
@@ -87,6 +86,14 @@ def test_demo_statistics_over_seeds(tmp_path):
 ALL_NOTEBOOKS = sorted(p.name for p in NOTEBOOKS.glob("*.ipynb"))
 # Those with a test file of their own: they need a picture or decisions, or are judged by their numbers.
 WITH_TESTS_OF_THEIR_OWN = {"interstellar_navigation.ipynb", "process_image.ipynb", "workbench.ipynb"}
+
+# Every cell runs as well on less than the parameters ask for as committed.
+LESS = {
+    "campaign.ipynb": {"pictures": 5},
+    "ort_rehearsal.ipynb": {"pictures": 2},
+    "picture_planning.ipynb": {"trials": 1},
+    "stars_and_pointing.ipynb": {"trials": 100},
+}
 
 
 @pytest.mark.parametrize("notebook", ALL_NOTEBOOKS)
@@ -100,10 +107,12 @@ def test_notebook_has_parameters_and_no_outputs(notebook):
 @pytest.mark.parametrize("notebook", sorted(set(ALL_NOTEBOOKS) - WITH_TESTS_OF_THEIR_OWN))
 def test_notebook_runs_headless(notebook, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    import papermill
+
     papermill.execute_notebook(
         NOTEBOOKS / notebook,
         tmp_path / "out.ipynb",
-        parameters={"out": str(tmp_path / "run")},
+        parameters={"out": str(tmp_path / "run")} | LESS.get(notebook, {}),
         progress_bar=False,
         request_save_on_cell_execute=False,
     )

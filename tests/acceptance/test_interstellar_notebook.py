@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import papermill
 import pytest
 from astropy.table import QTable
 
@@ -19,6 +18,8 @@ MOST_SIGMAS = 4.03
 
 
 def _run(folder: Path, **parameters: Any) -> dict[str, Any]:
+    import papermill
+
     papermill.execute_notebook(
         NOTEBOOK,
         folder / "out.ipynb",

@@ -146,6 +146,7 @@ def test_single_star_frames_end_partial_with_an_honest_twist(plain, data_dir, me
     assert abs(error) < 3.0 * sigma
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("met", PUBLISHED)
 def test_target_stars_are_where_they_were_published(targeted, met):
     name, pixel, line, s_pixel, s_line, _, _ = PUBLISHED[met]
@@ -163,12 +164,14 @@ def _separation(body: dict[str, Any], met: str) -> SkyCoord:
     return np.array([o.to_value("arcsec") for o in published.spherical_offsets_to(ours)])
 
 
+@pytest.mark.slow
 def test_direction_of_proxima(targeted):
     offsets = np.array([_separation(targeted[met]["bodies"][0], met) for met in PROXIMA])
     assert np.all(np.hypot(*offsets.T) < 0.6)
     assert np.hypot(*offsets.mean(axis=0)) < 0.2
 
 
+@pytest.mark.slow
 def test_direction_of_proxima_against_gaia_and_trajectory(targeted):
     """O-C of the target: published agreement is 0.04 to 0.13 arcsec in the mean of six frames."""
     residuals = np.array([targeted[met]["bodies"][0]["residual_arcsec"] for met in PROXIMA])

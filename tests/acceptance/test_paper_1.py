@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import papermill
 import pytest
 from astropy.table import Table
 
@@ -18,6 +17,8 @@ NOTEBOOKS = ("01_geometry_and_kernels", "02_simulated_images", "03_star_centers"
 def executed(name: str, folder: Path, **parameters: object) -> Path:
     """Run a notebook in the fast setting; return the folder of its tables."""
     out = folder / "out"
+    import papermill
+
     papermill.execute_notebook(
         PAPER / f"{name}.ipynb",
         folder / "executed.ipynb",

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import papermill
 import pytest
 from astropy.table import QTable, Table
 
@@ -19,6 +18,8 @@ NOTEBOOKS = ("04_repointing", "05_target_centers", "06_observables")
 def executed(name: str, folder: Path) -> Path:
     """Run a notebook; return the folder of its tables."""
     out = folder / "out"
+    import papermill
+
     papermill.execute_notebook(
         PAPER / f"{name}.ipynb",
         folder / "executed.ipynb",

@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 
 import nbformat
-import papermill
 import pytest
 
 TEACHING = Path(__file__).parents[2] / "notebooks/teaching"
@@ -268,6 +267,8 @@ def three_students(lesson):
 def run(notebook, folder, **parameters):
     source, executed = folder / "lesson.ipynb", folder / "executed.ipynb"
     nbformat.write(notebook, source)
+    import papermill
+
     papermill.execute_notebook(
         source,
         executed,

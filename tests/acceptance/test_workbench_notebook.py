@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import papermill
 import pytest
 
 from opnav_workbench.kernels import KernelSet
@@ -23,6 +22,8 @@ MAX_BYTES = 100_000
 
 def run(tmp_path, **parameters):
     out = tmp_path / "out.ipynb"
+    import papermill
+
     papermill.execute_notebook(
         NOTEBOOK,
         out,
@@ -43,8 +44,10 @@ def test_committed_without_outputs():
 
 @pytest.mark.slow
 def test_undecided_stars_stop_the_notebook_in_one_line(tmp_path):
+    from papermill import PapermillExecutionError
+
     with pytest.raises(
-        papermill.PapermillExecutionError, match=r"SelectionPending: lorri_4x4\.fit: 4 stars wait to be"
+        PapermillExecutionError, match=r"SelectionPending: lorri_4x4\.fit: 4 stars wait to be"
     ):
         run(tmp_path)
     assert not (tmp_path / "workbench_run" / "lorri_4x4" / "result.json").exists()
@@ -84,5 +87,7 @@ def test_recorded_decisions_go_through(tmp_path):
 
 @pytest.mark.slow
 def test_a_misspelt_parameter_is_told(tmp_path):
-    with pytest.raises(papermill.PapermillExecutionError, match=r"SessionError.*decision"):
+    from papermill import PapermillExecutionError
+
+    with pytest.raises(PapermillExecutionError, match=r"SessionError.*decision"):
         run(tmp_path, decision="x.yaml")

@@ -93,7 +93,7 @@ def test_batched_fit_against_a_loop_of_scipy_fits(benchmark, fastest, field, bac
     assert fit.usable.mean() > 0.99
 
 
-@pytest.mark.slow(keep=["empirical"])
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gaussian", "empirical"])
 def test_fit_of_a_given_psf_against_photutils(benchmark, fastest, field, kind):
     image, centers = field

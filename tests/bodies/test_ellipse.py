@@ -47,7 +47,7 @@ def test_no_bias_against_brute_force(body_stage, diameter, phase, axes, rays, so
     assert np.isfinite(found.range_km) == (solve_range and not found.flags & BodyFlag.SIZE_UNSOLVED)
 
 
-@pytest.mark.slow(keep=["0.3"])
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma_px", [0.3, 1.5])
 def test_no_bias_with_a_sharp_or_wide_psf(body_stage, sigma_px):
     stage, true = body_stage.with_psf(sigma_px), np.array([300.81, 640.33])

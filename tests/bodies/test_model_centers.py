@@ -34,7 +34,7 @@ def test_no_bias_against_brute_force(body_stage, finder, diameter, phase, axes, 
     np.testing.assert_allclose(found.pixel_line, true, atol=BIAS_PX)
 
 
-@pytest.mark.slow(keep=["find_cross_correlation-0.3"])
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma_px", [0.3, 1.5])
 @pytest.mark.parametrize("finder", FINDERS)
 def test_no_bias_with_a_sharp_or_wide_psf(body_stage, finder, sigma_px):

@@ -32,8 +32,13 @@ source.selected.on_change("indices", lambda attr, old, new: log.append(list(new)
 DIV = "name => { for (const d of Bokeh.documents) { const m = d.get_model_by_name(name); if (m) return m.text } }"
 
 
-def test_bridge(notebook) -> None:
-    nb = notebook(SETUP, "bridge", "extra = 1")
+@pytest.fixture(scope="module")
+def nb(module_notebook):
+    """One page for both tests, for each of which a kernel ends."""
+    return module_notebook(SETUP, "bridge", "extra = 1")
+
+
+def test_bridge(nb) -> None:
     nb.run_all()
     nb.view()
     # page -> Python: a button, a selection by tap
@@ -72,8 +77,7 @@ def test_bridge(notebook) -> None:
     assert Path(nb.path).stat().st_size < 100_000
 
 
-def test_killed_kernel_looks_dead(notebook) -> None:
-    nb = notebook(SETUP, "bridge")
+def test_killed_kernel_looks_dead(nb) -> None:
     nb.run_all()
     nb.view()
     os.kill(nb.python("__import__('os').getpid()"), signal.SIGKILL)

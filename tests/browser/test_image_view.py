@@ -30,11 +30,9 @@ view.listen(lambda *at: heard.append(at), lambda *ends: heard.append(ends))
 
 
 FLIGHT = """
-import opnav_workbench as opnav
-from opnav_workbench.workbench import ImageView
-session = opnav.ImageSession.open({path!r}, "new_horizons", catalog={catalog!r}, attitude="header")
-session.predict(); session.find_stars(); session.repoint()
-view = ImageView(session)
+flight = opnav.ImageSession.open({path!r}, "new_horizons", catalog={catalog!r}, attitude="header")
+flight.predict(); flight.find_stars(); flight.repoint()
+view.show(flight)
 """
 AS_NEW = """view.state.update(image="data", partner="", stretch="asinh", limits="sky", colormap="gray", inverted=False,
     contrast=1.0, bias=0.5, groups=["predicted", "observed", "magnitudes", "bodies"], drag="")
@@ -131,16 +129,19 @@ def test_readout_is_right(opened, demo_truths, number):
 
 
 @pytest.mark.realdata
-def test_readout_on_a_flight_frame(module_notebook, data_dir):
+def test_readout_on_a_flight_frame(opened, data_dir):
     path = data_dir / "images/lorri_interstellar/lor_0449855930_0x633_pwcs2.fits"
-    nb = module_notebook(
-        FLIGHT.format(path=str(path), catalog=f"npz:{data_dir / 'stars/tycho2.npz'}"), "view"
+    nb = opened()
+    show = FLIGHT.format(path=str(path), catalog=f"npz:{data_dir / 'stars/tycho2.npz'}")
+    nb.python(f"exec({show!r}) or 1")
+    nb.page.wait_for_function(
+        "setup => Bokeh.documents.at(-1).get_model_by_name('opnav-state').setup === setup",
+        arg=nb.python("view.state.setup"),
     )
-    nb.run_all()
-    nb.view()
     context = ImageSession.open(path, DEMO_MISSION, attitude="header").context
-    attitude = np.array(nb.python("session.camera_from_j2000.tolist()"))
+    attitude = np.array(nb.python("flight.camera_from_j2000.tolist()"))
     place, dn, sky, _ = readout(nb, 200.0, 31.0)
+    nb.python("view.show(session) or 1")
     assert dn == pytest.approx(context.picture.image_dn[round(place[1]), round(place[0])], rel=1e-6, abs=6e-4)
     x, y, z = attitude.T @ context.camera.unproject(np.array([place]))[0]
     assert abs(sky[0] - np.degrees(np.arctan2(y, x)) % 360.0) * np.hypot(x, y) < 0.1 * ARCSEC_DEG

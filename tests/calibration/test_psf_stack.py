@@ -57,12 +57,14 @@ def test_the_stack_is_the_true_psf(stacked):
     assert stacked.messages == ()
 
 
+@pytest.mark.slow
 def test_stars_are_explained_by_noise(stacked):
     assert np.median(stacked.empirical_chi2) == pytest.approx(1.0, abs=0.15)
     assert np.median(stacked.gaussian_chi2) > 2.0 * np.median(stacked.empirical_chi2)
     assert stacked.held_out_chi2 < 0.7 * np.median(stacked.gaussian_chi2)
 
 
+@pytest.mark.slow
 def test_centers_of_other_stars(stacked):
     """A picture that was not in the stack: centers without bias, and their errors what they say."""
     other, places = picture(np.random.default_rng(3), TRUE, n=100, flux=(5e3, 5e3))

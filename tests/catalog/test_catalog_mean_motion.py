@@ -36,13 +36,16 @@ def test_agrees_with_hipparcos_motions_over_the_sky():
         assert 1.0 < slope < 1.6
 
 
+@pytest.fixture(scope="module")
+def tycho(data_dir):
+    return open_catalog(f"npz:{data_dir / 'stars' / 'tycho2.npz'}")
+
+
 @pytest.mark.realdata
 @pytest.mark.parametrize("field", FIELDS)
-def test_agrees_with_tycho_to_gaia_displacements(field, data_dir):
+def test_agrees_with_tycho_to_gaia_displacements(field, tycho):
     """Stars without a known motion really drift this way: within 3 mas/yr (and the noise of the median)."""
-    old = open_catalog(f"npz:{data_dir / 'stars' / 'tycho2.npz'}").cone(
-        *np.radians(field), np.radians(4.0), 10.5
-    )
+    old = tycho.cone(*np.radians(field), np.radians(4.0), 10.5)
     new = open_catalog("bundled").cone(*np.radians(field), np.radians(4.0))
     new = new.take(~new.motion_known)
     before, after = unit_from_radec(old.ra_rad, old.dec_rad), unit_from_radec(new.ra_rad, new.dec_rad)

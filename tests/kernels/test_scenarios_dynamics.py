@@ -1,6 +1,7 @@
 """The ready scenarios with real dynamics: quick to build, whole, and where the real spacecraft and bodies were."""
 
 import time
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ SCENARIOS = {
     name: kernels_meta_dir() / f"{name}.yaml"
     for name in ("new_horizons/pluto_approach", "new_horizons/m7_2006", "osiris_rex/bennu_approach")
 }
+PLUTO = [f"new_horizons/pluto_approach-{camera}-2015-07-09T04:29:00" for camera in ("lorri_1x1", "lorri_4x4")]
 BUILD_LIMIT_S = 15.0
 KM_PER_MILE = 1.609344
 BENNU = 2101955
@@ -39,30 +41,33 @@ BENNU = 2101955
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """Metakernels by scenario, and what each took to make."""
-    made = {}
-    for name, path in SCENARIOS.items():
+    """Return the metakernel of a scenario, made once, and what it took to make."""
+
+    @cache
+    def get(name):
         start = time.process_time()
-        metakernel = make_kernels(path, tmp_path_factory.mktemp("kernels"), actual=True)
-        made[name] = (metakernel, time.process_time() - start)
-    return made
+        metakernel = make_kernels(SCENARIOS[name], tmp_path_factory.mktemp("kernels"), actual=True)
+        return metakernel, time.process_time() - start
+
+    return get
 
 
 @pytest.fixture
 def bennu(built):
-    with KernelSet(built["osiris_rex/bennu_approach"][0]) as kernels:
+    with KernelSet(built("osiris_rex/bennu_approach")[0]) as kernels:
         yield kernels
 
 
 @pytest.fixture
 def m7(built):
-    with KernelSet(built["new_horizons/m7_2006"][0]) as kernels:
+    with KernelSet(built("new_horizons/m7_2006")[0]) as kernels:
         yield kernels
 
 
+@pytest.mark.slow(keep=["new_horizons/pluto_approach"])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_quick_small_and_whole(built, name):
-    metakernel, seconds = built[name]
+    metakernel, seconds = built(name)
     assert seconds < BUILD_LIMIT_S
     assert SCENARIOS[name].stat().st_size < 12_000
     with KernelSet(metakernel) as kernels:
@@ -74,6 +79,7 @@ def test_quick_small_and_whole(built, name):
 # ---- cameras: the kernels written here, read back, are the mission's cameras
 
 
+@pytest.mark.slow(keep=PLUTO)
 @pytest.mark.parametrize(
     ("scenario", "camera", "utc"),
     [
@@ -86,7 +92,7 @@ def test_quick_small_and_whole(built, name):
 )
 def test_cameras_read_back_from_the_instrument_kernel(built, scenario, camera, utc):
     wanted = Camera.from_yaml(SCENARIOS[scenario].parent / "cameras" / f"{camera}.yaml")
-    with KernelSet(built[scenario][0]):
+    with KernelSet(built(scenario)[0]):
         read = Camera.from_ik(instrument_values(wanted.instrument_id), wanted.instrument_id)
         epoch = et_from_utc(utc)
         attitudes = [camera_attitude(c.frame, epoch) for c in (read, wanted)]
@@ -101,6 +107,7 @@ def test_cameras_read_back_from_the_instrument_kernel(built, scenario, camera, u
 # ---- M7
 
 
+@pytest.mark.slow
 def test_lorri_looks_at_m7(m7):
     et = et_from_utc("2006-08-31T07:21:31.302")
     ra, dec = np.degrees(spiceypy.recrad(-camera_attitude("NH_LORRI_1X1", et)[2])[1:])
@@ -125,6 +132,7 @@ def test_gravity_alone_reaches_the_next_horizons_state():
     assert np.linalg.norm(end[:3] - then) < 25.0
 
 
+@pytest.mark.slow
 @pytest.mark.realdata
 def test_new_horizons_at_m7_against_the_derived_trajectory(m7, data_dir):
     et = et_from_utc("2006-08-31T07:21:31.302")
@@ -137,6 +145,7 @@ def test_new_horizons_at_m7_against_the_derived_trajectory(m7, data_dir):
 # ---- Bennu
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("utc", "range_km", "speed_m_s", "tolerance"),
     # asteroidmission.org, mission log: "1.4 million miles", "a little over 1,200 mph"; "480,000 km", "490 m/s"
@@ -152,6 +161,7 @@ def test_approach_is_as_fast_as_the_flight(bennu, utc, range_km, speed_m_s, tole
     assert np.linalg.norm(to_bennu.velocity_km_s) * 1e3 == pytest.approx(speed_m_s, rel=tolerance)
 
 
+@pytest.mark.slow
 def test_arrival_28_days_after_the_picture(bennu):
     arrival = et_from_utc("2018-09-24T00:00:00") + 28 * DAY_S
     before, after = (state("BENNU", arrival + h, "ORX") for h in (-1.0, 60.0))
@@ -160,6 +170,7 @@ def test_arrival_28_days_after_the_picture(bennu):
     assert np.linalg.norm(after.velocity_km_s) * 1e3 < 0.01
 
 
+@pytest.mark.slow
 def test_polycam_holds_a_bennu_that_is_below_a_pixel(bennu):
     et = et_from_utc("2018-09-24T00:00:00")
     x, y, z = state("BENNU", et, "ORX", "ORX_OCAMS_POLYCAM", "CN+S").position_km
@@ -173,6 +184,7 @@ def test_polycam_holds_a_bennu_that_is_below_a_pixel(bennu):
     assert np.degrees(angle_between(*boresights)) == pytest.approx(0.18, abs=0.05)  # within MapCam's 4 deg
 
 
+@pytest.mark.slow
 def test_bennu_turns_and_its_clock_reads_as_in_flight(bennu):
     et = et_from_utc("2018-09-24T00:00:00")
     assert sclk_from_et(-64, et).startswith("3/0591019171.")

@@ -324,6 +324,7 @@ def test_a_neighbour_that_is_added_later_has_the_others_found_again(opened, demo
     assert _center(opened, "PLUTO").status == "ok"
 
 
+@pytest.mark.slow
 def test_a_body_beside_one_that_was_found_far_off_is_looked_for_there_too(pair, resolved_truths):
     """An ephemeris that is off by more than the search goes is off for the whole system."""
     off = np.array([60.0, -45.0])  # px at Charon's distance: 2.5 radii of Pluto, 12 of Charon

@@ -75,6 +75,7 @@ def test_field_shifted_and_twisted(demo_truths, tmp_path, twist_deg):
     assert abs(np.degrees(session.state.pointing.delta_twist_rad)) == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.slow(keep=["0", "1", "2", "3"])
 @pytest.mark.parametrize("seed", range(12))
 def test_another_field_is_never_identified(demo_truths, tmp_path, seed):
     """Random stars around the field, as many and as bright as there are: no pointing, and a message why."""

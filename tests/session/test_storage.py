@@ -61,6 +61,7 @@ def test_resume_is_bit_identical_with_the_headers_attitude(resolved_truths, appr
     assert _without_kernels(ImageSession.resume(tmp_path)) == _without_kernels(session)
 
 
+@pytest.mark.slow
 def test_undo_works_after_resume(finished, folder):
     resumed = ImageSession.resume(folder)
     for name in ("observables", "find_body", "find_body", "repoint"):
