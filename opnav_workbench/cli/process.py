@@ -100,7 +100,7 @@ def _pointing_cells(p: dict[str, Any] | None) -> list[str]:
         f"{p['delta_pixel']:+.2f}",
         f"{p['delta_line']:+.2f}",
         f"{p['delta_twist_deg']:+.4f}",
-        f"{p['rms_px']:.3f}",
+        f"{p['rms_px']:.3f}" if p["n_stars"] else "–",
         f"{p['ra_deg']:.5f}",
         f"{p['dec_deg']:+.5f}",
         f"{p['twist_deg']:.3f}",
@@ -173,7 +173,8 @@ def run_images(images: Sequence[Path], how: Processing, out: Path) -> tuple[Outc
 
     try:
         with reporter:
-            return process_images(images, how, out, reporter.say, done)
+            finished[:] = process_images(images, how, out, reporter.say, done)
+        return tuple(finished)
     finally:
         if finished:
             reporter.table(finished, out)

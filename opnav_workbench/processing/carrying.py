@@ -21,7 +21,7 @@ from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.session import RESULT_FILE, SESSION_FILE, ImageSession, Settings
 from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
 
-__all__ = ["FIGURE_FILE", "carry_between"]
+__all__ = ["FIGURE_FILE", "carry_between", "may_take_pointing"]
 
 FIGURE_FILE = "summary.png"
 AGAIN = "process the picture again."
@@ -72,7 +72,7 @@ def carry_between(
     giving = {donor.attitude.image for donor in donors}
     made = {}
     for folder, result in results.items():
-        if result["image"] in giving or not donors:
+        if result["image"] in giving or not may_take_pointing(result, settings):
             continue
         near = _near(donors, result, settings)
         if near:
@@ -81,10 +81,21 @@ def carry_between(
     return made
 
 
+def may_take_pointing(result: dict[str, Any], settings: Settings) -> bool:
+    """Whether a picture's own stars do not tell its pointing for sure, and others may."""
+    asked = settings.carry_within_s > 0.0 and "provenance" in result
+    return asked and not (result.get("pointing") and _field_sure(result))
+
+
+def _field_sure(result: dict[str, Any]) -> bool:
+    field = result.get("identification")
+    return field is None or bool(field["sure"])
+
+
 def _donor(folder: Path, result: dict[str, Any]) -> Donor | None:
     """What a picture may give; None where its stars do not tell its pointing for sure."""
-    pointing, field = result.get("pointing"), result.get("identification")
-    doubted = result["provenance"].get("contradictions") or (field is not None and not field["sure"])
+    pointing = result.get("pointing")
+    doubted = result["provenance"].get("contradictions") or not _field_sure(result)
     source = str(result["provenance"]["attitude_source"])
     if not pointing or not pointing["n_stars"] or not pointing["twist_solved"] or doubted or source == "none":
         return None

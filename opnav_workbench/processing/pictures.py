@@ -19,7 +19,7 @@ from opnav_workbench.files import inside, make_folder, sha256_of, write_json, wr
 from opnav_workbench.format_versions import stamped
 from opnav_workbench.paths import is_file
 from opnav_workbench.processing.automatic import Progress, open_picture, run_policy, silent
-from opnav_workbench.processing.carrying import FIGURE_FILE, carry_between
+from opnav_workbench.processing.carrying import FIGURE_FILE, carry_between, may_take_pointing
 from opnav_workbench.processing.model import OpenedProcessing, Processing
 from opnav_workbench.session import RESULT_FILE
 
@@ -171,11 +171,19 @@ def process_images(
         if out is not None:
             _check_names(images)
             make_folder(out)
-        outcomes = []
+        outcomes, waiting = [], []
         for image in images:
-            outcomes.append(process_image(image, opened, out, partial(say, image.name)))
-            done(outcomes[-1])
-        return _with_carried(outcomes, opened, say)
+            outcome = process_image(image, opened, out, partial(say, image.name))
+            outcomes.append(outcome)
+            if may_take_pointing(outcome.result, opened.settings):
+                waiting.append(image)  # told when its neighbors are done too
+            else:
+                done(outcome)
+        carried = _with_carried(outcomes, opened, say)
+        for outcome in carried:
+            if outcome.image in waiting:
+                done(outcome)
+    return carried
 
 
 def _with_carried(

@@ -125,7 +125,7 @@ def _title(session: ImageSession) -> str:
         f"RA {np.degrees(pointing.ra_rad):.5f}°   Dec {np.degrees(pointing.dec_rad):+.5f}°  "
         f"twist {np.degrees(pointing.twist_rad):.4f}°   moved {pointing.delta_pixel:+.2f} px, "
         f"{pointing.delta_line:+.2f} lines, {np.degrees(pointing.delta_twist_rad):+.4f}°   "
-        f"{pointing.n_stars} star{'s' * (pointing.n_stars != 1)}, rms {pointing.rms_px:.3f} px"
+        f"{pointing.rests_on}"
     )
 
 

@@ -269,7 +269,7 @@ def solution_shown(
     line = (
         f"RA {np.degrees(pointing.ra_rad):.5f}°, Dec {np.degrees(pointing.dec_rad):+.5f}°, "
         f"twist {np.degrees(pointing.twist_rad):.4f}°; sigma about the camera's x, y, z "
-        f"{sigma[0]:.2g}, {sigma[1]:.2g}, {sigma[2]:.2g} arcsec; {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px"
+        f"{sigma[0]:.2g}, {sigma[1]:.2g}, {sigma[2]:.2g} arcsec; {pointing.rests_on}"
     )
     moves = [(i.delta_pixel, i.delta_line, i.delta_twist_rad) for i in pointing.iterations]
     total = (pointing.delta_pixel, pointing.delta_line, pointing.delta_twist_rad)

@@ -426,10 +426,7 @@ class StepRunner:
         pointing = self.session.state.pointing
         if pointing is None:
             return "no pointing is solved: the a priori one stands."
-        return (
-            f"pointing: {pointing.n_stars} stars, moved {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines, "
-            f"rms {pointing.rms_px:.3f} px."
-        )
+        return f"pointing: {pointing.rests_on}; moved {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines."
 
 
 def entry_words(entry: JournalEntry) -> str:

@@ -108,6 +108,13 @@ class PointingSolution:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    @property
+    def rests_on(self) -> str:
+        """Return in words what stars it rests on, and how well they fit."""
+        if not self.n_stars:
+            return "from the stars of other pictures"
+        return f"{self.n_stars} star{'s' * (self.n_stars != 1)}, rms {self.rms_px:.3f} px"
+
 
 # ---- What a change of attitude does to the picture: pixel, line and twist deltas.
 
