@@ -130,6 +130,8 @@ class TargetSurface(StrictModel):
         Scattering law by name, with its parameters: ``{law: lunar_lambert, lunar_weight: 0.5}``.
     shape
         Shape model (OBJ, cmod or DSK); one of the loaded kernels comes first.
+    maplets
+        Landmarks of the body, a file that ``opnav landmarks make`` writes; pictures are searched for them.
     size_sigma
         1 sigma of the mean radius, as a part of it: by default 0.10, as on a first approach.
     axes_sigma
@@ -147,6 +149,7 @@ class TargetSurface(StrictModel):
     albedo_map: AlbedoMapFile | None = None
     shape: Path | None = None
     shape_unit: Literal["km", "m"] = "km"
+    maplets: Path | None = None
     size_sigma: Part | None = None
     axes_sigma: Part | None = None
     limb_roughness: Part | None = None
@@ -428,6 +431,8 @@ def _with_files_beside(surface: TargetSurface, folder: Path) -> TargetSurface:
     changes: dict[str, Any] = {}
     if surface.shape is not None:
         changes["shape"] = folder / surface.shape
+    if surface.maplets is not None:
+        changes["maplets"] = folder / surface.maplets
     if surface.albedo_map is not None:
         changes["albedo_map"] = surface.albedo_map.model_copy(
             update={"file": folder / surface.albedo_map.file}

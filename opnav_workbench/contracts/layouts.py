@@ -15,6 +15,7 @@ from pydantic.config import JsonDict
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.results import BodyStatus
+from opnav_workbench.landmarks.results import LandmarkStatus
 from opnav_workbench.observables.columns import FIELDS
 from opnav_workbench.session.inputs import AttitudeOrigin, AttitudeSource
 from opnav_workbench.session.settings import Settings
@@ -76,6 +77,9 @@ Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 Matrix2 = Annotated[list[Pair], Field(min_length=2, max_length=2)]
 Covariance2 = Annotated[Matrix2, AfterValidator(_sound_covariance)]
 Covariance3 = Annotated[list[Triple], Field(min_length=3, max_length=3), AfterValidator(_sound_covariance)]
+Covariance6 = Annotated[
+    list[Annotated[list[float], Field(min_length=6, max_length=6)]], Field(min_length=6, max_length=6)
+]
 Partials23 = Annotated[
     list[Annotated[list[Number], Field(min_length=3, max_length=3)]], Field(min_length=2, max_length=2)
 ]
@@ -221,6 +225,79 @@ class Body(Layout):
         return self
 
 
+class Pose(Layout):
+    """The camera's position and attitude, as landmarks have it."""
+
+    position_km: Triple = Field(description="Of the spacecraft from the body's center, J2000; km.")
+    position_body_km: Triple = Field(description="The same, body-fixed; km.")
+    quaternion_camera_from_j2000: Quaternion = Field(
+        description="v_camera = R(q) v_j2000, SPICE style (m2q), scalar first."
+    )
+    covariance: Covariance6 = Field(
+        description="Of position (km, J2000) and a small rotation about the camera frame's axes (rad)."
+    )
+    position_shift_km: Triple = Field(description="Solved minus believed before, J2000; km.")
+    attitude_shift_rad: Triple = Field(
+        description="Rotation from the attitude believed before to the solved one, camera frame; rad."
+    )
+    rms_px: Number = Field(description="Root mean square of the accepted landmarks' residuals; pixels.")
+    chi2_reduced: Number = Field(description="Of those residuals.")
+    excess_sigma_px: Number = Field(description="Scatter beyond the landmarks' covariances; pixels.")
+    n_landmarks: int = Field(ge=0, description="Landmarks in use.")
+
+
+class Landmark(Layout):
+    """A landmark that was looked for."""
+
+    id: str = Field(description="Name among the body's maplets.")
+    place_km: Triple = Field(description="Body-fixed; km.")
+    predicted: Pair | None = Field(description="[pixel, line] computed with the attitude in use.")
+    observed: Pair | None = Field(description="[pixel, line] measured; null without one.")
+    residual_px: Pair | None = Field(description="Observed minus predicted.")
+    covariance_px2: Covariance2 | None = Field(
+        description="Of its own error, what all landmarks share not included; pixels^2."
+    )
+    correlation: Number = Field(description="Normalized, of picture and drawn maplet.")
+    emission_deg: Number = Field(description="Of its plane; deg.")
+    incidence_deg: Number = Field(description="Of its plane; deg.")
+    sample_over_pixel: Number = Field(description="Size of a maplet's sample over that of a pixel.")
+    partials_px_per_km: Partials23 | None = Field(
+        description="d(predicted pixel, line)/d(spacecraft position relative to the body, J2000); pixels/km."
+    )
+    attitude_partials_px_per_rad: Partials23 | None = Field(
+        description="With a small rotation of the attitude about the camera frame's axes; pixels/rad."
+    )
+    body_partials_px_per_rad: Partials23 | None = Field(
+        description="With a small rotation of the body about its own axes; pixels/rad."
+    )
+    place_partials_px_per_km: Partials23 | None = Field(
+        description="With the landmark's place, body-fixed; pixels/km."
+    )
+    status: LandmarkStatus = Field(description="accepted, or not.")
+    reason: str = Field(description="Why not, or the analyst's words.")
+
+    @model_validator(mode="after")
+    def _residual(self) -> "Landmark":
+        _same_residual(self.residual_px, self.observed, self.predicted)
+        return self
+
+
+class Landmarks(Layout):
+    """Landmarks of one body."""
+
+    body: str = Field(description="Body.")
+    maplets: str = Field(description="What its maplets were made from.")
+    common_covariance_px2: Covariance2 = Field(description="Of the error that all landmarks share; pixels^2.")
+    laws: list[str] = Field(description="Scattering laws that maplets were drawn with.")
+    law_share: Number = Field(description="Share of the second, as the picture has it.")
+    not_searched: dict[str, int] = Field(
+        description="Landmarks that this picture cannot show, counted by reason."
+    )
+    pose: Pose | None = Field(description="Null where too few agree.")
+    messages: list[str] = Field(description="What the analyst must know.")
+    points: list[Landmark] = Field(description="Those that were looked for.")
+
+
 class Identification(Layout):
     """How the star field was found."""
 
@@ -264,6 +341,9 @@ class Provenance(Layout):
     placed_stars: list[dict[str, Any]] = Field(default=[], description="Stars placed by hand.")
     circles: list[dict[str, Any]] = Field(default=[], description="Circles that start bodies.")
     limb_scans: list[dict[str, Any]] = Field(default=[], description="Limb scans chosen by hand.")
+    landmark_decisions: list[dict[str, Any]] = Field(
+        default=[], description="Verdicts of analysts on landmarks."
+    )
     notes: list[str] = Field(default=[], description="Notes of analysts.")
 
 
@@ -312,6 +392,9 @@ class ResultFile(Layout):
     pointing: Pointing | None = Field(default=None, description="Null where it was not solved.")
     stars: list[Star] = Field(default=[], description="Stars expected in the picture.")
     bodies: list[Body] = Field(default=[], description="One entry a body and method.")
+    landmarks: list[Landmarks] = Field(
+        default=[], description="One entry a body whose landmarks were looked for."
+    )
     stack: dict[str, Any] | None = Field(default=None, description="Of a stack: its pictures and weights.")
     provenance: Provenance | None = Field(default=None, description="By what it came about.")
 

@@ -21,7 +21,7 @@ for measured points of any origin.
     From a picture to judged landmarks.
 """
 
-from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed
+from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed, predicted_again
 from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
 from opnav_workbench.landmarks.maplets import Maplets
 from opnav_workbench.landmarks.pose import (
@@ -62,4 +62,5 @@ __all__ = [
     "pose_from_landmarks",
     "posed",
     "predict_landmarks",
+    "predicted_again",
 ]

@@ -15,8 +15,9 @@ from types import MappingProxyType
 import numpy as np
 from scipy import ndimage
 
-from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.bodies.picture import BodyPicture
+from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CenterfindingError, EstimationError, counted
 from opnav_workbench.landmarks.drawing import Templates, draw_templates
 from opnav_workbench.landmarks.maplets import Maplets
@@ -36,13 +37,15 @@ from opnav_workbench.landmarks.prediction import (
     LandmarkPrediction,
     WholeBody,
     landmark_partials,
+    landmark_places,
     pixel_size_km,
     predict_landmarks,
 )
 from opnav_workbench.landmarks.results import LandmarkCenters, LandmarkSolution, LandmarkStatus, PoseSolution
 from opnav_workbench.render import BodyModel
+from opnav_workbench.targets import TargetState
 
-__all__ = ["find_landmarks", "judge_landmarks", "posed"]
+__all__ = ["find_landmarks", "judge_landmarks", "posed", "predicted_again", "with_pose"]
 
 MOST_LANDMARKS = 400  # of those that can be seen; more do not help a pose whose errors are shared
 SMALLEST_WINDOW, LARGEST_WINDOW = 15, 41  # px: a template's side
@@ -55,9 +58,8 @@ WORST_SIGMA_PX = 0.5
 REJECT_SIGMAS = 3.5
 # Templates of all landmarks share the PSF, the law and the way they are drawn; tests/landmarks/landmark_exam.py has 0.03 px.
 COMMON_SIGMA_PX = 0.03
-LOOSE_POSITION = (
-    0.1  # of the range: what is believed of the position where nobody says it, in the consensus alone
-)
+# What is believed of position (of the range) and twist where nobody says it, in the consensus alone.
+LOOSE_POSITION, LOOSE_TWIST_DEG = 0.1, 3.0
 SEED = 40811
 
 
@@ -125,7 +127,7 @@ def find_landmarks(
     radius = _radius(picture, known, first, rows, search_radius_px)
     corrected, search = _passes(picture, planes, wanted, model, whole, known, radius)
     centers = _centers(picture, wanted, model, search, first, rows, counts, corrected)
-    return judge_landmarks(centers, picture, model, known)
+    return judge_landmarks(centers, _of_picture(centers, picture, model), known)
 
 
 def _chosen(prediction: LandmarkPrediction) -> IntArray:
@@ -284,9 +286,19 @@ def _corrected(
     """Return picture and model with the pose of a first pass; None where its landmarks do not agree."""
     observed, covariance = _measured(search)
     good = [fit is not None and fit.gain > 0.0 and fit.correlation > LEAST_CORRELATION for fit in search.fits]
-    landmarks = _posed(picture, model, maplets.place_km, maplets.place_covariance_km2, observed, covariance)
+    landmarks = PosedLandmarks(
+        maplets.place_km,
+        maplets.place_covariance_km2,
+        observed,
+        np.where(np.isfinite(covariance), covariance, np.eye(2)),
+        model.target,
+        picture.camera,
+        picture.camera_from_j2000,
+        picture.observer_velocity_km_s,
+        np.zeros((2, 2)),
+    )
     try:
-        pose, _ = pose_from_landmarks(landmarks, _loose(known, model, picture), good)
+        pose, _ = pose_from_landmarks(landmarks, _loose(known, landmarks), good)
     except EstimationError:
         return None
     return with_pose(picture, model, pose)
@@ -299,41 +311,16 @@ def with_pose(picture: BodyPicture, model: BodyModel, pose: PoseSolution) -> tup
     return replace(picture, camera_from_j2000=pose.camera_from_j2000, models=models), moved
 
 
-def _loose(known: PoseKnowledge, model: BodyModel, picture: BodyPicture) -> PoseKnowledge:
+def _loose(known: PoseKnowledge, landmarks: PosedLandmarks) -> PoseKnowledge:
     """Return knowledge that keeps a consensus from running away where nobody says how well the pose is known."""
     position, attitude = known.position_covariance_km2, known.attitude_covariance_rad2
+    camera = landmarks.camera
     if position is None:
-        position = (LOOSE_POSITION * model.target.range_km) ** 2 * np.eye(3)
+        position = (LOOSE_POSITION * landmarks.target.range_km) ** 2 * np.eye(3)
     if attitude is None:
-        attitude = (
-            LARGEST_RADIUS_PX**2 * picture.camera.pixel_scale_rad**2 * np.eye(3)
-            + np.outer(picture.camera.boresight, picture.camera.boresight) * np.radians(3.0) ** 2
-        )
+        twist = np.radians(LOOSE_TWIST_DEG) ** 2 * np.outer(camera.boresight, camera.boresight)
+        attitude = (LARGEST_RADIUS_PX * camera.pixel_scale_rad) ** 2 * np.eye(3) + twist
     return PoseKnowledge(position, attitude)
-
-
-def _posed(
-    picture: BodyPicture,
-    model: BodyModel,
-    place_km: FloatArray,
-    place_covariance_km2: FloatArray,
-    observed_px: FloatArray,
-    covariance_px2: FloatArray,
-    common: FloatArray | None = None,
-    window_px: float = 0.0,
-) -> PosedLandmarks:
-    return PosedLandmarks(
-        place_km,
-        place_covariance_km2,
-        observed_px,
-        np.where(np.isfinite(covariance_px2), covariance_px2, np.eye(2)),
-        model.target,
-        picture.camera,
-        picture.camera_from_j2000,
-        picture.observer_velocity_km_s,
-        np.zeros((2, 2)) if common is None else common,
-        window_px,
-    )
 
 
 # ---- Results.
@@ -387,24 +374,47 @@ def _centers(
     )
 
 
-def posed(centers: LandmarkCenters, picture: BodyPicture, model: BodyModel) -> PosedLandmarks:
-    """Return measured landmarks as `pose_from_landmarks` takes them."""
-    return _posed(
-        picture,
-        model,
+def posed(
+    centers: LandmarkCenters,
+    target: TargetState,
+    camera: Camera,
+    camera_from_j2000: FloatArray,
+    velocity_km_s: FloatArray,
+) -> PosedLandmarks:
+    """Return measured landmarks as `pose_from_landmarks` takes them, with the state and attitude to start from."""
+    return PosedLandmarks(
         centers.place_km,
         centers.place_covariance_km2,
         centers.observed_px,
-        centers.covariance_px2,
+        np.where(np.isfinite(centers.covariance_px2), centers.covariance_px2, np.eye(2)),
+        target,
+        camera,
+        camera_from_j2000,
+        velocity_km_s,
         centers.common_covariance_px2,
         centers.window_px,
     )
 
 
+def _of_picture(centers: LandmarkCenters, picture: BodyPicture, model: BodyModel) -> PosedLandmarks:
+    return posed(
+        centers, model.target, picture.camera, picture.camera_from_j2000, picture.observer_velocity_km_s
+    )
+
+
+def predicted_again(centers: LandmarkCenters, landmarks: PosedLandmarks) -> LandmarkCenters:
+    """Return the same measurements with predictions and partials of another state or attitude."""
+    where = (landmarks.target, landmarks.camera, landmarks.camera_from_j2000, landmarks.velocity_km_s)
+    return replace(
+        centers,
+        predicted_px=landmark_places(centers.place_km, *where),
+        partials=landmark_partials(centers.place_km, *where),
+    )
+
+
 def judge_landmarks(
     centers: LandmarkCenters,
-    picture: BodyPicture,
-    model: BodyModel,
+    landmarks: PosedLandmarks,
     known: PoseKnowledge,
     decisions: Mapping[str, tuple[str, str]] = MappingProxyType({}),
 ) -> LandmarkSolution:
@@ -412,6 +422,8 @@ def judge_landmarks(
 
     Parameters
     ----------
+    landmarks
+        The same with camera and state, see `posed`.
     decisions : mapping of str to (str, str)
         The analyst's verdicts ("accepted" or "rejected") and reasons by landmark; they outrank what is found here.
     """
@@ -420,11 +432,13 @@ def judge_landmarks(
     good = np.array([not reason for reason in reasons], dtype=bool)
     good &= np.array([verdict != "rejected" for verdict, _ in verdicts], dtype=bool)
     by_hand = np.array([verdict == "accepted" for verdict, _ in verdicts], dtype=bool) & centers.measured
-    landmarks, messages, pose = posed(centers, picture, model), [], None
+    messages: list[str] = []
+    pose: PoseSolution | None = None
+    loose = _loose(known, landmarks)
     used = np.zeros(len(centers), dtype=bool)
     try:
-        _, agreed = pose_from_landmarks(landmarks, _loose(known, model, picture), good)
-        agreed = agreed & ~_far(centers, landmarks, known, agreed, picture, model)
+        _, agreed = pose_from_landmarks(landmarks, loose, good)
+        agreed = agreed & ~_far(centers, landmarks, loose, agreed)
         pose, used = pose_from_landmarks(landmarks, known, agreed=agreed | by_hand)
     except EstimationError as error:
         messages.append(f"no pose from the landmarks of {centers.body}: {error}")
@@ -458,15 +472,10 @@ def _fault(centers: LandmarkCenters, row: int) -> str:
 
 
 def _far(
-    centers: LandmarkCenters,
-    landmarks: PosedLandmarks,
-    known: PoseKnowledge,
-    agreed: np.ndarray,
-    picture: BodyPicture,
-    model: BodyModel,
-) -> np.ndarray:
+    centers: LandmarkCenters, landmarks: PosedLandmarks, loose: PoseKnowledge, agreed: BoolArray
+) -> BoolArray:
     """Tell which of the landmarks that agree lie too far from the pose of all of them."""
-    pose, _ = pose_from_landmarks(landmarks, _loose(known, model, picture), agreed=agreed)
+    pose, _ = pose_from_landmarks(landmarks, loose, agreed=agreed)
     by_place = centers.partials.place_px_per_km
     stated = centers.covariance_px2 + by_place @ centers.place_covariance_km2 @ np.swapaxes(by_place, 1, 2)
     out = np.ones(len(centers), dtype=bool)

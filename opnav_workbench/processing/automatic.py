@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 Progress = Callable[[str], None]
+LANDMARKS_FROM_PX = 40.0  # a smaller disk has no patch of a template's size that is not its limb
 
 
 def silent(_words: str) -> None:
@@ -139,7 +140,21 @@ def _target_steps(
 ) -> Iterator[tuple[str, Callable[[], object]]]:
     for name in _largest_first(session, opened, targets):
         yield f"finding {name}", lambda name=name: _find_target(session, opened, name)  # type: ignore[misc]
+    for name in _with_landmarks(session, opened, targets):
+        yield f"finding landmarks of {name}", lambda name=name: _find_landmarks(session, opened, name)  # type: ignore[misc]
     yield "computing observables", session.observables
+
+
+def _with_landmarks(session: ImageSession, opened: OpenedProcessing, targets: Sequence[str]) -> list[str]:
+    """Return the bodies whose landmarks are to be looked for: those with maplets, wide enough to show any."""
+    known = opened.mission.target_surfaces
+    named = [n for n in targets if n in opened.how.landmarks or (n in known and known[n].maplets is not None)]
+    return [n for n in named if session.predict_body(n).diameter_px > LANDMARKS_FROM_PX]
+
+
+def _find_landmarks(session: ImageSession, opened: OpenedProcessing, name: str) -> None:
+    session.find_landmarks(name, opened.how.landmarks.get(name))
+    opened.decisions.apply_landmarks(session, name)
 
 
 def solve_stars(session: ImageSession, opened: OpenedProcessing) -> None:

@@ -217,6 +217,11 @@ class Processing(BaseModel):
         default={},
         description="Shape models of bodies, comma-separated, in km unless told (BENNU:bennu.obj:m,EROS:eros.plt).",
     )
+    landmarks: Annotated[dict[str, str], Also(("string",))] = Field(
+        default={},
+        description="Files of maplets of bodies whose landmarks are looked for, comma-separated (BENNU:bennu.npz); "
+        "besides, those of the mission.",
+    )
     decisions: str | None = Field(
         default=None, description="YAML of an analyst's decisions on stars, bodies and scans."
     )
@@ -268,6 +273,11 @@ class Processing(BaseModel):
     @field_validator("shapes", mode="before")
     @classmethod
     def _known_shapes(cls, value: Any) -> Any:
+        return named_shapes(value) if isinstance(value, str) else value
+
+    @field_validator("landmarks", mode="before")
+    @classmethod
+    def _known_landmarks(cls, value: Any) -> Any:
         return named_shapes(value) if isinstance(value, str) else value
 
     @field_validator("settings", mode="before")
@@ -344,6 +354,10 @@ class Processing(BaseModel):
             body: shape_text(file.path.resolve() if base is None else base / file.path, file.unit)
             for body, file in self.shape_files.items()
         }
+        full["landmarks"] = {
+            body: str(Path(file).resolve() if base is None else base / file)
+            for body, file in self.landmarks.items()
+        }
         return self.changed(**full)
 
     @property
@@ -368,6 +382,11 @@ class Processing(BaseModel):
         for body, file in self.shape_files.items():
             if not is_file(file.path):
                 raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
+        for body, maplets in self.landmarks.items():
+            if not Path(maplets).is_file():
+                raise SessionError(
+                    f"maplets of {body}: no file {maplets}; make one with opnav landmarks make."
+                )
         return OpenedProcessing(
             how=self.plain,
             mission=load_mission(self.mission),

@@ -33,6 +33,8 @@ function of that name, keeps the state it makes, and writes the journal.
     How the bodies of the scene look, and the picture that centerfinders take.
 ``body_steps``
     Steps with bodies: expect, circle, find, choose limb scans, observables.
+``landmark_steps``
+    Steps with landmarks: find, accept, reject; judged anew after a new pointing.
 ``decisions``
     Decisions of analysts as a YAML file: recorded, written, carried out.
 ``result``

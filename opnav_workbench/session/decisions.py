@@ -146,6 +146,22 @@ class JointSearch(DecisionItem):
     method: Literal["least_squares"] = "least_squares"
 
 
+class LandmarkSearch(DecisionItem):
+    """A body whose landmarks are looked for; without a file of maplets, those of the mission."""
+
+    body: NonEmptyText
+    maplets: NonEmptyText | None = None
+    search_radius_px: PositiveFloat | None = None
+
+
+class LandmarkDecision(DecisionItem):
+    """A landmark accepted or rejected."""
+
+    body: NonEmptyText
+    landmark: NonEmptyText
+    reason: str = ""
+
+
 class Remark(DecisionItem):
     """A remark."""
 
@@ -194,7 +210,8 @@ class PictureDecisions(StrictModel):
         What the session was opened with.
     settings
         Settings of the session that differ from the defaults.
-    reject, accept, place, two_stars, nudge, circles, scans, methods, together, notes, steps : sequences
+    reject, accept, place, two_stars, nudge, circles, scans, methods, together : sequences
+    landmarks, reject_landmarks, accept_landmarks, notes, steps : sequences
         Items, see the classes above.
     """
 
@@ -214,6 +231,9 @@ class PictureDecisions(StrictModel):
     scans: tuple[ScanSelection, ...] = ()
     methods: tuple[BodySearch, ...] = ()
     together: tuple[JointSearch, ...] = ()
+    landmarks: tuple[LandmarkSearch, ...] = ()
+    reject_landmarks: tuple[LandmarkDecision, ...] = ()
+    accept_landmarks: tuple[LandmarkDecision, ...] = ()
     notes: tuple[Remark, ...] = ()
     steps: tuple[PlainStep, ...] = ()
 
@@ -238,7 +258,8 @@ class PictureDecisions(StrictModel):
 
 
 SECTIONS = (
-    "two_stars", "nudge", "place", "reject", "accept", "circles", "scans", "methods", "together", "notes", "steps"
+    "two_stars", "nudge", "place", "reject", "accept", "circles", "scans", "methods", "together",
+    "landmarks", "reject_landmarks", "accept_landmarks", "notes", "steps",
 )  # fmt: skip
 
 
@@ -292,6 +313,20 @@ def _joint_search_items(p: Parameters, at: int) -> RecordedItems:
     return [("together", JointSearch(bodies=p["names"], method=p["method"], at=at))]
 
 
+def _landmark_search_items(p: Parameters, at: int) -> RecordedItems:
+    item = LandmarkSearch(
+        body=p["name"], maplets=p["maplets"], search_radius_px=p.get("search_radius_px"), at=at
+    )
+    return [("landmarks", item)]
+
+
+def _landmark_decisions(section: str) -> Callable[[Parameters, int], RecordedItems]:
+    return lambda p, at: [
+        (section, LandmarkDecision(body=p["name"], landmark=one, reason=p["reason"], at=at))
+        for one in p["ids"]
+    ]
+
+
 def _remark_items(p: Parameters, at: int) -> RecordedItems:
     return [("notes", Remark(text=p["text"], at=at))]
 
@@ -315,6 +350,9 @@ ITEMS_OF_STEP: dict[str, Callable[[Parameters, int], RecordedItems]] = {
     "choose_scans": _scan_items,
     "find_body": _search_items,
     "find_bodies": _joint_search_items,
+    "find_landmarks": _landmark_search_items,
+    "reject_landmarks": _landmark_decisions("reject_landmarks"),
+    "accept_landmarks": _landmark_decisions("accept_landmarks"),
     "note": _remark_items,
     **{name: _step_items(name) for name in get_args(PlainStepName)},
 }
@@ -333,6 +371,13 @@ def _decide_stars(session: "ImageSession", items: list[StarDecision], *, accept:
         return
     for item in items:
         decide([item.star], item.reason)
+
+
+def _decide_landmarks(session: "ImageSession", items: list[LandmarkDecision], *, accept: bool) -> None:
+    decide = session.accept_landmarks if accept else session.reject_landmarks
+    for body, reason in dict.fromkeys((item.body, item.reason) for item in items):
+        ids = [item.landmark for item in items if (item.body, item.reason) == (body, reason)]
+        decide(body, ids, reason)
 
 
 def _set_circle(session: "ImageSession", items: list[BodyCircle]) -> None:
@@ -394,6 +439,9 @@ METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "scans": _one_by_one(lambda s, i: s.choose_scans(i.body, i.numbers, i.reason)),
     "methods": _find_bodies,
     "together": _one_by_one(lambda s, i: s.find_bodies(i.bodies, i.method)),
+    "landmarks": _one_by_one(lambda s, i: s.find_landmarks(i.body, i.maplets, i.search_radius_px)),
+    "reject_landmarks": lambda s, items: _decide_landmarks(s, items, accept=False),
+    "accept_landmarks": lambda s, items: _decide_landmarks(s, items, accept=True),
     "notes": _one_by_one(lambda s, i: s.note(i.text)),
     "steps": _one_by_one(_take_step),
 }
@@ -406,6 +454,7 @@ HEAD = """# Decisions on pictures, by the SHA-256 of the picture; opnav process 
 # "at" orders the steps of a session; decisions without it are made when the stars are found.
 """
 # Sections that are carried out once the stars are found, in a file that has no order of its own.
+ADDED_LAST = ("methods", "together", "landmarks", "reject_landmarks", "accept_landmarks", "steps")
 BEFORE_STARS, AFTER_STARS = ("two_stars", "nudge"), ("place", "reject", "accept", "circles", "scans", "notes")
 
 
@@ -508,6 +557,22 @@ class Decisions(BaseModel):
                     made = True
         return made
 
+    def apply_landmarks(self, session: "ImageSession", body: str) -> None:
+        """Make the decisions on landmarks of a body that were looked for; those that this picture does not show are passed over.
+
+        Raises
+        ------
+        SessionError
+            As `apply`.
+        """
+        found = next(one for one in session.state.landmarks if one.centers.body == body)
+        there = set(found.centers.id.tolist())
+        for key, picture in self._entries_for(session):
+            for section in ("reject_landmarks", "accept_landmarks"):
+                for number, item in enumerate(getattr(picture, section)):
+                    if item.body == body and item.landmark in there:
+                        self._perform(session, key, section, number, [item])
+
     def methods_of(self, session: "ImageSession", body: str) -> tuple[dict[str, Any], ...]:
         """Return how a body shall be found: arguments of `ImageSession.find_body`; none where nothing is said."""
         chosen = [m for _, picture in self._entries_for(session) for m in picture.methods if m.body == body]
@@ -533,7 +598,7 @@ class Decisions(BaseModel):
         last = 1 + max((item.at or 0 for _, _, item in picture.all_items()), default=0)
         for order, (section, number, item) in enumerate(picture.all_items()):
             # What was added by hand follows the first search for stars; methods added by hand come last.
-            added = last if section in ("methods", "together", "steps") else first
+            added = last if section in ADDED_LAST else first
             place = (item.at, 0, section, 0) if item.at is not None else (added, 1, section, order)
             groups.setdefault(place, []).append((number, item))
         for place in sorted(groups, key=lambda place: (place[0], place[1], place[3])):

@@ -18,9 +18,10 @@ from typing import Any
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import digest, plain_values
-from opnav_workbench.session import body_steps, pointing, star_field, star_steps
+from opnav_workbench.session import body_steps, landmark_steps, pointing, star_field, star_steps
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.landmark_steps import then_judged
 from opnav_workbench.session.state import HEADER_TOPIC, SessionState
 
 __all__ = [
@@ -200,16 +201,19 @@ def note(context: Context, inputs: Inputs, state: SessionState, parameters: dict
 
 
 STEPS: dict[str, tuple[Step, OutcomeText]] = {
-    "predict": (star_steps.predict, star_steps.predict_outcome),
-    "two_star_pointing": (star_field.two_star_pointing, star_field.two_star_outcome),
-    "nudge": (star_field.nudge, star_field.nudge_outcome),
-    "find_stars": (star_steps.find_stars, lambda s, _: f"{int(s.mask('used').sum())} stars found"),
+    "predict": (then_judged(star_steps.predict), star_steps.predict_outcome),
+    "two_star_pointing": (then_judged(star_field.two_star_pointing), star_field.two_star_outcome),
+    "nudge": (then_judged(star_field.nudge), star_field.nudge_outcome),
+    "find_stars": (
+        then_judged(star_steps.find_stars),
+        lambda s, _: f"{int(s.mask('used').sum())} stars found",
+    ),
     "refit_stars": (star_steps.refit_stars, star_steps.refit_outcome),
     "place_star": (star_steps.place_star, star_steps.place_outcome),
     "reject_stars": (star_steps.reject_stars, lambda _, p: f"{len(p['ids'])} rejected"),
     "accept_stars": (star_steps.accept_stars, lambda _, p: f"{len(p['ids'])} accepted"),
-    "repoint": (pointing.repoint, pointing.repoint_outcome),
-    "carry_pointing": (pointing.carry_pointing, pointing.carried_outcome),
+    "repoint": (then_judged(pointing.repoint), pointing.repoint_outcome),
+    "carry_pointing": (then_judged(pointing.carry_pointing), pointing.carried_outcome),
     "add_target": (body_steps.add_target, lambda _, p: f"{p['name']} expected"),
     "skip_target": (body_steps.skip_target, lambda _, p: f"{p['name']} left out"),
     "set_circle": (
@@ -220,6 +224,9 @@ STEPS: dict[str, tuple[Step, OutcomeText]] = {
     "choose_scans": (body_steps.choose_scans, body_steps.scans_outcome),
     "find_body": (body_steps.find_body, body_steps.body_outcome),
     "find_bodies": (body_steps.find_bodies, body_steps.bodies_outcome),
+    "find_landmarks": (landmark_steps.find_body_landmarks, landmark_steps.landmarks_outcome),
+    "reject_landmarks": (landmark_steps.reject_landmarks, landmark_steps.landmarks_outcome),
+    "accept_landmarks": (landmark_steps.accept_landmarks, landmark_steps.landmarks_outcome),
     "observables": (body_steps.observables, lambda s, _: f"{len(s.observables)} observables"),
     "note": (note, lambda s, _: f"note {len(s.user_notes)}"),
 }
@@ -233,6 +240,8 @@ STEPS_BY_HAND = frozenset(
         "place_star",
         "reject_stars",
         "accept_stars",
+        "reject_landmarks",
+        "accept_landmarks",
         "set_circle",
         "clear_circle",
         "choose_scans",

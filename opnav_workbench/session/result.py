@@ -16,6 +16,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.format_versions import stamped
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
+from opnav_workbench.landmarks import LandmarkSolution, PoseSolution
 from opnav_workbench.observables import Observable, Origin
 from opnav_workbench.observables.observing import is_outside
 from opnav_workbench.session.context import Context
@@ -89,6 +90,64 @@ def _joint_covariances(o: Observable) -> dict[str, Any] | None:
     return {name: np.asarray(cross) for name, cross in o.center_cross_px2.items()} or None
 
 
+# ---- Landmarks.
+
+
+def landmark_result(solution: LandmarkSolution) -> dict[str, Any]:
+    """Return the landmarks of one body as plain values, with the pose that they agree on."""
+    centers = solution.centers
+    covariance, residual, partials = solution.covariance_px2, centers.residual_px, centers.partials
+    points = [
+        {
+            "id": str(centers.id[row]),
+            "place_km": centers.place_km[row],
+            "predicted": centers.predicted_px[row],
+            "observed": centers.observed_px[row] if centers.measured[row] else None,
+            "residual_px": residual[row] if centers.measured[row] else None,
+            "covariance_px2": covariance[row] if centers.measured[row] else None,
+            "correlation": centers.correlation[row],
+            "emission_deg": centers.emission_deg[row],
+            "incidence_deg": centers.incidence_deg[row],
+            "sample_over_pixel": centers.ratio[row],
+            "partials_px_per_km": partials.spacecraft_px_per_km[row],
+            "attitude_partials_px_per_rad": partials.attitude_px_per_rad[row],
+            "body_partials_px_per_rad": partials.body_px_per_rad[row],
+            "place_partials_px_per_km": partials.place_px_per_km[row],
+            "status": solution.status[row],
+            "reason": solution.reason[row],
+        }
+        for row in range(len(centers))
+    ]
+    return {
+        "body": centers.body,
+        "maplets": centers.source,
+        "common_covariance_px2": centers.common_covariance_px2,
+        "laws": list(centers.laws),
+        "law_share": centers.law_share,
+        "not_searched": dict(centers.not_searched),
+        "pose": _pose(solution.pose),
+        "messages": list(solution.messages),
+        "points": points,
+    }
+
+
+def _pose(pose: PoseSolution | None) -> dict[str, Any] | None:
+    if pose is None:
+        return None
+    return {
+        "position_km": pose.position_km,
+        "position_body_km": pose.position_body_km,
+        "quaternion_camera_from_j2000": quaternion_from_matrix(pose.camera_from_j2000),
+        "covariance": pose.covariance,
+        "position_shift_km": pose.position_shift_km,
+        "attitude_shift_rad": pose.attitude_shift_rad,
+        "rms_px": pose.rms_px,
+        "chi2_reduced": pose.chi2_reduced,
+        "excess_sigma_px": pose.excess_sigma_px,
+        "n_landmarks": pose.n_landmarks,
+    }
+
+
 # ---- The whole.
 
 
@@ -111,6 +170,7 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "pointing": _pointing(state.pointing),
         "stars": _star_results(context, state),
         "bodies": body_results(observables, state.bodies),
+        **({"landmarks": [landmark_result(one) for one in state.landmarks]} if state.landmarks else {}),
         "provenance": _provenance(context, source, inputs, state),
     }
     return stamped("result", found)
@@ -255,5 +315,15 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
             {"body": name, "numbers": choice.numbers, "reason": choice.reason}
             for name, choice in state.scan_choices.items()
         ],
+        **(
+            {
+                "landmark_decisions": [
+                    {"landmark": name, "verdict": verdict, "reason": reason}
+                    for name, (verdict, reason) in state.landmark_decisions.items()
+                ]
+            }
+            if state.landmark_decisions
+            else {}
+        ),
         "notes": list(state.user_notes),
     }

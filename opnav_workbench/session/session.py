@@ -36,6 +36,7 @@ from opnav_workbench.session.decisions import Decisions, load_decisions, write_d
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource, LostField
+from opnav_workbench.session.landmark_steps import landmark_observables, maplets_file
 from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables, solved_attitude
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
@@ -262,6 +263,11 @@ class ImageSession:
     def current_observables(self) -> tuple[Observable, ...]:
         """Observables of all centers found so far, without a step: what `result` and `save` give out."""
         return current_observables(self.context, self.inputs, self.state)
+
+    @property
+    def landmark_observables(self) -> tuple[Observable, ...]:
+        """Every accepted landmark as the observable of a point."""
+        return landmark_observables(self.context, self.inputs, self.state)
 
     @property
     def folder(self) -> Path | None:
@@ -687,16 +693,51 @@ class ImageSession:
             self._know_target(name)
             self._step("choose_scans", {"name": name, "numbers": chosen, "reason": reason}, reason)
 
+    def find_landmarks(
+        self, name: str, maplets: str | Path | None = None, search_radius_px: float | None = None
+    ) -> None:
+        """Find the landmarks of a body, and the camera's pose from them (`landmark_steps.find_body_landmarks`).
+
+        Parameters
+        ----------
+        name
+            SPICE body name.
+        maplets
+            File that ``opnav landmarks make`` wrote; default the mission's.
+        search_radius_px
+            How far from its prediction a landmark may lie; default from what attitude and position allow.
+        """
+        with self.lock:
+            self._know_target(name)
+            path, digest = maplets_file(self.context, name, maplets)
+            parameters: dict[str, Any] = {"name": name, "maplets": str(path), "sha256": digest}
+            if search_radius_px is not None:
+                parameters["search_radius_px"] = float(search_radius_px)
+            self._step("find_landmarks", parameters | self._bodies_in_scene())
+
+    def reject_landmarks(self, name: str, ids: Sequence[str], reason: str) -> None:
+        """Leave landmarks of a body out of its pose, and say why (`landmark_steps.reject_landmarks`)."""
+        parameters = {"name": name, "ids": _id_list(ids), "reason": reason}
+        self._step("reject_landmarks", parameters, reason)
+
+    def accept_landmarks(self, name: str, ids: Sequence[str], reason: str = "") -> None:
+        """Take measured landmarks of a body, whatever the others say (`landmark_steps.accept_landmarks`)."""
+        parameters = {"name": name, "ids": _id_list(ids), "reason": reason}
+        self._step("accept_landmarks", parameters, reason)
+
     def observables(self, reason: str = "") -> QTable:
         """Compute the observables of all bodies found so far (`pointing.with_observables`); `reason` for the journal.
 
         Returns
         -------
         astropy.table.QTable
-            One row a body and method: O, C, O-C, sigmas, partials, with units and descriptions.
+            One row a body and method, and one an accepted landmark: O, C, O-C, sigmas, partials, with units and
+            descriptions.
         """
         self._step("observables", {}, reason)
-        return observables_table(self.state.observables, (origin_of(self.context, self.source),))
+        return observables_table(
+            (*self.state.observables, *self.landmark_observables), (origin_of(self.context, self.source),)
+        )
 
     # -- files ---------------------------------------------------------------------------------------------------
 
@@ -741,7 +782,8 @@ class ImageSession:
         return target
 
     def _write(self, target: Path) -> None:
-        storage.write_session(target, self.result(), self.current_observables, self._stored_values())
+        observed = (*self.current_observables, *self.landmark_observables)
+        storage.write_session(target, self.result(), observed, self._stored_values())
 
     def write_decisions(self, path: str | Path, who: str = "") -> Path:
         """Write the decisions of this session, made by `who`, as a file that headless runs carry out (`decisions`).

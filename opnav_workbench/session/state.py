@@ -14,6 +14,7 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies import BodyCenter, Circle
 from opnav_workbench.errors import SessionError
+from opnav_workbench.landmarks import LandmarkSolution
 from opnav_workbench.observables import Observable
 from opnav_workbench.scene import StarPrediction
 from opnav_workbench.stars import ShapePrior, StarCenters
@@ -37,6 +38,7 @@ __all__ = [
     "check_star_ids",
     "decide_stars",
     "has_center",
+    "landmark_name",
     "open_decisions",
     "predicted_stars",
     "skipped_topic",
@@ -49,6 +51,17 @@ HEADER_TOPIC = "header"  # of the notes that say what contradicts itself
 EXAMPLE_NAMES = 3  # names that a message gives as examples
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
+
+
+def landmark_name(body: str, identity: str) -> str:
+    """Return how a landmark is called among those of all bodies.
+
+    Examples
+    --------
+    >>> landmark_name("BENNU", "N12.3E045.6")
+    'BENNU:N12.3E045.6'
+    """
+    return f"{body}:{identity}"
 
 
 def skipped_topic(name: str) -> str:
@@ -182,6 +195,10 @@ class SessionState:
         The frame's own PSF.
     requests
         One per body of `bodies`.
+    landmarks
+        One per body whose landmarks were looked for.
+    landmark_decisions : mapping of str to (str, str)
+        As `decisions`, by the landmark's name (`landmark_name`).
     skipped_targets
         Targets asked for that neither kernels nor star list know.
     notes : mapping of str to tuple of str
@@ -206,6 +223,10 @@ class SessionState:
     requests: tuple[BodyRequest, ...] = ()
     joint: tuple[JointFound, ...] = ()
     observables: tuple[Observable, ...] = ()
+    landmarks: tuple[LandmarkSolution, ...] = ()
+    landmark_decisions: MappingProxyType[str, tuple[str, str]] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
     skipped_targets: tuple[str, ...] = ()
     notes: MappingProxyType[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
 

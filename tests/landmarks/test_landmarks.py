@@ -22,6 +22,7 @@ from opnav_workbench.landmarks import (
     landmark_partials,
     make_maplets,
     pose_from_landmarks,
+    posed,
     predict_landmarks,
 )
 from opnav_workbench.landmarks.prediction import landmark_places
@@ -255,11 +256,9 @@ def test_landmark_at_the_wrong_place_is_rejected(scene):
 
 
 def test_analyst_outranks_the_consensus(scene, found):
-    picture, known = scene.picture(), PoseKnowledge()
-    name = str(found.centers.id[found.accepted][0])
-    judged = judge_landmarks(
-        found.centers, picture, picture.models[0], known, {name: ("rejected", "a shadow")}
-    )
+    picture, name = scene.picture(), str(found.centers.id[found.accepted][0])
+    landmarks = posed(found.centers, picture.models[0].target, scene.camera, scene.turn, np.zeros(3))
+    judged = judge_landmarks(found.centers, landmarks, PoseKnowledge(), {name: ("rejected", "a shadow")})
     row = found.centers.id.tolist().index(name)
     assert (judged.status[row], judged.reason[row]) == ("rejected", "by the analyst: a shadow")
     assert judged.pose.n_landmarks == found.pose.n_landmarks - 1
