@@ -558,7 +558,7 @@ class Decisions(BaseModel):
         return made
 
     def apply_landmarks(self, session: "ImageSession", body: str) -> None:
-        """Make the decisions on landmarks of a body that were looked for; those that this picture does not show are passed over.
+        """Make the decisions on landmarks of a body that were looked for; those not in this picture are passed over.
 
         Raises
         ------

@@ -206,8 +206,10 @@ def landmark_observables(context: Context, inputs: Inputs, state: SessionState) 
     for solution in state.landmarks:
         body = inputs.targets[solution.centers.body]
         covariance = solution.covariance_px2 + solution.centers.common_covariance_px2
-        for row in np.flatnonzero(solution.accepted):
-            out.append(_observable(context, inputs, state, solution, body, int(row), covariance[row], doubt))
+        out += [
+            _observable(context, inputs, state, solution, body, int(row), covariance[row], doubt)
+            for row in np.flatnonzero(solution.accepted)
+        ]
     return tuple(out)
 
 
