@@ -5,6 +5,7 @@ import hashlib
 import json
 import math
 import os
+import secrets
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -39,7 +40,7 @@ LARGEST_TEXT_BYTES = 256 << 20  # a result with a hundred thousand stars has 60 
 
 
 @contextlib.contextmanager
-def atomic_path(path: str | os.PathLike[str], mode: int = 0o644) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], mode: int = 0o666) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it over `path` when the block ends well.
 
     Parameters
@@ -47,7 +48,7 @@ def atomic_path(path: str | os.PathLike[str], mode: int = 0o644) -> Iterator[Pat
     path
         The file to be.
     mode
-        Who may read and write it, from its first moment on.
+        Who may read and write it, from its first moment on, as far as the umask lets them.
 
     Raises
     ------
@@ -60,10 +61,9 @@ def atomic_path(path: str | os.PathLike[str], mode: int = 0o644) -> Iterator[Pat
         raise SessionError(f"cannot write {final}: it is a pipe or device, no file; give a file's name.")
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=final.parent, prefix=f".{final.stem}-", suffix=final.suffix)
-        os.close(handle)
-        temporary = Path(name)
-        temporary.chmod(mode)
+        name = final.with_name(f".{final.stem}-{secrets.token_hex(4)}{final.suffix}")
+        os.close(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode))
+        temporary = name
         yield temporary
         temporary.replace(final)
     except OSError as error:

@@ -1,12 +1,15 @@
 """What hostile inputs are made with: mutants of good files and arguments, within limits of time and memory."""
 
 import contextlib
+import io
 import os
 import resource
 import signal
+import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import pytest
 
 SECONDS = 10.0  # of one input: a hang; good ones take milliseconds, a picture half a second
 GROWTH_MB = 1500  # of the process over all its inputs
@@ -116,3 +119,23 @@ def within(seconds: float) -> Iterator[None]:
 
 def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+# ---- Commands in this process.
+
+
+def answer(arguments: Sequence[str]) -> tuple[int, str, str]:
+    """Run the program; return exit status, standard output and standard error."""
+    # The readers' own tests need not load it.
+    from opnav_workbench.cli.program import main
+
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        patch.setattr(sys, "argv", ["opnav", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    return int(ended.value.code or 0), out.getvalue(), err.getvalue()

@@ -10,6 +10,7 @@ given back and taken anew. For the same reason a lock file that is given up can 
 """
 
 import errno
+import getpass
 import json
 import os
 import socket
@@ -53,8 +54,10 @@ class FolderLock:
         try:
             self._lock = _taken(self._path)
         except OSError as error:
+            holder = _holder(self._path)  # of another user, whose lock we may not even ask about
+            signed = f" (its lock is signed by {_named(holder)})" if holder else ""
             raise SessionError(
-                f"cannot write into {folder}: {error.strerror}. Choose another folder."
+                f"cannot write into {folder}: {error.strerror}{signed}. Choose another folder."
             ) from error
         self._held = True
         self._sign()
@@ -64,7 +67,9 @@ class FolderLock:
         since = datetime.now(UTC).isoformat(timespec="seconds")
         with suppress(OSError):
             self._path.write_text(
-                json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since}),
+                json.dumps(
+                    {"user": _user(), "pid": os.getpid(), "host": socket.gethostname(), "since": since}
+                ),
                 encoding="utf-8",
             )
 
@@ -132,7 +137,9 @@ def _taken(path: Path) -> FileLock:
 
 def _asked(path: Path) -> FileLock:
     """Return the lock, taken; one of a file system without locks is not, but nobody else says that he has it."""
-    lock = FileLock(path, blocking=False, thread_local=False, fallback_to_soft=False)
+    # Who may write into the folder may hold it, whatever the umask of the first who came.
+    mode = path.parent.stat().st_mode & 0o666
+    lock = FileLock(path, mode=mode, blocking=False, thread_local=False, fallback_to_soft=False)
     try:
         lock.acquire()
     except Timeout:
@@ -179,10 +186,21 @@ def _runs_here(holder: Mapping[str, Any]) -> bool:
 
 
 def _refusal(path: Path, holder: Mapping[str, Any]) -> str:
-    who = "another process"
-    if holder:
-        who = f"process {holder.get('pid')} on {holder.get('host')} (since {holder.get('since')})"
     return (
-        f"{path.parent} is being written by {who}; close the session there, or resume it here without autosave "
+        f"{path.parent} is being written by {_named(holder)}; close the session there, or resume it here without autosave "
         "and save it into another folder."
     )
+
+
+def _named(holder: Mapping[str, Any]) -> str:
+    if not holder:
+        return "another process"
+    user = f"{holder['user']}, " if holder.get("user") else ""
+    return f"{user}process {holder.get('pid')} on {holder.get('host')} (since {holder.get('since')})"
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):  # a number without a name, as in containers
+        return str(os.getuid()) if hasattr(os, "getuid") else ""

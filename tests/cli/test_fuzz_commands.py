@@ -4,53 +4,28 @@ As in ``test_fuzz``: few in the short run, more with ``--all``, any number with 
 by the program's own `main`, in a folder where nothing that it may write to by mistake matters.
 """
 
-import contextlib
-import io
 import json
-import os
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from opnav_workbench.cli.program import main
 from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_PARTLY
 from opnav_workbench.contracts import check_file
 from opnav_workbench.observables import read_with_origins
 from opnav_workbench.rehearsal import DEMO_KERNELS
-from opnav_workbench.resources import kernels_meta_dir
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from hostile import GROWTH_MB, SECONDS, LateError, mutant, mutant_arguments, peak_mb, within
+from hostile import GROWTH_MB, SECONDS, LateError, answer, mutant, mutant_arguments, peak_mb, within
 
-META = kernels_meta_dir() / "new_horizons"
 BINARY = (".fit", ".npz", ".sqlite", ".bsp")
 LONGEST_ERROR = 2100
 BORESIGHT = (0.0, 0.0, -1.0)  # of LORRI
 FARTHEST_RAD = 6e-4  # of a right pointing from the truth: 2 arcmin, aberration with the wrong velocity; a false one is far
-
-STARS = "stars:\n- {name: a, ra_deg: 1.5, dec_deg: -2, epoch_jyear: 2016.0, mag: 5.5, parallax_mas: 3}\n"
-DECISIONS = """images:
-  "*":
-    who: M. Jones
-    reject:
-    - {star: TYC 1234-567-1, reason: cosmic ray}
-"""
-NIGHT = (
-    "mission: new_horizons\nimages: [p.fit]\ntargets: none\nattitude: header\nsettings: {max_shift_px: 100}\n"
-)
-PLANETS = """KPL/PCK
-\\begindata
-BODY999_RADII = ( 1188.3 1188.3 1188.3 )
-BODY999_POLE_RA = ( 132.993 0. 0. )
-\\begintext
-"""
-SHAPE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
 # ---- Commands, and the good files that they read.
@@ -110,56 +85,6 @@ COMMANDS = {
     ),
     "doctor": Command("doctor"),
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def folder(demo_truths, tmp_path_factory) -> Iterator[Path]:
-    """Where commands run: deep, so that paths that climb lead nowhere."""
-    home = tmp_path_factory.mktemp("commands").joinpath(*"abcde")
-    shutil.copytree(META, home / "nh")
-    shutil.copy(demo_truths[0].picture, home / "p.fit")
-    written = {
-        "stars.yaml": STARS, "decisions.yaml": DECISIONS, "night.yaml": NIGHT, "k.tpc": PLANETS, "s.obj": SHAPE,
-    }  # fmt: skip
-    for name, text in written.items():
-        (home / name).write_text(text)
-    sky = np.linspace(0, 359, 30), np.linspace(-80, 80, 30), np.linspace(1, 9, 30)
-    np.savez(home / "s.npz", **dict(zip(("ra_deg", "dec_deg", "mag"), sky, strict=True)))
-    (home / "loop").symlink_to("loop")
-    (home / "zero").symlink_to("/dev/zero")  # a link, which alone could be replaced
-    os.mkfifo(home / "pipe")
-    before = Path.cwd()
-    os.chdir(home)
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}.items():
-            patch.setenv(name, value)
-        yield home
-    os.chdir(before)
-
-
-@pytest.fixture(scope="module")
-def with_run(folder) -> Path:
-    """The folder with what a processed picture leaves."""
-    how = f"--mission new_horizons --kernels {DEMO_KERNELS} --targets PLUTO --out run"
-    assert answer(f"process p.fit {how}".split())[0] == 0
-    for kind in ("csv", "json", "tdm"):
-        assert answer(f"export run --format {kind} --out o.{kind}".split())[0] == 0
-    assert answer(["campaign", "ingest", "run", "--archive", "a.sqlite"])[0] == 0
-    return folder
-
-
-def answer(arguments: list[str]) -> tuple[int, str, str]:
-    """Run the program; return exit status, standard output and standard error."""
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        patch.setattr(sys, "argv", ["opnav", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-    return int(ended.value.code or 0), out.getvalue(), err.getvalue()
 
 
 # ---- What must be true of every answer.
