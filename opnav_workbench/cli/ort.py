@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -65,6 +66,8 @@ def print_solution(console: Console, solution: OrtSolution) -> None:
     for label, *numbers, unit in flight:
         table.add_row(label, *(_number(n) for n in numbers), unit)
     console.print(table)
+    if solution.history:
+        console.print(_history_table(solution))
     console.print(
         f"chi-squared {solution.chi2_after:.1f} for {solution.degrees_of_freedom} degrees of freedom, probability "
         f"{solution.probability:.2g}",
@@ -74,6 +77,18 @@ def print_solution(console: Console, solution: OrtSolution) -> None:
         console.print(f"[yellow]note[/] {shown(words)}", highlight=False, soft_wrap=True)
     for words in solution.left_out:
         console.print(f"left out: {shown(words)}", highlight=False, soft_wrap=True, style="dim")
+
+
+def _history_table(solution: OrtSolution) -> Table:
+    """Return the flyby after each picture: solved minus predicted, each with its sigma."""
+    names = ("pictures", "B·T km", "σ", "B·R km", "σ", "arrival s", "σ")
+    table = plain_table("Flyby by data cutoff, solved minus predicted", ("last picture",), names)
+    for row in solution.history:
+        shift = row["b_plane"] - solution.b_plane_before
+        sigma = np.sqrt(np.diag(row["covariance"]))
+        cells = [_number(value) for pair in zip(shift, sigma, strict=True) for value in pair]
+        table.add_row(shown(str(row["picture"])), str(row["pictures"]), *cells)
+    return table
 
 
 def print_score(console: Console, score: OrtScore) -> None:
@@ -226,7 +241,7 @@ def solve(
     package = open_rehearsal(folder)
     if not only_estimate:
         _process_pictures(package, with_options(package_processing(package), given), out, jobs, again)
-    solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma)
+    solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma, history=True)
     solution.write(out / SOLUTION_FILE)
     write_text(out / SOLUTION_PAGE_FILE, report.solution_page(solution, package.title))
     console = Console(soft_wrap=False)

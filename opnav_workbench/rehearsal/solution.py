@@ -28,6 +28,7 @@ from opnav_workbench.estimation.parameters import parameter_count, parse_groups,
 from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.mission import load_mission
+from opnav_workbench.observables import Observable
 from opnav_workbench.rehearsal.results import (
     PictureResult,
     chosen_observables,
@@ -140,6 +141,7 @@ def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
         fields["made_by"] = str(content["made_by"])
     for name in ("disk_sigma_px", "common_share"):
         fields[name] = float(content.get(name, 0.0))
+    fields["history"] = tuple(_cutoff_from_row(row) for row in content.get("history", ()))
     fields["residuals"] = tuple(_residual_from_row(row) for row in content.get("residuals", ()))
     return fields
 
@@ -153,6 +155,12 @@ def _checked_array(name: str, value: Any, shape: tuple[int, ...]) -> Any:
     ):
         raise ValueError(f"{name} is no covariance: it must be symmetric with a positive diagonal")
     return array
+
+
+def _cutoff_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    shapes = {"b_plane": (3,), "covariance": (3, 3)}
+    told = {"picture": str(row["picture"]), "et": float(row["et"]), "pictures": int(row["pictures"])}
+    return told | {name: _checked_array(name, row[name], shape) for name, shape in shapes.items()}
 
 
 def _residual_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -238,6 +246,7 @@ SCHEMA = "opnav_ort_solution_1"
 # at most, which is 3 of their sigmas in the mean; Lambert's law where a flatter one is expected 0.03 to 0.085 px, always on
 # the same side. The paper's Table 3 has 0.03 and 0.12 arcsec, 0.03 and 0.12 px. The method `disk` has them in its own sigma.
 DISK_SIGMA_PX = 0.05
+MOST_CUTOFFS = 12  # a second of processor time each
 # Excess centering error of stars that a calibrated camera stays below.
 EXCESS_PX = 0.05
 # A fit as bad as this or worse comes by chance once in a thousand rehearsals.
@@ -274,6 +283,9 @@ class OrtSolution:
         Added (in squares) to the sigmas of the centers of disks.
     common_share
         Of the centers' errors beyond noise, what the measurements take to be the same in all pictures.
+    history
+        The flyby by time of data cutoff, in order of time: ``picture, et, pictures, b_plane, covariance``; the last picture
+        counted, its time, how many are counted, B.T, B.R (km) and time of flight (s), and their covariance.
     """
 
     package: str
@@ -299,6 +311,7 @@ class OrtSolution:
     made_by: str = f"opnav_workbench {__version__}"
     disk_sigma_px: float = 0.0
     common_share: float = 0.0
+    history: tuple[Mapping[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -357,7 +370,9 @@ class OrtSolution:
         return cls(**read_solution_file(path, SCHEMA))
 
 
-def solve_rehearsal(package: "OrtPackage", results: str | Path, *, disk_sigma_px: float = 0.0) -> OrtSolution:
+def solve_rehearsal(
+    package: "OrtPackage", results: str | Path, *, disk_sigma_px: float = 0.0, history: bool = False
+) -> OrtSolution:
     """Estimate a package's parameters from what a team found in its pictures.
 
     Parameters
@@ -366,6 +381,8 @@ def solve_rehearsal(package: "OrtPackage", results: str | Path, *, disk_sigma_px
         Folder of the pictures' folders, each with ``result.json`` and ``observables.ecsv``.
     disk_sigma_px
         Added (in squares) to the sigmas of the centers of disks, for surfaces of which a centerfinder says nothing.
+    history
+        Solve after every picture as well (of many, after a dozen of them), for the flyby by time of data cutoff.
 
     Raises
     ------
@@ -377,15 +394,8 @@ def solve_rehearsal(package: "OrtPackage", results: str | Path, *, disk_sigma_px
     pictures = picture_results((p.name for p in package.pictures), results)
     observables, left_out = chosen_observables(pictures, disk_sigma_px)
     flyby = predicted_flyby(package)
-    common = estimate_with_common_errors(
-        observables,
-        noise_covariances_px2(pictures, observables),
-        tuple(package.parameters),
-        epoch_et=flyby.epoch_et,
-        a_priori=dict(package.parameters),
-        target_transition=straight_line,
-        spacecraft_transition=straight_line,
-    )
+    noise = noise_covariances_px2(pictures, observables)
+    common = _solved(package, flyby, observables, noise)
     found = common.independent
     after, after_covariance = common.relative_state(flyby.body)
     before_covariance = _a_priori_covariance(found)
@@ -413,7 +423,54 @@ def solve_rehearsal(package: "OrtPackage", results: str | Path, *, disk_sigma_px
         pictures={p.name: p.sha256 for p in pictures if p.sha256},
         disk_sigma_px=disk_sigma_px,
         common_share=common.share,
+        history=_history(package, flyby, observables, noise) if history else (),
     )
+
+
+def _solved(
+    package: "OrtPackage",
+    flyby: PredictedFlyby,
+    observables: Sequence[Observable],
+    noise: Sequence[FloatArray | None],
+) -> CommonErrorEstimate:
+    return estimate_with_common_errors(
+        observables,
+        noise,
+        tuple(package.parameters),
+        epoch_et=flyby.epoch_et,
+        a_priori=dict(package.parameters),
+        target_transition=straight_line,
+        spacecraft_transition=straight_line,
+    )
+
+
+def _history(
+    package: "OrtPackage",
+    flyby: PredictedFlyby,
+    observables: Sequence[Observable],
+    noise: Sequence[FloatArray | None],
+) -> tuple[dict[str, Any], ...]:
+    """Return the flyby as known after each picture; after those that contradict each other there is none."""
+    times = sorted({(o.et, o.image) for o in observables})
+    chosen = np.unique(np.linspace(0, len(times) - 1, min(len(times), MOST_CUTOFFS)).round().astype(int))
+    rows = []
+    for last in chosen.tolist():
+        so_far = [(o, n) for o, n in zip(observables, noise, strict=True) if (o.et, o.image) <= times[last]]
+        try:
+            found = _solved(package, flyby, [o for o, _ in so_far], [n for _, n in so_far])
+        except EstimationError:
+            continue
+        after, covariance = found.relative_state(flyby.body)
+        rows.append(
+            {
+                "picture": Path(times[last][1]).stem,
+                "et": float(times[last][0]),
+                "pictures": last + 1,
+                "b_plane": flyby.corrected(after),
+                "covariance": flyby.covariance(after, covariance),
+            }
+        )
+    return tuple(rows)
 
 
 def _a_priori_covariance(found: Estimate) -> FloatArray:

@@ -86,6 +86,33 @@ def flyby_figure(solution: OrtSolution, true: FloatArray | None = None, *, dark:
         return figure
 
 
+def history_figure(solution: OrtSolution, true: FloatArray | None = None, *, dark: bool = False) -> Figure:
+    """Draw B.T, B.R and arrival, solved minus predicted, against the time of data cutoff, each with 1 sigma.
+
+    Parameters
+    ----------
+    true : (3,) array, optional
+        As in `flyby_figure`.
+    """
+    colors = DARK if dark else LIGHT
+    days = np.array([(row["et"] - solution.history[-1]["et"]) / DAY_S for row in solution.history])
+    names = ("B·T, km", "B·R, km", "arrival, s")
+    with _ground(dark):
+        figure = new_figure(12.5, 3.4)
+        for k, axes in enumerate(figure.subplots(1, 3)):
+            shifts = [row["b_plane"][k] - solution.b_plane_before[k] for row in solution.history]
+            sigmas = [np.sqrt(row["covariance"][k, k]) for row in solution.history]
+            axes.errorbar(
+                days, shifts, yerr=sigmas, color=colors["solved"], marker="o", markersize=4, capsize=3
+            )
+            if true is not None:
+                axes.axhline(true[k] - solution.b_plane_before[k], color=colors["true"], linewidth=0.9)
+            axes.set_xlabel("data cutoff, days before the last picture")
+            axes.set_title(names[k], fontsize=10)
+            axes.grid(alpha=0.25)
+        return figure
+
+
 def _draw_b_plane(
     axes: Axes, solution: OrtSolution, true: FloatArray | None, colors: Mapping[str, str]
 ) -> None:
@@ -285,7 +312,12 @@ def solution_page(solution: OrtSolution, title: str = "") -> str:
 
 
 def _solution_figures(solution: OrtSolution, true: Any) -> dict[str, dict[str, str]]:
-    return {
+    drawn = (
+        {"history": _on_both_grounds(lambda dark: history_figure(solution, true, dark=dark))}
+        if len(solution.history) > 1
+        else {}
+    )
+    return drawn | {
         "flyby": _on_both_grounds(lambda dark: flyby_figure(solution, true, dark=dark)),
         "residuals": _on_both_grounds(lambda dark: residual_figure(solution, dark=dark)),
     }

@@ -93,6 +93,12 @@ def test_blind_run_recovers_the_perturbation(rehearsed, name):
         centers = [c for picture in score["pictures"] for c in picture["centers"]]
         assert len(centers) == 6
         assert {c["verdict"] for c in centers} <= {"good", "absent"}
+    # The flyby by data cutoff ends at the solution, and knows less of it the earlier it ends.
+    written = json.loads((team / "solution.json").read_text())
+    history = written["history"]
+    assert np.allclose(history[-1]["b_plane"], written["b_plane_after"], rtol=1e-9)
+    assert np.trace(history[0]["covariance"]) > np.trace(history[-1]["covariance"])
+    assert [row["pictures"] for row in history] == list(range(1, len(history) + 1))
     verdicts = {picture["name"]: picture["verdict"] for picture in score["pictures"]}
     assert verdicts == {n: "lost, named" if n in truth.lost else "good" for n in verdicts}
 

@@ -260,8 +260,11 @@ def test_wrong_field_and_small_center_sigmas_are_faults(truth, camera):
 
 def test_solution_file_round_trip_and_refusals(tmp_path):
     path = tmp_path / SOLUTION_FILE
-    delivered().write(path)
+    cutoff = {"picture": "a", "et": 4.0, "pictures": 1, "b_plane": np.ones(3), "covariance": np.eye(3)}
+    replace(delivered(), history=(cutoff,)).write(path)
     again = OrtSolution.read(path)
+    assert again.history[0]["picture"] == "a"
+    np.testing.assert_array_equal(again.history[0]["b_plane"], np.ones(3))
     assert again.labels == ("target_position x", "target_position y", "target_position z")
     assert again.b_plane_covariance == pytest.approx(np.eye(3))
     with pytest.raises(SessionError, match="covariance is nan"):
@@ -273,6 +276,8 @@ def test_solution_file_round_trip_and_refusals(tmp_path):
         ({"covariance": (-np.eye(3)).tolist()}, "no covariance"),
         ({"schema": "x"}, "no solution of a rehearsal"),
         ({"parameters": ["colour"]}, "unknown parameter"),
+        ({"history": [{"picture": "a", "et": 4.0, "pictures": 1}]}, "lacks b_plane"),
+        ({"history": ["a"]}, "indices"),
     ):
         path.write_text(json.dumps(content | change))
         with pytest.raises(SessionError, match=words):
