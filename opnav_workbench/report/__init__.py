@@ -5,7 +5,9 @@ has a sister that returns a PNG for a notebook, and one that writes a file. Noth
 are matplotlib's, not tied to any window.
 
 ``drawing``
-    Palette, empty figures, error ellipses, round scales, PNG files: what all figures share.
+    Palette, empty figures, error ellipses, PNG files: what all figures share.
+``scales``
+    Round scales and the shape of a picture: numbers, which the workbench shares.
 ``summary``
     The summary figure of a picture: stars, residual vectors, residuals before and after repointing.
 ``body_panels``

@@ -41,10 +41,10 @@ from opnav_workbench.report.drawing import (
     SERIES_COLORS,
     error_ellipse_patch,
     png_bytes,
-    round_scale,
     titled_figure,
     write_png,
 )
+from opnav_workbench.report.scales import round_scale
 from opnav_workbench.session import ImageSession
 
 __all__ = [

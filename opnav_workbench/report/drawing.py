@@ -1,4 +1,4 @@
-"""What all figures share: the colours of what is marked in a picture, round scales, and PNG files.
+"""What all figures share: the colours of what is marked in a picture, and PNG files.
 
 Predicted places are yellow, observed ones blue, what was not used vermilion, bodies purple; pixel components are
 blue, line components vermilion. The palette is that of Okabe & Ito, which colour-blind readers can tell apart;
@@ -32,15 +32,12 @@ __all__ = [
     "REJECTED_COLOR",
     "SERIES_COLORS",
     "SKY_BLUE",
-    "STRIP_ASPECT",
     "VERMILION",
     "YELLOW",
     "error_ellipse_patch",
     "new_figure",
     "png_bytes",
-    "round_scale",
     "titled_figure",
-    "vector_scale",
     "write_png",
 ]
 
@@ -118,38 +115,3 @@ def write_png(figure: Figure, path: str | Path) -> None:
     picture = png_bytes(figure)
     with atomic_path(path) as temporary:
         temporary.write_bytes(picture)
-
-
-# ---- Round enlargement factors, for residual vectors that a person reads off.
-
-
-def round_scale(scale: float) -> float:
-    """Return the largest of 1, 2, 5 x 10^k that is not above `scale`.
-
-    Examples
-    --------
-    >>> round_scale(734.0), round_scale(0.3)
-    (500.0, 0.2)
-    """
-    power = 10.0 ** np.floor(np.log10(scale))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= scale * (1.0 + 1e-9)))
-
-
-# Share of the picture's shorter side that the longest vector takes; of a strip, at least this share of its longer side.
-VECTOR_SHARE, LEAST_SIDE = 0.12, 0.05
-
-
-def vector_scale(longest_px: float, n_pixel: int, n_line: int) -> float:
-    """Return the round factor that residual vectors are enlarged by over a picture.
-
-    Examples
-    --------
-    >>> vector_scale(0.2, 1024, 1024)
-    500.0
-    """
-    side = max(min(n_pixel, n_line), LEAST_SIDE * n_pixel)
-    return round_scale(VECTOR_SHARE * side / max(longest_px, 1e-6))
-
-
-# A picture wider than this many times its height is shown as strips, one under the other.
-STRIP_ASPECT = 4.0

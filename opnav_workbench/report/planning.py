@@ -30,12 +30,12 @@ from opnav_workbench.report.drawing import (
     ORANGE,
     PURPLE,
     SERIES_COLORS,
-    STRIP_ASPECT,
     VERMILION,
     new_figure,
     png_bytes,
 )
 from opnav_workbench.report.pages import few_colors, render_template
+from opnav_workbench.report.scales import STRIP_ASPECT
 from opnav_workbench.simulation import stretched
 from opnav_workbench.templating import png_url
 

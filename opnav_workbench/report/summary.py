@@ -26,12 +26,11 @@ from opnav_workbench.report.drawing import (
     PIXEL_COLOR,
     PREDICTED_COLOR,
     REJECTED_COLOR,
-    STRIP_ASPECT,
     png_bytes,
     titled_figure,
-    vector_scale,
     write_png,
 )
+from opnav_workbench.report.scales import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import MEASURED_STATUSES, ImageSession
 
 __all__ = ["summary_figure", "summary_png", "write_summary"]

@@ -10,13 +10,12 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import anywidget
 import ipywidgets
 import traitlets
 
-from opnav_workbench.campaign import Campaign
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import ROOM
@@ -25,6 +24,9 @@ from opnav_workbench.workbench.image_queue import ImageQueue
 from opnav_workbench.workbench.image_view import ImageView
 from opnav_workbench.workbench.markup import page_files, with_still_picture
 from opnav_workbench.workbench.status_line import Status
+
+if TYPE_CHECKING:
+    from opnav_workbench.campaign import Campaign
 
 __all__ = ["queue_of", "workbench"]
 
@@ -87,7 +89,7 @@ class WorkbenchBox(ipywidgets.Box):  # type: ignore[misc]  # ipywidgets has no t
 
 # ---- The workbench: regions, picture and controller together.
 
-Images = ImageSession | Campaign | ImageQueue | Sequence[ImageSession]
+Images: TypeAlias = "ImageSession | Campaign | ImageQueue | Sequence[ImageSession]"
 
 
 class Workbench:
@@ -184,6 +186,11 @@ def queue_of(images: Images, out: str | Path | None = None) -> ImageQueue:
         return images
     if isinstance(images, ImageSession):
         return ImageQueue.of_sessions([images], out)
+    if isinstance(images, (list, tuple)):
+        return ImageQueue.of_sessions(images, out)
+    # The database takes half a second to load, which those who bring none do not wait for.
+    from opnav_workbench.campaign import Campaign  # noqa: PLC0415
+
     if isinstance(images, Campaign):
         folders = [e.folder for e in (images.attention() or images.entries()) if e.resumable]
         if not folders:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.report.drawing import STRIP_ASPECT, round_scale
+from opnav_workbench.report.scales import STRIP_ASPECT, round_scale
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import VIEW_ACTIONS
 from opnav_workbench.workbench.bridge import Bridge

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from opnav_workbench import report  # loads what draws when it is asked to
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import make_folder
 from opnav_workbench.observables import Observable
-from opnav_workbench.report import write_summary
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import NOTE_MENU, ActionRegistry
 from opnav_workbench.workbench.exports import write_fits_with_wcs, write_regions
@@ -36,7 +36,7 @@ def export_session(session: ImageSession, folder: Path) -> list[str]:
         session.observables()
     session.save(folder)
     session.write_decisions(folder / DECISIONS_FILE, who=_user())
-    write_summary(session, folder / FIGURE_FILE)
+    report.write_summary(session, folder / FIGURE_FILE)
     return sorted(path.name for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.report.drawing import STRIP_ASPECT, vector_scale
+from opnav_workbench.report.scales import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.overlays import expected_attitude
 

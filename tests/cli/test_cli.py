@@ -121,6 +121,13 @@ def test_no_command_loads_what_draws_before_it_draws():
     assert _loaded_by(f"import {modules}").isdisjoint(DRAWING)
 
 
+@pytest.mark.slow
+def test_the_workbench_opens_without_figures_and_database():
+    """Both take a second together; it loads them when a figure is drawn, or a campaign is brought."""
+    loaded = _loaded_by("from opnav_workbench.workbench import workbench")
+    assert loaded.isdisjoint({"matplotlib.figure", "sqlalchemy"})
+
+
 def test_the_example_of_process_uses_options_that_exist():
     text = _invoke("process", "--help").output
     example = re.search(r"Example\s+(opnav process .*)", text).group(1)

@@ -17,8 +17,8 @@ from opnav_workbench.rehearsal import (
     DEMO_TARGETS,
     simulate_picture,
 )
-from opnav_workbench.report import drawing as figure_module
 from opnav_workbench.report import summary_figure, write_summary
+from opnav_workbench.report.scales import round_scale
 from opnav_workbench.session import ImageSession
 
 PREDICTED, OBSERVED, BODY = "#F0E442", "#56B4E9", "#CC79A7"
@@ -148,7 +148,7 @@ def test_each_stage_of_a_session_can_be_drawn(opened, tmp_path):
     ("scale", "rounded"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (49.9, 20.0), (0.73, 0.5)]
 )
 def test_vector_scale_is_round_and_never_larger(scale, rounded):
-    assert figure_module.round_scale(scale) == pytest.approx(rounded, rel=1e-12)
+    assert round_scale(scale) == pytest.approx(rounded, rel=1e-12)
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(processed, tmp_path):
