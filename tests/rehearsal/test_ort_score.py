@@ -22,6 +22,7 @@ from opnav_workbench.rehearsal.truth_checks import (
     score_stars,
     sigma_ratios,
 )
+from opnav_workbench.report.rehearsal import solution_page
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.simulation import Truth
 from opnav_workbench.simulation.picture import Trails
@@ -322,3 +323,29 @@ def test_log_of_reveals(tmp_path):
     assert second.altered == (SOLUTION_FILE,)
     assert second.opened_before == (first.utc,)
     assert len(log_path(key).read_text().splitlines()) == 2
+
+
+def test_page_of_a_solution_without_history_and_with(tmp_path):
+    residual = {
+        "image": "a.fit",
+        "body": "PLUTO",
+        "kind": "center",
+        "et": 0.0,
+        "sigmas": 0.0,
+        "used": True,
+        "reason": "",
+    }
+    residual |= {"before": np.ones(2), "after": np.zeros(2), "covariance": np.eye(2)}
+    bare = replace(delivered(), residuals=(residual,))
+    rows = tuple(
+        {
+            "picture": str(k),
+            "et": 86400.0 * k,
+            "pictures": k + 1,
+            "b_plane": np.ones(3),
+            "covariance": np.eye(3),
+        }
+        for k in range(2)
+    )
+    assert "Flyby by data cutoff" not in solution_page(bare)
+    assert "Flyby by data cutoff" in solution_page(replace(bare, history=rows))
