@@ -1,5 +1,6 @@
 """What stands in hidden folders for forges and packagers says the same as the package."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -68,3 +69,15 @@ def test_what_they_name_is_there(name):
 def test_binder_installs_a_part_that_is_there():
     assert (ROOT / ".binder" / "requirements.txt").read_text().strip() == ".[lab]"
     assert "lab" in PROJECT["optional-dependencies"]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "notebooks").rglob("*.ipynb")), ids=lambda p: p.stem)
+def test_notebooks_tell_before_they_compute(path):
+    """Narrative first; a cell longer than a screen's third is folded, but for the parameters."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert cells[0]["cell_type"] == "markdown"
+    assert "".join(cells[0]["source"]).startswith("# ")
+    for cell in cells:
+        lines = "".join(cell["source"]).splitlines()
+        if cell["cell_type"] == "code" and "parameters" not in cell["metadata"].get("tags", ()):
+            assert len(lines) <= 25 or cell["metadata"].get("jupyter", {}).get("source_hidden"), lines[0]

@@ -179,3 +179,19 @@ def test_gzipped_pictures_of_displays(tmp_path, kind):
     path = tmp_path / f"a.{kind.lower()}.gz"
     path.write_bytes(gzip.compress(stream.getvalue()))
     np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, PICTURE.astype(np.uint16))
+
+
+def test_a_gzipped_file_unpacks_no_farther_than_pictures_go(tmp_path, monkeypatch):
+    """3.3 MB became 6.9 GB; here the limit is a megabyte, and four times as much is packed."""
+    limit = 1 << 20
+    monkeypatch.setattr("opnav_workbench.image.file_bytes.LARGEST_FILE_BYTES", limit)
+    asked = list[int]()
+    read = gzip.GzipFile.read
+    monkeypatch.setattr(
+        gzip.GzipFile, "read", lambda stream, size=-1: asked.append(size) or read(stream, size)
+    )
+    path = tmp_path / "bomb.fit.gz"
+    path.write_bytes(gzip.compress(PLAIN + bytes(4 * limit)))
+    with pytest.raises(ImageError, match=rf"bomb\.fit\.gz: unpacks from \d+ to more than {limit} bytes"):
+        read_image(path, KEYWORDS)
+    assert asked == [limit + 1]
