@@ -19,9 +19,12 @@ for measured points of any origin.
     Position and attitude of the camera, robust, with covariance.
 ``finder``
     From a picture to judged landmarks.
+``lost``
+    The same where nobody knows the body's place: from its silhouette first.
 """
 
 from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed, predicted_again
+from opnav_workbench.landmarks.lost import SilhouettePlace, find_lost_landmarks, place_from_silhouette
 from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
 from opnav_workbench.landmarks.maplets import Maplets
 from opnav_workbench.landmarks.pose import (
@@ -53,12 +56,15 @@ __all__ = [
     "PoseKnowledge",
     "PoseSolution",
     "PosedLandmarks",
+    "SilhouettePlace",
     "camera_position_from_landmarks",
     "ellipsoid_shape",
     "find_landmarks",
+    "find_lost_landmarks",
     "judge_landmarks",
     "landmark_partials",
     "make_maplets",
+    "place_from_silhouette",
     "pose_from_landmarks",
     "posed",
     "predict_landmarks",

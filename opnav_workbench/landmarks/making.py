@@ -28,6 +28,7 @@ OVERLAP = 1.5  # width of a maplet over the spacing, where no scale is given
 CANDIDATES = 12  # places tried for each that may find room: the spacing is filled to a few percent
 MOST_MAPLETS = 200_000
 MOST_SAMPLES = 60_000_000  # of all grids together: 1 GB in memory
+FINEST = 5  # parts of a sample
 LEAST_KNOWN = 0.9  # of a maplet's samples; else it hangs over an edge
 CORNER = 1.7  # of half a maplet's width: its corners, and what lies below or above them
 STEEPEST = 0.5  # cosine between a plate and a maplet's plane: what is steeper is another side of the body
@@ -42,6 +43,7 @@ class _Ground:
     middle: FloatArray = field(repr=False)  # (m, 3)
     area: FloatArray = field(repr=False)  # (m,)
     reach: float  # from a plate's middle to its farthest corner, the largest
+    side: float  # of a plate, typical
     tree: cKDTree
 
     @classmethod
@@ -52,7 +54,7 @@ class _Ground:
             np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
         )
         reach = float(np.linalg.norm(corners - middle[:, None], axis=2).max())
-        return cls(shape, middle, area, reach, cKDTree(middle))
+        return cls(shape, middle, area, reach, float(np.sqrt(2.0 * np.median(area))), cKDTree(middle))
 
     def near(self, place: FloatArray, radius: float) -> IntArray:
         """Return the plates that may reach within a radius of a place."""
@@ -188,14 +190,22 @@ def _patch(
     used, back = np.unique(ground.shape.plates[near[same_side]], return_inverse=True)
     corners = ground.shape.vertices_km[used] - place
     view = parallel_view(corners, back.reshape(-1, 3), axes.T)
-    at = (np.arange(samples) - 0.5 * (samples - 1)) * scale
+    # Terrain that is finer than a sample is averaged: a grid that met it by chance would show relief that is not there.
+    fine = _odd(scale / ground.side)
+    at = (np.arange(fine * samples) - 0.5 * (fine * samples - 1)) * scale / fine
     x, y = (grid.ravel() for grid in np.meshgrid(at, at))
     plate, height = view.first_met(np.stack([x, y]) * MIRROR)
-    heights = np.where(plate == NO_PLATE, np.nan, height).reshape(samples, samples)
+    height = np.where(plate == NO_PLATE, np.nan, height)
+    heights = height.reshape(samples, fine, samples, fine).mean(axis=(1, 3))
     middle = heights[samples // 2, samples // 2]
     if not np.isfinite(middle) or np.isfinite(heights).mean() < LEAST_KNOWN:
         return None
     return place + middle * up, axes, heights - middle
+
+
+def _odd(ratio: float) -> int:
+    """Return into how many parts a sample is divided, odd: as many as plates fit along it."""
+    return int(np.clip(np.ceil(ratio) // 2 * 2 + 1, 1, FINEST)) if ratio > 1.0 else 1
 
 
 def _local_axes(up: FloatArray) -> FloatArray:

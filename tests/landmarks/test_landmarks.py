@@ -18,9 +18,11 @@ from opnav_workbench.landmarks import (
     camera_position_from_landmarks,
     ellipsoid_shape,
     find_landmarks,
+    find_lost_landmarks,
     judge_landmarks,
     landmark_partials,
     make_maplets,
+    place_from_silhouette,
     pose_from_landmarks,
     posed,
     predict_landmarks,
@@ -276,6 +278,30 @@ def test_black_picture_gives_no_landmark_and_says_so(scene):
 def test_unknown_body_is_told(scene):
     with pytest.raises(CenterfindingError, match="EROS"):
         find_landmarks(scene.picture(), dataclasses.replace(scene.maplets, body="EROS"))
+
+
+@pytest.mark.slow
+def test_lost_over_a_body_the_silhouette_and_landmarks_tell_the_place(scene):
+    """Believed is a place half as far, in another direction: not even the body's disk is where it was expected."""
+    picture = scene.picture()
+    model = picture.models[0]
+    far_off = dataclasses.replace(
+        model.target, position_km=0.5 * model.target.position_km + 0.3 * np.array([0.0, 0.0, RADII[0]])
+    )
+    picture = dataclasses.replace(picture, models=(dataclasses.replace(model, target=far_off),))
+    start = place_from_silhouette(picture, "BENNU")
+    off = start.position_km + scene.place
+    assert off @ np.linalg.solve(start.covariance_km2, off) < 11.3  # 3 degrees of freedom: 1 %
+    assert np.linalg.norm(off) < 0.05 * np.linalg.norm(scene.place)
+    found = find_lost_landmarks(picture, scene.maplets)
+    assert found.accepted.mean() > 0.8
+    assert np.linalg.norm(found.pose.position_km - scene.place) < 0.01 * np.linalg.norm(scene.place)
+
+
+def test_no_body_in_sight_has_no_silhouette(scene):
+    picture = dataclasses.replace(scene.picture(), signal_dn=np.zeros((SIZE, SIZE)))
+    with pytest.raises(CenterfindingError, match="no lit body"):
+        place_from_silhouette(picture, "BENNU")
 
 
 # ---- Pose from measured places
