@@ -34,6 +34,9 @@ STEP_CELLS = 0.8  # between finer samples: bilinear shares then leave no cell em
 EDGE_PX = 2  # of a window, beside the PSF's reach: what a template may be shifted by
 AT_ONCE = 16  # maplets: their finer samples stay in the cache
 LEAST_COVERED = 0.97  # of a pixel's light that comes from the maplet
+LEAST_SHARE = 0.02
+# The outermost pixels of what is covered are left out: a template's shift reads from beside them.
+EDGE_OF_COVER = np.ones((1, 3, 3), dtype=bool)
 SHADE_STRIDE = 4  # samples between those that the whole body is asked for
 FLAT_TANGENT = 1e-3
 
@@ -179,9 +182,11 @@ def _draw(maplets: Maplets, scene: _Scene, size: int) -> tuple[IntArray, FloatAr
         np.concatenate([mean, known[:, None].astype(np.float64)], axis=1), scene.psf, middle
     )
     share = spread[:, -1:]
-    picture = np.where(share > 0.5, spread[:, :-1] / np.maximum(share, 0.5), 0.0)
-    pixels = slice(CELLS * margin, CELLS * (margin + size), CELLS)
-    covered = share[:, 0, pixels, pixels] > LEAST_COVERED
+    # Beside what is covered the mean goes on as far as the PSF reaches: a cliff there would ring in the spline.
+    picture = np.where(share > LEAST_SHARE, spread[:, :-1] / np.maximum(share, LEAST_SHARE), 0.0)
+    pixels = slice(CELLS * (margin - EDGE_PX), CELLS * (margin + size + EDGE_PX), CELLS)
+    covered = ndimage.binary_erosion(share[:, 0, pixels, pixels] > LEAST_COVERED, EDGE_OF_COVER)
+    covered = covered[:, EDGE_PX:-EDGE_PX, EDGE_PX:-EDGE_PX]
     spline = ndimage.spline_filter1d(ndimage.spline_filter1d(picture, 3, axis=2), 3, axis=3)
     return first, middle - first, covered, spline
 

@@ -48,7 +48,7 @@ from opnav_workbench.targets import TargetState
 __all__ = ["find_landmarks", "judge_landmarks", "posed", "predicted_again", "with_pose"]
 
 MOST_LANDMARKS = 400  # of those that can be seen; more do not help a pose whose errors are shared
-SMALLEST_WINDOW, LARGEST_WINDOW = 15, 41  # px: a template's side
+SMALLEST_WINDOW, LARGEST_WINDOW, WINDOW_SHARE = 15, 41, 0.95  # px: a template's side, of a maplet's width
 DEFAULT_RADIUS_PX, LARGEST_RADIUS_PX = 12, 80
 NEAR_COMMON_PX = 4  # of a landmark's peak from where all agree, beside what turning and scale spread
 SECOND_RADIUS_PX = 3  # from the corrected pose
@@ -210,7 +210,7 @@ def _templates(
 ) -> Templates:
     distance = np.linalg.norm(model.target.position_km)
     wide = 2.0 * maplets.half_width_km / pixel_size_km(picture.camera, np.asarray(distance))
-    size = int(np.clip(0.8 * np.median(wide), SMALLEST_WINDOW, LARGEST_WINDOW)) // 2 * 2 + 1
+    size = int(np.clip(WINDOW_SHARE * np.median(wide), SMALLEST_WINDOW, LARGEST_WINDOW)) // 2 * 2 + 1
     return draw_templates(
         maplets,
         model,
