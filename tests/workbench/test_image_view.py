@@ -79,7 +79,7 @@ def test_vectors_are_drawn_long_enough_until_the_analyst_takes_a_scale(view, ses
     assert view.state.vector_scale == 1000.0
 
 
-@pytest.mark.slow(keep=["values0-uint16", "values1-float32"])
+@pytest.mark.slow(keep=["values0-uint16"])
 @pytest.mark.parametrize(
     ("values", "dtype"),
     [
@@ -103,6 +103,7 @@ def test_picture_of_another_size_is_refused(view):
         view.set_image("other", np.zeros((3, 4)))
 
 
+@pytest.mark.slow
 def test_home_shows_the_whole_square_or_all_lines_of_a_strip(view, sessions):
     x, y = view.models.x_range, view.models.y_range
     assert (x.start, x.end, y.start, y.end) == (
@@ -142,6 +143,7 @@ def test_refresh_that_changes_nothing_sends_nothing(view):
     assert sent == []
 
 
+@pytest.mark.slow
 def test_another_session_replaces_everything(view, sessions):
     view.circle([10, 10], 5)
     view.layer("scans", Layer([(0, 0, 1, 1)], ["used"]))
@@ -155,6 +157,7 @@ def test_another_session_replaces_everything(view, sessions):
     )
 
 
+@pytest.mark.slow
 def test_tools_draw_their_layers(view):
     view.layer("a", Layer([(0, 0, 1, 1), (2, 2, 3, 3)], ["used", "rejected"], [(5, 6, "one")]))
     view.layer("b", Layer([(9, 9, 8, 8)], ["focus"]))
@@ -167,6 +170,7 @@ def test_tools_draw_their_layers(view):
     assert view.models.sources["tool_labels"].data["text"] == []
 
 
+@pytest.mark.slow
 def test_focus_brings_a_place_into_view(view):
     view.models.x_range.update(start=0.0, end=20.0)
     view.models.y_range.update(start=20.0, end=0.0)
@@ -185,12 +189,14 @@ def test_themes_tell_kinds_apart_without_colour():
         assert len({look.dash for look in lines}) == 4
 
 
+@pytest.mark.slow
 def test_theme_can_be_changed(view):
     view.state.theme = "CAVIAR"
     (glyph, *_) = view.models._glyphs["used"]
     assert glyph.line_color == THEMES["CAVIAR"]["used"].color
 
 
+@pytest.mark.slow
 def test_view_without_a_session():
     view = ImageView()
     view.refresh()
