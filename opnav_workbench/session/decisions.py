@@ -33,6 +33,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
+import numpy as np
 import yaml
 from pydantic import (
     AfterValidator,
@@ -51,6 +52,7 @@ from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.history import JournalEntry
 from opnav_workbench.session.inputs import AttitudeOrigin
 from opnav_workbench.session.settings import Settings
+from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
 from opnav_workbench.yaml_file import StrictModel, line_of, read_model
 
 if TYPE_CHECKING:
@@ -168,6 +170,30 @@ class Remark(DecisionItem):
     text: NonEmptyText
 
 
+Row3 = tuple[float, float, float]
+Matrix3 = tuple[Row3, Row3, Row3]
+
+
+class LentPointing(StrictModel):
+    """A pointing that another picture's stars told; matrices as in `stars.pointing.SolvedAttitude`."""
+
+    image: NonEmptyText
+    et: float
+    camera_from_j2000: Matrix3
+    a_priori_camera_from_j2000: Matrix3
+    covariance_rad2: Matrix3
+
+
+class CarriedPointing(DecisionItem):
+    """A pointing taken from other pictures, and how the error of a priori attitudes may have changed meanwhile."""
+
+    neighbors: Annotated[tuple[LentPointing, ...], Field(min_length=1)]
+    jitter_rad: float
+    walk_rad: float = 0.0
+    drift_rad_s: float = 0.0
+    reason: str = ""
+
+
 PlainStepName = Literal[
     "predict", "find_stars", "refit_stars", "repoint", "add_target", "skip_target", "observables"
 ]
@@ -211,7 +237,7 @@ class PictureDecisions(StrictModel):
     settings
         Settings of the session that differ from the defaults.
     reject, accept, place, two_stars, nudge, circles, scans, methods, together : sequences
-    landmarks, reject_landmarks, accept_landmarks, notes, steps : sequences
+    carried, landmarks, reject_landmarks, accept_landmarks, notes, steps : sequences
         Items, see the classes above.
     """
 
@@ -231,6 +257,7 @@ class PictureDecisions(StrictModel):
     scans: tuple[ScanSelection, ...] = ()
     methods: tuple[BodySearch, ...] = ()
     together: tuple[JointSearch, ...] = ()
+    carried: tuple[CarriedPointing, ...] = ()
     landmarks: tuple[LandmarkSearch, ...] = ()
     reject_landmarks: tuple[LandmarkDecision, ...] = ()
     accept_landmarks: tuple[LandmarkDecision, ...] = ()
@@ -259,7 +286,7 @@ class PictureDecisions(StrictModel):
 
 SECTIONS = (
     "two_stars", "nudge", "place", "reject", "accept", "circles", "scans", "methods", "together",
-    "landmarks", "reject_landmarks", "accept_landmarks", "notes", "steps",
+    "carried", "landmarks", "reject_landmarks", "accept_landmarks", "notes", "steps",
 )  # fmt: skip
 
 
@@ -327,6 +354,10 @@ def _landmark_decisions(section: str) -> Callable[[Parameters, int], RecordedIte
     ]
 
 
+def _carried_items(p: Parameters, at: int) -> RecordedItems:
+    return [("carried", CarriedPointing(neighbors=p["neighbors"], **p["motion"], at=at))]
+
+
 def _remark_items(p: Parameters, at: int) -> RecordedItems:
     return [("notes", Remark(text=p["text"], at=at))]
 
@@ -350,6 +381,7 @@ ITEMS_OF_STEP: dict[str, Callable[[Parameters, int], RecordedItems]] = {
     "choose_scans": _scan_items,
     "find_body": _search_items,
     "find_bodies": _joint_search_items,
+    "carry_pointing": _carried_items,
     "find_landmarks": _landmark_search_items,
     "reject_landmarks": _landmark_decisions("reject_landmarks"),
     "accept_landmarks": _landmark_decisions("accept_landmarks"),
@@ -415,6 +447,21 @@ def _take_step(session: "ImageSession", item: PlainStep) -> None:
     METHOD_OF_STEP[item.step](session, item)
 
 
+def _carry_pointing(session: "ImageSession", item: CarriedPointing) -> None:
+    neighbors = [
+        SolvedAttitude(
+            lent.image,
+            lent.et,
+            np.array(lent.camera_from_j2000),
+            np.array(lent.a_priori_camera_from_j2000),
+            np.array(lent.covariance_rad2),
+        )
+        for lent in item.neighbors
+    ]
+    motion = AttitudeMotion(item.jitter_rad, item.walk_rad, item.drift_rad_s)
+    session.carry_pointing(neighbors, motion, item.reason)
+
+
 def _search_options(item: PlainStep) -> dict[str, Any]:
     options = {"initial": item.initial, "final": item.final, "search_radius_px": item.search_radius_px}
     return {key: value for key, value in options.items() if value is not None}
@@ -439,6 +486,7 @@ METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "scans": _one_by_one(lambda s, i: s.choose_scans(i.body, i.numbers, i.reason)),
     "methods": _find_bodies,
     "together": _one_by_one(lambda s, i: s.find_bodies(i.bodies, i.method)),
+    "carried": _one_by_one(_carry_pointing),
     "landmarks": _one_by_one(lambda s, i: s.find_landmarks(i.body, i.maplets, i.search_radius_px)),
     "reject_landmarks": lambda s, items: _decide_landmarks(s, items, accept=False),
     "accept_landmarks": lambda s, items: _decide_landmarks(s, items, accept=True),
@@ -454,7 +502,7 @@ HEAD = """# Decisions on pictures, by the SHA-256 of the picture; opnav process 
 # "at" orders the steps of a session; decisions without it are made when the stars are found.
 """
 # Sections that are carried out once the stars are found, in a file that has no order of its own.
-ADDED_LAST = ("methods", "together", "landmarks", "reject_landmarks", "accept_landmarks", "steps")
+ADDED_LAST = ("carried", "methods", "together", "landmarks", "reject_landmarks", "accept_landmarks", "steps")
 BEFORE_STARS, AFTER_STARS = ("two_stars", "nudge"), ("place", "reject", "accept", "circles", "scans", "notes")
 
 

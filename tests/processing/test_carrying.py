@@ -10,7 +10,8 @@ from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import read_ecsv
 from opnav_workbench.processing import Processing, process
 from opnav_workbench.processing.carrying import carry_between
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import ImageSession, load_decisions
+from opnav_workbench.session.decisions import perform
 from opnav_workbench.simulation import (
     OpenedScenario,
     PictureScenario,
@@ -141,6 +142,17 @@ def test_session_carries_and_is_replayed(processed, tmp_path):
     again = ImageSession.resume(tmp_path / "short")
     assert (
         again.state.pointing.camera_from_j2000.tobytes() == short.state.pointing.camera_from_j2000.tobytes()
+    )
+    # Recorded as an analyst's decisions it can be taken again.
+    decisions = load_decisions(again.write_decisions(tmp_path / "decisions.yaml", who="me"))
+    (taken,) = decisions.images[again.context.picture.sha256].carried
+    assert taken.neighbors[0].image == "long.fit"
+    while again.standing and again.standing[-1].step != "carry_pointing":
+        again.undo()
+    again.undo()
+    perform(again, "carried", [taken])
+    np.testing.assert_array_equal(
+        again.state.pointing.camera_from_j2000, short.state.pointing.camera_from_j2000
     )
     # A picture's own stars count with what is carried.
     before = long.state.pointing
