@@ -52,15 +52,23 @@ COMMANDS = {
 }
 
 
+READ_ONLY_TOO = ("export", "chart", "kernels", "make-ck", "campaign", "schemas", "simulate", "process")
+
+
 @contextlib.contextmanager
 def files_below(size: int) -> Iterator[None]:
     """No file of this process, and of those that it starts, gets larger."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            sys, "dont_write_bytecode", True
+        )  # Python would keep the first kB of a module it compiled
+        patch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.fixture
@@ -93,7 +101,9 @@ def check_refusal(name: str, out: Path, before: set[Path]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", ["export ecsv", "chart", "shape", "make-ck", "campaign", "simulate", "process"]
+)
 def test_files_that_cannot_grow(name, with_run, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
@@ -107,7 +117,7 @@ def test_a_disk_that_is_full_or_cannot_be_written(name, with_run, small_disk):
     older = small_disk / "older"
     older.write_bytes(bytes(SMALL))
     check_refusal(name, small_disk, {older})
-    if name != "shape":  # SPICE keeps a DAS file open that it could not finish
+    if name in READ_ONLY_TOO:
         subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
         check_refusal(name, small_disk, {older})
     assert older.stat().st_size == SMALL

@@ -56,7 +56,7 @@ COMMANDS = {
     ),
     "export tdm": Command("export run --format tdm --out out/x.tdm", (RESULT, TABLE), 12),
     "export csv": Command(f"export {RESULT} --format csv --targets PLUTO --out out/x.csv", (RESULT,), 20),
-    "export ecsv": Command("export o.json --format ecsv --out out/x.ecsv", ("o.json",), 20),
+    "export ecsv": Command("export o.json --format ecsv --out out/x.ecsv", ("o.json",), 12),
     "export json": Command("export o.csv --format json --out out/x.json", ("o.csv",), 40),
     "cone": Command("catalog cone npz:s.npz 10 -5 60 --epoch 2015.5 --json", ("s.npz",), 60),
     "cone to a file": Command("catalog cone npz:s.npz 10 5 60 --out out/c.ecsv --mag 9", ("s.npz",)),
@@ -81,7 +81,7 @@ COMMANDS = {
     "process": Command(
         f"process p.fit --mission {MISSION} --attitude header --targets none --decisions decisions.yaml --out out/r",
         ("p.fit", MISSION, CAMERA, "decisions.yaml"),
-        6,
+        5,
     ),
     "doctor": Command("doctor"),
 }  # fmt: skip
