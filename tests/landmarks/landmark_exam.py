@@ -1,6 +1,7 @@
 """The exam of landmark centers: truth drawn by another route than the templates. Run by hand; it takes some minutes.
 
     python tests/landmarks/landmark_exam.py --pictures 10 --cache FOLDER
+    python tests/landmarks/landmark_exam.py --poses 100
 
 Truth      a bumpy ellipsoid, marched along 3 x 3 rays a pixel, Hapke's law with rough facets, albedo that no maplet knows in
            part, a PSF 8 % wider than is believed, shot and read noise
@@ -131,7 +132,11 @@ def main():
     parser.add_argument("--pictures", type=int, default=10)
     parser.add_argument("--cache", default=None)
     parser.add_argument("--law", default="mcewen")
+    parser.add_argument("--poses", type=int, default=0, help="camera positions at 5 km instead of centers")
     arguments = parser.parse_args()
+    if arguments.poses:
+        poses(arguments.poses)
+        return
     camera, body = exam_camera(), truth_body()
     shape = body.shape(480, smooth=1.0)
     albedo = known_albedo(body)
@@ -183,6 +188,46 @@ def main():
         f"median {np.median(np.hypot(*e.T)):.3f} px, error/sigma {np.sqrt((q**2).mean()):.2f}, "
         f"false (above 1 px or 6 sigma) {100 * np.mean(false | (np.abs(q).max(axis=1) > 6)):.2f} %"
     )
+
+
+def near_camera():
+    """A camera that sees 4 deg of the sky, as MapCam, with pixels of 1.4 m at 5 km: Bennu is wider than its field."""
+    camera = exam_camera(256)
+    return dataclasses.replace(
+        camera, focal_length_mm=camera.focal_length_mm * camera.pixel_scale_rad / 272e-6
+    )
+
+
+def poses(count):
+    """Camera positions from one picture each, 5 km from the center, landmarks alone."""
+    camera, body = near_camera(), truth_body()
+    shape = body.shape(480, smooth=1.0)
+    pixel_km = 5.0 * camera.pixel_scale_rad
+    maplets = make_maplets(
+        "BENNU", shape, 18.0 * pixel_km, scale_km=pixel_km, samples=37, albedo=known_albedo(body)
+    )
+    law = Hapke(w=0.3, b0=0.6, h=0.05, asymmetry=-0.3, roughness_deg=18.0)
+    within = solved = 0
+    for number in range(count):
+        place, sun, turn = geometry(1000 + number, camera)
+        place *= 5.0 / np.linalg.norm(place)
+        light = body.draw(camera, turn, place, sun, law, cells=2, psf_sigma=PSF_PX * PSF_ERROR)
+        picture = believed_picture(light, place, sun, turn, camera, shape, LunarLambert(), number)
+        found, error, seconds = score(picture, place, turn, maplets, camera)
+        if found.pose is None:
+            say(f"{number}: no pose, {found.messages[0]}")
+            continue
+        off = place - found.pose.position_km
+        square = float(off @ np.linalg.solve(found.pose.position_covariance_km2, off))
+        toward = place / np.linalg.norm(place)
+        solved += 1
+        within += square < 14.16  # 99.73 % of 3 degrees of freedom: 3 sigma
+        sigma = np.sqrt(toward @ found.pose.position_covariance_km2 @ toward)
+        say(
+            f"{number}: {found.accepted.sum()} landmarks, rms {np.sqrt((error[found.accepted] ** 2).mean()):.3f} px; "
+            f"position off {1e3 * np.linalg.norm(off):.2f} m (along {1e3 * off @ toward:.2f}, sigma {1e3 * sigma:.2f}), "
+            f"chi-squared {square:.1f} of 3; within 3 sigma {within} of {solved}; {seconds:.1f} s"
+        )
 
 
 def pose_square(pose, place, turn):

@@ -194,6 +194,7 @@ def test_partials_are_those_of_differences():
         assert getattr(found, field) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max()), name
 
 
+@pytest.mark.slow
 def test_far_and_dark_sides_are_not_searched(scene):
     picture = scene.picture()
     told = predict_landmarks(scene.maplets, picture.models[0], scene.camera, scene.turn, np.zeros(3))
@@ -216,6 +217,7 @@ def found(scene):
     )
 
 
+@pytest.mark.slow
 def test_centers_are_right_and_know_how_well(scene, found):
     error = found.centers.observed_px - scene.true_places(found.centers)
     ok = found.accepted
@@ -228,6 +230,7 @@ def test_centers_are_right_and_know_how_well(scene, found):
     assert found.centers.law_share > 0.8  # the truth is Lambert's law, the second one of the templates
 
 
+@pytest.mark.slow
 def test_pose_is_that_of_truth_within_its_covariance(scene, found):
     pose = found.pose
     off = np.concatenate(
@@ -257,6 +260,7 @@ def test_landmark_at_the_wrong_place_is_rejected(scene):
     assert again.accepted[~of_wrong].mean() > 0.8
 
 
+@pytest.mark.slow
 def test_analyst_outranks_the_consensus(scene, found):
     picture, name = scene.picture(), str(found.centers.id[found.accepted][0])
     landmarks = posed(found.centers, picture.models[0].target, scene.camera, scene.turn, np.zeros(3))
@@ -275,6 +279,7 @@ def test_black_picture_gives_no_landmark_and_says_so(scene):
     assert "no pose" in nothing.messages[0]
 
 
+@pytest.mark.slow
 def test_unknown_body_is_told(scene):
     with pytest.raises(CenterfindingError, match="EROS"):
         find_landmarks(scene.picture(), dataclasses.replace(scene.maplets, body="EROS"))
@@ -298,6 +303,7 @@ def test_lost_over_a_body_the_silhouette_and_landmarks_tell_the_place(scene):
     assert np.linalg.norm(found.pose.position_km - scene.place) < 0.01 * np.linalg.norm(scene.place)
 
 
+@pytest.mark.slow
 def test_no_body_in_sight_has_no_silhouette(scene):
     picture = dataclasses.replace(scene.picture(), signal_dn=np.zeros((SIZE, SIZE)))
     with pytest.raises(CenterfindingError, match="no lit body"):
