@@ -113,7 +113,9 @@ def test_maplets_of_a_sphere_are_round_and_spread():
     gaps = np.linalg.norm(maplets.place_km[:, None] - maplets.place_km[None], axis=2)
     assert gaps[~np.eye(len(maplets), dtype=bool)].min() > 0.075
     assert len(maplets) > 0.5 * 4.0 * np.pi * 0.25**2 / 0.08**2
-    assert np.abs(np.linalg.norm(maplets.points_km(), axis=-1) - 0.25).max() < 1.2e-4  # chords of plates of 8 m
+    assert (
+        np.abs(np.linalg.norm(maplets.points_km(), axis=-1) - 0.25).max() < 1.2e-4
+    )  # chords of plates of 8 m
     up = maplets.place_km / np.linalg.norm(maplets.place_km, axis=1)[:, None]
     assert np.einsum("ni,ni->n", up, maplets.axes[:, 2]).min() > np.cos(0.01)
 
