@@ -88,10 +88,15 @@ def plain_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
     >>> print(plain_line("night\n\x1b[31m1.fit"), plain_line("a\udcff.fit"), plain_line("0123456789", 8))
     night\n\x1b[31m1.fit a\xff.fit 01 … 89
     """
-    if len(text) > longest:
-        kept = max((longest - 3) // 2, 1)
-        text = f"{text[:kept]} … {text[-kept:]}"
-    return text if text.isprintable() else "".join(_printable(character) for character in text)
+    text = _shortened(text, longest)
+    if text.isprintable():
+        return text
+    return _shortened("".join(_printable(character) for character in text), longest)  # its escapes are longer
+
+
+def _shortened(text: str, longest: int) -> str:
+    kept = max((longest - 3) // 2, 1)
+    return text if len(text) <= longest else f"{text[:kept]} … {text[-kept:]}"
 
 
 def _printable(character: str) -> str:

@@ -11,7 +11,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import open_catalog
 from opnav_workbench.catalog.user_files import read_star_list
 from opnav_workbench.contracts import check_file
-from opnav_workbench.errors import KernelError, OpNavError, SessionError
+from opnav_workbench.errors import KernelError, OpNavError, SessionError, plain_line
 from opnav_workbench.files import json_value, read_json
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.kernels import KernelSet, et_from_utc
@@ -31,7 +31,7 @@ from opnav_workbench.simulation import load_picture_scenario
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from hostile import SECONDS, within
+from hostile import LONGEST_LINE, SECONDS, within
 
 
 def cone(kind, path):
@@ -110,3 +110,10 @@ def test_json_of_a_device_is_refused(tmp_path):
 def test_spice_is_asked_in_text():
     with KernelSet(DEMO_KERNELS), pytest.raises(KernelError, match=r"no UTF-8, which SPICE cannot be told"):
         et_from_utc("2015-05-28T12:\udca20:00")
+
+
+def test_lines_are_bounded_with_what_is_escaped_in_them():
+    """A UTC of 900 NULs came as 3,900 characters."""
+    assert len(plain_line("\x00" * 3000)) <= LONGEST_LINE
+    assert plain_line("\x00" * 3000).isprintable()
+    assert len(str(OpNavError("a\x00" * 900))) <= LONGEST_LINE
