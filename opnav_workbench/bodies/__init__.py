@@ -51,6 +51,7 @@ from opnav_workbench.bodies.cross_correlation import find_cross_correlation
 from opnav_workbench.bodies.disk.centerfinder import find_disk
 from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
 from opnav_workbench.bodies.ellipse.point_fits import horizon_position
+from opnav_workbench.bodies.judgement import confirmed_center
 from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
 from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
 from opnav_workbench.bodies.method import choose_method
@@ -101,6 +102,7 @@ __all__ = [
     "body_outline",
     "choose_method",
     "choose_subarray",
+    "confirmed_center",
     "describe_body_flags",
     "displaced_model",
     "find_cross_correlation",

@@ -11,7 +11,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
 from opnav_workbench.bodies.disk.marginal import FieldPrior
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, same_center, sigmas_apart
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk, same_center, sigmas_apart
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import (
     DOUBTFUL_FLAGS,
@@ -24,8 +24,17 @@ from opnav_workbench.bodies.results import (
 )
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 
-__all__ = ["CenterReading", "disk_reading", "is_thin_crescent", "judged_center", "second_reading"]
+__all__ = [
+    "CenterReading",
+    "confirmed_center",
+    "difference_covariance",
+    "disk_reading",
+    "is_thin_crescent",
+    "judged_center",
+    "second_reading",
+]
 
+DIFFERENCE_SHARE = 0.5
 MISFIT_SIGMAS = 3.0  # of the size, beyond what its model says of itself
 POOR_CHI2 = 2.0
 WEAK_PX, WEAK_SHARE = 1.0, 0.02  # of the radius: a center that is known no better
@@ -83,6 +92,50 @@ def second_reading(
     )
 
 
+def difference_covariance(away_px: FloatArray) -> FloatArray:
+    """Return what the difference (2,) of two readings of the same pixels adds to the covariance of either, px^2."""
+    return np.asarray(DIFFERENCE_SHARE**2 * np.outer(away_px, away_px))
+
+
+def confirmed_center(
+    picture: BodyPicture,
+    center: BodyCenter,
+    *,
+    circle: Circle | None = None,
+    search_radius_px: float | None = None,
+) -> BodyCenter:
+    """Return a center by the light of the whole disk beside the likelihood's.
+
+    A fit of the model's light knows neither of another size nor of another law or albedo: how far it lies from a reading
+    that does is in its covariance, and in its status where that is too far. Bodies without a likelihood stay as they are.
+    """
+    if center.pixel_line is None or picture.model(center.name).is_point:
+        return center
+    disk = measure_disk(picture, center.name, center.method, circle, search_radius_px)
+    if isinstance(disk, BodyCenter):
+        return center
+    first, fit = center.pixel_line, disk.fit
+    second = second_reading(
+        "the likelihood of the disk", fit.center_px, fit.covariance_px2, first, center.covariance_px2
+    )
+    covariance = symmetric(center.covariance_px2 + difference_covariance(second.pixel_line - first))
+    told = replace(center, second=second, covariance_px2=covariance)
+    if same_center(second.pixel_line - first, second.difference_sigmas):
+        return told
+    notes = {BodyFlag.UNCONFIRMED: _apart(second, first)}
+    return replace(
+        told,
+        status="uncertain" if center.status == "ok" else center.status,
+        flags=int(center.flags | BodyFlag.UNCONFIRMED),
+        messages=(*center.messages, *flag_messages(BodyFlag.UNCONFIRMED, notes)),
+    )
+
+
+def _apart(second: SecondReading, center_px: FloatArray) -> str:
+    away = second.pixel_line - center_px
+    return f"{second.method} put it ({away[0]:+.2f}, {away[1]:+.2f}) px beside, {second.difference_sigmas:.1f} sigma"
+
+
 def disk_reading(disk: MeasuredDisk, method: str, second: SecondReading | None) -> CenterReading:
     """Return the likelihood's own center."""
     fit = disk.fit
@@ -121,6 +174,7 @@ def judged_center(
         background_sigma_dn=fit.sigma(Unknown.LEVEL),
         pictures=_pictures(disk),
         detail=detail,
+        second=reading.second,
     )
     return _with_range(center, disk, reading) if solve_range else center
 
@@ -196,8 +250,7 @@ def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:
     second = reading.second
     apart = "no second reading: too little of its limb can be crossed"
     if second is not None:
-        away = second.pixel_line - reading.center_px
-        apart = f"{second.method} put it ({away[0]:+.2f}, {away[1]:+.2f}) px beside, {second.difference_sigmas:.1f} sigma"
+        apart = _apart(second, reading.center_px)
     ratio = 100.0 * (np.exp(reading.log_size) - 1.0)
     return {
         BodyFlag.CIRCLE_MISFIT: f"{ratio:+.0f} %: check its radii, its range, or the circle",

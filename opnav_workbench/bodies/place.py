@@ -26,16 +26,20 @@ from opnav_workbench.bodies.place_search import search_place
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.subarray import search_radius
-from opnav_workbench.constants import MAD_TO_SIGMA
-from opnav_workbench.render import Lambert, LunarLambert
+from opnav_workbench.constants import MAD_TO_SIGMA, PIXEL_VARIANCE_PX2
+from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
 __all__ = [
+    "INTERPOLATED_VARIANCE",
     "POINTLIKE_PX",
+    "RELIEF_RAD",
     "BodyPlace",
     "CrossingFit",
     "LimbCrossings",
     "cross_limb",
+    "crossing_columns",
+    "crossing_depths",
     "find_place",
     "fit_crossings",
 ]
@@ -304,21 +308,36 @@ FAINT_SHARE = 0.04  # of the body's bright part: a limb fainter than that is sky
 LEVEL_FROM, LEVEL_TO = 1.5, 4.0  # widths of the PSF inside of the limb that tell the local brightness
 FAINT_SIGMAS = 4.0
 LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
-PIXEL_SIGMA = 0.29
+INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere between two pixels
 NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
 LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite the limb
 FEWEST_CROSSINGS = 8
 PLACE_TURNS, PLACED_PX, LEAST_NEAR_PX = 6, 0.1, 1.5
 LARGEST_GROWTH = 0.3
+RELIEF_RAD = 0.2  # of topography along a limb
+SATURATED_PX = 2.0  # how far saturation may move a crossing
+MOST_CHANGED_PX = 2.0  # by a law: beyond, another edge was crossed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbCrossings:
-    """Crossings of n rays: distance from the limb that was expected, and which rays have one."""
+    """Crossings of n rays.
+
+    Attributes
+    ----------
+    angle_rad : (n,) array
+    depth_px : (n,) array
+        Distance from where a crossing was expected.
+    known : (n,) array of bool
+        Which rays have one.
+    changes : (n, k) array
+        Of what was expected, by a sigma of each thing that is uncertain of the light.
+    """
 
     angle_rad: FloatArray
     depth_px: FloatArray
     known: BoolArray
+    changes: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -359,14 +378,18 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     Parameters
     ----------
     profiles
-        Returns the model's light (n, m) at angles (n,) and depths (m,) of an outline, any unit.
+        Returns the model's light (1 + k, n, m) at angles (n,) and depths (m,) of an outline, any unit: as it is, and
+        changed by a sigma of each of k things that are uncertain.
     """
     angle = np.asarray((np.arange(RAYS) + 0.5) * (TURN / RAYS))
     limb = outline.radius(angle)
-    depth = np.arange(-min(reach_px + 8.0, float(limb.min())), reach_px + 4.0, RAY_STEP_PX)
+    # Cells end at the limb: which of them a body's light reaches is then no matter of rounding.
+    inward = int(min(reach_px + 8.0, float(limb.min())) / RAY_STEP_PX)
+    depth = np.arange(-inward + 0.5, (reach_px + 4.0) / RAY_STEP_PX) * RAY_STEP_PX
     wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    data, valid = _sampled(picture, outline.center_px + (limb[:, None] + depth)[..., None] * wheel[:, None])
-    model = profiles(outline, angle, depth)
+    places = outline.center_px + (limb[:, None] + depth)[..., None] * wheel[:, None]
+    data, valid = _sampled(picture, places)
+    model, *changed = profiles(outline, angle, depth)
     width = max(1.0, 1.2 * float(np.max(picture.psf.sigma_px)))
     lit = valid & (model > LIT_MODEL * model.max(initial=0.0))
     bright = float(np.median(data[lit])) if lit.any() else float(np.max(data))
@@ -374,29 +397,43 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     observed = crossing_depths(np.where(valid, data, 0.0), depth, width, faint)
     middle = float(np.median(model[lit])) if lit.any() else 1.0
     expected = crossing_depths(model, depth, width, FAINT_SHARE * middle)
+    moved = [crossing_depths(light, depth, width, FAINT_SHARE * middle) - expected for light in changed]
     index = np.clip(np.searchsorted(depth, np.nan_to_num(observed)), 1, len(depth) - 2)
     rows = np.arange(RAYS)
     whole = valid[rows, index] & valid[rows, index + 1] & valid[rows, index - 1]
     at_limb = np.isfinite(expected) & (np.abs(expected) < 2.0 * width)
     known = np.isfinite(observed) & at_limb & whole & (observed < depth[-8])
-    return LimbCrossings(angle, observed - np.where(at_limb, expected, 0.0), known)
+    if picture.saturated.any():  # half of a level that was cut off lies too far out
+        behind = (
+            np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width) < 0.5 * LEVEL_TO * width
+        )
+        moved.append(SATURATED_PX * np.any(behind & _touches(picture.saturated, places), axis=1))
+    changes = np.nan_to_num(np.reshape(moved, (len(moved), RAYS)).T)
+    changes = np.clip(changes, -MOST_CHANGED_PX, MOST_CHANGED_PX)
+    return LimbCrossings(angle, observed - np.where(at_limb, expected, 0.0), known, changes)
 
 
 def _radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
-    """Return profiles of the body's radiance, spread along the rays as by the PSF: good to a tenth of a pixel."""
+    """Return profiles of the body's radiance, spread along the rays as by the PSF: good to a tenth of a pixel.
+
+    An unknown law, which is called Lambert's, is half of that and half of Lommel-Seeliger's, or either; a law that was given
+    may be as far from its own toward that.
+    """
+    law: ScatteringLaw = picture.model(name).law
+    between = LunarLambert(0.5)
+    laws = (between, law) if isinstance(law, Lambert) else (law, between)
 
     def profiles(outline: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
         seen = displaced_model(picture, name, outline.center_px, 1.0 / size_ratio)
-        if isinstance(seen.law, Lambert):  # which is what an unknown law is called
-            seen = replace(seen, law=LunarLambert(0.5))
         wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         reach = outline.radius(angle)[:, None] + depth
         places = outline.center_px + reach[..., None] * wheel[:, None]
-        light = PlacedBody(seen, picture.camera.pixel_scale_rad).radiance(
-            pixel_rays(picture, places.reshape(-1, 2))
-        )
-        sigma = float(np.hypot(np.max(picture.psf.sigma_px), PIXEL_SIGMA)) / RAY_STEP_PX
-        return np.asarray(gaussian_filter1d(light.reshape(reach.shape), sigma, axis=1, mode="nearest"))
+        rays = pixel_rays(picture, places.reshape(-1, 2))
+        bodies = [PlacedBody(replace(seen, law=law), picture.camera.pixel_scale_rad) for law in laws]
+        light = np.stack([body.radiance(rays).reshape(reach.shape) for body in bodies])
+        variance = float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE
+        sigma = float(np.sqrt(variance)) / RAY_STEP_PX
+        return np.asarray(gaussian_filter1d(light, sigma, axis=2, mode="nearest"))
 
     return profiles
 
@@ -416,6 +453,13 @@ def _sampled(picture: BodyPicture, places: FloatArray) -> tuple[FloatArray, Bool
         share = map_coordinates(usable.astype(np.float64), where, order=1, mode="nearest")
         inside &= share > 0.95
     return data, inside
+
+
+def _touches(plane: BoolArray, places: FloatArray) -> BoolArray:
+    """Return whether places (n, m, 2) lie on marked pixels."""
+    index = np.rint(places).astype(np.int64)
+    pixel, line = (np.clip(index[..., k], 0, plane.shape[1 - k] - 1) for k in (0, 1))
+    return np.asarray(plane[line, pixel])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -447,32 +491,53 @@ class CrossingFit:
 
 
 def fit_crossings(
-    crossings: LimbCrossings, outline: Outline, sigma: FloatArray, mean: FloatArray, near_px: float
+    crossings: LimbCrossings,
+    outline: Outline,
+    figure: FigureUncertainty,
+    relief_px: float,
+    mean: FloatArray,
+    near_px: float,
 ) -> CrossingFit:
     """Fit center, size and strain to crossings, with weights that narrow from `near_px` on.
 
     Parameters
     ----------
-    sigma, mean : (3,) arrays
-        Prior of log size and strain, as changes of the outline.
+    figure
+        How far size and axes may be from the model's.
+    relief_px
+        Scatter of the limb about its outline.
+    mean : (3,) array
+        Where the model has log size and strain, as changes of the outline.
     """
-    columns = _crossing_columns(crossings.angle_rad, outline)[crossings.known]
+    moving = crossing_columns(crossings.angle_rad, outline)
+    columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
     offset = crossings.depth_px[crossings.known]
-    precision = np.append([1e-9, 1e-9], sigma**-2.0)
-    expected = np.append([0.0, 0.0], mean)
+    uncertain = np.ones(crossings.changes.shape[1])
+    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
+    precision = np.concatenate([[1e-9, 1e-9], sigma**-2.0, uncertain])
+    expected = np.concatenate([[0.0, 0.0], mean, 0.0 * uncertain])
+    residual = np.full(len(crossings.angle_rad), np.nan)
+
+    def solved(solution: FloatArray, near: float, variance: float) -> FloatArray:
+        weight = (1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0 / variance
+        normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
+        there = np.linalg.solve(normal, columns.T @ (weight * offset) + precision * expected)
+        residual[crossings.known] = offset - columns @ there
+        return np.asarray(there)
+
     solution, near = expected, near_px
     for _ in range(NARROWINGS):
-        weight = (1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0 / near**2
-        normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
-        solution = np.linalg.solve(normal, columns.T @ (weight * offset) + precision * expected)
-        near = max(0.5 * near, NEAREST_PX)
-    residual = np.full(len(crossings.angle_rad), np.nan)
-    residual[crossings.known] = offset - columns @ solution
-    covariance = _crossing_covariance(columns, residual, precision)
-    return CrossingFit(solution[:2], float(solution[2]), solution[3:], covariance, residual)
+        solution = solved(solution, near, near**2)
+        near = max(0.5 * near, NEAREST_PX, relief_px)
+    # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
+    variance = _scatter(residual) + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
+    solution = solved(solution, near, variance)
+    covariance = np.linalg.inv(columns.T @ columns / variance + np.diag(precision))
+    return CrossingFit(solution[:2], float(solution[2]), solution[3:5], covariance[:5, :5], residual)
 
 
-def _crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
+def crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
+    """Return the change (n, 5) of radii at angles with center (px), log size and strain."""
     limb = outline.radius(angle)
     slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
     u = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -481,21 +546,22 @@ def _crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
     return np.concatenate([u - slope[:, None] * across, wave], axis=1)
 
 
-def _crossing_covariance(columns: FloatArray, residual: FloatArray, precision: FloatArray) -> FloatArray:
+def _scatter(residual: FloatArray) -> float:
+    """Return the variance of crossings (n,), nan where there is none, that errors of each by itself would amount to."""
     known = residual[np.isfinite(residual)]
-    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(known))), LEAST_SPREAD_PX) if len(known) else np.inf
+    if not len(known):
+        return np.inf
+    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(known))), LEAST_SPREAD_PX)
     even = np.clip(np.nan_to_num(residual) / spread, -3.0, 3.0)
     both = np.isfinite(residual) & np.isfinite(np.roll(residual, 1))
     alike = float(np.sum(even[both] * np.roll(even, 1)[both]) / max(float(np.sum(even[both] ** 2)), 1e-9))
     alike = float(np.clip(alike, 0.0, 0.95))
-    variance = spread**2 * (1.0 + alike) / (1.0 - alike)  # of crossings that share what scatters them
-    return np.asarray(np.linalg.inv(columns.T @ columns / variance + np.diag(precision)))
+    return spread**2 * (1.0 + alike) / (1.0 - alike)
 
 
 def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     """Move a place onto the limb; what was found stays where the limb is not seen."""
     figure = picture.model(name).figure
-    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
     center, size = place.center_px, place.size_ratio
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
     spread, strain = (np.inf, np.inf), np.zeros(2)
@@ -505,7 +571,8 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
         crossings = cross_limb(picture, outline, 1.5 * near + 3.0, _radiance_profiles(body, name, size))
         if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
             break
-        moved = fit_crossings(crossings, outline, sigma, np.array([-np.log(size), *-strain]), near)
+        relief = figure.limb_roughness * 0.5 * outline.diameter_px
+        moved = fit_crossings(crossings, outline, figure, relief, np.array([-np.log(size), *-strain]), near)
         spread = float(np.sqrt(np.trace(moved.covariance[:2, :2]))), float(np.sqrt(moved.covariance[2, 2]))
         center = center + moved.step_px
         size = size * float(np.exp(np.clip(moved.log_size, -LARGEST_GROWTH, LARGEST_GROWTH)))

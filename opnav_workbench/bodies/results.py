@@ -109,6 +109,8 @@ class BodyCenter:
         Where the size was solved for.
     detail
         The method's own arrays.
+    second
+        Another reading of the same pixels; None where there is none.
     """
 
     name: str
@@ -132,6 +134,7 @@ class BodyCenter:
     range_sigma_km: float = np.nan
     pictures: BodyResiduals | None = None
     detail: object | None = None
+    second: "SecondReading | None" = None
 
     def __post_init__(self) -> None:
         if self.status not in BODY_STATUSES:
@@ -439,8 +442,6 @@ class DiskReading:
         Scatter of the limb about the outline.
     steps_px : (n,) array
         Lengths of the center's steps.
-    second
-        Another reading of the same pixels; None where there is none.
     """
 
     outline_px: FloatArray
@@ -452,7 +453,6 @@ class DiskReading:
     albedo_length_rad: float
     limb_roughness_px: float
     steps_px: FloatArray
-    second: SecondReading | None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

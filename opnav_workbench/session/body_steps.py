@@ -18,6 +18,7 @@ from opnav_workbench.bodies import (
     Circle,
     JointCenters,
     choose_method,
+    confirmed_center,
     find_cross_correlation,
     find_disk,
     find_ellipse,
@@ -106,8 +107,12 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
     if method == "ellipse":
         return find_ellipse(picture, name, **options)
     if method == "cross_correlation":
-        return find_cross_correlation(picture, name, **options)
-    return find_least_squares(picture, name, solve_range=request.solve_range, **options)
+        center = find_cross_correlation(picture, name, **options)
+    else:
+        center = find_least_squares(picture, name, solve_range=request.solve_range, **options)
+    # A body with a map of its albedo has a truer model than the likelihood's.
+    known = has_albedo_map(context, name)
+    return center if known else confirmed_center(picture, center, **options)
 
 
 def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:

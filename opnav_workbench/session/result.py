@@ -11,7 +11,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter, describe_body_flags
-from opnav_workbench.bodies.results import DiskReading, LimbScans
+from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.camera import Camera
 from opnav_workbench.format_versions import stamped
 from opnav_workbench.geometry import quaternion_from_matrix
@@ -74,7 +74,7 @@ def _body_result(o: Observable, center: BodyCenter) -> dict[str, Any]:
 
 def _second_reading(center: BodyCenter) -> dict[str, Any] | None:
     """Return the same center read in another way, and how far it lies from it; None where there is none."""
-    second = center.detail.second if isinstance(center.detail, DiskReading) else None
+    second = center.second
     if second is None:
         return None
     return {

@@ -11,7 +11,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter
-from opnav_workbench.bodies.results import DiskReading, LimbScans
+from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import BODY_METHODS
 from opnav_workbench.templating import png_url, words
@@ -164,7 +164,7 @@ def center_shown(center: BodyCenter, prediction: Prediction | None, *, short: bo
 
 
 def _second_shown(center: BodyCenter, prediction: Prediction | None) -> SecondShown | None:
-    second = center.detail.second if isinstance(center.detail, DiskReading) else None
+    second = center.second
     if second is None or center.pixel_line is None:
         return None
     rows = _place_rows(second.pixel_line, second.covariance_px2, prediction)

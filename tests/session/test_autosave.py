@@ -202,9 +202,9 @@ def test_a_kept_state_saves_the_work_but_decides_nothing(near, tmp_path, monkeyp
     with monkeypatch.context() as patch:  # nothing is computed
         patch.setattr("opnav_workbench.session.history.STEPS", dict.fromkeys(_steps(near)))
         assert _result(ImageSession.resume(tmp_path)) == _result(near)
-    again, first = quick.state.bodies[0].detail, near.state.bodies[0].detail
+    again, first = quick.state.bodies[0], near.state.bodies[0]
     assert again.second.pixel_line.tolist() == first.second.pixel_line.tolist()
-    assert again.outline_px.tolist() == first.outline_px.tolist()
+    assert again.detail.outline_px.tolist() == first.detail.outline_px.tolist()
     near.note("newer than the kept state")
     assert ImageSession.resume(tmp_path).state.user_notes == ("newer than the kept state",)
     for content in (b"", b"PK\x03\x04 damaged", (tmp_path / STATE_FILE).read_bytes()[:-100]):

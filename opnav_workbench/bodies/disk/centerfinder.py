@@ -10,14 +10,20 @@ import numpy as np
 
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, crossing_covariance, measure_disk
-from opnav_workbench.bodies.judgement import CenterReading, disk_reading, judged_center, second_reading
+from opnav_workbench.bodies.judgement import (
+    CenterReading,
+    difference_covariance,
+    disk_reading,
+    judged_center,
+    second_reading,
+)
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
 
 __all__ = ["METHOD", "find_disk"]
 
 METHOD = "disk"
-DIFFERENCE_SHARE, CROSSING_SHARE = 0.5, 0.1
+CROSSING_SHARE = 0.1
 
 
 def find_disk(
@@ -65,7 +71,7 @@ def find_disk(
     if second is not None:
         same = alike(disk.fit, disk.crossing)
         reading = _with_difference(reading, second, disk) if same else _crossings_instead(reading, second)
-    return judged_center(disk, reading, _detail(disk.fit, reading.second), solve_range=solve_range)
+    return judged_center(disk, reading, _detail(disk.fit), solve_range=solve_range)
 
 
 def _with_difference(reading: CenterReading, second: SecondReading, disk: MeasuredDisk) -> CenterReading:
@@ -78,7 +84,7 @@ def _with_difference(reading: CenterReading, second: SecondReading, disk: Measur
     away = second.pixel_line - reading.center_px
     assert disk.crossing is not None
     own = disk.crossing.covariance[:2, :2]
-    more = DIFFERENCE_SHARE**2 * np.outer(away, away) + CROSSING_SHARE * own
+    more = difference_covariance(away) + CROSSING_SHARE * own
     return replace(reading, covariance_px2=reading.covariance_px2 + more)
 
 
@@ -88,8 +94,7 @@ def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterR
     A likelihood that is wrong has found a model that explains the pixels in a way of its own; half of the local
     brightness is never far from the limb. That they differ is in the covariance.
     """
-    away = second.pixel_line - reading.center_px
-    covariance = second.covariance_px2 + DIFFERENCE_SHARE**2 * np.outer(away, away)
+    covariance = second.covariance_px2 + difference_covariance(second.pixel_line - reading.center_px)
     other = SecondReading(
         "the likelihood of the disk", reading.center_px, reading.covariance_px2, second.difference_sigmas
     )
@@ -111,7 +116,7 @@ def _second_reading(disk: MeasuredDisk) -> SecondReading | None:
     return second_reading("limb crossings", place, covariance, fit.center_px, fit.covariance_px2)
 
 
-def _detail(fit: DiskFit, second: SecondReading | None) -> DiskReading:
+def _detail(fit: DiskFit) -> DiskReading:
     return DiskReading(
         outline_px=fit.smooth_outline.points(fit.outline.angle_rad),
         size_ratio=float(np.exp(fit.shape.log_size)),
@@ -122,5 +127,4 @@ def _detail(fit: DiskFit, second: SecondReading | None) -> DiskReading:
         albedo_length_rad=fit.prior.length_rad,
         limb_roughness_px=fit.prior.rough_px,
         steps_px=np.array(fit.lengths_px),
-        second=second,
     )

@@ -33,7 +33,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
 from opnav_workbench.bodies.picture import BodyPicture
-from opnav_workbench.bodies.place import BodyPlace
+from opnav_workbench.bodies.place import RELIEF_RAD, BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
@@ -51,7 +51,6 @@ DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     12.0,
 )  # what tells of the limb, and of the albedo beside it
 SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
-ROUGH_LENGTH_RAD = 0.2  # of topography along a limb
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
 UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
@@ -79,6 +78,7 @@ SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
 MOST_STRAIN, MOST_LAW = 0.02, 0.2  # a step: as far as their derivatives reach
 MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 WORSE = 1.1  # chi-squared may become so by light that is tabulated anew
+DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -258,29 +258,31 @@ class DiskFit:
         whole = self.solution.covariance
         return np.asarray(whole[CENTER, Unknown.SIZE] / whole[Unknown.SIZE, Unknown.SIZE])
 
+    @property
+    def tabulated(self) -> FloatArray:
+        """What of theta (p,) is in the tables of light already; 0 for all else."""
+        theta, made = np.zeros(SHARED), self.made
+        theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = made.shape.law, made.strain, made.shape.blur_px2
+        return theta
+
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo."""
         return np.asarray(self.brightness_dn * self.columns[Unknown.BRIGHTNESS])
 
     def model_dn(self) -> FloatArray:
         """Return what the solution expects (n,) at its pixels, DN."""
-        theta = self.solution.theta.copy()
-        away = theta[SHARES] - self.made.shape.law
-        strained = theta[STRAINED] - self.made.strain
+        theta = self.solution.theta
+        beyond = theta - self.tabulated
+        changing = [*SHARES, *SHADING, *STRAY, Unknown.BLUR]
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
         model = theta[linear] @ self.columns[linear]
         model += self.brightness_dn * (
-            strained[:2] @ self.columns[-2:]
-            + strained[2:] @ self.columns[SHADING]
-            + away @ self.columns[SHARES]
-            + theta[STRAY] @ self.columns[STRAY]
+            beyond[FIGURE[1:]] @ self.columns[-2:] + beyond[changing] @ self.columns[changing]
         )
         j = len(self.piece_albedo)
         place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
         below = np.floor(place).astype(np.int64)
         part = place - below
-        blur = theta[Unknown.BLUR] - self.made.shape.blur_px2
-        model += blur * self.brightness_dn * self.columns[Unknown.BLUR]
         for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
             nodes = self.solution.nodes[index, :-1]
             model += weight * np.einsum("nk,kn->n", nodes, self.columns[SHARED + 1 : -2])
@@ -289,9 +291,9 @@ class DiskFit:
     @property
     def lit_share(self) -> float:
         """Share of a turn of limb that is lit and on the detector."""
-        limb = np.abs(self.system.light).max(axis=1)
+        limb = self.system.shared[Unknown.BRIGHTNESS].max(axis=1)
         seen = np.isfinite(self.system.variance).sum(axis=1) > 0.5 * self.system.variance.shape[1]
-        return float(np.mean((limb > LIT_LIMB * self.brightness_dn * self.piece_albedo) & seen))
+        return float(np.mean((limb > LIT_LIMB) & seen))
 
     def sigma(self, unknown: Unknown) -> float:
         """Return the standard deviation of what is shared."""
@@ -423,6 +425,7 @@ class _Fitter:
         self.problem = problem
         self.lengths: list[float] = []
         self.converged = False
+        self.doubt: FloatArray | float = 1.0
         if start is not None:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
@@ -473,9 +476,19 @@ class _Fitter:
         self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
 
     def _tune(self, steps: tuple[float, ...]) -> None:
+        self._doubt()
         system = self.linear.system
         self.prior = tuned(system, self.prior, self.problem.rough_px, steps)
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
+
+    def _doubt(self) -> None:
+        """Let cells that no model reaches count as much as their residuals say (Huber's weights)."""
+        linear = self.linear
+        away = np.abs(linear.system.residuals_sigma(linear.solution, self.prior))
+        doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
+        if np.any(doubt > 1.0) or np.any(self.doubt != 1.0):
+            self.doubt = doubt
+            self._solve()
 
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most."""
@@ -617,7 +630,7 @@ class _Fitter:
         light = lit * np.maximum(means[0], means[0] + means[Unknown.WINGS] / self.brightness)
         return LimbSystem(
             data=data,
-            variance=np.where(usable, 1.0 / np.where(usable, whole, 1.0), np.inf),
+            variance=np.where(usable, self.doubt / np.where(usable, whole, 1.0), np.inf),
             light=np.where(usable, np.maximum(light, 0.0), 0.0),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
@@ -627,7 +640,7 @@ class _Fitter:
             broad=problem.broad,
             turn=problem.turn,
             brightness_dn=self.brightness,
-            rough_length_rad=ROUGH_LENGTH_RAD,
+            rough_length_rad=RELIEF_RAD,
             sharp_px=problem.psf_px,
         )
 

@@ -142,6 +142,13 @@ class LimbSystem:
         whole[:, -1, :, -1] = rough
         return whole.reshape(j * q, j * q)
 
+    def residuals_sigma(self, solution: MarginalSolution, prior: FieldPrior) -> FloatArray:
+        """Return what a solution leaves of the cells (j, c), in sigmas of their noise and grain; 0 without pixels."""
+        model = np.tensordot(solution.theta, self.shared, axes=1) + np.einsum(
+            "jq,qjc->jc", solution.nodes, self.own
+        )
+        return np.asarray((self.data - model) / np.sqrt(self.variance + (prior.grain * self.light) ** 2))
+
     def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
         """Solve for what all pieces share, marginal over the rest.
 

@@ -11,9 +11,11 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.fit import DiskFit, DiskPixels, Unknown, fit_disk
+from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import (
+    INTERPOLATED_VARIANCE,
     POINTLIKE_PX,
     BodyPlace,
     CrossingFit,
@@ -204,20 +206,21 @@ START_SIZES = (0.7, 1.4)
 
 def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     """Fit center and outline to where rays cross the limb; None where too few do."""
+    law, blur = PLANES.index("law"), PLANES.index("blur")
 
     def profiles(_: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
         places = np.broadcast_arrays(angle[:, None], depth)
-        table = fit.made.light.at(places[0].ravel(), places[1].ravel(), 1)
-        return np.asarray(table[0].reshape(places[0].shape))
+        tables = fit.made.light.at(places[0].ravel(), places[1].ravel(), law + 1)
+        light = tables[0] + INTERPOLATED_VARIANCE * tables[blur]  # as the data are, between pixels
+        both = light, light + fit.sigma(Unknown.LAW) * tables[law]
+        return np.asarray(np.stack(both).reshape(2, *places[0].shape))
 
-    figure = fit.figure
-    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
     crossings = cross_limb(picture, fit.smooth_outline, reach, profiles)
     if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
         return None
-    return fit_crossings(crossings, fit.smooth_outline, sigma, expected, 1.0)
+    return fit_crossings(crossings, fit.smooth_outline, fit.figure, fit.prior.rough_px, expected, 1.0)
 
 
 def crossing_covariance(scatter_px2: FloatArray) -> FloatArray:

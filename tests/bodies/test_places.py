@@ -1,0 +1,81 @@
+"""Places by crossings of the limb, and centers by the whole disk's light beside the likelihood's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from opnav_workbench.bodies import BodyFlag, confirmed_center, find_disk, find_least_squares
+from opnav_workbench.bodies.place import LimbCrossings, crossing_columns, find_place, fit_crossings
+from opnav_workbench.bodies.silhouette import body_outline
+from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert
+
+TRUE = np.array([511.3, 511.8])
+
+
+@pytest.mark.parametrize("law", [Lambert(), LunarLambert(0.5)])
+def test_neither_albedo_nor_law_moves_a_place(body_stage, law):
+    """One half twice as bright as the other, under a law that the model does not have: 0.6 to 1.1 px off without."""
+    model = body_stage.body(120.0, 40.0, TRUE)
+    light = body_stage.light(replace(model, law=law))
+    light[:, 500:] *= 0.5 + 0.5 / (1.0 + np.exp((np.arange(500, 1024) - 520.0) / 4.0))
+    picture = body_stage.picture(light, [model], np.random.default_rng(1), offset_px=(2.0, 1.0))
+    place = find_place(picture, "BODY")
+    np.testing.assert_allclose(place.center_px, TRUE, rtol=0, atol=0.4)
+    assert place.size_ratio == pytest.approx(1.0, abs=0.01)
+    found = find_disk(picture, "BODY")
+    error = found.pixel_line - TRUE
+    assert found.status == "ok", found.messages
+    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0  # chi-squared, 1 in 1000
+    np.testing.assert_allclose(error, 0.0, rtol=0, atol=0.15)
+
+
+@pytest.mark.parametrize(("arc", "errors_px"), [(70.0, 25.0), (200.0, 3.0)])
+def test_relief_does_not_change_a_figure(body_stage, arc, errors_px):
+    """Of 70 deg of a rough limb, 800 px wide, another size and other axes could be made, and a center 100 px off."""
+    model = body_stage.body(800.0, 70.0, (512.0, 512.0))
+    outline = body_outline(body_stage.picture(np.zeros((1024, 1024)), [model]), "BODY")
+    angle = np.radians(np.arange(1.0, 360.0, 2.0))
+    known = angle < np.radians(arc)
+    away = np.abs(angle[:, None] - angle)
+    alike = np.exp(-np.minimum(away, 2.0 * np.pi - away) / 0.2)
+    roots, rng, errors = np.linalg.cholesky(alike + 1e-9 * np.eye(len(angle))), np.random.default_rng(3), []
+    for _ in range(30):
+        crossings = LimbCrossings(
+            angle, 1.2 * roots @ rng.normal(size=len(angle)), known, np.empty((len(angle), 0))
+        )
+        fit = fit_crossings(crossings, outline, FigureUncertainty(), 1.2, np.zeros(3), 10.0)
+        errors.append(
+            np.append(fit.step_px, fit.step_px @ np.linalg.solve(fit.covariance[:2, :2], fit.step_px))
+        )
+    errors = np.array(errors)
+    assert np.sqrt(np.mean(errors[:, :2] ** 2)) < errors_px
+    assert errors[:, 2].mean() < 4.0  # 2 of honest sigmas
+    assert crossing_columns(angle, outline).shape == (len(angle), 5)
+
+
+def test_saturation_is_an_unknown_of_a_place(body_stage):
+    model = body_stage.body(120.0, 60.0, TRUE)
+    picture = body_stage.picture(body_stage.light(model), [model], np.random.default_rng(1))
+    top = 0.3 * picture.signal_dn.max()
+    saturated = picture.signal_dn > top
+    cut = replace(picture, signal_dn=np.minimum(picture.signal_dn, top), saturated=saturated)
+    place = find_place(cut, "BODY")
+    np.testing.assert_allclose(place.center_px, TRUE, rtol=0, atol=3.0)
+    assert np.hypot(*(place.center_px - TRUE)) < 3.0 * place.center_sigma_px
+
+
+@pytest.mark.parametrize(("truth_share", "confirmed"), [(1.0, True), (1.08, False)])
+def test_full_disk_center_beside_the_likelihood(body_stage, truth_share, confirmed):
+    """A body 8 % larger than expected, half lit: least squares alone is off by many of its sigmas, and ``ok``."""
+    model = body_stage.body(60.0, 80.0, TRUE)
+    larger = replace(model, target=replace(model.target, radii_km=truth_share * model.target.radii_km))
+    picture = body_stage.picture(body_stage.light(larger), [model], np.random.default_rng(1))
+    alone = find_least_squares(picture, "BODY")
+    center = confirmed_center(picture, alone)
+    assert np.array_equal(center.pixel_line, alone.pixel_line)
+    assert center.second.method == "the likelihood of the disk"
+    assert bool(center.flags & BodyFlag.UNCONFIRMED) != confirmed
+    assert (center.status == "ok") == confirmed
+    error = center.pixel_line - TRUE
+    assert np.sqrt(error @ np.linalg.solve(center.covariance_px2, error)) < 4.0
