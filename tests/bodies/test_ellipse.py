@@ -9,10 +9,10 @@ from opnav_workbench.bodies import BodyFlag, Circle, model_picture
 from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
 from opnav_workbench.bodies.silhouette import body_outline
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import FigureUncertainty, LunarLambert, ShapeModel
+from opnav_workbench.render import LunarLambert, ShapeModel
 
 SPHERE, TRIAXIAL = (1.0, 1.0, 1.0), (1.0, 0.8, 0.65)
-BIAS_PX = 0.01  # law, PSF, size and axes are unknowns of the limb, and pull by so much without noise
+BIAS_PX = 0.005
 EMPTY = np.zeros((1024, 1024))
 
 
@@ -44,7 +44,7 @@ def test_no_bias_against_brute_force(body_stage, diameter, phase, axes, rays, so
     found = find_ellipse(picture, "BODY", solve_range=solve_range)
     assert found.status == "ok", found.messages
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=BIAS_PX)
-    assert np.isfinite(found.range_km) == solve_range
+    assert np.isfinite(found.range_km) == (solve_range and not found.flags & BodyFlag.SIZE_UNSOLVED)
 
 
 @pytest.mark.slow
@@ -54,7 +54,7 @@ def test_no_bias_with_a_sharp_or_wide_psf(body_stage, sigma_px):
     model = stage.body(20.0, 70.0, true)
     light = stage.brute_force(model, (276, 616, 50, 50), 24)
     found = find_ellipse(stage.picture(light, [model], offset_px=(-4.4, 3.1)), "BODY", solve_range=False)
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=2.0 * BIAS_PX)
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=BIAS_PX)
 
 
 def trials(stage, add_noise, diameter, phase, true, count, **options):
@@ -80,8 +80,8 @@ def test_errors_are_what_the_covariance_says(binned_stage, add_noise, sample):
     error, pull, size = trials(binned_stage, add_noise, 40.0, 60.0, true, sample.trials(40))
     assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=sample.within(0.25))  # 80 components
     assert np.sqrt(np.mean(size**2)) == pytest.approx(1.0, abs=sample.within(0.3))
-    assert np.abs(error.mean(axis=0)).max() < sample.within(0.02)  # 3.5 sigma of the mean
-    assert np.sqrt(np.mean(error**2)) < 0.08  # toward the Sun: axes are uncertain by 5 %, size is free
+    assert np.abs(error.mean(axis=0)).max() < sample.within(0.01)  # 3.5 sigma of the mean
+    assert np.sqrt(np.mean(error**2)) < 0.03
 
 
 @pytest.mark.slow
@@ -93,36 +93,25 @@ def test_errors_over_sigma_of_many_trials(binned_stage, add_noise, diameter, pha
     )
     # 0.9 to 1.1, as far as 220 components can tell (4.8 %); 500 trials gave 1.10 at 8 px
     assert 0.82 < np.sqrt(np.mean(pull**2)) < 1.18
-    assert np.abs(error.mean(axis=0)).max() < 0.02
-    assert np.sqrt(np.mean(error**2)) < 0.08
+    assert np.abs(error.mean(axis=0)).max() < 0.005
+    assert np.sqrt(np.mean(error**2)) < 0.03
 
 
 def test_range_from_the_apparent_size(body_stage):
-    """The body stands 2 % farther than expected, and 5 px beside; its range is as uncertain as its radii are."""
+    """The body stands 2 % farther than expected, and 5 px beside; a fixed range spoils the fit, and is said to."""
     true = np.array([600.4, 400.7])
     model = body_stage.body(150.0, 60.0, true, TRIAXIAL)
-    model = replace(model, figure=FigureUncertainty(0.03, 0.001))
     far = replace(model, target=replace(model.target, position_km=1.02 * model.target.position_km))
-    picture = body_stage.picture(body_stage.light(far), [model], offset_px=(4.0, -3.0))
+    light = body_stage.light(far)
+    picture = body_stage.picture(light, [model], offset_px=(4.0, -3.0))
     found = find_ellipse(picture, "BODY")
-    # Without noise the law is known as well as the albedo allows: the crossings are good to 0.1 px of 150.
-    assert found.range_km == pytest.approx(far.target.range_km, rel=1e-3)
-    assert found.diameter_sigma_px < 2e-3 * found.diameter_px
-    size_sigma = found.diameter_sigma_px / found.diameter_px
-    assert found.range_sigma_km == pytest.approx(np.hypot(size_sigma, 0.03) * found.range_km)
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.1)
-    np.testing.assert_allclose(found.detail.free.ratio, 1.0, atol=2e-3)
-
-
-def test_a_size_that_is_known_better_is_not_solved(body_stage, add_noise):
-    model = body_stage.body(20.0, 100.0, (500.3, 500.1))
-    sure = replace(model, figure=FigureUncertainty(1e-4, 1e-4))
-    rng = np.random.default_rng(3)
-    picture = body_stage.picture(body_stage.light(model), [sure], rng, peak_dn=200.0)
-    found = find_ellipse(picture, "BODY")
-    assert found.flags & BodyFlag.SIZE_UNSOLVED
-    assert np.isnan(found.range_km)
-    assert "its range is not told" in " ".join(found.messages)
+    assert found.range_km == pytest.approx(far.target.range_km, rel=3e-5)
+    assert found.range_sigma_km < 3e-4 * found.range_km
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=BIAS_PX)
+    np.testing.assert_allclose(found.detail.free.ratio, 1.0, atol=1e-3)
+    fixed = find_ellipse(picture, "BODY", solve_range=False)
+    assert fixed.detail.rough_px > 0.1
+    assert np.sqrt(fixed.covariance_px2[0, 0]) > 20.0 * np.sqrt(found.noise_covariance_px2[0, 0])
 
 
 @pytest.mark.slow(keep=["assumed0"])
@@ -132,12 +121,11 @@ def test_wrong_radii_are_told_from_the_free_ellipse(body_stage, assumed):
     light = body_stage.light(body_stage.body(200.0, 5.0, true, (1.0, 0.8, 0.8)))
     model = body_stage.body(200.0, 5.0, true, assumed)
     found = find_ellipse(body_stage.picture(light, [model]), "BODY")
-    # Axes are uncertain by 5 % and fitted, so that the outline is that of the body: which radii are wrong is told by the
-    # free ellipse.
-    free = found.detail.free
-    assert np.abs(free.ratio - 1.0).max() > 20.0 * free.ratio_sigma.max()
-    assert max(free.residual_rms_px, found.detail.rms_px) < 0.01
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.4)
+    assert found.status == "uncertain"
+    assert "the radii or the pole of the ellipsoid are wrong" in " ".join(found.messages)
+    assert found.detail.free.residual_rms_px < 0.02
+    assert found.detail.rms_px > 0.5
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.1)
 
 
 def test_local_albedo_does_not_move_the_limb(body_stage):
@@ -147,10 +135,7 @@ def test_local_albedo_does_not_move_the_limb(body_stage):
     light = body_stage.light(model)
     light[:, 500:] *= 0.5 + 0.5 / (1.0 + np.exp((np.arange(500, 1024) - 520.0) / 4.0))
     found = find_ellipse(body_stage.picture(light, [model], offset_px=(2.0, 1.0)), "BODY")
-    # Law and axes are unknown as well, and take a little of the step.
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.1)
-    error = found.pixel_line - true
-    assert error @ np.linalg.solve(found.covariance_px2, error) < 6.0  # chi-squared, 1 in 20
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
 
 
 @pytest.mark.slow
@@ -247,42 +232,37 @@ def stood(body_stage):
 def test_circle_of_the_wrong_radius(stood, radius):
     picture, _, true = stood
     found = find_ellipse(picture, "BODY", circle=Circle(true + np.array([4.0, -3.0]), radius))
-    # The circle says where to look; the size is the model's, with its own uncertainty.
-    error = found.pixel_line - true
-    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0  # chi-squared, 1 in 1000
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.2)
+    assert (found.status, found.flags & BodyFlag.CIRCLE_MISFIT) == ("uncertain", BodyFlag.CIRCLE_MISFIT)
+    assert "check the radii, the range or the circle" in " ".join(found.messages)
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
 
 
-@pytest.mark.parametrize("share", [0.8, 1.2])
+@pytest.mark.parametrize("share", [0.7, 1.3])
 def test_body_of_another_size_than_expected(stood, share):
-    """Sizes are uncertain by 10 %: two sigma of that are no misfit, but the range is as uncertain as the size."""
     picture, model, true = stood
     other = replace(model, target=replace(model.target, radii_km=share * model.target.radii_km))
     found = find_ellipse(replace(picture, models=(other,)), "BODY")
-    error = found.pixel_line - true
-    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0  # chi-squared, 1 in 1000
-    np.testing.assert_allclose(error, 0.0, rtol=0, atol=0.3)
-    assert found.range_km == pytest.approx(share * model.target.range_km, rel=0.01)
-    assert found.range_sigma_km > 0.1 * found.range_km
+    assert found.status == "uncertain"
+    assert found.flags & BodyFlag.CIRCLE_MISFIT
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
+    assert found.range_km == pytest.approx(share * model.target.range_km, rel=2e-3)
 
 
 def test_nothing_in_the_circle(stood):
     found = find_ellipse(stood[0], "BODY", circle=Circle([200.0, 300.0], 60.0))
     assert (found.status, found.pixel_line) == ("not_detected", None)
+    assert "nothing like it found within 30 px" in found.messages[0]
 
 
 def test_all_saturated_and_core_saturated(stood):
     picture, _, true = stood
     bright = picture.signal_dn
     found = find_ellipse(replace(picture, saturated=bright > 0.02 * bright.max()), "BODY")
-    assert (found.status, found.flags & BodyFlag.OVEREXPOSED) == ("uncertain", BodyFlag.OVEREXPOSED)
-    assert "take a shorter exposure" in " ".join(found.messages)
-    assert np.sqrt(np.linalg.eigvalsh(found.covariance_px2)[0]) >= 0.5
-    error = found.pixel_line - true
-    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0  # chi-squared, 1 in 1000
+    assert (found.status, found.flags) == ("saturated", BodyFlag.OVEREXPOSED)
+    assert "take a shorter exposure" in found.messages[0]
     core = find_ellipse(replace(picture, saturated=bright > 0.8 * bright.max()), "BODY")
     assert core.flags & BodyFlag.OVEREXPOSED
-    np.testing.assert_allclose(core.pixel_line, true, rtol=0, atol=0.1)
+    np.testing.assert_allclose(core.pixel_line, true, rtol=0, atol=0.05)
 
 
 @pytest.mark.slow(keep=["place0"])
@@ -326,4 +306,4 @@ def test_pictures_of_the_solution_and_same_bits(stood):
     residual = shown.difference_dn[used] / np.sqrt(9.0 + shown.model_dn[used] / 22.0)
     assert np.sqrt(np.mean(residual**2)) == pytest.approx(1.0, abs=0.05)
     again = model_picture(picture, shown.window, {"BODY": one.pixel_line}, range_scale=1.0)
-    assert np.corrcoef(again[used], shown.model_dn[used])[0, 1] > 0.999  # of another law
+    assert np.corrcoef(again.ravel(), shown.model_dn.ravel())[0, 1] > 0.99999

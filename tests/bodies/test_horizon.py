@@ -165,7 +165,7 @@ def test_rough_limbs_have_an_honest_covariance():
     truth, pulls, naive = np.array([0.4, -0.3, 0.002]), [], []
     for _ in range(100):
         shift = response @ truth + rng.normal(0.0, 0.02, n) + relief @ rng.normal(size=n)
-        found = limb_motion(shift, sigma, response, usable)
+        found = limb_motion(shift, sigma, response, usable, solve_range=True)
         error = found.motion - truth
         pulls.append(error / np.sqrt(np.diag(found.covariance)))
         naive.append(error / np.sqrt(np.diag(found.noise_covariance)))
@@ -181,7 +181,7 @@ def test_outliers_are_left_out_and_noise_stays_noise():
     for _ in range(150):
         shift = response @ [0.2, 0.1, 0.0] + rng.normal(0.0, 0.05, n)
         shift[[7, 8, 60]] += [2.0, -3.0, 1.0]
-        found = limb_motion(shift, np.full(n, 0.05), response, np.ones(n, bool))
+        found = limb_motion(shift, np.full(n, 0.05), response, np.ones(n, bool), solve_range=True)
         assert not found.used[[7, 8, 60]].any()
         rough += found.rough_px > 0.0
         pulls.append((found.motion - [0.2, 0.1, 0.0]) / np.sqrt(np.diag(found.covariance)))
@@ -191,4 +191,6 @@ def test_outliers_are_left_out_and_noise_stays_noise():
 
 def test_too_few_pieces_give_no_motion():
     response = np.column_stack([np.ones(4), np.zeros(4), -np.ones(4)])
-    assert limb_motion(np.zeros(4), np.ones(4), response, np.array([1, 1, 1, 0], bool)) is None
+    assert (
+        limb_motion(np.zeros(4), np.ones(4), response, np.array([1, 1, 1, 0], bool), solve_range=True) is None
+    )

@@ -1,53 +1,58 @@
-"""Center of a body from its limb: sub-pixel limb points, and the outline of its model through them.
+"""Center of a body from its limb: sub-pixel limb points, and the conic of its ellipsoid (or its silhouette) through them.
 
-Flow   measured disk -> limb points about its outline -> outline moved, sized and strained through them -> ... until it
-       stands still -> judged beside the likelihood's center
+Flow   expected place -> correlation -> limb along normals -> horizon fit -> rendered limb fitted piece by piece ->
+       position by weighted least squares -> rendered anew there, until it stands still
 Frame  (pixel, line), 0-based, integer = pixel center
 Units  px, km, DN
 
-The outline is the silhouette of the ellipsoid or of the plate model, with distortion and stellar aberration; the center is
-the projected center of figure. Size, axes, law and PSF are uncertain as far as the mission file and the pixels say.
+The body is rendered where it is thought to be, with its law, the PSF, distortion and stellar aberration; what is measured is
+how far the limb of the picture lies beside the rendered one. At the solution that is zero on average, so that no
+approximation of the edge or of the camera is left in the center, which is the projected center of figure.
 
 Sources  Christian (2021), doi:10.1109/ACCESS.2021.3051914 (horizon fit); Owen (2011), AAS 11-215 (limbs)
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.fit import DiskShape
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
-from opnav_workbench.bodies.ellipse.limb_points import LimbPoints, find_limb_points
-from opnav_workbench.bodies.ellipse.point_fits import LimbMotion, compare_ellipses, limb_motion, pinhole_px
-from opnav_workbench.bodies.judgement import (
-    CenterReading,
-    difference_covariance,
-    judged_center,
-    second_reading,
+from opnav_workbench.bodies.ellipse.limb_points import (
+    LimbPieces,
+    fit_edges,
+    limb_pieces,
+    limb_reach_px,
+    missing_share,
+    select_limb,
 )
-from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.results import BodyCenter, BodyFlag, FreeEllipse, LimbEllipse
-from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.bodies.ellipse.limb_search import (
+    MOSTLY_SATURATED,
+    FitStart,
+    StartError,
+    find_start,
+    limb_lags,
+    limb_template,
+    model_window,
+    saturated_share,
+)
+from opnav_workbench.bodies.ellipse.point_fits import limb_motion
+from opnav_workbench.bodies.ellipse.report import METHOD, LimbStage, limb_center
+from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag
+from opnav_workbench.bodies.silhouette import Outline, Silhouette
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.targets import TargetState
 
 __all__ = ["find_ellipse"]
 
-METHOD = "ellipse"
+MOST_STAGES = 10
+TURNED = 0.5  # a step back by this share of the last one is halved from then on
+STILL_PX, STILL_SIGMAS = 0.01, 0.05  # motion of center and limb after which the solution stands
+# A picture that tells the size of a body less well than this leaves it to the ephemeris, which knows the range better;
+# unless the target's covariance says how well it does.
+RANGE_SIGMA = 0.002
+LARGEST_STEP = 0.5  # of the radius, per stage
+ROUGH_PX = 0.75  # a limb this far from its model is followed from where it is
 LEAST_DIAMETER_PX = 3.0
-MOST_STAGES, EVEN_STAGES = 8, 3  # steps are halved after these: pieces of limb come and go
-STILL_PX, STILL_SIGMAS = 0.01, 0.05
-LARGEST_STEP = 0.3  # of the radius
-NEAR_PX, NEAR_SIGMAS = (
-    3.0,
-    3.0,
-)  # how far from the outline the limb is looked for, and sigmas of PSF and of roughness
-ROUGH_SHARE, ROUGH_PX = 0.02, 0.5  # of the radius: a limb rougher than both is not that of the model
-MISSING_SHARE = 0.05  # of the limb that should be in sight; with more of it missing the shape is another
-MOSTLY = 0.5  # of the limb: missing, something else was found; saturated, that is all there is
-SATURATED_PX = 0.5  # how well a saturated limb tells where it is
-RATIO_SIGMAS, RATIO_SHARE = 3.0, 0.01  # of the free ellipse's radii: what is said of the model's
-SIZE, STRAIN = 2, slice(3, 5)  # columns of the design, after the center's
+MOSTLY_MISSING = 0.5  # of the limb: something else was found
 
 
 def find_ellipse(
@@ -67,16 +72,16 @@ def find_ellipse(
     circle
         An analyst's; None: predicted place and size.
     solve_range
-        Solve for the range (the size in the picture) as well; given up where the picture tells the size less well than
-        the mission file.
+        Solve for the range (the size in the picture) as well; given up where it is known better beforehand (from the
+        target's covariance; 0.2 % where it has none).
     search_radius_px
-        How far from the expected place to look; None: anywhere.
+        How far from the expected place to look.
 
     Returns
     -------
     BodyCenter
-        Method ``ellipse``; `detail` is a `LimbEllipse`. Status ``ok`` where the likelihood of the pixels confirms the
-        center; ``uncertain`` (see `flags` and `messages`); ``not_detected``, ``off_detector`` or ``failed`` without one.
+        Method ``ellipse``; `detail` is a `LimbEllipse`. Status ``ok``; ``uncertain`` (see `flags` and `messages`);
+        ``not_detected``, ``off_detector``, ``saturated`` or ``failed`` without a center.
 
     Raises
     ------
@@ -85,8 +90,8 @@ def find_ellipse(
 
     Notes
     -----
-    The covariance holds the noise of the pixels, the roughness of the limb with its correlation along it, and what law,
-    PSF, size and axes leave open; that of the range the uncertainty of the body's size as well.
+    The covariance holds the noise of the pixels and, where the limb leaves its model by more than that, the roughness of the
+    limb with its correlation along it.
 
     Examples
     --------
@@ -99,251 +104,164 @@ def find_ellipse(
     >>> from opnav_workbench.render import BodyModel
     >>> from opnav_workbench.resources import kernels_meta_dir
     >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
-    >>> charon = TargetState("CHARON", [0, 0, 2.02e6], radii_km=[606.0] * 3, sun_position_km=[1e9, 1e9, -4e9])
+    >>> charon = TargetState("CHARON", [0, 0, 2.02e6], radii_km=[606.0] * 3, sun_position_km=[4e9, 1e9, 0])
     >>> empty = BodyPicture(np.zeros((1024, 1024)), 1.0, False, False, camera, np.eye(3), np.zeros(3),
     ...                     (BodyModel(charon),), GaussianPsf(0.8, 0.8))
     >>> light = model_picture(empty, (0, 0, 1024, 1024), {"CHARON": [514.2, 510.3]})
-    >>> seen = BodyPicture(1e3 / light.max() * light, 1.0, False, False, camera, np.eye(3), np.zeros(3),
+    >>> seen = BodyPicture(1e4 / light.max() * light, 1.0, False, False, camera, np.eye(3), np.zeros(3),
     ...                    (BodyModel(charon),), GaussianPsf(0.8, 0.8))
     >>> center = find_ellipse(seen, "CHARON")
-    >>> center.status, center.pixel_line.round(1).tolist(), round(center.diameter_px)
+    >>> center.status, center.pixel_line.round(2).tolist(), round(center.diameter_px)
     ('ok', [514.2, 510.3], 60)
     """
-    diameter = picture.diameter_px(name)
-    if 0.0 < diameter < LEAST_DIAMETER_PX:
-        why = f"it is {diameter:.1f} px wide, too small for a limb (at least {LEAST_DIAMETER_PX:g} px); use 'disk'"
-        return BodyCenter.without_center(name, METHOD, "failed", why)
-    if circle is None and search_radius_px is None and _expected_outside(picture, name):
-        return _off_detector(name, "its limb is expected off the detector")
-    disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
-    if isinstance(disk, BodyCenter):
-        return _none_there(picture, disk)
-    try:
-        stage, sized = _solved(disk, solve_range=solve_range)
-    except CenterfindingError as error:
-        return BodyCenter.without_center(name, METHOD, "failed", str(error))
-    if stage.motion is None or _missing_share(stage.points) > MOSTLY:
-        return _no_limb(name, stage.points)
-    center = judged_center(disk, _reading(disk, stage), _detail(disk, stage), solve_range=sized)
-    return _told(center, stage, unsized=solve_range and not sized)
-
-
-# ---- The outline through the limb points.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stage:
-    """Limb points about an outline, and what they say of it: None where they are too few."""
-
-    shape: DiskShape
-    outline: Outline
-    points: LimbPoints
-    motion: LimbMotion | None
-    steps: tuple[tuple[float, float], ...] = ()
-    converged: bool = False
-
-    @property
-    def overexposed(self) -> bool:
-        """Whether points of saturated limb were taken."""
-        return bool(np.any(self.points.saturated & self.points.usable))
-
-
-def _solved(disk: MeasuredDisk, *, solve_range: bool) -> tuple[_Stage, bool]:
-    """Return the last stage, and whether its size is that of the picture alone."""
-    stage = _settled(disk, disk.fit.shape, sized=solve_range)
-    told = stage.motion is not None and stage.motion.covariance[SIZE, SIZE] < disk.fit.figure.size_sigma**2
-    if solve_range and not told:
-        return _settled(disk, disk.fit.shape, sized=False), False
-    return stage, solve_range
-
-
-def _settled(disk: MeasuredDisk, shape: DiskShape, *, sized: bool) -> _Stage:
-    """Repeat stages until the outline stands still."""
-    steps: list[tuple[float, float]] = []
-    for turn in range(MOST_STAGES):
-        stage = _stage(disk, shape, sized=sized)
-        if stage.motion is None:
-            return replace(stage, steps=tuple(steps))
-        radius = disk.radius_px
-        scale = np.array([1.0, 1.0, radius, radius, radius])
-        step = np.clip(stage.motion.motion[:5] * scale, -LARGEST_STEP * radius, LARGEST_STEP * radius)
-        sigma = np.sqrt(np.diag(stage.motion.covariance)[:5]) * scale
-        if np.all(np.abs(step) < np.maximum(STILL_PX, STILL_SIGMAS * sigma)):
-            return replace(stage, steps=tuple(steps), converged=True)
-        step = (1.0 if turn < EVEN_STAGES else 0.5) * step
-        shape = _moved(shape, step / scale)
-        steps.append((float(step[0]), float(step[1])))
-    return replace(stage, steps=tuple(steps))
-
-
-def _moved(shape: DiskShape, step: FloatArray) -> DiskShape:
-    strain = shape.strain + np.append(step[STRAIN], np.zeros(len(shape.strain) - 2))
-    center, log_size = shape.center_px + step[:2], shape.log_size + float(step[SIZE])
-    return replace(shape, center_px=center, log_size=log_size, strain=strain)
-
-
-def _stage(disk: MeasuredDisk, shape: DiskShape, *, sized: bool) -> _Stage:
-    outline = disk.fit.made.outline(shape, rough=False)
-    reach = NEAR_PX + NEAR_SIGMAS * (float(np.max(disk.picture.psf.sigma_px)) + disk.fit.prior.rough_px)
-    points = find_limb_points(disk, outline, reach, saturated=False)
-    if np.count_nonzero(points.saturated & points.seen) > MOSTLY * np.count_nonzero(points.seen):
-        points = find_limb_points(disk, outline, reach, saturated=True)
-    figure = disk.fit.figure
-    size_sigma = np.inf if sized else figure.size_sigma
-    nuisances = points.design.shape[1] - 5
-    known = -np.array([0.0, 0.0, shape.log_size, *shape.strain[:2], *np.zeros(nuisances)])
-    sigma = np.array([np.inf, np.inf, size_sigma, *(figure.axes_sigma,) * 2, *np.ones(nuisances)])
-    motion = limb_motion(points.shift_px, points.sigma_px, points.design, points.usable, known, sigma)
-    if motion is not None:
-        points = points.with_outliers(motion.used, motion.residual_px)
-    return _Stage(shape, outline, points, motion)
-
-
-# ---- The result.
-
-
-def _missing_share(points: LimbPoints) -> float:
-    """Return the share of the model's lit limb, as far as it lies on the detector, that the picture does not show."""
-    return float(points.missing.sum() / max(int((points.missing | points.usable).sum()), 1))
-
-
-def _none_there(picture: BodyPicture, none: BodyCenter) -> BodyCenter:
-    """Return why a body has no center: where nothing was found, it may be that nothing could be."""
-    if none.status != "not_detected":
-        return none
-    if not np.any(np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)):
-        why = "no usable pixel"
-        return BodyCenter.without_center(none.name, METHOD, "failed", why, flags=int(BodyFlag.EMPTY))
-    return none
-
-
-def _expected_outside(picture: BodyPicture, name: str) -> bool:
-    """Whether no part of a body's limb is expected on the detector."""
     if picture.model(name).is_point:
-        return False
+        return _without(
+            name, "failed", "it has neither radii nor a shape; give them, or use method 'unresolved'"
+        )
     try:
-        outline = Silhouette(picture, name).at(picture.center_px(name))
-    except CenterfindingError:
-        return True
-    places = outline.points(outline.angle_rad)
-    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
-    return not np.any(np.all((places > -0.5) & (places < size - 0.5), axis=1))
+        silhouette = Silhouette(picture, name)
+        if (small := _too_small(picture, name)) is not None:
+            return small
+        start = find_start(picture, silhouette, circle, search_radius_px, solve_range=solve_range)
+        return _refined(picture, silhouette, start, circle, solve_range=solve_range)
+    except StartError as none:
+        if saturated_share(picture, name, circle) > MOSTLY_SATURATED:
+            return _saturated(name)
+        return _without(name, none.status, none.message, none.flags)
+    except CenterfindingError as error:
+        return _without(name, "failed", str(error))
 
 
-def _off_detector(name: str, why: str) -> BodyCenter:
-    return BodyCenter.without_center(name, METHOD, "off_detector", why, flags=int(BodyFlag.CUT_BY_EDGE))
+def _without(name: str, status: str, message: str, flags: int = 0) -> BodyCenter:
+    return BodyCenter.without_center(name, METHOD, status, message, flags=flags)
 
 
-def _no_limb(name: str, points: LimbPoints) -> BodyCenter:
-    if not points.seen.any():
-        why = "no lit limb lies on the detector"
-        return BodyCenter.without_center(name, METHOD, "off_detector", why, flags=int(BodyFlag.CUT_BY_EDGE))
-    reasons, counts = np.unique(points.reason[points.seen], return_counts=True)
-    why = f"of {points.seen.sum()} pieces of lit limb too few show it; mostly: {reasons[counts.argmax()]}"
-    return BodyCenter.without_center(name, METHOD, "not_detected", why, flags=int(BodyFlag.EMPTY))
-
-
-def _reading(disk: MeasuredDisk, stage: _Stage) -> CenterReading:
-    motion, fit = stage.motion, disk.fit
-    assert motion is not None
-    center = stage.shape.center_px + motion.motion[:2]
-    saturated = SATURATED_PX**2 * np.eye(2) if stage.overexposed else np.zeros((2, 2))
-    covariance = motion.covariance[:2, :2] + saturated
-    second = second_reading(
-        "the likelihood of the pixels", fit.center_px, fit.covariance_px2, center, covariance
+def _saturated(name: str) -> BodyCenter:
+    why = (
+        "its disk is saturated up to the limb, whose place the brightness would tell; take a shorter exposure"
     )
-    missing, rough_limit = _missing_share(stage.points), max(ROUGH_PX, ROUGH_SHARE * disk.radius_px)
-    poor = motion.rough_px > rough_limit or missing > MISSING_SHARE
-    lacks = f"along {100.0 * missing:.0f} % of its model's lit limb there is none: the body has another shape"
-    return CenterReading(
-        method=METHOD,
-        center_px=center,
-        covariance_px2=covariance + difference_covariance(fit.center_px - center),
-        noise_covariance_px2=motion.noise_covariance[:2, :2],
-        log_size=stage.shape.log_size + float(motion.motion[SIZE]),
-        log_size_sigma=float(np.sqrt(motion.covariance[SIZE, SIZE])),
-        chi2_reduced=motion.chi2_reduced,
-        converged=stage.converged,
-        second=second,
-        conditions={BodyFlag.POOR_FIT: poor},
-        notes={BodyFlag.POOR_FIT: lacks} if missing > MISSING_SHARE else {},
+    return _without(name, "saturated", why, int(BodyFlag.OVEREXPOSED))
+
+
+def _too_small(picture: BodyPicture, name: str) -> BodyCenter | None:
+    diameter = picture.diameter_px(name)
+    if not 0.0 < diameter < LEAST_DIAMETER_PX:
+        return None
+    return _without(
+        name,
+        "failed",
+        f"it is {diameter:.1f} px wide, too small for a limb (at least {LEAST_DIAMETER_PX:g} px); use 'unresolved' or "
+        "'least_squares'",
     )
 
 
-def _told(center: BodyCenter, stage: _Stage, *, unsized: bool) -> BodyCenter:
-    """Return the center with what only its limb points tell."""
-    detail = center.detail
-    assert isinstance(detail, LimbEllipse)
-    said = [*center.messages]
-    if unsized:
-        said.append("its range is not told: the picture tells its size less well than the mission file")
-    if detail.rough_px > 0.0:
-        worst = float(np.abs(detail.residual_px[stage.points.usable]).max())
-        said.append(
-            f"its limb leaves the model's by {detail.rough_px:.2f} px ({detail.rough_px * detail.km_per_px:.3g} km) rms, "
-            f"{worst:.2f} px ({worst * detail.km_per_px:.3g} km) at most"
-        )
-    said += _said_of_radii(detail.free)
-    flags = center.flags | (BodyFlag.SIZE_UNSOLVED if unsized else BodyFlag.OK)
-    status = "uncertain" if stage.overexposed else center.status
-    return replace(center, messages=tuple(said), flags=int(flags), status=status)
+def _refined(
+    picture: BodyPicture, silhouette: Silhouette, start: FitStart, circle: Circle | None, *, solve_range: bool
+) -> BodyCenter:
+    stage, steps, converged = _settled(picture, silhouette, start, solve_range=solve_range)
+    solved = solve_range
+    if solve_range and not _tells_range(stage, picture.model(silhouette.name).target):
+        solved = False
+        known = FitStart(stage.outline.center_px, 1.0, start.spread_px)
+        stage, steps, converged = _settled(picture, silhouette, known, solve_range=False)
+    if stage.motion is None or missing_share(stage.selection) > MOSTLY_MISSING:
+        return _no_limb(silhouette.name, stage)
+    return limb_center(
+        picture, silhouette.name, stage, circle, steps, converged=converged, asked_range=solve_range,
+        solved_range=solved,
+    )  # fmt: skip
 
 
-def _said_of_radii(free: FreeEllipse | None) -> list[str]:
-    if free is None:
-        return []
-    off = np.abs(free.ratio - 1.0)
-    wrong = off > np.maximum(RATIO_SIGMAS * free.ratio_sigma, RATIO_SHARE)
-    return [
-        f"along the {axis} axis of its ellipse its radius is {ratio:.4f} +- {sigma:.4f} of the model's: the ellipsoid is "
-        "wrong there, or not all of it is solid limb"
-        for axis, ratio, sigma, is_wrong in zip(
-            ("long", "short"), free.ratio, free.ratio_sigma, wrong, strict=True
-        )
-        if is_wrong
-    ]
+def _tells_range(stage: LimbStage, target: TargetState) -> bool:
+    """Whether the picture tells the range better than it is known beforehand."""
+    known = RANGE_SIGMA
+    if target.covariance_km2 is not None:
+        known = float(np.sqrt(target.direction @ target.covariance_km2 @ target.direction)) / target.range_km
+    return stage.motion is not None and float(np.sqrt(stage.motion.covariance[2, 2])) <= known
 
 
-def _detail(disk: MeasuredDisk, stage: _Stage) -> LimbEllipse:
-    picture, points, motion = disk.picture, stage.points, stage.motion
-    assert motion is not None
-    used, n = points.usable, len(points.angle_rad)
-    final = _moved(stage.shape, motion.motion[:5])
-    about, model = disk.fit.made.outline(final, rough=False), picture.model(disk.name)
-    observed = stage.outline.points(points.angle_rad) + points.shift_px[:, None] * points.normal
-    length = float(TURN * disk.radius_px / n)
-    arc = float(np.count_nonzero(used) * TURN / n)
-    residual = np.where(np.isfinite(points.shift_px), motion.residual_px, np.nan)
-    free = None
-    if model.shape is None:  # of a shape model's outline an ellipse says nothing
-        sigma = np.hypot(points.sigma_px, motion.rough_px)[used]
-        plain = Silhouette(picture, disk.name).at(final.center_px, float(np.exp(-final.log_size)))
-        free = _free(picture, observed[used], sigma, plain.points(plain.angle_rad), arc)
-    return LimbEllipse(
-        angle_rad=points.angle_rad,
-        points_px=observed,
-        predicted_px=about.points(points.angle_rad),
-        normal=points.normal,
-        residual_px=residual,
-        sigma_px=points.sigma_px,
-        height=points.height,
-        status=points.status,
-        reason=points.reason,
-        outline_px=about.points(about.angle_rad),
-        rms_px=float(np.sqrt(np.mean(residual[used] ** 2))),
-        rough_px=motion.rough_px,
-        rough_arc_px=motion.rough_length * length,
-        lit_arc_rad=arc,
-        covariance=motion.covariance[:3, :3] * np.outer([1.0, 1.0, -1.0], [1.0, 1.0, -1.0]),
-        km_per_px=model.target.range_km * float(np.exp(-final.log_size)) * picture.camera.pixel_scale_rad,
-        free=free,
-        iterations=stage.steps,
+def _no_limb(name: str, stage: LimbStage) -> BodyCenter:
+    selection = stage.selection
+    lit = selection.status != "not_chosen"
+    if selection.saturated.sum() > MOSTLY_SATURATED * lit.sum():
+        return _saturated(name)
+    if not lit.any():
+        return _without(name, "off_detector", "no lit limb lies on the detector", int(BodyFlag.CUT_BY_EDGE))
+    reasons, counts = np.unique(selection.reason[lit], return_counts=True)
+    return _without(
+        name,
+        "not_detected",
+        f"of {np.count_nonzero(lit)} pieces of lit limb too few show it; mostly: {reasons[counts.argmax()]}",
+        int(BodyFlag.EMPTY),
     )
 
 
-def _free(
-    picture: BodyPicture, points: FloatArray, sigma: FloatArray, outline: FloatArray, arc: float
-) -> FreeEllipse | None:
-    straight = pinhole_px(picture.camera, points)
-    good = np.isfinite(straight).all(axis=1)
-    return compare_ellipses(straight[good], sigma[good], pinhole_px(picture.camera, outline), arc)
+def _settled(
+    picture: BodyPicture, silhouette: Silhouette, start: FitStart, *, solve_range: bool
+) -> tuple[LimbStage, tuple[tuple[float, float], ...], bool]:
+    """Repeat stages until the body stands still."""
+    center, scale, spread = start.center_px, start.range_scale, start.spread_px
+    steps: list[tuple[float, float]] = []
+    share, last = 1.0, np.zeros(3)
+    while True:
+        outline = silhouette.at(center, scale)
+        stage = _stage(picture, silhouette, outline, scale, spread, solve_range=solve_range)
+        if stage.motion is None:
+            return stage, tuple(steps), False
+        radii = np.array([1.0, 1.0, 0.5 * outline.diameter_px])
+        step = np.clip(stage.motion.motion * radii, -LARGEST_STEP * radii[2], LARGEST_STEP * radii[2])
+        sigma = np.sqrt(np.diag(stage.motion.covariance)) * radii
+        still = bool(np.all(np.abs(step) < np.maximum(STILL_PX, STILL_SIGMAS * sigma)))
+        if still or len(steps) == MOST_STAGES:
+            return stage, tuple(steps), still
+        if step @ last < -TURNED * (last @ last):  # to and fro: pieces of limb that come and go
+            share *= 0.5
+        last, move = step, share * step / radii
+        steps.append((float(move[0]), float(move[1])))
+        center, scale = center + move[:2], scale * float(np.exp(move[2]))
+
+
+def _stage(
+    picture: BodyPicture,
+    silhouette: Silhouette,
+    outline: Outline,
+    scale: float,
+    spread: float,
+    *,
+    solve_range: bool,
+) -> LimbStage:
+    reach = limb_reach_px(picture)
+    follow = spread > ROUGH_PX
+    search = reach + 3.0 * spread if follow else 0.0
+    pieces = limb_pieces(outline, picture.signal_dn.shape, reach)
+    window = model_window(picture, outline, reach + search)
+    if min(window[2:]) < 1:
+        raise StartError("off_detector", "its limb lies off the detector", int(BodyFlag.CUT_BY_EDGE))
+    model = model_picture(
+        picture, window, {silhouette.name: outline.center_px}, range_scale={silhouette.name: scale}
+    )
+    offset = np.zeros(len(pieces))
+    if follow:
+        offset = _lagged(picture, pieces, model, window, reach, search)
+        pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
+    edges = fit_edges(picture, pieces, model, window, outline.center_px, offset)
+    selection = select_limb(picture, silhouette, pieces, edges, reach)
+    motion = limb_motion(
+        edges.shift_px, edges.sigma_px, edges.response, selection.usable, solve_range=solve_range
+    )
+    if motion is not None:
+        selection = selection.with_outliers(motion.used, motion.residual_px, edges.sigma_px)
+    return LimbStage(outline, scale, window, model, pieces, edges, selection, motion)
+
+
+def _lagged(
+    picture: BodyPicture,
+    pieces: LimbPieces,
+    model: FloatArray,
+    window: tuple[int, int, int, int],
+    reach: float,
+    search: float,
+) -> FloatArray:
+    """Return where along its normal each piece's limb is found; 0 where it is not."""
+    template = limb_template(pieces, model, window, reach)
+    return np.nan_to_num(limb_lags(picture, pieces, template, search).lag_px)

@@ -7,11 +7,12 @@
     directions, orientation and position; aberration is taken out of the directions before.
     Christian & Robinson (2016), doi:10.2514/1.G000708; Christian (2021), doi:10.1109/ACCESS.2021.3051914
 
-`limb_motion`  Shifts of limb points (px) to the motion of the outline, by robust weighted least squares with an honest
-    covariance. A rough body's limb leaves its model by more than the noise, and neighbouring points together: topography
+`limb_motion`  Shifts of limb pieces (px) to the motion of the body, by robust weighted least squares with an honest
+    covariance. A rough body's limb leaves its model by more than the noise, and neighbouring pieces together: topography
     is a stretch of correlated residuals, which do not average out like noise. Its variance is estimated where the
     residuals exceed the noise beyond doubt, its length from their correlation along the limb; both enter the covariance.
-    Paule & Mandel (1982), doi:10.6028/jres.087.022, for the variance that decides on weights and outliers.
+    Paule & Mandel (1982), doi:10.6028/jres.087.022, for the variance that decides on weights and outliers; restricted
+    maximum likelihood for variance and length in the covariance
 
 `compare_ellipses`  An ellipse of any center, size and orientation through the points, against the model's.
     It is ``|S^-1 (x - c)| = 1`` with a symmetric matrix S, whose eigenvalues are the semi-axes: no parameter loses its
@@ -98,34 +99,35 @@ def horizon_position(
     return np.asarray((turn * radii) @ axis / np.sqrt(excess))
 
 
-# ---- From shifts of limb points to the motion of the outline.
+# ---- From shifts of limb pieces to the motion of the body.
 
 OUTLIER_SIGMAS = 4.0  # of noise and roughness together: 6e-5 of good points
 ROUNDS = 12  # of leaving out and taking back
 ROUGHNESS_TOLERANCE_PX = 1e-6
 DOUBT = 0.01  # residuals larger than this share of mere noise would give count as roughness
-FIRST_LENGTH, SHORTEST = 2.0, 0.2  # points
-MOST_RELIEF_TRIALS = 60
+FIRST_LENGTH = 2.0  # pieces, to start from
+SHORTEST, SHORTEST_PULL = 0.2, 1.0
+MOST_RELIEF_TRIALS = 80
 LONGEST_SHARE = 1.0 / 12.0  # of the limb: what is alike over more than 30 deg is a wrong figure, not relief
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbMotion:
-    """Motion of an outline that fits the shifts of its limb.
+    """Motion of a body that fits the shifts of its limb.
 
     Attributes
     ----------
-    motion : (p,) array
-        Of each column of the design.
-    covariance, noise_covariance : (p, p) arrays
-        With roughness, and from noise alone; both with what was known beforehand.
+    motion : (3,) array
+        Of center pixel and line (px), and of the logarithm of the range; 0 where not solved for.
+    covariance, noise_covariance : (3, 3) arrays
+        With roughness, and from noise alone.
     residual_px : (n,) array
         Shift left over.
     used : (n,) array of bool
     rough_px
         Standard deviation of the limb beyond noise.
     rough_length
-        Points over which it is correlated (e-folding).
+        Pieces over which it is correlated (e-folding).
     chi2_reduced
         Of the residuals against noise alone.
     """
@@ -143,104 +145,70 @@ class LimbMotion:
         freeze_arrays(self)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """Equations: n points of limb, and below them what is known beforehand of each column."""
-
-    shift: FloatArray
-    sigma: FloatArray
-    design: FloatArray
-    n: int
-
-    def weighted(self, sigma: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Return the solution, and the matrix (p, rows used) that takes shifts to it."""
-        weight, design = sigma[used] ** -2.0, self.design[used]
-        normal = design.T @ (weight[:, None] * design)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        inverse = np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
-        gain = inverse @ (design.T * weight)
-        return np.asarray(gain @ self.shift[used]), np.asarray(gain)
-
-    def roughened(self, rough: float) -> FloatArray:
-        """Return all sigmas, those of the points with roughness."""
-        sigma = self.sigma.copy()
-        sigma[: self.n] = np.hypot(sigma[: self.n], rough)
-        return sigma
-
-    def residual(self, solution: FloatArray) -> FloatArray:
-        """Return what the points leave (n,)."""
-        return np.asarray((self.shift - self.design @ solution)[: self.n])
-
-
 def limb_motion(
     shift_px: FloatArray,
     sigma_px: FloatArray,
-    design: FloatArray,
+    response: FloatArray,
     usable: BoolArray,
-    known: FloatArray | None = None,
-    known_sigma: FloatArray | None = None,
+    *,
+    solve_range: bool,
 ) -> LimbMotion | None:
-    """Fit the motion of an outline to the shifts of n points of its limb.
+    """Fit the motion of a body to the shifts of n pieces of its limb.
 
     Parameters
     ----------
     shift_px, sigma_px : (n,) arrays
         In order along the limb.
-    design : (n, p) array
-        Of the shift to each unknown.
+    response : (n, 3) array
+        Of the shift to center pixel, line (px) and log range.
     usable : (n,) array of bool
-        Points that count, unless they prove to be outliers.
-    known, known_sigma : (p,) arrays, optional
-        The unknowns beforehand; sigma infinite where nothing is known.
+        Pieces that count, unless they prove to be outliers.
 
     Returns
     -------
     LimbMotion or None
-        None where too few points remain.
+        None where too few pieces remain.
     """
-    n, p = design.shape
-    sigma = np.full(p, np.inf) if known_sigma is None else known_sigma
-    held = np.isfinite(sigma)
-    rows = _Rows(
-        np.append(np.where(usable, shift_px, 0.0), np.zeros(p)[held] if known is None else known[held]),
-        np.append(np.where(usable, sigma_px, 1.0), sigma[held]),
-        np.concatenate([design, np.eye(p)[held]]),
-        n,
-    )
-    free = int(p - held.sum())
-    used = np.append(usable, np.ones(held.sum(), dtype=bool))
-    if np.count_nonzero(usable) <= free:
+    columns = 3 if solve_range else 2
+    design = response[:, :columns]
+    used, rough = usable.copy(), 0.0
+    if np.count_nonzero(used) <= columns:
         return None
-    solution, rough = _robust_start(rows, used), 0.0
+    solution = _robust_start(shift_px, sigma_px, design, used)
     for _ in range(ROUNDS):
-        residual = rows.residual(solution)
-        spread = _excess_scatter(residual[used[:n]], rows.sigma[:n][used[:n]])
-        near = usable & (np.abs(residual) <= OUTLIER_SIGMAS * rows.roughened(max(rough, spread))[:n])
-        if np.count_nonzero(near) <= free:
+        residual = shift_px - design @ solution
+        spread = _excess_scatter(residual[used], sigma_px[used])
+        near = usable & (np.abs(residual) <= OUTLIER_SIGMAS * np.hypot(sigma_px, max(rough, spread)))
+        if np.count_nonzero(near) <= columns:
             return None
-        before, used = used, np.append(near, used[n:])
-        rough = _roughness(residual[near], rows.sigma[:n][near], _solved(rows, used, rough))
-        solution, gain = rows.weighted(rows.roughened(rough), used)
-        if np.array_equal(before, used):
+        rough = _roughness(residual[near], sigma_px[near], columns)
+        settled = bool(np.array_equal(near, used))
+        used = near
+        solution = _weighted(shift_px, np.hypot(sigma_px, rough), design, used)[0]
+        if settled:
             break
-    return _with_covariance(rows, used, rough, solution, gain)
+    return _motion_with_covariance(shift_px, sigma_px, design, used, rough, solution)
 
 
-def _solved(rows: _Rows, used: BoolArray, rough: float) -> float:
-    """Return how many unknowns the points themselves determine: the trace of what takes shifts to their fit."""
-    gain = rows.weighted(rows.roughened(rough), used)[1]
-    points = np.flatnonzero(used[: rows.n])
-    return float(np.einsum("np,pn->", rows.design[points], gain[:, : len(points)]))
+def _weighted(
+    shift: FloatArray, sigma: FloatArray, design: FloatArray, used: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the weighted solution, and the matrix (columns, n used) that takes shifts to it."""
+    weight = sigma[used] ** -2.0
+    normal = design[used].T @ (weight[:, None] * design[used])
+    gain = np.linalg.pinv(normal, hermitian=True) @ (design[used].T * weight)
+    return np.asarray(gain @ shift[used]), np.asarray(gain)
 
 
-def _robust_start(rows: _Rows, used: BoolArray) -> FloatArray:
+def _robust_start(shift: FloatArray, sigma: FloatArray, design: FloatArray, used: BoolArray) -> FloatArray:
     """Return a solution with Cauchy weights: outliers pull it little."""
-    width, solution, n = rows.sigma.copy(), np.zeros(rows.design.shape[1]), rows.n
+    width = sigma.copy()
+    solution = np.zeros(design.shape[1])
     for _ in range(ROUNDS):
-        pull = np.abs(rows.residual(solution)) / rows.sigma[:n]
-        scale = max(MAD_TO_SIGMA * float(np.median(pull[used[:n]])), 1.0)
-        width[:n] = rows.sigma[:n] * np.sqrt(1.0 + (pull / (2.0 * scale)) ** 2)
-        solution = rows.weighted(width, used)[0]
+        residual = shift - design @ solution
+        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residual[used] / sigma[used]))), 1.0)
+        width = sigma * np.sqrt(1.0 + (residual / (2.0 * scale * sigma)) ** 2)
+        solution = _weighted(shift, width, design, used)[0]
     return solution
 
 
@@ -250,59 +218,73 @@ def _excess_scatter(residual: FloatArray, sigma: FloatArray) -> float:
     return float(np.sqrt(max(core**2 - float(np.median(sigma)) ** 2, 0.0)))
 
 
-def _roughness(residual: FloatArray, sigma: FloatArray, solved: float) -> float:
+def _roughness(residual: FloatArray, sigma: FloatArray, columns: int) -> float:
     """Return the standard deviation that must be added to the noise to explain the residuals; 0 where it need not."""
-    freedom = max(len(residual) - solved, 1.0)
+    freedom = len(residual) - columns
 
     def surplus(rough: float) -> float:
         return float(np.sum(residual**2 / (sigma**2 + rough**2)) - freedom)
 
-    if surplus(0.0) + freedom <= chdtri(freedom, DOUBT):
+    if freedom < 1 or surplus(0.0) + freedom <= chdtri(freedom, DOUBT):
         return 0.0
     largest = float(np.sqrt(np.sum(residual**2) / freedom)) + 1e-12  # explains everything without any noise
     return moment_excess(surplus, ROUGHNESS_TOLERANCE_PX, largest)
 
 
-def _with_covariance(
-    rows: _Rows, used: BoolArray, rough: float, solution: FloatArray, gain: FloatArray
+def _motion_with_covariance(
+    shift: FloatArray,
+    sigma: FloatArray,
+    design: FloatArray,
+    used: BoolArray,
+    rough: float,
+    solution: FloatArray,
 ) -> LimbMotion:
-    n, points = rows.n, used[: rows.n]
-    residual = rows.residual(solution)
-    height, length = _relief(rows, used, rough) if rough > 0.0 else (0.0, 0.0)
-    noise = (gain * rows.sigma[used] ** 2) @ gain.T
-    of_points = gain[:, : np.count_nonzero(points)]
-    topography = height**2 * (of_points @ _alike(np.flatnonzero(points), n, length) @ of_points.T)
-    freedom = max(np.count_nonzero(points) - _solved(rows, used, rough), 1.0)
-    misfit = float(np.sum((residual[points] / rows.sigma[:n][points]) ** 2)) / freedom
-    covariance = symmetric(noise + topography)
-    return LimbMotion(solution, covariance, symmetric(noise), residual, points, rough, length, misfit)
+    residual = shift - design @ solution
+    _, gain = _weighted(shift, np.hypot(sigma, rough), design, used)
+    height, length = 0.0, 0.0
+    if rough > 0.0:
+        height, length = _relief(residual, sigma, design, used, rough)
+    noise = (gain * sigma[used] ** 2) @ gain.T
+    topography = height**2 * _relief_correlation(np.flatnonzero(used).astype(np.int64), len(used), length)
+    n = len(solution)
+    motion, covariance, noise_covariance = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    motion[:n] = solution
+    noise_covariance[:n, :n] = symmetric(noise)
+    covariance[:n, :n] = symmetric(noise + gain @ topography @ gain.T)
+    freedom = max(int(np.count_nonzero(used)) - n, 1)
+    misfit = float(np.sum((residual[used] / sigma[used]) ** 2)) / freedom
+    return LimbMotion(motion, covariance, noise_covariance, residual, used, rough, length, misfit)
 
 
-def _relief(rows: _Rows, used: BoolArray, rough: float) -> tuple[float, float]:
-    """Return standard deviation and length (points) of a limb's relief: those of the largest restricted likelihood.
+def _relief(
+    residual: FloatArray, sigma: FloatArray, design: FloatArray, used: BoolArray, rough: float
+) -> tuple[float, float]:
+    """Return standard deviation and length (pieces) of a limb's relief: those of the largest restricted likelihood.
 
     The residuals alone would tell too little of both: what relief has in common with a motion of the body is gone
     from them. Restricted likelihood: Patterson & Thompson (1971), doi:10.1093/biomet/58.3.545.
     """
-    index = np.flatnonzero(used[: rows.n])
-    data, columns, m = rows.shift[used], rows.design[used], len(index)
-    longest = LONGEST_SHARE * rows.n
+    index = np.flatnonzero(used).astype(np.int64)
+    data, columns, variance = residual[used], design[used], sigma[used] ** 2
+    longest = LONGEST_SHARE * len(used)
 
     def unlikely(logs: FloatArray) -> float:
         deviation, length = np.exp(logs)
-        spread = np.diag(rows.sigma[used] ** 2)
-        spread[:m, :m] += deviation**2 * _alike(index, rows.n, min(length, longest))
+        spread = np.diag(variance) + deviation**2 * _relief_correlation(
+            index, len(used), min(length, longest)
+        )
         factor = np.linalg.cholesky(spread)
         white = np.linalg.solve(factor, np.column_stack([columns, data]))
         basis, triangle = np.linalg.qr(white[:, :-1])
         left = white[:, -1] - basis @ (basis.T @ white[:, -1])
-        pivots = np.log(np.diag(factor)).sum() + np.log(np.abs(np.diag(triangle)) + 1e-300).sum()
+        pivots = np.log(np.diag(factor)).sum() + np.log(np.abs(np.diag(triangle))).sum()
         # Very short relief is noise: nothing tells its length, which shall not wander off.
-        return float(pivots + 0.5 * left @ left + min(logs[1] - np.log(SHORTEST), 0.0) ** 2)
+        return float(pivots + 0.5 * left @ left + SHORTEST_PULL * min(logs[1] - np.log(SHORTEST), 0.0) ** 2)
 
+    start = np.log([rough, FIRST_LENGTH])
     found = minimize(
         unlikely,
-        np.log([rough, FIRST_LENGTH]),
+        start,
         method="Nelder-Mead",
         options={"maxfev": MOST_RELIEF_TRIALS, "xatol": 0.05, "fatol": 0.05},
     )
@@ -310,11 +292,13 @@ def _relief(rows: _Rows, used: BoolArray, rough: float) -> tuple[float, float]:
     return float(deviation), float(min(length, longest))
 
 
-def _alike(index: IntArray, n: int, length: float) -> FloatArray:
-    """Return correlations between points of a closed limb that fall off exponentially."""
+def _relief_correlation(index: IntArray, n: int, length: float) -> FloatArray:
+    """Return correlations between pieces of a closed limb that fall off exponentially."""
     apart = np.abs(index[:, None] - index[None, :])
     apart = np.minimum(apart, n - apart)
-    return np.asarray(np.exp(-apart / max(length, 1e-3)))
+    if length <= 0.0:
+        return np.asarray((apart == 0).astype(float))
+    return np.asarray(np.exp(-apart / length))
 
 
 # ---- An ellipse of any center, size and orientation through points: the check of a body's radii.
