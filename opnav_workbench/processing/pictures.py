@@ -92,6 +92,8 @@ def process(
         YAML star list; without `targets`, its stars are targets.
     shapes : str or mapping of str to str, optional
         Shape models by body (``"BENNU:bennu.obj:m"``), in km unless told; they outrank those of kernels and mission.
+    landmarks : str or mapping of str to str, optional
+        Files of maplets by body (``"BENNU:bennu.npz"``) whose landmarks are looked for; besides, those of the mission.
     decisions : path, optional
         YAML of an analyst's decisions on stars, bodies and scans.
     attitude : {"auto", "kernels", "header", "none"}
