@@ -39,7 +39,6 @@ __all__ = [
     "LimbCrossings",
     "cross_limb",
     "crossing_columns",
-    "crossing_depths",
     "find_place",
     "fit_crossings",
 ]

@@ -29,7 +29,7 @@ from opnav_workbench.estimation.parameters import (
     ParameterGroup,
     parse_groups,
     prior_rows,
-    relative_state_matrix,
+    relative_state,
 )
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.observables import Observable
@@ -231,8 +231,7 @@ class Estimate:
         body
             An observed body; empty for the system as a whole.
         """
-        matrix = relative_state_matrix(self.groups, len(self.correction), body)
-        return matrix @ self.correction, symmetric(matrix @ self.covariance @ matrix.T)
+        return relative_state(self.groups, self.correction, self.covariance, body)
 
 
 # ---- Batch least squares over many observables: corrections of target and spacecraft states.

@@ -21,7 +21,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.estimation.batch import REJECT_SIGMAS, Estimate, estimate
 from opnav_workbench.estimation.measurements import Dynamics, measurements_of
-from opnav_workbench.estimation.parameters import APriori, parameter_count, relative_state_matrix
+from opnav_workbench.estimation.parameters import APriori, parameter_count, relative_state
 from opnav_workbench.estimation.sequential import FilterEstimate, filter_estimate
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.estimation.stochastic import ModelParameter
@@ -65,8 +65,7 @@ class CommonErrorEstimate:
 
     def relative_state(self, body: str = "") -> tuple[FloatArray, FloatArray]:
         """Return the correction (6,) of the spacecraft's state relative to a body, and its covariance (6, 6)."""
-        matrix = relative_state_matrix(self.independent.groups, len(self.correction), body)
-        return matrix @ self.correction, symmetric(matrix @ self.covariance @ matrix.T)
+        return relative_state(self.independent.groups, self.correction, self.covariance, body)
 
 
 def estimate_with_common_errors(

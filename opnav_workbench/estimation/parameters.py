@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.arrays import FloatArray, IntArray, symmetric
 from opnav_workbench.errors import EstimationError
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "parameter_count",
     "parse_groups",
     "prior_rows",
+    "relative_state",
     "relative_state_matrix",
 ]
 
@@ -128,6 +129,14 @@ def relative_state_matrix(groups: Sequence[ParameterGroup], count: int, body: st
             rows = slice(0, 3) if quantity == "position" else slice(3, 6)
             matrix[rows, group.columns] += np.eye(3) * (1.0 if mover == "spacecraft" else -1.0)
     return matrix
+
+
+def relative_state(
+    groups: Sequence[ParameterGroup], correction: FloatArray, covariance: FloatArray, body: str = ""
+) -> tuple[FloatArray, FloatArray]:
+    """Return the correction (6,) of the spacecraft's state relative to a body at the epoch, and its covariance (6, 6)."""
+    matrix = relative_state_matrix(groups, len(correction), body)
+    return matrix @ correction, symmetric(matrix @ covariance @ matrix.T)
 
 
 def prior_rows(groups: Sequence[ParameterGroup], a_priori: APriori | None) -> FloatArray:

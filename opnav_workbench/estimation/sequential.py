@@ -42,6 +42,7 @@ from opnav_workbench.estimation.parameters import (
     parameter_count,
     parse_groups,
     prior_rows,
+    relative_state,
     relative_state_matrix,
 )
 from opnav_workbench.estimation.square_root import (
@@ -239,8 +240,7 @@ class FilterEstimate:
 
     def relative_state(self, body: str = "") -> tuple[FloatArray, FloatArray]:
         """Return the correction (6,) of the spacecraft's state relative to a body, and its covariance (6, 6)."""
-        matrix = relative_state_matrix(self.groups, len(self.correction), body)
-        return matrix @ self.correction, symmetric(matrix @ self.covariance @ matrix.T)
+        return relative_state(self.groups, self.correction, self.covariance, body)
 
     def state_history(self, mover: str = "spacecraft", body: str = "") -> tuple[FloatArray, FloatArray]:
         """Return the smoothed correction of a state at the time of every picture, (k, 6), and its covariance (k, 6, 6).
