@@ -87,6 +87,17 @@ def nightly(
     force: Annotated[
         bool, typer.Option("--force", help="Process all again; analysts' sessions are left alone.")
     ] = False,
+    pages: Annotated[
+        str | None,
+        typer.Option(
+            help="Notebooks written as HTML, too: flagged | all | none; default those that need a person.",
+            show_default=False,
+        ),
+    ] = None,
+    cold: Annotated[
+        bool,
+        typer.Option("--cold", help="A new Python for every picture: the same results, four times slower."),
+    ] = False,
     why: Annotated[
         str | None,
         typer.Option(help="Only tell why this picture would be processed, or not.", show_default=False),
@@ -131,7 +142,8 @@ def nightly(
     Exit status: 0 all pictures processed now are solved, 2 bad input, 3 some of them failed (the others are kept), 130 or
     143 stopped by Ctrl-C or SIGTERM (what is finished is kept, and in the summary).
     """
-    spec = _night_spec(sources, given)
+    how = {"pages": pages} if pages else {}
+    spec = _night_spec(sources, given).changed("options", **how | ({"warm": False} if cold else {}))
     if why is None:
         need("lab", "a night runs a notebook for each picture: opnav nightly")
     console = Console(stderr=True, soft_wrap=True)
@@ -148,17 +160,24 @@ def nightly(
         _print_why(Console(soft_wrap=True), plan(), why)
         return
     night = partial(
-        _whole_night, console, pool=partial(_pool, console, scheduler, jobs), archive=archive, log=log
+        _whole_night,
+        console,
+        pool=partial(_pool, console, scheduler, jobs, warm=spec.warm),
+        archive=archive,
+        log=log,
     )
     status = night(plan(), notify=notify) if watch is None else _watch(console, plan, night, watch, notify)
     if status:
         raise typer.Exit(status)
 
 
-def _pool(console: Console, scheduler: str | None, jobs: int | None) -> NightPool:
+def _pool(console: Console, scheduler: str | None, jobs: int | None, *, warm: bool) -> NightPool:
+    def notice(words: str) -> None:
+        console.print(escape(words), highlight=False)
+
     if scheduler:
-        return ClusterPool(scheduler, lambda words: console.print(escape(words), highlight=False))
-    return LocalPool(os.cpu_count() or 1 if jobs is None else jobs)
+        return ClusterPool(scheduler, notice)
+    return LocalPool(os.cpu_count() or 1 if jobs is None else jobs, warm=warm, notice=notice)
 
 
 def _whole_night(

@@ -21,6 +21,12 @@ is said and done in ``processing``.
     Log, status, metrics and heartbeat of a night.
 ``night_workers``
     One process per picture with its limits; the pools of this machine and of a Dask cluster.
+``starting``
+    How a picture's process begins: as a copy of a warm one, or as a new Python.
+``warm_server``
+    A process that has loaded everything, and copies itself for every picture.
+``warm_engine``
+    papermill's engine for such a copy: cells executed in the process itself.
 ``night_summary``
     The morning's summary, page and queue.
 ``notebook_run``

@@ -131,6 +131,8 @@ class NightPlan:
             time_limit_s=spec.time_limit_s,
             memory_limit_mb=spec.memory_limit_mb,
             retries=spec.retries,
+            pages=spec.pages,
+            warm=spec.warm,
         )
 
 

@@ -14,7 +14,7 @@ Every field of `Processing` may stand there.
 """
 
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -46,6 +46,15 @@ class NightSpec(Processing):
         default=3000.0,
         ge=MIN_MEMORY_MB,
         description="Most memory that a picture's processes may hold together.",
+    )
+    pages: Literal["flagged", "all", "none"] = Field(
+        default="flagged",
+        description="Which notebooks are written as HTML, too: those of pictures that need a person, all, or none.",
+    )
+    warm: bool = Field(
+        default=True,
+        description="Processes of pictures are copies of one that has loaded everything; false: each is a new Python, "
+        "four times slower.",
     )
     retries: int = Field(
         default=1,

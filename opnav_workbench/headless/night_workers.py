@@ -1,15 +1,14 @@
 """The pictures of a night processed several at a time, each in a process of its own, watched.
 
-`process_picture` takes and returns plain values, so that it runs in a thread here or on a worker of a Dask cluster that
-sees the same folders.  It bounds time and memory, tells a fault of the picture from one of the notebook or the machine,
-and writes into the picture's working folder only; the night moves that to its place.
+How such a process begins is the matter of `opnav_workbench.headless.starting`.  `process_picture` takes and returns plain
+values, so that it runs in a thread here or on a worker of a Dask cluster that sees the same folders.  It bounds time and
+memory, tells a fault of the picture from one of the notebook or the machine, and writes into the picture's working folder
+only; the night moves that to its place.
 """
 
 import contextlib
 import importlib
 import os
-import subprocess
-import sys
 import threading
 import time
 import uuid
@@ -25,6 +24,14 @@ from opnav_workbench import errors
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.headless.faults import FAULTS, fault_of_report
+from opnav_workbench.headless.starting import (
+    Child,
+    ColdStarter,
+    Starter,
+    WarmStarter,
+    starter_of_this_process,
+)
+from opnav_workbench.headless.warm_server import can_fork
 from opnav_workbench.parts import install_command
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.session import RESULT_FILE
@@ -44,11 +51,8 @@ __all__ = [
 
 EXECUTED_FILE, HTML_FILE, LOG_FILE = "notebook.ipynb", "notebook.html", "notebook.log"
 JOB_FILE, REPORT_FILE = ".job.json", ".report.json"
-RUNNER = Path(__file__).with_name("notebook_run.py")
 WATCH_INTERVAL_S = 0.2
 MB = 1 << 20
-# One picture runs in one thread: that is fastest for many at once, and sums do not depend on the number of cores.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,10 @@ class NotebookRequest:
         For the result of a picture that fails.
     retries
         Further tries after a fault of the machine.
+    pages : {"flagged", "all", "none"}
+        Which notebooks are written as HTML, too.
+    warm
+        Whether its process may be a copy of one that has loaded everything.
     """
 
     image: str
@@ -78,6 +86,8 @@ class NotebookRequest:
     time_limit_s: float
     memory_limit_mb: float
     retries: int = 0
+    pages: str = "flagged"
+    warm: bool = True
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
@@ -110,7 +120,9 @@ class NotebookOutcome:
     tries: int = 1
 
 
-def process_picture(values: Mapping[str, Any], stop: threading.Event | None = None) -> dict[str, Any]:
+def process_picture(
+    values: Mapping[str, Any], stop: threading.Event | None = None, starter: Starter | None = None
+) -> dict[str, Any]:
     """Execute the notebook for one picture.
 
     Parameters
@@ -119,6 +131,8 @@ def process_picture(values: Mapping[str, Any], stop: threading.Event | None = No
         A `NotebookRequest` as plain values.
     stop
         Ends the work when set.
+    starter
+        Default: one that this process keeps, as a cluster's worker needs it.
 
     Returns
     -------
@@ -126,18 +140,19 @@ def process_picture(values: Mapping[str, Any], stop: threading.Event | None = No
         A `NotebookOutcome` as plain values. A picture that failed by its own fault has a ``result.json`` that says why.
     """
     job, stop = NotebookRequest(**values), stop or threading.Event()
+    starter = starter or starter_of_this_process(warm=job.warm)
     for count in range(1, job.retries + 2):
-        verdict = replace(_one_try(job, stop), tries=count)
+        verdict = replace(_one_try(job, stop, starter), tries=count)
         if not FAULTS[verdict.fault].again_at_once or stop.is_set():
             break
     return asdict(verdict)
 
 
-def _one_try(job: NotebookRequest, stop: threading.Event) -> NotebookOutcome:
+def _one_try(job: NotebookRequest, stop: threading.Event, starter: Starter) -> NotebookOutcome:
     started = time.monotonic()
     # Its own for every try: what a lost process may still write harms nobody.
     folder = Path(job.folder) / f"{job.name}-{uuid.uuid4().hex[:8]}"
-    with _running(job, folder) as child:
+    with _running(job, folder, starter) as child:
         fault, reason, peak = _watch(child, job, stop)
     if not fault:
         fault, reason = _read_report(folder, child.returncode)
@@ -148,37 +163,32 @@ def _one_try(job: NotebookRequest, stop: threading.Event) -> NotebookOutcome:
 
 
 @contextlib.contextmanager
-def _running(job: NotebookRequest, folder: Path) -> Iterator["subprocess.Popen[bytes]"]:
+def _running(job: NotebookRequest, folder: Path, starter: Starter) -> Iterator[Child]:
     """Start the notebook's process; at the end neither it nor its kernel is left."""
     task = {
         "starter": os.getpid(),
         "notebook": job.notebook,
         "executed": str(folder / EXECUTED_FILE),
         "html": str(folder / HTML_FILE),
+        "pages": job.pages,
+        "result": str(folder / RESULT_FILE),
+        "log": str(folder / LOG_FILE),
         "report": str(folder / REPORT_FILE),
         "parameters": {**job.parameters, "out": str(folder)},
         "cwd": str(folder),
     }
     write_json(folder / JOB_FILE, task)
-    with (folder / LOG_FILE).open("wb") as log:
-        child = subprocess.Popen(  # noqa: S603  our own interpreter and file
-            [sys.executable, "-P", str(RUNNER), str(folder / JOB_FILE)],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=os.environ | ONE_THREAD,
-        )
-        try:
-            yield child
-        finally:
+    child = starter.start(folder / JOB_FILE, job.parameters, folder / LOG_FILE)
+    try:
+        yield child
+    finally:
+        if child.poll() is None:  # else its number may be another's by now
             _kill_family(child.pid)
-            child.wait()
-            (folder / JOB_FILE).unlink(missing_ok=True)
+        child.wait()
+        (folder / JOB_FILE).unlink(missing_ok=True)
 
 
-def _watch(
-    child: "subprocess.Popen[bytes]", job: NotebookRequest, stop: threading.Event
-) -> tuple[str, str, float]:
+def _watch(child: Child, job: NotebookRequest, stop: threading.Event) -> tuple[str, str, float]:
     """Wait for the process; return fault, reason and the most memory (MB) that it and its kernel held."""
     deadline, peak = time.monotonic() + job.time_limit_s, 0.0
     while child.poll() is None:
@@ -267,18 +277,25 @@ class LocalPool:
     ----------
     count
         Pictures at a time.
+    warm
+        Whether their processes are copies of one that has loaded everything, where that is possible.
+    notice
+        Told why they are not after all.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(
+        self, count: int, *, warm: bool = True, notice: Callable[[str], None] = lambda _: None
+    ) -> None:
         if count < 1:
             raise SessionError(f"{count} jobs at a time; give at least 1.")
         self._count = count
+        self._starter: Starter = WarmStarter(notice) if warm and can_fork() else ColdStarter()
 
     def run(self, jobs: Sequence[NotebookRequest]) -> Generator[NotebookOutcome, None, None]:
         """Yield the verdicts as they come; closing the iterator stops what is running."""
         stop = threading.Event()
         with ThreadPoolExecutor(self._count) as threads:
-            futures = [threads.submit(process_picture, job.to_dict(), stop) for job in jobs]
+            futures = [threads.submit(process_picture, job.to_dict(), stop, self._starter) for job in jobs]
             try:
                 for future in as_completed(futures):
                     yield NotebookOutcome(**future.result())
@@ -286,6 +303,7 @@ class LocalPool:
                 stop.set()
                 for future in futures:
                     future.cancel()
+                self._starter.close()
 
 
 class ClusterPool:

@@ -1,7 +1,8 @@
 """One notebook executed in a process of its own: ``python notebook_run.py job.json``.
 
 `opnav_workbench.headless.night_workers` starts it by its path, so that it loads papermill and nothing else of this package;
-what happened stands in the job's ``report`` file. It ends with its starter, and takes its kernel along.
+what happened stands in the job's ``report`` file. It ends with its starter, and takes its kernel along.  A copy of
+`opnav_workbench.headless.warm_server` calls `main`, with an engine that needs no other process.
 """
 
 import json
@@ -20,12 +21,19 @@ WITHOUT_NETWORK = dict.fromkeys(("jquery_url", "mathjax_url", "mermaid_js_url", 
 EMPTY_SCRIPT = re.compile(r'<script src="">\s*</script>')
 
 
-def main(path: str) -> None:
-    """Carry out the job in a file."""
+def main(path: str, engine: str | None = None) -> None:
+    """Carry out the job in a file.
+
+    Parameters
+    ----------
+    engine
+        One that papermill knows; default papermill's own, which starts a kernel.
+    """
     job: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
-    threading.Thread(target=_end_with, args=(job["starter"],), daemon=True).start()
-    report = _executed(job)
-    if job.get("html") and Path(job["executed"]).is_file():
+    starter = os.getppid() if engine else job["starter"]
+    threading.Thread(target=_end_with, args=(starter,), daemon=True).start()
+    report = _executed(job, engine)
+    if Path(job["executed"]).is_file() and _is_page_wanted(job):
         try:
             _write_html(Path(job["executed"]), Path(job["html"]))
         except Exception as error:
@@ -57,13 +65,14 @@ def load_papermill() -> Any:
     return papermill
 
 
-def _executed(job: dict[str, Any]) -> dict[str, Any]:
+def _executed(job: dict[str, Any], engine: str | None) -> dict[str, Any]:
     papermill = load_papermill()  # after the watch has begun: it takes half a second
     try:
         papermill.execute_notebook(
             job["notebook"],
             job["executed"],
             parameters=job["parameters"],
+            engine_name=engine,
             kernel_name="python3",
             progress_bar=False,
             log_output=False,
@@ -87,6 +96,16 @@ def _executed(job: dict[str, Any]) -> dict[str, Any]:
             "traceback": [],
         }
     return {"ok": True}
+
+
+def _is_page_wanted(job: dict[str, Any]) -> bool:
+    """Tell whether somebody will read the notebook as a page: where it was asked for, or did not come out well."""
+    if job["pages"] != "flagged":
+        return bool(job["pages"] == "all")
+    try:
+        return bool(json.loads(Path(job["result"]).read_text(encoding="utf-8"))["status"] != "ok")
+    except (OSError, ValueError, KeyError, TypeError):
+        return True
 
 
 def _write_html(notebook: Path, html: Path) -> None:

@@ -28,7 +28,15 @@ from opnav_workbench.session.star_measurement import FinalMethod, InitialMethod
 from opnav_workbench.stars.pointing.attitude_steps import PointingModel
 from opnav_workbench.yaml_file import Also, check_model
 
-__all__ = ["NO_TARGETS", "OpenedProcessing", "Processing", "allowed_values", "named_targets", "targets_text"]
+__all__ = [
+    "NO_TARGETS",
+    "OpenedProcessing",
+    "Processing",
+    "allowed_values",
+    "keep_opened",
+    "named_targets",
+    "targets_text",
+]
 
 
 # ---- Targets as text: PLUTO:limb_scan,CHARON.
@@ -379,6 +387,8 @@ class Processing(BaseModel):
         OpNavError
             One of them is not what it should be: refused at once, as it would fail for every picture.
         """
+        if (kept := _KEPT.get(self.plain.model_dump_json())) is not None:
+            return kept
         for body, file in self.shape_files.items():
             if not is_file(file.path):
                 raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
@@ -419,3 +429,23 @@ class OpenedProcessing:
     def settings(self) -> Settings:
         """The session's thresholds."""
         return Settings.from_dict(self.how.settings)
+
+
+_KEPT: dict[str, OpenedProcessing] = {}  # of a process that pictures are copied from
+
+
+def keep_opened(how: Processing) -> OpenedProcessing:
+    """Open mission, catalog and decisions for this process and its copies, and learn the kernels' digests.
+
+    From now on `Processing.opened` gives the same, whatever becomes of the files.  No kernel is open afterwards.
+
+    Raises
+    ------
+    OpNavError
+        As `Processing.opened`; a kernel is missing or damaged.
+    """
+    opened = _KEPT[how.plain.model_dump_json()] = how.opened()
+    if how.kernels:
+        for kernel in KernelSet(how.kernels).kernels():
+            _ = kernel.sha256  # known as long as the file is the same
+    return opened

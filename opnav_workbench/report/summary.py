@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from astropy.visualization import AsinhStretch
@@ -19,6 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.files import atomic_path
 from opnav_workbench.report.drawing import (
     BODY_COLOR,
     LINE_COLOR,
@@ -28,13 +30,15 @@ from opnav_workbench.report.drawing import (
     REJECTED_COLOR,
     png_bytes,
     titled_figure,
-    write_png,
 )
 from opnav_workbench.report.scales import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import MEASURED_STATUSES, ImageSession
 
 __all__ = ["summary_figure", "summary_png", "write_summary"]
 
+
+# A session's figure, and what of the session it shows.
+_DRAWN: WeakKeyDictionary[ImageSession, tuple[tuple[object, object], bytes]] = WeakKeyDictionary()
 
 # ---- Layout of the summary figure for square frames and for long strips.
 STRIPS = 4
@@ -88,12 +92,22 @@ ASINH_SOFTENING = 0.05
 
 def write_summary(session: ImageSession, path: str | Path) -> None:
     """Write the summary figure as a PNG, whole or not at all."""
-    write_png(summary_figure(session), path)
+    picture = summary_png(session)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(picture)
 
 
 def summary_png(session: ImageSession) -> bytes:
-    """Return the summary figure as a PNG, for a notebook: ``display(Image(summary_png(session)))``."""
-    return png_bytes(summary_figure(session))
+    """Return the summary figure as a PNG, for a notebook: ``display(Image(summary_png(session)))``.
+
+    As long as nothing is done in the session it is drawn once, for the notebook and for its file.
+    """
+    shown = (session.state, session.context)
+    before, picture = _DRAWN.get(session, (None, b""))
+    if before is None or any(now is not then for now, then in zip(shown, before, strict=True)):
+        picture = png_bytes(summary_figure(session))
+        _DRAWN[session] = (shown, picture)
+    return picture
 
 
 def summary_figure(session: ImageSession) -> Figure:

@@ -1,6 +1,7 @@
 """``opnav nightly`` with its own notebook: faults named, results those of ``opnav process``, flight frames too."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,14 @@ def run(*words) -> tuple[int, str]:
     return answer.exit_code, answer.output
 
 
+def outputs(folder: Path) -> list[list[dict]]:
+    """What the cells of an executed notebook say, but for the folder that they name."""
+    text = re.sub(r"id=..table\d+", "", (folder / "notebook.ipynb").read_text())  # a place in memory
+    cells = json.loads(text)["cells"]
+    said = [cell["outputs"] for cell in cells if cell["cell_type"] == "code"]
+    return [[output for output in cell if output.get("name") != "stdout"] for cell in said]
+
+
 @pytest.mark.slow
 def test_a_night_gives_what_process_gives_and_names_what_fails(demo_truths, tmp_path):
     good = demo_truths[0].picture
@@ -30,12 +39,13 @@ def test_a_night_gives_what_process_gives_and_names_what_fails(demo_truths, tmp_
     assert "failed: corrupt: corrupt.fit: truncated" in said
     assert "1 ok, 0 partial, 1 failed" in said
     assert run("process", folder / good.name, *options, "--out", tmp_path / "process")[0] == 0
-    night, process = (tmp_path / kind / good.stem for kind in ("night", "process"))
-    assert (night / "result.json").read_text() == (process / "result.json").read_text()
-    assert (night / "observables.ecsv").read_text() == (process / "observables.ecsv").read_text()
-    assert {"notebook.html", "notebook.ipynb", "session.json", "summary.png"} <= {
-        p.name for p in night.iterdir()
-    }
+    assert run("nightly", folder / good.name, *options, "--out", tmp_path / "cold", "--cold")[0] == 0
+    night, process, cold = (tmp_path / kind / good.stem for kind in ("night", "process", "cold"))
+    for name in ("result.json", "observables.ecsv", "summary.png"):
+        assert (night / name).read_bytes() == (process / name).read_bytes() == (cold / name).read_bytes()
+    assert outputs(night) == outputs(cold)
+    assert {"notebook.ipynb", "session.json"} <= {p.name for p in night.iterdir()}
+    assert (tmp_path / "night" / "corrupt" / "notebook.html").is_file()
     summary = json.loads((tmp_path / "night" / "summary.json").read_text())
     rows = {row["name"]: row for row in summary["images"]}
     assert rows[good.stem]["pointing"]["n_stars"] == 4

@@ -225,7 +225,7 @@ def test_a_damaged_archive_is_made_anew(images, out, damage):
 
 def run(images, out, monkeypatch, work, *words):
     pool = StubPool(work)
-    monkeypatch.setattr(nightly, "LocalPool", lambda _: pool)
+    monkeypatch.setattr(nightly, "LocalPool", lambda *_, **__: pool)
     stars = f"npz:{images.parent / 'one_star.npz'}"
     np.savez(images.parent / "one_star.npz", ra_deg=[1.0], dec_deg=[2.0], mag=[3.0])
     words = (
@@ -330,7 +330,7 @@ def test_a_watch_does_not_try_over_and_over_what_the_machine_fails(images, out, 
     pools = [StubPool(lambda job, folder: ("machine", "no luck"))]
     monkeypatch.setattr(nightly, "wait", nap)
     monkeypatch.setattr(night_module, "_age_s", lambda _: 60.0)
-    monkeypatch.setattr(nightly, "LocalPool", lambda _: pools[0])
+    monkeypatch.setattr(nightly, "LocalPool", lambda *_, **__: pools[0])
     stars = str(spec_of(images).catalog)
     words = (
         "nightly",
