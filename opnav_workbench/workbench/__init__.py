@@ -55,6 +55,10 @@ The picture
     Stars, bodies, masks and sky grid as plain tables.
 ``readout``
     RA and Dec under the cursor, as series that the page evaluates.
+``inspection``
+    What is measured by hand in a picture: an aperture's sum, center and width; the compass.
+``laying``
+    Another image laid over the one at hand, by the sky or by pixels.
 ``stretch``
     From DN to shades: stretches, limits, colour maps, PNGs.
 ``bridge``

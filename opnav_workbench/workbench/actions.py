@@ -296,6 +296,17 @@ VIEW_ACTIONS = (
     Action(
         "overlays", ("o",), "Overlays", "Show or hide everything that is drawn over the picture.", PICTURE
     ),
+    Action(
+        "histogram", ("H",), "Histogram", "Show how often each value occurs; drag the limits in it.", PICTURE
+    ),
+    Action("cut", ("T",), "Line cut", "Plot the values along a line drawn in the picture.", PICTURE),
+    Action("aperture", ("O",), "Aperture", "Measure sum, center and width of what is in a circle.", PICTURE),
+    Action("measure", ("M",), "Distance", "Measure distance and position angle in the picture.", PICTURE),
+    Action("crosshair", ("X",), "Crosshair", "Draw lines through the cursor, or none.", PICTURE),
+    Action("beside", ("D",), "Side by side", "Show the other picture beside this one, or alone.", PICTURE),
+    Action("wipe", ("Y",), "Wipe", "Draw the other picture over this one like a curtain.", PICTURE),
+    Action("lock", ("K",), "Lock", "Lay the other image over this one by the sky, or by pixels.", PICTURE),
+    Action("compass", ("N",), "Compass", "Show or hide where north, east and the Sun lie.", PICTURE),
     Action("grid", ("g",), "Grid", "Show or hide lines of right ascension and declination.", PICTURE),
     Action("masks", ("q",), "Masks", "Show or hide bad and saturated pixels.", PICTURE),
     Action("residuals", ("v",), "Residuals", "Show or hide the residual vectors.", PICTURE),

@@ -83,6 +83,7 @@ class WorkbenchController:
         self._view_actions = frozenset(action.name for action in viewer.actions)
         self._shown: ImageSession | None = None  # the session in the picture
         self._pictured: object = None  # the state that lies over it
+        self._compared: list[tuple[str, ImageSession]] = []  # other images that it can be compared with
         self.on_render: Callable[[Mapping[str, str]], None] = lambda _: None  # gets the regions' HTML
         self._handlers = self._own_handlers()
         for tab in self.tabs.values():
@@ -247,6 +248,7 @@ class WorkbenchController:
 
     def _show_session(self, item: QueueItem, session: ImageSession) -> None:
         self.viewer.show(session)
+        self._compared = []
         self._shown, self._pictured = session, session.state
         for tab in self.tabs.values():
             tab.on_enter()
@@ -310,6 +312,8 @@ class WorkbenchController:
             self.keys_shown = False
             self.current_tab.drop_unfinished()
             self.runner.menu = self.runner.tool = ""
+        else:
+            self.viewer.do("put_away")  # what the picture's own tools show
 
     # -- rendering ---------------------------------------------------------------------------------------------
 
@@ -326,6 +330,14 @@ class WorkbenchController:
         if self._pictured is not session.state:
             self.viewer.refresh()
             self._pictured = session.state
+        others = [
+            (item.name, item.session)
+            for item in self.queue.items
+            if item.session not in (None, session) and item.session.state.a_priori is not None
+        ]
+        if others != self._compared:
+            self._compared = others
+            self.viewer.compare_with(others)
 
     def _status_changed(self) -> None:
         if not self.runner.repainting:

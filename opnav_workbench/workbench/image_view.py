@@ -10,7 +10,7 @@ never asks Python.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -25,6 +25,8 @@ from opnav_workbench.report.scales import STRIP_ASPECT, round_scale
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import VIEW_ACTIONS
 from opnav_workbench.workbench.bridge import Bridge
+from opnav_workbench.workbench.inspection import compass_arrows, measure_aperture
+from opnav_workbench.workbench.laying import laid_over
 from opnav_workbench.workbench.overlays import (
     LONGEST_VECTOR,
     body_marks,
@@ -82,6 +84,7 @@ def prepared_picture(session: ImageSession) -> PreparedPicture:
 # ---- The pictures of a view: the image itself, and others to blink it against; each one's pixels are sent once.
 
 DATA_KEY = "data"  # key of the image itself
+OTHER = "other:"  # how keys of other images begin
 MAX_UINT16 = 65535
 
 
@@ -137,12 +140,35 @@ class PictureSet:
             make, same_limits = self._makers[key]
             self.put(key, make(), self._entries[key]["label"], None, same_limits)
 
-    def outdate(self) -> None:
-        """The session has changed: what is made from it is made anew when it is asked for."""
+    def pixels(self, key: str) -> np.ndarray:
+        """Return a picture's pixels, as they were sent."""
+        return np.asarray(self._pixels[key].data["dn"][0])
+
+    def outdate(self, begins: str = "") -> None:
+        """The session has changed: what is made from it is made anew when it is asked for.
+
+        Parameters
+        ----------
+        begins
+            Only keys that begin so.
+        """
         for key in self._makers:
-            self._entries[key]["ready"] = False
+            if key.startswith(begins):
+                self._entries[key]["ready"] = False
         self._publish({})
         self.make(self._state.image)
+        if self._state.compare:
+            self.make(self._state.partner)
+
+    def withdraw(self, begins: str) -> None:
+        """Offer pictures no more whose keys begin so."""
+        for key in [key for key in self._makers if key.startswith(begins)]:
+            del self._makers[key], self._entries[key]
+            if key in self._pixels:
+                self._pixels[key].data = {"dn": []}
+        if self._state.image.startswith(begins):
+            self._state.image = DATA_KEY
+        self._publish({})
 
     def forget(self) -> None:
         """Drop all pictures."""
@@ -201,7 +227,7 @@ def _add_model(model: FloatArray, first_px: tuple[int, int], part: FloatArray) -
 
 # ---- The picture of a session in the notebook: stretch, zoom, magnifier, readout, overlays and blink.
 
-SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies"]
+SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies", "compass"]
 EMPTY_SIZE = 512  # a view without a session shows a blank square
 # Of a strip as it is shown: width over height, and what is shown over its lines.
 STRIP_SHAPE, STRIP_MARGIN = 3.0, 1.15
@@ -246,6 +272,7 @@ class ImageView:
         for action in VIEW_ACTIONS:
             for key in action.keys:
                 self.bridge.bind_key(key, page=action.name)
+        self.bridge.bind_key("Escape", page="put_away")
         if session is None:
             self.blank("no image")
         else:
@@ -256,9 +283,13 @@ class ImageView:
             "image": self.images.make,
             "theme": self.models.use_theme,
             "vector_scale": self._take_scale,
+            "partner": lambda _: self._make_partner(),
+            "compare": lambda _: self._make_partner(),
+            "lock": lambda _: self._lay_anew(),
         }
         for name, react in reactions.items():
             self.state.on_change(name, self.bridge.guarded(_on_new_value(react)))
+        self.bridge.on_event("aperture", self._measure)
 
     @property
     def widget(self) -> Any:
@@ -305,7 +336,7 @@ class ImageView:
             self.set_image(DATA_KEY, np.zeros((EMPTY_SIZE, EMPTY_SIZE)), label="no image")
             for name, source in self.models.sources.items():
                 self.models.fill(name, {column: [] for column in source.data})
-            self.state.update(message=message, camera="null", bodies="[]", body="")
+            self.state.update(message=message, camera="null", bodies="[]", body="", compass="[]")
 
     def _begin_anew(self, shape: tuple[int, ...]) -> None:
         """Forget the picture before, its tools' drawings, and how it alone was looked at."""
@@ -316,7 +347,7 @@ class ImageView:
         self.circle(None)
         self.focus(None)
         manual = {"limits": DEFAULT_LIMITS} if self.state.limits == "manual" else {}
-        self.state.update(message="", contrast=1.0, bias=0.5, partner="", **manual)
+        self.state.update(message="", contrast=1.0, bias=0.5, partner="", aperture="null", **manual)
         self._vectors, self._own_scale = {}, 0.0
         self.state.vector_scale = 0.0  # chosen anew
 
@@ -345,6 +376,7 @@ class ImageView:
         with self.bridge.batch():
             camera, attitude = session.context.camera, expected_attitude(session)
             self.state.camera = json.dumps(sky_readout(camera, attitude).as_page_values())
+            self.state.compass = json.dumps(compass_arrows(session))
             stars = star_marks(session)
             for kind in ("predicted", "missing", "used", "rejected"):
                 self.models.fill(kind, {axis: getattr(stars, kind)[axis] for axis in ("pixel", "line")})
@@ -421,6 +453,38 @@ class ImageView:
     ) -> None:
         """Offer a picture that is made when the analyst first asks for it."""
         self.images.offer(key, label, make, same_limits)
+
+    def compare_with(self, others: Sequence[tuple[str, ImageSession]]) -> None:
+        """Offer other images to be laid over this one, each under its name; they replace those offered before."""
+        with self.bridge.batch():
+            self.images.withdraw(OTHER)
+            for number, (name, other) in enumerate(others):
+                self.provide(f"{OTHER}{number}:{name}", name, lambda o=other: self._laid_over(o))  # type: ignore[misc]
+            self._make_partner()
+
+    def _laid_over(self, other: ImageSession) -> FloatArray:
+        assert self.session is not None
+        return laid_over(other, self.session, self.state.lock)
+
+    def _lay_anew(self) -> None:
+        self.images.outdate(OTHER)
+        self._make_partner()
+
+    def _make_partner(self) -> None:
+        """Make the picture that is compared with, where one is."""
+        if self.state.compare:
+            self.images.make(self.state.partner)
+
+    def _measure(self, key: str, pixel: float, line: float, radius_px: float) -> None:
+        """Measure an aperture of the picture that the page shows, and tell the page."""
+        picture = None if self.session is None else self.session.context.picture
+        image = self.images.pixels(key)
+        usable = np.ones(image.shape, bool) if picture is None else ~(picture.bad | picture.saturated)
+        try:
+            found = measure_aperture(image, usable, (pixel, line), radius_px).as_page_values()
+        except OpNavError as error:
+            found = {"message": str(error)}
+        self.state.aperture = json.dumps(found)
 
     # -- what the tools draw -----------------------------------------------------------------------------------
 

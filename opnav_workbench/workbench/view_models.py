@@ -75,6 +75,7 @@ _STANDARD: dict[str, MarkStyle] = {
     "bad": MarkStyle("#56B4E9", "hatch"),
     "saturated": MarkStyle("#E69F00", "dots"),
     "grid": MarkStyle("#8FA3B5", "line", "dotted"),
+    "compass": MarkStyle("#E69F00", "arrow"),
     "circle": MarkStyle("#E69F00", "line", "dashed"),
     "focus": MarkStyle("#FFFFFF", "circle"),
     "tool_used": MarkStyle("#56B4E9", "line"),
@@ -104,6 +105,7 @@ OVERLAY_GROUPS: dict[str, tuple[str, ...]] = {
     "bodies": ("body", "body_predicted", "terminator", "pole"),
     "masks": ("bad", "saturated"),
     "grid": ("grid",),
+    "compass": ("compass",),
 }
 
 
@@ -136,6 +138,10 @@ class ViewState(DataModel):
     images = String("{}", help="Label and limits of each picture, by key.")
     camera = String("null", help="SkyReadout.as_page_values().")
     bodies = String("[]", help="Name, place and radius of each body.")
+    compass = String("[]", help="Name and direction (pixel, line) of each arrow of the compass.")
+    aperture = String("null", help="Aperture.as_page_values(), or a message.")
+    compare = String("", help="How the partner is shown: beside, wipe; empty: not.")
+    lock = String("sky", help="How another image is laid over this one: by sky or by pixel.")
 
 
 def page_setup() -> dict[str, Any]:
@@ -251,6 +257,10 @@ class PictureModels:
         self.picture.add_tools(PanTool(), wheel := WheelZoomTool())
         self.picture.toolbar.active_scroll = wheel
         self.magnifier = _figure("opnav-magnifier", Range1d(start=0, end=1), Range1d(start=1, end=0))
+        self.second = _figure("opnav-second", self.x_range, self.y_range)
+        self.second.add_tools(PanTool(), second_wheel := WheelZoomTool())
+        self.second.toolbar.active_scroll = second_wheel
+        self.second.visible = False
         self.panner = _figure("opnav-panner", Range1d(start=0, end=1), Range1d(start=1, end=0))
         box = BoxAnnotation(
             fill_color="#E69F00",
@@ -261,9 +271,15 @@ class PictureModels:
             tags=["own-colors"],
         )
         self.panner.add_tools(RangeTool(x_range=self.x_range, y_range=self.y_range, overlay=box))
-        for plot in (self.magnifier, self.panner):
+        for plot in (self.magnifier, self.panner, self.second):
             plot.axis.visible = False
-        for plot, name in ((self.picture, "shown"), (self.magnifier, "magnified"), (self.panner, "overview")):
+        shown = {
+            "shown": self.picture,
+            "second-shown": self.second,
+            "magnified": self.magnifier,
+            "overview": self.panner,
+        }
+        for name, plot in shown.items():
             _add_image(plot, f"opnav-{name}")
         self.sources: dict[str, Any] = {}
         self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
@@ -278,11 +294,12 @@ class PictureModels:
         self._add_lines()
         self._add_stars()
         self._add_tools()
+        self._add_inspection()
 
     @property
     def roots(self) -> tuple[Any, ...]:
         """What is shown."""
-        return self.picture, self.magnifier, self.panner
+        return self.picture, self.second, self.magnifier, self.panner
 
     def fill(self, name: str, columns: Columns) -> None:
         """Replace a source's columns, if they differ."""
@@ -343,7 +360,7 @@ class PictureModels:
         self._add_text("body_labels", "bodies", "body")
 
     def _plots(self, group: str) -> tuple[Any, ...]:
-        return (self.picture,) if group == "grid" else (self.picture, self.magnifier)
+        return (self.picture,) if group == "grid" else (self.picture, self.magnifier, self.second)
 
     def _add_stars(self) -> None:
         vectors = self.sources["vectors"] = _source("pixel", "line", "end_pixel", "end_line")
@@ -372,7 +389,7 @@ class PictureModels:
                     "pixel", "line", source=source, name=f"overlay:{group}", size=size,
                     fill_color=None, marker=THEMES[DEFAULT_THEME][kind].shape, **look,
                 ).glyph
-                for plot in (self.picture, self.magnifier)
+                for plot in (self.picture, self.magnifier, self.second)
             ]
             for look in ({**HALO, "line_width": MARK_PX + HALO_PX}, {"line_width": MARK_PX})
         ]  # fmt: skip
@@ -394,6 +411,7 @@ class PictureModels:
         self._add_text("tool_labels", "tools", "focus")
         for kind in ("circle", "focus"):
             source = self.sources[kind] = _source("pixel", "line", "radius")
+            source.name = f"opnav-{kind}"
             ring = self.picture.circle(
                 "pixel", "line", radius="radius", source=source, fill_color=None, line_width=2
             )
@@ -402,6 +420,44 @@ class PictureModels:
             )
             self._glyphs[kind] = [ring.glyph]
             cross.glyph.line_color = THEMES[DEFAULT_THEME][kind].color
+
+    def _add_inspection(self) -> None:
+        """What the page draws by itself: the tools' shapes, and the compass in the corner."""
+        lines, ring = _source("x0", "y0", "x1", "y1"), _source("pixel", "line", "radius")
+        ends = _source("pixel", "line")
+        color = THEMES[DEFAULT_THEME]["compass"].color
+        for look in (
+            {**HALO, "line_width": MARK_PX + HALO_PX},
+            {"line_color": color, "line_width": MARK_PX},
+        ):
+            self.picture.segment("x0", "y0", "x1", "y1", source=lines, **look)
+            self.picture.circle("pixel", "line", radius="radius", source=ring, fill_color=None, **look)
+            for source, marker, size in ((ends, "square", 7), (ring, "cross", 9)):
+                self.picture.scatter(
+                    "pixel", "line", source=source, marker=marker, size=size, fill_color=None, **look
+                )
+        lines.name, ends.name, ring.name = "opnav-inspect", "opnav-inspect-ends", "opnav-inspect-ring"
+        self._add_compass(color)
+
+    def _add_compass(self, color: str) -> None:
+        arrows = _source("pixel", "line", "end_pixel", "end_line")
+        names = _source("pixel", "line", "text")
+        arrows.name, names.name = "opnav-compass", "opnav-compass-names"
+        self.picture.segment(
+            "pixel", "line", "end_pixel", "end_line", source=arrows, name="overlay:compass",
+            **{**HALO, "line_width": MARK_PX + HALO_PX},
+        )  # fmt: skip
+        arrow: Any = Arrow(
+            x_start="pixel", y_start="line", x_end="end_pixel", y_end="end_line", source=arrows,
+            end=VeeHead(size=8, fill_color=color, line_color=None), line_color=color, line_width=MARK_PX,
+            name="overlay:compass", tags=["own-colors"],
+        )  # fmt: skip
+        self.picture.add_layout(arrow)
+        self.picture.text(
+            "pixel", "line", "text", source=names, name="overlay:compass", text_font_size="11px",
+            text_color=color, text_align="center", text_baseline="middle",
+            background_fill_color=LABEL_BACKGROUND, background_fill_alpha=0.6, padding=1,
+        )  # fmt: skip
 
 
 def _figure(name: str, x_range: Any, y_range: Any) -> Any:

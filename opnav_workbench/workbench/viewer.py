@@ -55,6 +55,9 @@ class Viewer(Protocol):
     def blank(self, message: str) -> None:
         """Show no picture but a message in its place."""
 
+    def compare_with(self, others: Sequence[tuple[str, ImageSession]]) -> None:
+        """Offer other images, by name, to be shown beside this one or blinked against."""
+
     def look(self, place_px: FloatArray, span_px: float | None = None) -> None:
         """Bring a place into the middle; with a span, so many pixels across."""
 

@@ -35,6 +35,9 @@ class FakeViewer:
     def blank(self, message: str) -> None:
         self.message = message
 
+    def compare_with(self, others: Any) -> None:
+        self.others = [name for name, _ in others]
+
     def look(self, place_px: Any, span_px: float | None = None) -> None:
         self.looked_at = (*place_px, span_px)
 

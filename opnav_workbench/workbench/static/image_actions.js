@@ -20,8 +20,17 @@ class ImageActions {
       zoom_out: () => this.zoomBy(1 / ZOOM),
       overlays: () => this.toggleAll(),
       save_view: () => this.saveView(),
+      histogram: () => this.tools.take("histogram"),
+      cut: () => this.tools.take("cut"),
+      aperture: () => this.tools.take("aperture"),
+      measure: () => this.tools.take("measure"),
+      crosshair: () => this.toggleCross(),
+      beside: () => this.compare("beside"),
+      wipe: () => this.compare("wipe"),
+      lock: () => { state.lock = state.lock === "sky" ? "pixel" : "sky"; },
       longer: () => { state.vector_scale = this.longer(state.vector_scale); },
     };
+    if (name === "put_away") return this.tools.putAway();
     const action = actions[name] ?? (name in setup.groups ? () => this.toggle(name) : undefined);
     if (!action) return false;
     this.page.guard(action);
@@ -57,6 +66,25 @@ class ImageActions {
   blink() {
     const [image, partner] = [this.partner(), this.state.image];
     this.state.setv({ image, partner });
+  }
+
+  // Show the other picture beside this one, or under a curtain; once more: alone.
+  compare(how) {
+    const { state } = this;
+    const [n_pixel] = this.setup.size;
+    const { x_range } = this.model("opnav-picture");
+    const whole = Math.abs(x_range.end - x_range.start) >= n_pixel - 1;
+    state.setv({ compare: state.compare === how ? "" : how, partner: this.partner() });
+    this.second.update();
+    this.fit();
+    if (whole) this.home();
+    this.update();
+  }
+
+  toggleCross() {
+    this.crossing = !this.crossing;
+    this.cross();
+    this.soon("update");
   }
 
   blinkOn() {

@@ -5,24 +5,46 @@ const MAGNIFIED_PX = 15; // pixels across the magnifier
 
 class ImageCursor extends ImageActions {
   // Pixel and line under the pointer; null outside the frame, unless `clip` is given.
-  place(event, clip = false) {
-    const { frame, canvas_view } = this.figure;
+  place(event, clip = false, figure = this.figure) {
+    const { frame, canvas_view } = figure;
     const box = canvas_view.el.getBoundingClientRect();
     const [sx, sy] = [event.clientX - box.left, event.clientY - box.top];
     if (!clip && !frame.bbox.contains(sx, sy)) return null;
     return [frame.x_scale.invert(sx), frame.y_scale.invert(sy)];
   }
 
-  hover(event) {
-    const at = this.place(event);
+  hover(event, figure = this.figure) {
+    const at = this.place(event, false, figure);
     if (!at) return this.leave();
+    this.lookAtPlace(at);
+  }
+
+  lookAtPlace(at) {
     this.cursor = at;
     this.tell(...at);
     this.magnify();
+    this.cross();
+  }
+
+  // Lines through the cursor, in both pictures where two are shown.
+  cross() {
+    const places = this.second.isBeside ? [[this.layout.cross, this.figure], [this.layout.secondCross, this.second.figure]] : [[this.layout.cross, this.figure]];
+    for (const [node, figure] of places) {
+      node.hidden = !this.cursor || !figure || !(this.crossing || (this.second.isBeside && figure));
+      if (node.hidden) continue;
+      const { frame } = figure;
+      const [x, y] = [frame.x_scale.compute(this.cursor[0]), frame.y_scale.compute(this.cursor[1])];
+      const { left, right, top, bottom } = frame.bbox;
+      node.hidden = x < left || x > right || y < top || y > bottom;
+      Object.assign(node.style, { left: `${left}px`, top: `${top}px`, width: `${right - left}px`, height: `${bottom - top}px` });
+      node.style.setProperty("--x", `${x - left}px`);
+      node.style.setProperty("--y", `${y - top}px`);
+    }
   }
 
   leave() {
     this.cursor = undefined;
+    this.cross();
     this.layout.lines.slice(0, 7).forEach((line) => { line.textContent = ""; });
     this.layout.lines[0].textContent = "Move the cursor over the picture.";
     this.tellScale();
@@ -36,7 +58,7 @@ class ImageCursor extends ImageActions {
     place.textContent = `pixel ${pixel.toFixed(2)}  line ${line.toFixed(2)}`;
     const dn = on ? this.pixels()?.[j * n_pixel + i] : undefined;
     const kind = on ? ["bad", "saturated"].filter((mask) => this.masked(mask, i, j)).join(", ") : "";
-    value.textContent = dn === undefined ? "off the detector" : `${dnText(dn)} DN${kind && `  (${kind})`}`;
+    value.textContent = dn === undefined ? "off the detector" : `${dnText(dn)} DN${kind && `  (${kind})`}${this.second.valueText(i, j)}`;
     const sky = this.camera && skyAt(this.camera, pixel, line);
     const [right, north] = sky ? skyText(sky) : ["", ""];
     ra.textContent = sky ? `RA ${right}` : "";

@@ -39,6 +39,7 @@ const GROUP_WORDS = {
   bodies: [["body", "limb"], ["body_predicted", "predicted"], ["terminator", "terminator"], ["pole", "pole"]],
   masks: [["bad", "bad"], ["saturated", "saturated"]],
   grid: [["grid", "RA, Dec"]],
+  compass: [["compass", "N, E"]],
 };
 const GROUP_HINTS = {
   predicted: "Stars where they are predicted; those that were not detected.",
@@ -48,6 +49,7 @@ const GROUP_HINTS = {
   bodies: "Bodies: limb where observed and where predicted, terminator, and the line to the north pole (N).",
   masks: "Pixels that are not used: bad ones, and saturated ones.",
   grid: "Lines of right ascension and declination (J2000).",
+  compass: "Where north, east and the Sun lie.",
 };
 
 function menu(parent, title, choices, chosen) {
@@ -88,6 +90,17 @@ function numberField(parent, title, entered) {
   return input;
 }
 
+// Buttons beside the picture: what is zoomed, measured and compared with; each with its drawing.
+const TOOL_ICONS = {
+  histogram: '<path d="M1 15V11H4V15M4 15V5H7V15M7 15V2H10V15M10 15V8H13V15M13 15V12H16V15"/>',
+  cut: '<path d="M1 15V1M1 15H16M2 12C6 12 6 3 8.5 3S11 12 16 12"/>',
+  aperture: '<circle cx="8.5" cy="8.5" r="6.5"/><circle cx="8.5" cy="8.5" r="1.5"/>',
+  measure: '<path d="M3 14 14 3M1 12 5 16M12 1 16 5"/>',
+  crosshair: '<path d="M8.5 0V7M8.5 10V17M0 8.5H7M10 8.5H17"/>',
+  beside: '<path d="M1 3H7.5V14H1ZM9.5 3H16V14H9.5Z"/>',
+  wipe: '<path d="M1 3H16V14H1ZM8.5 1V16M10.5 6H14M10.5 8.5H14M10.5 11H14"/>',
+};
+
 // The page's elements around the figures; `view` is an ImagePage.
 class ImageLayout {
   constructor(view, host) {
@@ -109,15 +122,23 @@ class ImageLayout {
     this.partner = menu(this.bar, "Picture to blink against", [], set("partner"));
     this.partner.classList.add("opnav-partner");
     this.blinkOn = button(this.bar, "Auto-blink", view.hint("blink_on"), () => view.do("blink_on"));
+    this.lock = button(this.bar, "", view.hint("lock"), () => view.do("lock"));
     button(this.bar, "PNG", view.hint("save_view"), () => view.do("save_view"));
     this.switches = make("div", "opnav-switches", this.box);
     this.body = make("div", "opnav-body", this.box);
     this.stage = make("div", "opnav-stage", this.body);
     this.picture = make("div", "opnav-figure", this.stage);
     this.message = make("div", "opnav-message", this.picture);
+    this.cross = make("div", "opnav-cross", this.picture);
+    this.second = make("div", "opnav-figure opnav-second", this.stage);
+    this.secondCross = make("div", "opnav-cross", this.second);
+    this.curtain = make("div", "opnav-curtain", this.stage);
+    this.captions = ["left", "right"].map((side) => make("div", `opnav-caption opnav-caption-${side}`, this.stage));
+    for (const node of [this.cross, this.second, this.secondCross, this.curtain, ...this.captions]) node.hidden = true;
     this.zoom = make("div", "opnav-zoom", this.stage);
     for (const [name, text] of [["home", "All"], ["zoom_in", "+"], ["zoom_out", "−"]])
       button(this.zoom, text, view.hint(name), () => view.do(name));
+    this.toolButtons = Object.fromEntries(Object.entries(TOOL_ICONS).map(([name, icon]) => [name, this.toolButton(name, icon)]));
     this.side = make("div", "opnav-side", this.body);
     this.magnifier = make("div", "opnav-figure opnav-small", this.side);
     this.panner = make("div", "opnav-figure opnav-small", setup.strip ? null : this.side);
@@ -129,6 +150,28 @@ class ImageLayout {
     this.theme = menu(this.readout, "Colors of the marks", setup.themes.map((name) => [name, `marks: ${name}`]), set("theme"));
     this.theme.classList.add("opnav-theme");
     this.box.classList.toggle("opnav-strip", setup.strip);
+  }
+
+  toolButton(name, icon) {
+    const node = button(this.zoom, "", this.view.hint(name), () => this.view.do(name));
+    node.classList.add("opnav-tool");
+    node.dataset.tool = name;
+    node.setAttribute("aria-label", this.view.setup.actions[name][0]);
+    const svg = svgNode("svg", { viewBox: "0 0 17 17", width: 17, height: 17 }, node);
+    svg.innerHTML = icon;
+    return node;
+  }
+
+  updateTools(many) {
+    const { view } = this;
+    const pressed = { crosshair: view.crossing, beside: view.state.compare === "beside", wipe: view.state.compare === "wipe" };
+    for (const [name, node] of Object.entries(this.toolButtons)) {
+      node.setAttribute("aria-pressed", String(Boolean(pressed[name] ?? view.tools.name === name)));
+      node.hidden = !many && (name === "beside" || name === "wipe");
+    }
+    this.lock.textContent = `Lock: ${view.state.lock}`;
+    this.lock.hidden = !view.partner().startsWith("other:");
+    this.box.classList.toggle("opnav-comparing", Boolean(view.state.compare) || view.state.image.startsWith("other:"));
   }
 
   // Shows the state in menus and switches.
@@ -151,6 +194,7 @@ class ImageLayout {
     for (const node of [this.low, this.high]) node.classList.toggle("opnav-automatic", state.limits !== "manual");
     this.inverted.setAttribute("aria-pressed", String(state.inverted));
     this.blinkOn.setAttribute("aria-pressed", String(view.blinking));
+    this.updateTools(many);
     this.updateSwitches();
   }
 

@@ -25,6 +25,12 @@ class ImagePointer {
   down(event) {
     const at = this.view.place(event);
     if (!at) return;
+    if (event.button === 0 && this.view.tools.takesPointer) {
+      event.stopPropagation();
+      this.element.setPointerCapture(event.pointerId);
+      this.measuring = true;
+      return this.view.tools.down(at);
+    }
     this.start = { event, at, button: event.button, state: { ...this.view.shading() } };
     if (event.button === 2 || this.view.state.drag) event.stopPropagation(); // else bokeh pans
     if (event.button === 2 || this.view.state.drag) this.element.setPointerCapture(event.pointerId);
@@ -33,6 +39,7 @@ class ImagePointer {
   move(event) {
     const { start, view } = this;
     view.hover(event);
+    if (this.measuring) return view.tools.move(view.place(event, true), event.shiftKey);
     if (!start) return;
     if (start.button === 2) return view.shade(start.state, this.offset(event));
     if (view.state.drag && !this.isClick(event)) this.draw(event);
@@ -42,6 +49,10 @@ class ImagePointer {
     const { start, view } = this;
     this.start = undefined;
     this.band.hidden = true;
+    if (this.measuring) {
+      this.measuring = false;
+      return view.tools.up();
+    }
     if (!start) return;
     const at = view.place(event, true);
     if (start.button === 2) {
@@ -56,6 +67,8 @@ class ImagePointer {
 
   cancel() {
     this.start = undefined;
+    this.measuring = false;
+    this.view.tools.held = undefined;
     this.band.hidden = true;
   }
 

@@ -11,16 +11,21 @@ const STRIP_SHAPE = 3; // width over height of the frame for a strip
 const STRIP_MARGIN = 1.15; // lines shown, over the strip's own
 const AXES_PX = [52, 26]; // room for axis labels, left and below
 const READOUT_PX = 60; // the readout in three rows, under the picture
+const COMPASS_PX = { corner: 62, arrow: 34, name: 46 }; // its middle from the frame's edges, and its reach
+const GAP_PX = 10; // between two pictures side by side
+const AROUND_SHOWN = 0.25; // of what is in sight is painted beyond it, on each side: a small pan paints nothing
 
 class ImagePage extends ImageCursor {
   constructor(page, doc, state, host) {
     super();
-    Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new Map() });
+    Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new WeakMap() });
     this.model = (name) => doc.get_model_by_name(name);
     this.setup = JSON.parse((this.setupText = state.setup));
     this.images = JSON.parse(state.images);
     this.layout = new ImageLayout(this, host);
     this.ndarray = page.bokeh.require("core/util/ndarray").ndarray;
+    this.tools = new ImageTools(this);
+    this.second = new SecondPicture(this);
     this.palettes = Object.fromEntries(Object.entries(this.setup.colormaps).map(([name, hex]) => [name, paletteWords(hex)]));
     this.fit();
     this.update();
@@ -32,7 +37,7 @@ class ImagePage extends ImageCursor {
 
   // Before BokehJS draws: where each figure goes.
   slots(roots) {
-    const places = { "opnav-picture": this.layout.picture, "opnav-magnifier": this.layout.magnifier, "opnav-panner": this.layout.panner };
+    const places = { "opnav-picture": this.layout.picture, "opnav-magnifier": this.layout.magnifier, "opnav-panner": this.layout.panner, "opnav-second": this.layout.second };
     return roots.map((root) => places[root.name]);
   }
 
@@ -40,6 +45,7 @@ class ImagePage extends ImageCursor {
   attach() {
     this.figure = this.page.views.get_by_id(this.model("opnav-picture").id);
     this.pointer = new ImagePointer(this, this.layout.picture);
+    this.second.attach();
     const { x_range, y_range } = this.model("opnav-picture");
     for (const range of [x_range, y_range]) range.change.connect(() => this.soon("paint"));
     this.state.change.connect(() => this.soon("update"));
@@ -79,10 +85,26 @@ class ImagePage extends ImageCursor {
     }
     this.camera = JSON.parse(this.state.camera);
     this.bodies = JSON.parse(this.state.bodies);
+    this.arrows = JSON.parse(this.state.compass);
     this.layout.update();
     this.showGroups();
+    this.second.update();
     this.paint();
     if (this.cursor) this.tell(...this.cursor);
+    this.updateTools();
+  }
+
+  updateTools() {
+    const { state, tools } = this;
+    const of = `${state.title} ${this.shownKey()}`;
+    if (of !== this.toolsOf && this.figure) {
+      this.toolsOf = of;
+      tools.otherPicture();
+    } else tools.show();
+    if (state.aperture !== this.apertureText) {
+      this.apertureText = state.aperture;
+      tools.changed();
+    }
   }
 
   // -- painting
@@ -99,8 +121,23 @@ class ImagePage extends ImageCursor {
 
   limits() {
     const key = this.shownKey();
+    return this.localLimits ?? this.limitsOf(key);
+  }
+
+  limitsOf(key) {
     const { limits, low, high } = this.state;
     return limits === "manual" ? [low, high] : this.images[key]?.limits?.[limits] ?? [0, 1];
+  }
+
+  // Screen px of a pixel.
+  scale() {
+    const { x_range, frame_width } = this.model("opnav-picture");
+    return frame_width / Math.abs(x_range.end - x_range.start);
+  }
+
+  degreesPerPixel([pixel, line]) {
+    const sky = this.camera && [0, 1].map((step) => skyAt(this.camera, pixel - step, line));
+    return sky?.every(Boolean) ? skyStep(...sky).separation : 0;
   }
 
   shading() {
@@ -111,10 +148,6 @@ class ImagePage extends ImageCursor {
   paint() {
     const values = this.pixels();
     if (!values) return;
-    const [n_pixel, n_line] = this.setup.size;
-    const { x_range } = this.model("opnav-picture");
-    const scale = this.model("opnav-picture").frame_width / Math.abs(x_range.end - x_range.start);
-    const block = Math.max(1, Math.ceil(0.99 / scale));
     const [low, high] = this.limits();
     const { stretch, colormap, inverted } = this.state;
     const look = JSON.stringify([stretch, colormap, inverted, this.shading(), low, high]);
@@ -122,28 +155,56 @@ class ImagePage extends ImageCursor {
       this.look = look;
       this.table = colorTable({ stretch, inverted, ...this.shading() }, this.palettes[colormap] ?? this.palettes.gray);
     }
-    const painted = [look, block];
-    if (this.paintedValues !== values || String(this.painted) !== String(painted)) {
-      [this.paintedValues, this.painted] = [values, painted];
-      this.fill("opnav-shown", this.mip(values, block), low, high, block);
-      this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
-    }
-    const small = Math.max(1, Math.ceil(n_pixel / (this.model("opnav-panner").frame_width || SIDE_PX)));
-    const overview = this.mip(values, small);
-    if (this.overviewOf !== values || this.overviewLook !== look) {
-      [this.overviewOf, this.overviewLook] = [values, look];
-      this.fill("opnav-overview", overview, low, high, small);
-    }
+    if (this.fillSight("opnav-shown", values, [low, high])) this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
+    this.second.paint();
+    this.paintOverview(values, [low, high]);
     this.magnify();
+    this.drawCompass();
     this.tellScale();
   }
 
+  paintOverview(values, [low, high]) {
+    if (this.overviewOf === values && this.overviewLook === this.look) return;
+    const small = Math.max(1, Math.ceil(this.setup.size[0] / (this.model("opnav-panner").frame_width || SIDE_PX)));
+    [this.overviewOf, this.overviewLook] = [values, this.look];
+    this.fill("opnav-overview", this.mip(values, small), low, high, small);
+  }
+
+  // What is in sight and a little more: [first pixel, first line, past pixel, past line], whole blocks.
+  sight(block) {
+    const { x_range, y_range } = this.model("opnav-picture");
+    const ends = (range, n) => {
+      const [low, high] = [Math.min(range.start, range.end), Math.max(range.start, range.end)];
+      const beyond = AROUND_SHOWN * (high - low);
+      const whole = (at, round) => Math.min(Math.max(round((at + 0.5) / block) * block, 0), Math.ceil(n / block) * block);
+      return { least: [whole(low, Math.floor), whole(high, Math.ceil)], wanted: [whole(low - beyond, Math.floor), whole(high + beyond, Math.ceil)] };
+    };
+    const [x, y] = [ends(x_range, this.setup.size[0]), ends(y_range, this.setup.size[1])];
+    const box = (kind) => [x[kind][0], y[kind][0], x[kind][1], y[kind][1]];
+    return { least: box("least"), wanted: box("wanted") };
+  }
+
+  // Paint what is in sight, unless that was painted so already; true where it was done.
+  fillSight(name, values, [low, high]) {
+    const block = Math.max(1, Math.ceil(0.99 / this.scale()));
+    const { least, wanted } = this.sight(block);
+    const before = this.painted?.[name];
+    const same = before?.values === values && before.block === block && before.look === `${this.look} ${low} ${high}`;
+    if (same && least.every((end, i) => (i < 2 ? end >= before.box[i] : end <= before.box[i]))) return false;
+    this.painted = { ...this.painted, [name]: { values, block, box: wanted, look: `${this.look} ${low} ${high}` } };
+    const [x0, y0, x1, y1] = wanted;
+    this.fill(name, cutOut(this.mip(values, block), [x0, y0, x1, y1].map((at) => at / block)), low, high, block, [x0 - 0.5, y0 - 0.5]);
+    return true;
+  }
+
+  // The whole picture in blocks, made once for each size of them.
   mip(values, block) {
     const [n_pixel, n_line] = this.setup.size;
     if (block === 1) return { values, width: n_pixel, height: n_line };
-    if (this.mipsOf !== values) [this.mipsOf, this.mips] = [values, new Map()];
-    if (!this.mips.has(block)) this.mips.set(block, binned(values, n_pixel, n_line, block));
-    return this.mips.get(block);
+    if (!this.mips.has(values)) this.mips.set(values, new Map());
+    const made = this.mips.get(values);
+    if (!made.has(block)) made.set(block, binned(values, n_pixel, n_line, block));
+    return made.get(block);
   }
 
   fill(name, { values, width, height }, low, high, block, [x, y] = [-0.5, -0.5]) {
@@ -151,6 +212,23 @@ class ImagePage extends ImageCursor {
     const image = this.ndarray(words.buffer, { dtype: "uint32", shape: [height, width] });
     const data = { image: [image], x: [x], y: [y], dw: [width * block], dh: [height * block] };
     this.model(name).setv({ data }, { sync: false });
+  }
+
+  // North, east and the Sun in the picture's corner.
+  drawCompass() {
+    const { x_range, y_range, frame_width, frame_height } = this.model("opnav-picture");
+    const shown = this.state.groups.includes("compass") && frame_height > 3 * COMPASS_PX.corner ? this.arrows : [];
+    const px = 1 / this.scale();
+    const middle = [x_range.end - COMPASS_PX.corner * px, Math.max(y_range.start, y_range.end) - COMPASS_PX.corner * px];
+    const drawn = JSON.stringify([shown, middle, px, frame_width]);
+    if (drawn === this.compassDrawn) return;
+    this.compassDrawn = drawn;
+    const ends = (reach) => shown.map(([, x, y]) => [middle[0] + reach * px * x, middle[1] + reach * px * y]);
+    const column = (list, i) => list.map((at) => at[i]);
+    const [tips, places] = [ends(COMPASS_PX.arrow), ends(COMPASS_PX.name)];
+    const data = { pixel: shown.map(() => middle[0]), line: shown.map(() => middle[1]), end_pixel: column(tips, 0), end_line: column(tips, 1) };
+    this.model("opnav-compass").setv({ data }, { sync: false });
+    this.model("opnav-compass-names").setv({ data: { pixel: column(places, 0), line: column(places, 1), text: shown.map(([name]) => name) } }, { sync: false });
   }
 
   // -- sizes and ranges
@@ -191,9 +269,13 @@ class ImagePage extends ImageCursor {
       classes.toggle("opnav-wide", beside > usual);
       classes.toggle("opnav-slim", narrow && slim > tall && beside <= usual);
       const frame = Math.round(Math.max(Math.min(Math.max(usual, beside), most), 180));
-      quiet_("opnav-picture", { frame_width: frame, frame_height: frame });
+      const across = beside > usual ? width - axis_x - ZOOM_PX - COLUMN_PX : width - axis_x - ZOOM_PX - (narrow ? 10 + (classes.contains("opnav-slim") ? SIDE_NARROW_PX - ZOOM_PX : 0) : SIDE_PX + 86);
+      const each = this.second.isBeside ? Math.max(Math.floor((Math.max(across, frame) - GAP_PX) / 2), 120) : frame;
+      quiet_("opnav-picture", { frame_width: each, frame_height: frame });
       quiet_("opnav-panner", { frame_width: square, frame_height: square });
     }
+    const { frame_width, frame_height } = this.model("opnav-picture");
+    quiet_("opnav-second", { frame_width, frame_height });
     quiet_("opnav-magnifier", { frame_width: square, frame_height: square });
     const [n_pixel, n_line] = this.setup.size;
     const longest = this.setup.strip ? [n_pixel, n_line] : [Math.max(n_pixel, n_line), Math.max(n_pixel, n_line)];
