@@ -179,7 +179,7 @@ def _sky(part: _Part, radius: float) -> tuple[float, float, int]:
         if len(kept) in (0, len(values)):
             break
         values = kept
-    return level, noise, len(values)
+    return level, float(values.std(ddof=1)), len(values)
 
 
 def _gaussian(

@@ -2,6 +2,7 @@
 
 const SIDE_PX = 132; // magnifier and panner
 const SIDE_NARROW_PX = 112;
+const SIDE_WIDE_PX = 104; // two of them fill the column beside the picture
 const ZOOM_PX = 36; // the buttons beside the picture
 const MOST_PX = 900; // of the picture's frame, in a notebook's cell
 const COLUMN_PX = 236; // menus, switches, small pictures and readout beside the picture, where that leaves it larger
@@ -254,7 +255,7 @@ class ImagePage extends ImageCursor {
     const slim = Math.min(width - axis_x - SIDE_NARROW_PX - 14, room - axis_y - READOUT_PX);
     const narrow = width < NARROW_PX || (bench && Math.max(tall, slim) > wide);
     if (!narrow) roomBelow(false);
-    const square = narrow ? SIDE_NARROW_PX : SIDE_PX;
+    let square = narrow ? SIDE_NARROW_PX : SIDE_PX;
     const most = bench ? Infinity : Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
     const quiet_ = (name, values) => this.model(name).setv(values, { sync: false });
     if (this.setup.strip) {
@@ -272,6 +273,7 @@ class ImagePage extends ImageCursor {
       const across = beside > usual ? width - axis_x - ZOOM_PX - COLUMN_PX : width - axis_x - ZOOM_PX - (narrow ? 10 + (classes.contains("opnav-slim") ? SIDE_NARROW_PX - ZOOM_PX : 0) : SIDE_PX + 86);
       const each = this.second.isBeside ? Math.max(Math.floor((Math.max(across, frame) - GAP_PX) / 2), 120) : frame;
       quiet_("opnav-picture", { frame_width: each, frame_height: frame });
+      if (beside > usual) square = SIDE_WIDE_PX;
       quiet_("opnav-panner", { frame_width: square, frame_height: square });
     }
     const { frame_width, frame_height } = this.model("opnav-picture");
