@@ -289,6 +289,10 @@ class Autosave:
             "another folder."
         )
 
+    def holds(self, history: History) -> bool:
+        """Whether every entry of the journal is on disk, and this is who writes there."""
+        return not self._taken_over and self._count == len(history.journal)
+
     def give_way(self) -> None:
         """Stop writing for a newer session of this process."""
         self._taken_over = True

@@ -274,6 +274,11 @@ class ImageSession:
         """Where every step is saved; None without autosave."""
         return None if self._autosave is None else self._autosave.folder
 
+    @property
+    def is_on_disk(self) -> bool:
+        """Whether it could be closed now and resumed without loss: every step is in its folder."""
+        return self._autosave is not None and self._autosave.holds(self._history)
+
     def result(self) -> dict[str, Any]:
         """Return everything found so far as plain values, in the layout of ``result.json`` (`result.result_dict`)."""
         return result_dict(self.context, self.source, self.inputs, self.state)

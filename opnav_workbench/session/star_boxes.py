@@ -78,12 +78,15 @@ def star_boxes(
         rows = np.flatnonzero(context.camera.on_detector(predicted) | has_center(state)).tolist()
     else:
         check_star_ids(stars, ids)
-        rows = [known.index(star) for star in ids]
-    measured = has_center(state)
-    return tuple(_box(context, state, predicted, row, bool(measured[row])) for row in rows)
+        place = {star: row for row, star in enumerate(known)}
+        rows = [place[star] for star in ids]
+    measured, size = has_center(state), default_box_px((state.psf or context.camera_psf).sigma_px)
+    return tuple(_box(context, state, predicted, row, bool(measured[row]), size) for row in rows)
 
 
-def _box(context: Context, state: SessionState, predicted: FloatArray, row: int, measured: bool) -> StarBox:
+def _box(
+    context: Context, state: SessionState, predicted: FloatArray, row: int, measured: bool, size: int
+) -> StarBox:
     assert state.a_priori is not None
     star, centers = str(state.a_priori.id[row]), state.centers
     images = None if centers is None else centers.images
@@ -91,8 +94,7 @@ def _box(context: Context, state: SessionState, predicted: FloatArray, row: int,
     if images is not None and has_image:
         first, data, model = images.first[row], images.data_dn[row], images.model_dn[row]
     else:
-        psf = state.psf or context.camera_psf
-        first, data = _cut(context, predicted[row], default_box_px(psf.sigma_px))
+        first, data = _cut(context, predicted[row], size)
         model = np.full_like(data, np.nan)
     status = state.status[row]
     return StarBox(
@@ -120,10 +122,13 @@ def _cut(context: Context, place: FloatArray, size: int) -> tuple[FloatArray, Fl
     if not np.isfinite(place).all():
         return np.zeros(2), data
     first = np.rint(place).astype(int) - size // 2
-    signal = np.where(context.bad | context.picture.saturated, np.nan, context.signal_dn)
-    n_line, n_pixel = signal.shape
+    n_line, n_pixel = context.signal_dn.shape
     pixel, line = first
     p0, l0, p1, l1 = max(pixel, 0), max(line, 0), min(pixel + size, n_pixel), min(line + size, n_line)
     if p0 < p1 and l0 < l1:
-        data[l0 - line : l1 - line, p0 - pixel : p1 - pixel] = signal[l0:l1, p0:p1]
+        there = np.s_[l0:l1, p0:p1]
+        unusable = context.bad[there] | context.picture.saturated[there]
+        data[l0 - line : l1 - line, p0 - pixel : p1 - pixel] = np.where(
+            unusable, np.nan, context.signal_dn[there]
+        )
     return first, data

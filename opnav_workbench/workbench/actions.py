@@ -182,6 +182,9 @@ def _everywhere() -> Iterator[Action]:
     yield Action("full", ("F",), "▣", "Give the picture the whole window, or share the window again.")
     yield Action("fold_panel", ("\\",), "◨", "Fold the panel on the right away, or bring it back.")
     yield Action("fold_list", ("|",), "☰", "Fold the list of images away, or bring it back.")
+    yield Action(
+        "filter", ("/",), "Filter", "Type words that images of the list shall have; Enter keeps them."
+    )
     yield Action("window", ("W",), "Notebook", "Fill the browser's window, or stand in the notebook.")
     yield Action("escape", ("Escape",), "Cancel", "Close a menu, leave a tool, or cancel what is running.")
 
@@ -199,6 +202,14 @@ def _stars() -> Iterator[Action]:
     yield Action("accept_rest", ("A",), "Accept rest", "Accept all undecided stars that are in use.", where)
     yield Action("repoint", ("p",), "Repoint", "Solve the camera's attitude from the stars in use.", where)
     yield Action("place_star", ("i",), "Place star", "Then click in the picture where this star is.", where)
+    yield Action("table", ("y",), "Table", "Show the stars as a table, or as boxes.", where)
+    yield Action(
+        "sort",
+        ("k",),
+        "Sort",
+        "Put the stars in the next order: catalog, magnitude, SNR, O−C, status.",
+        where,
+    )
     yield Action("smaller_radius", ("[",), "−", "Search nearer to the expected place, and fit again.", where)
     yield Action(
         "larger_radius", ("]",), "+", "Search farther from the expected place, and fit again.", where
@@ -267,12 +278,24 @@ WORKBENCH_ACTIONS = (*_everywhere(), *_stars(), *_pointing(), *_bodies(), *_tool
 
 
 # What happens in the page alone: the room that its parts have.
-ROOM = ("full", "fold_panel", "fold_list", "window")
+ROOM = ("full", "fold_panel", "fold_list", "filter", "window")
 # What only looks around, and so is done at once while a step is running; everything else waits in line.
 LOOKING = frozenset(
     {
         *(f"tab_{name}" for name, _ in TABS),
-        *("keys", "escape", "note", "next", "previous", "next_undecided", "star", "examine", "reject"),
+        *(
+            "keys",
+            "escape",
+            "note",
+            "next",
+            "previous",
+            "next_undecided",
+            "star",
+            "examine",
+            "reject",
+            "table",
+        ),
+        *("sort", "sort_by"),
         *("next_body", "body", "method", "solve_range", "next_scan", "previous_scan", "look_scan"),
         *("two_star", "nudge", "place_star", "circle", "box_scans", "two_star_name", "older_entries"),
     }

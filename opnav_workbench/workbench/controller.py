@@ -26,7 +26,7 @@ from opnav_workbench.workbench.actions import (
     ActionRegistry,
 )
 from opnav_workbench.workbench.bodies_tab import BodiesTab
-from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
+from opnav_workbench.workbench.image_queue import ORDERS, SHOWN, ImageQueue, QueueItem
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
 from opnav_workbench.workbench.pointing_tab import PointingTab
@@ -39,7 +39,8 @@ __all__ = ["REGIONS", "WorkbenchController"]
 
 TOOL_LAYERS = ("two stars", "limb scans")  # that the tabs draw
 GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
-WITHOUT_IMAGE = frozenset({*GOING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
+LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
+WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
 
 
@@ -125,7 +126,7 @@ class WorkbenchController:
             return False
         if runner.running.leavable and act in GOING:
             return False
-        return bool(runner.line) or act not in LOOKING
+        return bool(runner.line) or act not in (*LOOKING, *LISTING)
 
     def do(self, name: str, event: PageEvent | None = None) -> None:
         """Carry out an action by its name."""
@@ -175,8 +176,11 @@ class WorkbenchController:
         return tabs | {
             "undo": lambda _: self._undo(),
             "redo": lambda _: self.runner.redo(),
-            "next_image": lambda _: self._go(self.queue.index + 1),
-            "previous_image": lambda _: self._go(self.queue.index - 1),
+            "next_image": lambda _: self._go(self.queue.step(+1)),
+            "previous_image": lambda _: self._go(self.queue.step(-1)),
+            "list_words": lambda event: self._list(words=str(event["value"])),
+            "list_shown": lambda event: self._list(shown_kind=str(event["value"])),
+            "list_order": lambda event: self._list(order=str(event["value"])),
             "go": lambda event: self._go(int(event["arg"])),
             "keys": lambda _: self._toggle_keys(),
             "escape": lambda _: self._escape(),
@@ -203,6 +207,12 @@ class WorkbenchController:
             return
         self.queue.go(index)
         self._show_image()
+
+    def _list(self, **chosen: str) -> None:
+        """Choose what is listed, and in which order."""
+        for name, value in chosen.items():
+            setattr(self.queue, name, value)
+        self._open_ahead()
 
     def _open_again(self) -> None:
         self.queue.item.error = ""
@@ -247,6 +257,8 @@ class WorkbenchController:
             self._show_failure(item)
 
     def _show_session(self, item: QueueItem, session: ImageSession) -> None:
+        item.seen_s = time.monotonic()
+        self.queue.close_far()
         self.viewer.show(session)
         self._compared = []
         self._shown, self._pictured = session, session.state
@@ -277,6 +289,8 @@ class WorkbenchController:
                     Exception
                 ):  # the list shows that it failed; the page says why when its turn comes
                     self._open(item)
+                with self.runner.lock:
+                    self.queue.close_far()
                 self.refresh()
 
     def _leave_tools(self) -> None:
@@ -347,10 +361,15 @@ class WorkbenchController:
         """Return the HTML of every region."""
         return {
             "header": self._header(),
-            "queue": render("queue.html", items=self.queue.items, here=self.queue.index),
+            "queue": self._queue(),
             "panel": self._panel(),
             "status": self._status(),
         }
+
+    def _queue(self) -> str:
+        queue, listed = self.queue, self.queue.listed()
+        items = [(number, queue.items[number]) for number in listed]
+        return render("queue.html", items=items, queue=queue, kinds=SHOWN, orders=ORDERS)
 
     def _header(self) -> str:
         session, item = self.queue.opened, self.queue.item
@@ -372,8 +391,9 @@ class WorkbenchController:
         )
 
     def _ends(self) -> dict[str, bool]:
-        """Whether the image at hand is the first, the last of the list."""
-        return {"is_first": self.queue.index == 0, "is_last": self.queue.index == len(self.queue.items) - 1}
+        """Whether the image at hand is the first, the last of those listed."""
+        listed = self.queue.listed()
+        return {"is_first": self.queue.index == listed[0], "is_last": self.queue.index == listed[-1]}
 
     def _panel(self) -> str:
         return render(

@@ -1,10 +1,12 @@
 """The list of images: where each stands, opened when its turn comes, resumed where it was left.
 
 A list is made of open sessions, of picture files, or of folders of saved sessions; with a folder each decision is on disk
-when it is shown.
+when it is shown. Those that were looked at longest ago are closed again once all that are open are large (`KEPT_PIXELS`),
+where every step of theirs is on disk. What is listed is chosen by words and by status, and put in an order.
 """
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +18,11 @@ from opnav_workbench.image.picture_files import picture_files, picture_names
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.storage import session_owner
+from opnav_workbench.templating import png_url
 from opnav_workbench.workbench.status_line import plain_words
+from opnav_workbench.workbench.stretch import thumbnail_png
 
-__all__ = ["ImageQueue", "QueueItem"]
+__all__ = ["KEPT_PIXELS", "ORDERS", "SHOWN", "ImageQueue", "QueueItem"]
 
 # Sign and word of each status: neither color nor sign stands alone.
 PROGRESS_SIGNS = {
@@ -51,6 +55,13 @@ def session_progress(session: ImageSession) -> str:
     return "open" if state.centers is None else "stars"
 
 
+# Of all open images together: beyond, those looked at longest ago are closed. Two of 4096 x 4096, or 32 of 1024 x 1024;
+# an open image holds some 40 bytes a pixel.
+KEPT_PIXELS = 32 * 1024 * 1024
+ORDERS = ("as given", "by name", "by status")
+SHOWN = ("all", "to do", "done", "failed")
+
+
 @dataclass(slots=True)
 class QueueItem:
     """One image of the list.
@@ -65,6 +76,14 @@ class QueueItem:
         Why it could not be opened, in plain words; it is not tried again by itself.
     opening
         Held while it is being opened: by the analyst's wish, or ahead.
+    reopens
+        Whether `open` can be called again, so that it may be closed meanwhile.
+    left
+        Where it stood when it was closed; empty: it was not.
+    thumbnail
+        PNG of the picture, small, once it was open.
+    seen_s
+        When it was at hand last.
     """
 
     name: str
@@ -73,6 +92,10 @@ class QueueItem:
     session: ImageSession | None = None
     error: str = ""
     opening: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    reopens: bool = False
+    left: str = ""
+    thumbnail: bytes = b""
+    seen_s: float = 0.0
 
     @property
     def status(self) -> str:
@@ -81,7 +104,26 @@ class QueueItem:
             return "failed"
         if self.session is None and self.opening.locked():
             return "opening"
-        return "new" if self.session is None else session_progress(self.session)
+        return self.left or "new" if self.session is None else session_progress(self.session)
+
+    @property
+    def thumbnail_url(self) -> str:
+        """Data URL of the thumbnail; empty where there is none yet."""
+        return png_url(self.thumbnail) if self.thumbnail else ""
+
+    @property
+    def n_pixel(self) -> int:
+        """Pixels that it holds in memory."""
+        return 0 if self.session is None else self.session.context.picture.image_dn.size
+
+    def close(self) -> bool:
+        """Let its session go, if it can be opened again as it is; False where it stays."""
+        session = self.session
+        if session is None or not (self.reopens and self.folder is not None and session.is_on_disk):
+            return False
+        self.left, self.session = session_progress(session), None
+        session.autosave(None)
+        return True
 
     @property
     def status_sign(self) -> str:
@@ -109,6 +151,7 @@ class ImageQueue:
         self.items = list(items)
         self.index = 0
         self.opening: Callable[[ImageSession], None] = lambda _: None  # told of every session that is opened
+        self.words, self.shown_kind, self.order = "", SHOWN[0], ORDERS[0]
 
     @property
     def item(self) -> QueueItem:
@@ -149,14 +192,69 @@ class ImageQueue:
                     item.error = plain_words(error)
                     raise
                 self.opening(session)
+                item.thumbnail = item.thumbnail or thumbnail_png(session.context.picture.image_dn)
                 item.session, item.error = session, ""
+            item.seen_s = time.monotonic()
             return item.session
+
+    def close_far(self) -> list[QueueItem]:
+        """Close what was looked at longest ago, until the rest is no larger than `KEPT_PIXELS`; return what was closed.
+
+        The image at hand and its neighbors stay open.
+        """
+        near = {id(self.items[number]) for number in (*self.neighbors(), self.index)}
+        held = sum(item.n_pixel for item in self.items)
+        closed = []
+        for item in sorted(self.items, key=lambda one: one.seen_s):
+            if held <= KEPT_PIXELS:
+                break
+            size = item.n_pixel
+            if id(item) not in near and not item.opening.locked() and item.close():
+                held -= size
+                closed.append(item)
+        return closed
+
+    # -- what is listed, and in which order
+
+    def listed(self) -> list[int]:
+        """Return the numbers of the images that are listed, in the order asked for; the one at hand is always among them."""
+        numbers = [
+            number for number, item in enumerate(self.items) if self._is_listed(item) or number == self.index
+        ]
+        keys: dict[str, Callable[[int], Any]] = {
+            "by name": lambda number: self.items[number].name.casefold(),
+            "by status": lambda number: list(PROGRESS_WORDS).index(self.items[number].status),
+        }
+        return sorted(numbers, key=keys[self.order]) if self.order in keys else numbers
+
+    def _is_listed(self, item: QueueItem) -> bool:
+        kinds = {
+            "done": ("done",),
+            "failed": ("failed",),
+            "to do": tuple({*PROGRESS_WORDS} - {"done", "failed"}),
+        }
+        text = f"{item.name} {item.status_words}".casefold()
+        return item.status in kinds.get(self.shown_kind, (item.status,)) and all(
+            word in text for word in self.words.casefold().split()
+        )
+
+    def neighbors(self) -> list[int]:
+        """Return the numbers of the next and of the previous image of those listed."""
+        listed = self.listed()
+        at = listed.index(self.index)
+        return [listed[one] for one in (at + 1, at - 1) if 0 <= one < len(listed)]
+
+    def step(self, step: int) -> int:
+        """Return the number of the image so many places on in the list; at its ends the last one."""
+        listed = self.listed()
+        return listed[min(max(listed.index(self.index) + step, 0), len(listed) - 1)]
 
     def next_to_open(self) -> QueueItem | None:
         """Return the neighbor of the image at hand that is to be opened ahead: the next one, then the one before."""
-        near = (self.index + 1, self.index - 1)
-        neighbors = [self.items[number] for number in near if 0 <= number < len(self.items)]
-        return next((item for item in neighbors if item.status == "new"), None)
+        waiting = (self.items[number] for number in self.neighbors())
+        return next(
+            (i for i in waiting if i.session is None and not i.error and not i.opening.locked()), None
+        )
 
     def go(self, index: int) -> None:
         """Take another image; beyond the ends it stays."""
@@ -166,6 +264,7 @@ class ImageQueue:
         """Open one image after the other; the one at hand stays the same."""
         for item in self.items:
             yield self.open(item)
+            self.close_far()
 
     def require(self, *needs: str) -> None:
         """Stop where a decision is still to be made in any of the images; see `ImageSession.require`.
@@ -251,7 +350,7 @@ class ImageQueue:
         names = folders or picture_names(paths, lambda name: session_owner(inside(out, name))).values()
         for path, name in zip(paths, names, strict=True):
             folder = inside(out, name)
-            items.append(QueueItem(path.name, opener(path, folder), folder))
+            items.append(QueueItem(path.name, opener(path, folder), folder, reopens=True))
         return cls(items)
 
     @classmethod
@@ -261,7 +360,7 @@ class ImageQueue:
         def opener(folder: Path) -> Callable[[], ImageSession]:
             return lambda: ImageSession.resume(folder)
 
-        return cls([QueueItem(Path(f).name, opener(Path(f)), Path(f)) for f in folders])
+        return cls([QueueItem(Path(f).name, opener(Path(f)), Path(f), reopens=True) for f in folders])
 
 
 def predict_scene(session: ImageSession, targets: Sequence[str] | None = None) -> None:

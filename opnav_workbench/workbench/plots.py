@@ -71,13 +71,14 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A point (px), round or (style ``line``) square, with half the length of its error bar and a tooltip."""
+    """A point (px), round or (style ``line``) square, with half the length of its error bar, a tooltip, and whose it is."""
 
     style: str
     x: float
     y: float
     bar: float
     title: str
+    star: str = ""
 
 
 @dataclass(slots=True)
@@ -92,6 +93,8 @@ class SvgPlot:
         No axes and no labels: a thumbnail.
     ticks
         About so many on each axis.
+    focus
+        The star whose points stand out.
     """
 
     width_px: int
@@ -104,6 +107,7 @@ class SvgPlot:
     bare: bool = False
     ticks: int = WANTED_TICKS
     font_px: int = FONT_PX
+    focus: str = ""
     curves: list[Curve] = field(default_factory=list)
     points: list[Point] = field(default_factory=list)
 
@@ -137,15 +141,22 @@ class SvgPlot:
         return self
 
     def add_points(
-        self, x: ArrayLike, y: ArrayLike, style: str, sigma: ArrayLike, titles: Sequence[str]
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        style: str,
+        sigma: ArrayLike,
+        titles: Sequence[str],
+        stars: Sequence[str] = (),
     ) -> "SvgPlot":
-        """Draw the finite points with error bars and a tooltip each; round, or (style ``line``) square."""
+        """Draw the finite points with error bars and a tooltip each; round, or (style ``line``) square; of `stars`."""
         across, down = self.x(x), self.y(y)
         bars = np.abs(self.y(np.asarray(sigma)) - self.y(0.0))
         bars = np.where(np.isfinite(bars), bars, 0.0)
-        for a, b, bar, title in zip(across, down, bars, titles, strict=True):
+        whose = stars or [""] * len(titles)
+        for a, b, bar, title, star in zip(across, down, bars, titles, whose, strict=True):
             if np.isfinite(a) and np.isfinite(b):
-                self.points.append(Point(style, float(a), float(b), float(bar), title))
+                self.points.append(Point(style, float(a), float(b), float(bar), title, star))
         return self
 
     @property
@@ -243,18 +254,22 @@ class ResidualPlots:
     after: SvgPlot | None
 
 
-def residual_plots(rows: StarResiduals, size: tuple[int, int]) -> ResidualPlots | None:
+def residual_plots(rows: StarResiduals, size: tuple[int, int], focus: str = "") -> ResidualPlots | None:
     """Return the plots of residual against magnitude, before and after repointing; None without a star in use.
 
     Parameters
     ----------
     size : (int, int)
         Width and height of each, px.
+    focus
+        Id of the star whose points stand out.
     """
     if not rows.ids:
         return None
     before = _against_magnitude(rows, rows.before_px, "from the a priori places", size)
     after = _against_magnitude(rows, rows.after_px, rows.reference, size) if rows.reference else None
+    for plot in filter(None, (before, after)):
+        plot.focus = focus
     return ResidualPlots(before, after)
 
 
@@ -269,7 +284,7 @@ def _against_magnitude(
             f"{star}: {style} {value:+.3f} ± {error:.3f} px"
             for star, value, error in zip(rows.ids, residual, sigma, strict=True)
         ]
-        plot.add_points(rows.mag, residual, style, sigma, titles)
+        plot.add_points(rows.mag, residual, style, sigma, titles, rows.ids)
     return plot
 
 

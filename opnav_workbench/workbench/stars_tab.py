@@ -1,11 +1,14 @@
 """The tab of the stars: one extracted box after the other is accepted or rejected, by one key each; and its page.
 
-Data, model and residual of one star are shown large, of the others small. Search radius (px, 1 to 80) and template (a
+Data, model and residual of one star are shown large, of the others small, or as a table; both in the order that the analyst
+chooses, which the keys follow. Search radius (px, 1 to 80) and template (a
 bright star, this star, the camera's Gaussian) are changed on the spot and all stars fitted again.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -113,6 +116,18 @@ class StarCard:
         flags = "" if self.box.flags in ("", "ok") else self.box.flags
         return "; ".join(filter(None, (self.box.reason, flags))) if self.expected else ""
 
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Magnitude, SNR and observed minus expected (pixel, line, length), for the table."""
+        off = off_px(self.box)
+        snr = f"{self.box.snr:.0f}" if np.isfinite(self.box.snr) else "–"
+        seen = (
+            (f"{off[0]:+.2f}", f"{off[1]:+.2f}", f"{np.hypot(*off):.2f}")
+            if np.isfinite(off).all()
+            else ("–",) * 3
+        )
+        return f"{self.mag:.1f}", snr, *seen
+
     def small_pictures(self, noise_dn: float) -> list[tuple[str, PagePicture]]:
         """Return data, model and residual by name."""
         return [(name, PagePicture(url, SMALL_PX, SMALL_PX)) for name, url in self._pictures(noise_dn)]
@@ -152,6 +167,11 @@ class StarCard:
         return list(zip(("data", "model", "residual"), map(png_url, pngs), strict=True))
 
 
+def off_px(box: StarBox) -> FloatArray:
+    """Return observed minus expected (2,), px; nan where nothing was observed."""
+    return np.full(2, np.nan) if box.observed_px is None else np.asarray(box.observed_px - box.predicted_px)
+
+
 @dataclass(frozen=True, slots=True)
 class StarPage:
     """Everything that the page of the stars shows (templates/stars.html).
@@ -168,6 +188,8 @@ class StarPage:
         Whether the stars have been fitted.
     reasons_open, placing, examine_each
         The menu of reasons is open; a click places the star; each star must be decided on.
+    table, columns
+        Whether the others stand in a table; its columns: name of the order, heading, sign of the order.
     pointing
         One line.
     noise_dn
@@ -187,6 +209,8 @@ class StarPage:
     reasons: tuple[Action, ...]
     placing: bool
     examine_each: bool
+    table: bool
+    columns: tuple[tuple[str, str, str], ...]
     pointing: str
     noise_dn: float
     residuals: ResidualPlots | None
@@ -198,6 +222,36 @@ CLICK_RADIUS_SHARE = 0.02  # of the picture's longer side: a click so near to a 
 MIN_CLICK_RADIUS_PX = 8.0
 MIN_RING_PX = 6.0  # the ring about the star under decision stays clear of the star
 BOXES_PER_PAGE = 24  # boxes on a page: what is seen at once, and quick to send
+ROWS_PER_PAGE = 60  # of the table
+
+# What stars can be sorted by: heading in the table, and the key; the first is the catalog's order.
+Order = Callable[[StarBox], Any]
+ORDERS: Mapping[str, tuple[str, Order]] = MappingProxyType(
+    {
+        "catalog": ("star", lambda _: 0),
+        "mag": ("mag", lambda box: box.mag),
+        "snr": ("SNR", lambda box: box.snr),
+        "pixel": ("Δ px", lambda box: off_px(box)[0]),
+        "line": ("Δ line", lambda box: off_px(box)[1]),
+        "off": ("O−C", lambda box: np.hypot(*off_px(box))),
+        "status": ("status", lambda box: (box.status, box.verdict)),
+    }
+)
+KEY_ORDERS = (
+    ("catalog", False),
+    ("mag", False),
+    ("snr", True),
+    ("off", True),
+    ("status", False),
+)  # of the key, in turn
+
+
+def in_order(boxes: Sequence[StarBox], order: str, *, descending: bool) -> tuple[StarBox, ...]:
+    """Return boxes sorted; those without the number come last either way."""
+    _, key = ORDERS[order]
+    known = [box for box in boxes if not (isinstance(key(box), float) and np.isnan(key(box)))]
+    rest = [box for box in boxes if isinstance(key(box), float) and np.isnan(key(box))]
+    return (*sorted(known, key=key, reverse=descending), *rest)
 
 
 NAME_LETTERS = 15  # that a small card has room for
@@ -236,10 +290,12 @@ def expected_from(session: ImageSession) -> str:
 
 @dataclass(slots=True)
 class _BoxCache:
-    """Boxes as last asked for; they are the same as long as the state is."""
+    """Boxes as last asked for; they are the same as long as state and order are."""
 
     state: object = None
     boxes: tuple[StarBox, ...] = ()
+    order: tuple[str, bool] = ("", False)
+    ordered: tuple[StarBox, ...] = ()
 
 
 class StarsTab(Tab):
@@ -252,18 +308,23 @@ class StarsTab(Tab):
         super().__init__(runner, registry)
         self.focus_id = ""
         self.search = runner.search
+        self.table = False
+        self.order, self.descending = "catalog", False
         self._box_cache = _BoxCache()
 
     # -- what stands -------------------------------------------------------------------------------------------
 
     @property
     def boxes(self) -> tuple[StarBox, ...]:
-        """Boxes of all stars on the detector, in the catalog's order of the prediction."""
+        """Boxes of all stars on the detector, in the order chosen."""
         state = self.runner.session.state
         if self._box_cache.state is not state:
             boxes = self.runner.session.star_boxes() if state.a_priori is not None else ()
             self._box_cache = _BoxCache(state, tuple(b for b in boxes if b.status != "off_detector"))
-        return self._box_cache.boxes
+        cache, order = self._box_cache, (self.order, self.descending)
+        if cache.order != order:
+            cache.order, cache.ordered = order, in_order(cache.boxes, self.order, descending=self.descending)
+        return cache.ordered
 
     @property
     def ids(self) -> list[str]:
@@ -319,9 +380,10 @@ class StarsTab(Tab):
     def _page(self, session: ImageSession, focus: str) -> StarPage:
         cards = star_cards(self.boxes, session.state.decisions, expected_from(session))
         place = self.ids.index(focus)
-        first = place // BOXES_PER_PAGE * BOXES_PER_PAGE
+        room = ROWS_PER_PAGE if self.table else BOXES_PER_PAGE
+        first = place // room * room
         return StarPage(
-            cards=cards[first : first + BOXES_PER_PAGE],
+            cards=cards[first : first + room],
             focus=cards[place],
             first=first,
             n_all=len(cards),
@@ -334,10 +396,15 @@ class StarsTab(Tab):
             reasons=tuple(action for action in self.registry if action.where == REASON_MENU),
             placing=self.runner.tool == PLACE_STAR,
             examine_each=self.runner.examine_each,
+            table=self.table,
+            columns=tuple((name, heading, self._sign(name)) for name, (heading, _) in ORDERS.items()),
             pointing=self.runner.pointing_line(),
             noise_dn=self._noise_dn(),
-            residuals=residual_plots(star_residuals(session), RESIDUAL_PLOT_PX),
+            residuals=residual_plots(star_residuals(session), RESIDUAL_PLOT_PX, focus),
         )
+
+    def _sign(self, order: str) -> str:
+        return "" if order != self.order else "▼" if self.descending else "▲"
 
     def _noise_dn(self) -> float:
         """Typical noise of the picture; 1 where none is known."""
@@ -366,6 +433,9 @@ class StarsTab(Tab):
             "radius": lambda event: self._refit(self.search.type_radius(str(event["value"]))),
             "template": lambda _: self._refit(self.search.next_template(self._star_or_raise())),
             "examine": lambda _: self._toggle_examine(),
+            "table": lambda _: self._toggle_table(),
+            "sort": lambda _: self._next_order(),
+            "sort_by": lambda event: self._sort_by(str(event["arg"])),
             "star": self._picked,
         }
 
@@ -446,6 +516,21 @@ class StarsTab(Tab):
             if self.runner.examine_each
             else "undecided stars follow the automatic judgement."
         )
+
+    def _toggle_table(self) -> None:
+        self.table = not self.table
+
+    def _next_order(self) -> None:
+        now = (self.order, self.descending)
+        turn = KEY_ORDERS.index(now) + 1 if now in KEY_ORDERS else 0
+        self.order, self.descending = KEY_ORDERS[turn % len(KEY_ORDERS)]
+        heading = "catalog" if self.order == "catalog" else ORDERS[self.order][0]
+        self.runner.status.say(f"stars by {heading}{', largest first' if self.descending else ''}.")
+
+    def _sort_by(self, order: str) -> None:
+        """Sort by a column; once more: the other way around."""
+        if order in ORDERS:
+            self.order, self.descending = order, not self.descending if order == self.order else False
 
     def _refit(self, what: str) -> None:
         """Fit all stars again with another radius or template."""

@@ -39,7 +39,8 @@ def test_a_star_of_any_name_cannot_break_the_plots():
     shown = _macro("plots.html", "residual_plots")(residual_plots(rows, (200, 100)))
     shown += _macro("plots.html", "vector_plot")(vector_plot(rows, 400))
     assert "<script" not in shown
-    assert shown.count("&lt;script&gt;") == 5  # a point for pixel and line, before and after; and a vector
+    # A point for pixel and line, before and after, each with its tooltip and the star that a click takes; and a vector.
+    assert shown.count("&lt;script&gt;") == 9
     moved = replace(rows, reference="")
     assert "not repointed yet" in _macro("plots.html", "residual_plots")(residual_plots(moved, (200, 100)))
 

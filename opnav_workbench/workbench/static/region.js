@@ -103,6 +103,7 @@ class Room {
       full: () => this.full(),
       fold_panel: () => this.fold("panel"),
       fold_list: () => this.fold("list"),
+      filter: () => this.filter(),
       window: () => this.fill(!this.filled),
     };
     actions[name]?.();
@@ -143,6 +144,14 @@ class Room {
     const { folded } = this.kept;
     this.kept.folded = folded.includes(part) ? folded.filter((one) => one !== part) : [...folded, part];
     this.show();
+  }
+
+  // The list's field of words takes the keys.
+  filter() {
+    if (this.kept.folded.includes("list")) this.fold("list");
+    const field = this.root.querySelector(".ow-queue input");
+    field?.focus();
+    field?.select();
   }
 
   show() {
@@ -275,6 +284,10 @@ function listenForClicks(el, post) {
     const target = event.target;
     if (!target.dataset.act || target.type === "checkbox") return;
     post({ act: target.dataset.act, arg: target.dataset.arg ?? null, value: target.value });
+  });
+  el.addEventListener("input", (event) => {
+    const { act, live } = event.target.dataset;
+    if (live !== undefined) post({ act, value: event.target.value });
   });
   el.addEventListener("keydown", (event) => {
     if (event.key === "Enter" && event.target.matches("input")) {
