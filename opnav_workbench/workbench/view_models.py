@@ -456,7 +456,7 @@ class PictureModels:
         self.picture.text(
             "pixel", "line", "text", source=names, name="overlay:compass", text_font_size="11px",
             text_color=color, text_align="center", text_baseline="middle",
-            background_fill_color=LABEL_BACKGROUND, background_fill_alpha=0.6, padding=1,
+            background_fill_color=LABEL_BACKGROUND, background_fill_alpha=0.85, padding=1,
         )  # fmt: skip
 
 

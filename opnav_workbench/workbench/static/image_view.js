@@ -148,7 +148,7 @@ class ImagePage extends ImageCursor {
 
   paint() {
     const values = this.pixels();
-    if (!values) return;
+    if (values?.length !== this.setup.size[0] * this.setup.size[1]) return; // of the picture before, or none
     const [low, high] = this.limits();
     const { stretch, colormap, inverted } = this.state;
     const look = JSON.stringify([stretch, colormap, inverted, this.shading(), low, high]);
@@ -177,8 +177,12 @@ class ImagePage extends ImageCursor {
     const ends = (range, n) => {
       const [low, high] = [Math.min(range.start, range.end), Math.max(range.start, range.end)];
       const beyond = AROUND_SHOWN * (high - low);
-      const whole = (at, round) => Math.min(Math.max(round((at + 0.5) / block) * block, 0), Math.ceil(n / block) * block);
-      return { least: [whole(low, Math.floor), whole(high, Math.ceil)], wanted: [whole(low - beyond, Math.floor), whole(high + beyond, Math.ceil)] };
+      const blocks = Math.ceil(n / block);
+      const whole = (from, to) => {
+        const first = Math.min(Math.max(Math.floor((from + 0.5) / block), 0), blocks - 1);
+        return [first * block, Math.min(Math.max(Math.ceil((to + 0.5) / block), first + 1), blocks) * block];
+      };
+      return { least: whole(low, high), wanted: whole(low - beyond, high + beyond) };
     };
     const [x, y] = [ends(x_range, this.setup.size[0]), ends(y_range, this.setup.size[1])];
     const box = (kind) => [x[kind][0], y[kind][0], x[kind][1], y[kind][1]];

@@ -69,6 +69,7 @@ class InspectCard {
     const drawn = tools.takesPointer ? tools.ends[tools.name] ?? (tools.circle ? [tools.circle.at] : []) : [];
     const places = drawn.map(([x, y]) => [frame.x_scale.compute(x), frame.y_scale.compute(y)]);
     const hides = (x, y) => places.some(([px, py]) => px > x - 20 && px < x + CARD_PX + 20 && py > y - 20 && py < y + height + 20);
+    if (this.view.setup.strip) sides.y = [frame.bbox.bottom + 30]; // below it: it would hide all of it
     const corners = sides.y.flatMap((y) => sides.x.map((x) => [x, y]));
     const [x, y] = this.at && !hides(...this.at) && this.of === String([sides.x, sides.y]) ? this.at : corners.find((corner) => !hides(...corner)) ?? corners[0];
     [this.at, this.of] = [[x, y], String([sides.x, sides.y])];

@@ -55,11 +55,11 @@ function binned(values, n_pixel, n_line, k) {
 
 // A part of a picture: [first pixel, first line, past pixel, past line].
 function cutOut({ values, width, height }, [x0, y0, x1, y1]) {
-  [x0, x1] = [Math.max(x0, 0), Math.min(x1, width)];
-  [y0, y1] = [Math.max(y0, 0), Math.min(y1, height)];
   if (x0 <= 0 && y0 <= 0 && x1 >= width && y1 >= height) return { values, width, height };
-  const [across, down] = [Math.max(x1 - x0, 1), Math.max(y1 - y0, 1)];
-  const part = new values.constructor(across * down);
-  for (let row = 0; row < down; row++) part.set(values.subarray((y0 + row) * width + x0, (y0 + row) * width + x0 + across), row * across);
+  const [across, down] = [x1 - x0, y1 - y0];
+  const Plain = values instanceof Uint16Array ? Uint16Array : Float32Array; // BokehJS's own arrays cannot be cut
+  const flat = new Plain(values.buffer, values.byteOffset, values.length);
+  const part = new Plain(across * down);
+  for (let row = 0; row < down; row++) part.set(flat.subarray((y0 + row) * width + x0, (y0 + row) * width + x0 + across), row * across);
   return { values: part, width: across, height: down };
 }
