@@ -234,8 +234,9 @@ class ImageQueue:
             "to do": tuple({*PROGRESS_WORDS} - {"done", "failed"}),
         }
         text = f"{item.name} {item.status_words}".casefold()
-        return item.status in kinds.get(self.shown_kind, (item.status,)) and all(
-            word in text for word in self.words.casefold().split()
+        return (
+            item.status in kinds.get(self.shown_kind, (item.status,))
+            and self.words.strip().casefold() in text
         )
 
     def neighbors(self) -> list[int]:

@@ -120,7 +120,8 @@ def measure_aperture(
     if not inside.any():
         raise OpNavError("no usable pixel is in the aperture; draw it elsewhere, or larger.")
     return Aperture(
-        *map(float, about),
+        float(about[0]),
+        float(about[1]),
         radius,
         center is not None,
         float((share * above).sum()),
@@ -142,8 +143,9 @@ class _Part:
     first: tuple[int, int]
 
     def offsets(self, place_px: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        line, pixel = np.indices(self.values.shape)
-        return pixel + self.first[0] - place_px[0], line + self.first[1] - place_px[1]
+        """Pixels and lines (size, size) from a place to each pixel's middle."""
+        line, pixel = np.indices(self.values.shape).astype(np.float64)
+        return np.asarray(pixel + self.first[0] - place_px[0]), np.asarray(line + self.first[1] - place_px[1])
 
 
 def _part(image_dn: FloatArray, usable: BoolArray, place: tuple[float, float], radius: float) -> _Part:
@@ -167,7 +169,8 @@ def _ring(radius: float) -> tuple[float, float]:
 def _sky(part: _Part, radius: float) -> tuple[float, float, int]:
     """Level and noise of the ring, clipped, and how many pixels it kept."""
     reach = 0.5 * (len(part.values) - 1)
-    distance = np.hypot(*(axis - reach for axis in np.indices(part.values.shape)))
+    line, pixel = np.indices(part.values.shape)
+    distance = np.hypot(pixel - reach, line - reach)
     inner, outer = _ring(radius)
     values = part.values[(distance >= inner) & (distance <= outer) & np.isfinite(part.values)]
     if len(values) < LEAST_PIXELS:

@@ -449,9 +449,9 @@ class PictureModels:
         )  # fmt: skip
         arrow: Any = Arrow(
             x_start="pixel", y_start="line", x_end="end_pixel", y_end="end_line", source=arrows,
-            end=VeeHead(size=8, fill_color=color, line_color=None), line_color=color, line_width=MARK_PX,
-            name="overlay:compass", tags=["own-colors"],
+            end=VeeHead(size=8, fill_color=color, line_color=None), name="overlay:compass", tags=["own-colors"],
         )  # fmt: skip
+        arrow.line_color, arrow.line_width = color, MARK_PX
         self.picture.add_layout(arrow)
         self.picture.text(
             "pixel", "line", "text", source=names, name="overlay:compass", text_font_size="11px",

@@ -48,6 +48,7 @@ def test_aperture_sums_as_a_known_library_does():
     assert found.sum_dn == pytest.approx(peer[0], abs=0.2 * NOISE)
 
 
+@pytest.mark.slow
 def test_aperture_scatter_is_what_it_says():
     """Over empty sky the sum scatters by its sigma, and no star is called found in more than a few."""
     rng = np.random.default_rng(8)

@@ -7,6 +7,7 @@ import pytest
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.errors import SelectionPending, SessionError
 from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench import image_queue
 from opnav_workbench.workbench.app import queue_of
 from opnav_workbench.workbench.image_queue import ImageQueue
 
@@ -55,3 +56,66 @@ def test_campaign_offers_what_needs_an_analyst(session, tmp_path):
     assert [item.name for item in queue.items] == ["lorri_4x4"]
     assert queue.session.state.mask("used").sum() == 4
     assert queue.session.folder == (tmp_path / "lorri_4x4").resolve()
+
+
+@pytest.fixture
+def four(kernels, demo_truths, tmp_path):
+    """The same picture four times under four names, with room for one of them in memory beside those near."""
+    paths = [tmp_path / f"{name}.fit" for name in "abcd"]
+    for path in paths:
+        path.write_bytes(demo_truths[0].picture.read_bytes())
+    return ImageQueue.of_images(paths, "new_horizons", tmp_path / "out")
+
+
+def test_far_images_are_closed_and_resume_as_they_were(four, monkeypatch):
+    monkeypatch.setattr(image_queue, "KEPT_PIXELS", 256 * 256)
+    first = four.session
+    first.find_stars()
+    star = first.state.a_priori.id[0]
+    first.reject_stars([star], "test")
+    journal = [entry.to_dict() for entry in first.journal]
+    four.go(1)
+    assert four.session is not first
+    assert four.close_far() == []  # a neighbor stays
+    four.go(3)
+    _ = four.session
+    assert [item.name for item in four.close_far()] == ["a.fit", "b.fit"]
+    assert [item.status for item in four.items] == ["stars", "open", "new", "open"]
+    assert all(item.thumbnail.startswith(b"\x89PNG") for item in (four.items[0], four.items[3]))
+    four.go(0)
+    again = four.session
+    assert again is not first
+    assert [entry.to_dict() for entry in again.journal] == journal
+    assert again.state.decisions[star] == ("rejected", "test")
+    assert again.can_undo
+
+
+def test_what_is_not_on_disk_is_never_closed(four, monkeypatch, session, tmp_path):
+    monkeypatch.setattr(image_queue, "KEPT_PIXELS", 0)
+    first = four.session
+    (first.folder / "journal.jsonl").unlink()
+    (first.folder / "journal.jsonl").mkdir()  # it cannot be written any more
+    with pytest.raises(SessionError):
+        first.note("kept in memory")
+    four.go(3)
+    assert four.close_far() == []
+    assert four.items[0].session is first
+    given = ImageQueue.of_sessions([session, session], tmp_path / "own")
+    list(given.sessions())
+    assert all(item.session is session for item in given.items)  # whoever gave it holds it
+
+
+def test_list_is_chosen_by_words_and_status_and_ordered(four):
+    four.session.find_stars()
+    four.items[2].error = "broken"
+    assert four.listed() == [0, 1, 2, 3]
+    four.words = "not opened"
+    assert four.listed() == [0, 1, 3]  # the one at hand stays in sight
+    assert four.step(+1) == 1
+    assert four.neighbors() == [1]
+    four.words, four.shown_kind = "", "failed"
+    assert four.listed() == [0, 2]
+    assert four.step(+1) == 2
+    four.shown_kind, four.order = "all", "by status"
+    assert four.listed() == [1, 3, 0, 2]
+    assert (four.step(+1), four.step(-1), four.neighbors()) == (2, 3, [2, 3])
