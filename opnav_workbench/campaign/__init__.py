@@ -17,6 +17,8 @@ run folders; then `trends` over it, `export_observables` from it, and ``stacking
     Questions answered as tables with units.
 ``trend_series``
     O-C, pointing error, star residuals and detections over time.
+``comparison``
+    Two archives of the same pictures: how far the answers moved, in sigmas.
 ``detection_curve``
     Completeness: detections against magnitude.
 ``outliers``
@@ -26,6 +28,7 @@ run folders; then `trends` over it, `export_observables` from it, and ``stacking
 """
 
 from opnav_workbench.campaign.archive import Campaign, ImageEntry, export_observables
+from opnav_workbench.campaign.comparison import Comparison, Difference, compare
 from opnav_workbench.campaign.database import ARCHIVE_FILE, ArchiveDamaged
 from opnav_workbench.campaign.detection_curve import Completeness, completeness
 from opnav_workbench.campaign.ingest import Ingested, IngestReport
@@ -37,12 +40,15 @@ __all__ = [
     "ARCHIVE_FILE",
     "ArchiveDamaged",
     "Campaign",
+    "Comparison",
     "Completeness",
+    "Difference",
     "ImageEntry",
     "IngestReport",
     "Ingested",
     "Series",
     "Trends",
+    "compare",
     "completeness",
     "export_observables",
     "find_runs",

@@ -15,7 +15,13 @@ from astropy.table import QTable, Table
 
 from opnav_workbench.campaign.database import ARCHIVE_FILE, Database
 from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
-from opnav_workbench.campaign.queries import query_observables, query_origins, query_plain, query_table
+from opnav_workbench.campaign.queries import (
+    query_observables,
+    query_origins,
+    query_plain,
+    query_solutions,
+    query_table,
+)
 from opnav_workbench.campaign.run_folder import find_runs, read_run, without_times
 from opnav_workbench.campaign.schema import PARTS, tables
 from opnav_workbench.errors import SessionError
@@ -247,6 +253,11 @@ class Campaign:
         return together(
             Origin.of_result({**row, "provenance": row}) for row in rows if row["image"] in wanted
         )
+
+    def solutions(self) -> dict[str, dict[str, Any]]:
+        """Return what was solved in every picture; see `opnav_workbench.campaign.queries.query_solutions`."""
+        with self._database.read() as connection:
+            return query_solutions(connection)
 
     def history(self) -> list[dict[str, Any]]:
         """Return what stood before and was replaced, oldest first."""

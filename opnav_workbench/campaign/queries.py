@@ -13,7 +13,14 @@ from opnav_workbench.campaign.run_folder import ObservableColumn, observables_fr
 from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANCE, STARS, Column, tables
 from opnav_workbench.errors import SessionError
 
-__all__ = ["QUESTIONS", "query_observables", "query_origins", "query_plain", "query_table"]
+__all__ = [
+    "QUESTIONS",
+    "query_observables",
+    "query_origins",
+    "query_plain",
+    "query_solutions",
+    "query_table",
+]
 
 QUESTIONS = ("images", "pointings", "stars", "bodies", "decisions", "journal", "provenance", "history")
 DECISIONS = (
@@ -49,6 +56,7 @@ ARCHIVE_COLUMNS = (
     Column("attention", "json", "", "why an analyst should look; empty: need not"),
     Column("folder", "text", "", "where the run is"),
 )
+TEXT_LISTS = ("messages", "attention")
 EMPTY: dict[str, Any] = {"number": np.nan, "whole": 0, "flag": False, "text": "", "json": ""}
 AFTER_ALL_TEXT = "\uffff"  # after every text that begins alike: 2015-04-09 as an end holds the whole day
 
@@ -75,17 +83,23 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
         return _history(connection, filters)
     images = tables["images"]
     if what == "images":
-        columns: tuple[Column, ...] = (*IMAGES, *ARCHIVE_COLUMNS)
+        columns = _in_tables((*IMAGES, *ARCHIVE_COLUMNS))
         chosen = sa.select(*[images.c[c.name] for c in columns], images.c.extra)
     else:
         table = tables[what]
-        columns = (*[c for c in IMAGES if c.name in IMAGE_COLUMNS], *PART_COLUMNS[what])
-        own = [table.c[c.name] for c in PART_COLUMNS[what]]
+        parts = _in_tables(PART_COLUMNS[what])
+        columns = (*[c for c in IMAGES if c.name in IMAGE_COLUMNS], *parts)
+        own = [table.c[c.name] for c in parts]
         chosen = sa.select(*[images.c[n] for n in IMAGE_COLUMNS], *own, table.c.extra).join_from(
             images, table
         )
     rows = connection.execute(_filtered(chosen, what, filters)).mappings().all()
     return _table(rows, columns)
+
+
+def _in_tables(columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Return the columns that a table shows; of those that hold lists only the ones that read as text."""
+    return tuple(column for column in columns if column.kind != "json" or column.name in TEXT_LISTS)
 
 
 def _history(connection: sa.Connection, filters: Mapping[str, str | None]) -> Table:
@@ -126,6 +140,39 @@ def query_origins(connection: sa.Connection) -> list[dict[str, Any]]:
     )
     query = sa.select(*columns).join_from(images, made)
     return [dict(row) for row in connection.execute(_ordered(query, made)).mappings()]
+
+
+def query_solutions(connection: sa.Connection) -> dict[str, dict[str, Any]]:
+    """Return what was solved in every picture, by the picture's key.
+
+    Returns
+    -------
+    mapping of str to dict
+        ``image, et, status, quaternion, covariance, version, catalog, attitude_source, observer_source, kernels`` and
+        ``bodies``: by "BODY, method" their ``status``, ``residual`` (pixel, line; None where not measured) and its
+        ``covariance``.
+    """
+    images, pointings, made = tables["images"], tables["pointings"], tables["provenance"]
+    query = sa.select(
+        *[images.c[name] for name in ("key", "image", "et", "status")],
+        pointings.c.quaternion_camera_from_j2000.label("quaternion"),
+        pointings.c.covariance_rad2.label("covariance"),
+        *[made.c[name] for name in ("version", "catalog", "attitude_source", "observer_source", "kernels")],
+    ).select_from(images.outerjoin(pointings).outerjoin(made))
+    found = {row["key"]: {**row, "bodies": {}} for row in connection.execute(query).mappings()}
+    bodies = tables["bodies"]
+    names = ("body", "method", "status", "residual_pixel", "residual_line")
+    names += ("covariance_oc_pixel_pixel", "covariance_oc_pixel_line", "covariance_oc_line_line")
+    query = sa.select(images.c.key, *[bodies.c[name] for name in names]).join_from(images, bodies)
+    for key, body, method, status, pixel, line, xx, xy, yy in connection.execute(query):
+        residual = None if pixel is None or line is None else (pixel, line)
+        covariance = None if None in (xx, xy, yy) else ((xx, xy), (xy, yy))
+        found[key]["bodies"][f"{body}, {method}"] = {
+            "status": status,
+            "residual": residual,
+            "covariance": covariance,
+        }
+    return found
 
 
 def query_observables(connection: sa.Connection, filters: Mapping[str, str | None]) -> QTable:
@@ -169,8 +216,6 @@ def _table(rows: Sequence[Mapping[Any, Any]], columns: Sequence[Column]) -> Tabl
     """A table of rows; unknown numbers are nan, unknown flags and counts masked, and lists one text."""
     table = Table()
     for column in columns:
-        if column.kind == "json" and column.name not in ("messages", "attention"):
-            continue
         table[column.name] = _cells([row[column.name] for row in rows], column)
     for name in _extra_names(rows, set(table.colnames)):
         values = [(row["extra"] or {}).get(name) for row in rows]

@@ -4,12 +4,14 @@ ingest  takes runs into the archive; damaged ones are named and skipped (exit st
 query   pictures, pointings, bodies, stars, decisions, journal, provenance or history as a table, CSV or JSON
 export  observables as one file
 plot    trends, with outliers named
+compare two nights or kernel sets: how far the same pictures' answers moved, in sigmas
 stack   many solved pictures of a faint target as one
 """
 
 import csv
 import io
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -24,7 +26,16 @@ from rich.table import Table as Printed
 
 from opnav_workbench import report
 from opnav_workbench.bodies import BodyCenter
-from opnav_workbench.campaign import ARCHIVE_FILE, Campaign, Ingested, IngestReport, Trends, trends
+from opnav_workbench.campaign import (
+    ARCHIVE_FILE,
+    Campaign,
+    Comparison,
+    Ingested,
+    IngestReport,
+    Trends,
+    trends,
+)
+from opnav_workbench.campaign import compare as compare_archives
 from opnav_workbench.campaign.archive import EXPORT_FORMATS, export_observables
 from opnav_workbench.campaign.queries import QUESTIONS
 from opnav_workbench.campaign.run_folder import find_runs
@@ -48,6 +59,7 @@ __all__ = ["campaign_app", "stack"]
 
 # ---- What ``opnav campaign`` prints and writes.
 
+SHOWN_DIFFERENCES = 24  # rows on the terminal
 OUTPUT_FORMATS = ("table", "csv", "json")
 STATUS_STYLES = {
     "ok": "green",
@@ -83,6 +95,15 @@ SHOWN_COLUMNS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("line", "observed_line", ".3f"),
         ("O−C", "residual_pixel", "+.3f"),
         ("O−C", "residual_line", "+.3f"),
+    ),
+    "differences": (
+        ("picture", "image", ""),
+        ("of", "what", ""),
+        ("axis", "axis", ""),
+        ("moved", "moved", "+.3g"),
+        ("", "unit", ""),
+        ("sigma", "sigma", ".2g"),
+        ("sigmas", "sigmas", ".2f"),
     ),
     "decisions": (
         ("picture", "image", ""),
@@ -520,6 +541,77 @@ def plot(
     console = Console(soft_wrap=True)
     print_outliers(console, found)
     console.print(f"Trends in {shown(str(out))}", highlight=False)
+
+
+@campaign_app.command()
+def compare(
+    first: Annotated[
+        Path, typer.Argument(help="Archive of a night, or the night's folder.", show_default=False)
+    ],
+    second: Annotated[
+        Path,
+        typer.Argument(help="Another, of the same pictures; told as second minus first.", show_default=False),
+    ],
+    above: Annotated[float, typer.Option(min=0.0, help="List what moved by more sigmas than this.")] = 1.0,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="PNG to write: what moved, over time.", show_default=False)
+    ] = None,
+    format_: Annotated[str, typer.Option("--format", "-f", help=" | ".join(OUTPUT_FORMATS))] = "table",
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write csv or json here.", show_default=False)
+    ] = None,
+) -> None:
+    """Compare two nights of the same pictures: with other kernels, another catalog, other options or another version.
+
+    [bold]Example[/]
+
+      opnav campaign compare night_old_spk night_new_spk --plot moved.png
+
+    Pictures are matched by content. Differences of pointing (about the camera's axes) and of O-C are in sigmas of one such
+    solution: both rest on the same pixels, so what nothing has changed does not move at all.
+    """
+    with Campaign(first, create=False) as one, Campaign(second, create=False) as other:
+        found = compare_archives(one, other)
+    moved = found.table(above)
+    if format_ == "table" and out is None:
+        console = Console(soft_wrap=True)
+        _print_comparison(console, found)
+        print_answer("differences", moved[:SHOWN_DIFFERENCES], format_, out)
+        if len(moved) > SHOWN_DIFFERENCES:
+            console.print(f"the largest of {len(moved)}; --format csv gives all", highlight=False)
+    else:
+        print_answer("differences", moved, format_, out)
+    if plot is not None:
+        report.write_png(report.comparison_figure(found, f"{first} and {second}"), plot)
+        Console(soft_wrap=True, stderr=True).print(f"Plot in {shown(str(plot))}", highlight=False)
+
+
+def _print_comparison(console: Console, found: Comparison) -> None:
+    others = [
+        f"{len(names)} only in the {which}"
+        for which, names in (("first", found.only_first), ("second", found.only_second))
+        if names
+    ]
+    console.print(", ".join([f"{found.pictures} pictures in both", *others]), highlight=False)
+    for name, before, now in found.made_with:
+        console.print(f"{shown(name)}: {shown(before)}, now {shown(now)}", highlight=False)
+    changes = Counter((before, now) for _, before, now in found.statuses)
+    for (before, now), count in changes.most_common():
+        console.print(f"[yellow]status[/] {count} {shown(before)}, now {shown(now)}", highlight=False)
+    kinds = Counter((what, before, now) for _, what, before, now in found.bodies)
+    for (what, before, now), count in kinds.most_common():
+        console.print(
+            f"[yellow]status[/] {shown(what)}: {count} {shown(before)}, now {shown(now)}", highlight=False
+        )
+    for what in sorted({d.what for d in found.differences}):
+        moved = np.array([d.sigmas for d in found.of(what)])
+        console.print(
+            f"{shown(what)}: {len(moved)} solved in both, moved by {np.nanmedian(moved):.2f} sigmas (median), "
+            f"{np.nanmax(moved):.2f} at most"
+            if np.isfinite(moved).any()
+            else f"{shown(what)}: {len(moved)} solved in both, sigmas unknown",
+            highlight=False,
+        )
 
 
 campaign_app.command()(stack)

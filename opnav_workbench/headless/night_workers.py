@@ -149,10 +149,10 @@ def process_picture(
 
 
 def _one_try(job: NotebookRequest, stop: threading.Event, starter: Starter) -> NotebookOutcome:
-    started = time.monotonic()
     # Its own for every try: what a lost process may still write harms nobody.
     folder = Path(job.folder) / f"{job.name}-{uuid.uuid4().hex[:8]}"
     with _running(job, folder, starter) as child:
+        started = time.monotonic()
         fault, reason, peak = _watch(child, job, stop)
     if not fault:
         fault, reason = _read_report(folder, child.returncode)

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         write_body,
     )
     from opnav_workbench.report.calibration import camera_figure, psf_figure
-    from opnav_workbench.report.campaign import stack_figure, trends_figure
+    from opnav_workbench.report.campaign import comparison_figure, stack_figure, trends_figure
     from opnav_workbench.report.drawing import png_bytes, write_png
     from opnav_workbench.report.kernel_coverage import coverage_figure, write_coverage
     from opnav_workbench.report.limb_scans import scan_figure, scan_png, write_scans
@@ -65,6 +65,7 @@ __all__ = [
     "body_figure",
     "body_png",
     "camera_figure",
+    "comparison_figure",
     "coverage_figure",
     "difference_figure",
     "difference_png",
@@ -98,6 +99,7 @@ _HOMES = {
     "body_figure": "body_centers",
     "body_png": "body_centers",
     "camera_figure": "calibration",
+    "comparison_figure": "campaign",
     "coverage_figure": "kernel_coverage",
     "difference_figure": "body_centers",
     "difference_png": "body_centers",

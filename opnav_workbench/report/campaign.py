@@ -14,7 +14,8 @@ from matplotlib.patches import Circle
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import BodyCenter
-from opnav_workbench.campaign import Completeness, Series, Trends
+from opnav_workbench.campaign import Comparison, Completeness, Series, Trends
+from opnav_workbench.campaign.comparison import axes_of
 from opnav_workbench.campaign.stacking import Growth, Stacked
 from opnav_workbench.campaign.stacking.grid import resample
 from opnav_workbench.constants import DAY_S, HOUR_S
@@ -28,7 +29,7 @@ from opnav_workbench.report.drawing import (
     new_figure,
 )
 
-__all__ = ["stack_figure", "trends_figure"]
+__all__ = ["comparison_figure", "stack_figure", "trends_figure"]
 
 
 # ---- Trends of a campaign in one figure.
@@ -59,11 +60,10 @@ def series_axes(axes: Axes, panel: Sequence[Series], start_et: float = 0.0, scal
     """Draw series of one quantity with their error bars, robust levels and outliers."""
     for series, color in zip(panel, _series_colors(panel), strict=True):
         time = (series.et - start_et) / scale_s
-        sigma = np.where(np.isfinite(series.sigma), series.sigma, 0.0)
+        value, sigma = np.asarray(series.value), np.where(np.isfinite(series.sigma), series.sigma, 0.0)
         label = series.name.rpartition(" ")[2] if len(panel) > 1 else None
-        axes.errorbar(
-            time, series.value, sigma, fmt="o", color=color, markersize=3.5, elinewidth=0.9, label=label
-        )
+        _error_bars(axes, np.asarray(time), value, sigma, color)
+        axes.plot(time, value, "o", color=color, markersize=3.5, label=label)
         axes.plot(time, series.screened.level, color=color, linewidth=0.8, alpha=0.6)
         off = series.outlier
         axes.plot(
@@ -76,6 +76,39 @@ def series_axes(axes: Axes, panel: Sequence[Series], start_et: float = 0.0, scal
         axes.text(0.5, 0.5, "no measurement", transform=axes.transAxes, ha="center", color=GREY)
     elif len(panel) > 1:
         axes.legend(loc="best", fontsize="small", ncols=2)
+
+
+def comparison_figure(found: Comparison, title: str = "") -> Figure:
+    """Draw what moved between two archives, in sigmas: a panel for the pointing, one for each body and method."""
+    names = sorted({d.what for d in found.differences}, key=lambda what: (what != "pointing", what))
+    figure = new_figure(WIDTH, PANEL_HEIGHT * max(len(names), 1), title)
+    axes = figure.subplots(max(len(names), 1), 1, squeeze=False, sharex=True).ravel()
+    times = np.array([d.et for d in found.differences])
+    start, scale, span, unit = _time_span(times)
+    for axis, name in zip(axes, names, strict=False):
+        rows = found.of(name)
+        time = (np.array([d.et for d in rows]) - start) / scale
+        moved = np.array([d.moved / d.sigma for d in rows])
+        colors = (PIXEL_COLOR, LINE_COLOR, TWIST_COLOR)
+        for component, color, values in zip(axes_of(name), colors, moved.T, strict=False):
+            axis.plot(time, values, "o", color=color, markersize=3.5, label=component)
+        axis.axhspan(-1.0, 1.0, color="0.92", zorder=0)
+        axis.axhline(0.0, color="0.3", linewidth=0.6)
+        axis.set_title(name if name == "pointing" else f"{name}: O-C", fontsize="medium")
+        axis.set_ylabel("second - first, sigmas")
+        axis.legend(loc="best", fontsize="small", ncols=3)
+    if not names:
+        axes[0].text(0.5, 0.5, "nothing solved in both", transform=axes[0].transAxes, ha="center", color=GREY)
+    axes[-1].set_xlim(-0.03 * span, 1.03 * span)
+    axes[-1].set_xlabel(f"{unit} since the first picture")
+    return figure
+
+
+def _error_bars(axes: Axes, x: FloatArray, y: FloatArray, sigma: FloatArray, color: str) -> None:
+    """Draw error bars as one line with gaps: 10,000 lines of their own take ten times as long."""
+    gap = np.full(len(x), np.nan)
+    ends = np.stack([y - sigma, y + sigma, gap], axis=1)
+    axes.plot(np.stack([x, x, gap], axis=1).ravel(), ends.ravel(), color=color, linewidth=0.9)
 
 
 def completeness_axes(axes: Axes, found: Completeness) -> None:
@@ -113,7 +146,10 @@ def _heading(panel: Sequence[Series]) -> str:
 
 def _time_axis(series: Sequence[Series]) -> tuple[float, float, float, str]:
     """Start (ET), seconds a unit, length in units, and the unit's name, of an axis that fits the campaign."""
-    times: FloatArray = np.concatenate([s.et for s in series] or [np.zeros(0)])
+    return _time_span(np.concatenate([s.et for s in series] or [np.zeros(0)]))
+
+
+def _time_span(times: FloatArray) -> tuple[float, float, float, str]:
     times = times[np.isfinite(times)]
     if not times.size:
         return 0.0, HOUR_S, 1.0, "hours"
