@@ -168,12 +168,9 @@ def _mean(first: Any, second: Any) -> FloatArray:
 
 def _difference(row: Mapping[str, Any], what: str, moved: FloatArray, covariance: FloatArray) -> Difference:
     covariance = covariance[: len(moved), : len(moved)]
-    known = bool(np.isfinite(covariance).all())
-    length = (
-        float(np.sqrt(max(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved, 0.0)))
-        if known
-        else np.nan
-    )
+    length = np.nan
+    if np.isfinite(covariance).all():
+        length = float(np.sqrt(max(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), 0.0)))
     et = np.nan if row["et"] is None else float(row["et"])
     return Difference(row["image"], et, what, moved, np.sqrt(np.diagonal(covariance)), length)
 

@@ -161,10 +161,11 @@ def query_solutions(connection: sa.Connection) -> dict[str, dict[str, Any]]:
     ).select_from(images.outerjoin(pointings).outerjoin(made))
     found = {row["key"]: {**row, "bodies": {}} for row in connection.execute(query).mappings()}
     bodies = tables["bodies"]
-    names = ("body", "method", "status", "residual_pixel", "residual_line")
-    names += ("covariance_oc_pixel_pixel", "covariance_oc_pixel_line", "covariance_oc_line_line")
+    names = ["body", "method", "status", "residual_pixel", "residual_line"]
+    names += ["covariance_oc_pixel_pixel", "covariance_oc_pixel_line", "covariance_oc_line_line"]
     query = sa.select(images.c.key, *[bodies.c[name] for name in names]).join_from(images, bodies)
-    for key, body, method, status, pixel, line, xx, xy, yy in connection.execute(query):
+    for row in connection.execute(query):
+        key, body, method, status, pixel, line, xx, xy, yy = tuple(row)
         residual = None if pixel is None or line is None else (pixel, line)
         covariance = None if None in (xx, xy, yy) else ((xx, xy), (xy, yy))
         found[key]["bodies"][f"{body}, {method}"] = {
