@@ -17,6 +17,8 @@ run folders; then `trends` over it, `export_observables` from it, and ``stacking
     Questions answered as tables with units.
 ``trend_series``
     O-C, pointing error, star residuals and detections over time.
+``browsing``
+    What a page about a campaign shows, asked for a page at a time.
 ``comparison``
     Two archives of the same pictures: how far the answers moved, in sigmas.
 ``detection_curve``

@@ -13,6 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 from astropy.table import QTable, Table
 
+from opnav_workbench.campaign import browsing
 from opnav_workbench.campaign.database import ARCHIVE_FILE, Database
 from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
 from opnav_workbench.campaign.queries import (
@@ -258,6 +259,35 @@ class Campaign:
         """Return what was solved in every picture; see `opnav_workbench.campaign.queries.query_solutions`."""
         with self._database.read() as connection:
             return query_solutions(connection)
+
+    # -- for pages ---------------------------------------------------------------------------------------------
+
+    def overview(self) -> browsing.Overview:
+        """Return the campaign in numbers."""
+        with self._database.read() as connection:
+            return browsing.overview(connection)
+
+    def pictures_page(
+        self, *, start: int = 0, count: int = 100, status: str = "", words: str = ""
+    ) -> browsing.Page:
+        """Return some pictures by time; see `opnav_workbench.campaign.browsing.pictures_page`."""
+        with self._database.read() as connection:
+            return browsing.pictures_page(connection, start=start, count=count, status=status, words=words)
+
+    def picture(self, number: int) -> dict[str, Any] | None:
+        """Return a picture by its number in the archive; None where there is none."""
+        with self._database.read() as connection:
+            return browsing.picture(connection, number)
+
+    def made_with(self) -> list[dict[str, Any]]:
+        """Return versions, catalogs and kernels, with the pictures that were made with them."""
+        with self._database.read() as connection:
+            return browsing.made_with_rows(connection)
+
+    def changes(self) -> list[dict[str, Any]]:
+        """Return what was processed again, the latest first."""
+        with self._database.read() as connection:
+            return browsing.changes_page(connection)
 
     def history(self) -> list[dict[str, Any]]:
         """Return what stood before and was replaced, oldest first."""

@@ -31,7 +31,9 @@ One module a command or group of commands; nothing else in the package imports t
 ``ort``
     Operational readiness tests: new, solve, score.
 ``campaign``
-    The archive of many runs: ingest, query, export, plot, stack.
+    The archive of many runs: ingest, query, export, plot, compare, stack.
+``campaign_serve``
+    The archive's pages in a browser.
 ``kernels``
     SPICE kernels: list, check, fetch, make, brief, geometry, make-ck.
 ``kernel_tables``

@@ -5,6 +5,7 @@ query   pictures, pointings, bodies, stars, decisions, journal, provenance or hi
 export  observables as one file
 plot    trends, with outliers named
 compare two nights or kernel sets: how far the same pictures' answers moved, in sigmas
+serve   the archive in a browser
 stack   many solved pictures of a faint target as one
 """
 
@@ -49,6 +50,7 @@ from opnav_workbench.campaign.stacking import (
     stack_pictures,
     write_stack,
 )
+from opnav_workbench.cli.campaign_serve import serve
 from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress, shown
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text, plain_cell, write_text
@@ -614,4 +616,5 @@ def _print_comparison(console: Console, found: Comparison) -> None:
         )
 
 
+campaign_app.command()(serve)
 campaign_app.command()(stack)

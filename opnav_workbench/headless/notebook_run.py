@@ -35,7 +35,7 @@ def main(path: str, engine: str | None = None) -> None:
     report = _executed(job, engine)
     if Path(job["executed"]).is_file() and _is_page_wanted(job):
         try:
-            _write_html(Path(job["executed"]), Path(job["html"]))
+            Path(job["html"]).write_text(notebook_html(Path(job["executed"])), encoding="utf-8")
         except Exception as error:
             report["html_error"] = f"{type(error).__name__}: {error}"
     temporary = Path(job["report"] + ".part")
@@ -108,12 +108,13 @@ def _is_page_wanted(job: dict[str, Any]) -> bool:
         return True
 
 
-def _write_html(notebook: Path, html: Path) -> None:
+def notebook_html(notebook: Path) -> str:
+    """Return an executed notebook as a page that asks the network for nothing."""
     from nbconvert import HTMLExporter  # noqa: PLC0415
 
     exporter: Any = HTMLExporter(template_name="classic", embed_images=True, **WITHOUT_NETWORK)  # type: ignore[no-untyped-call]
     body, _ = exporter.from_filename(str(notebook))
-    html.write_text(EMPTY_SCRIPT.sub("", body), encoding="utf-8")
+    return EMPTY_SCRIPT.sub("", body)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ are matplotlib's, not tied to any window.
     Solutions in the B-plane, with error ellipses and times of arrival.
 ``calibration``
     Star residuals of a calibrated camera, and an empirical PSF.
+``campaign_pages``
+    The pages of an archive, made when they are asked for.
 ``campaign``
     Trends over many pictures, and a stack of them.
 ``kernel_coverage``

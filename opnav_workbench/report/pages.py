@@ -119,7 +119,10 @@ def night_causes(rows: Iterable[Mapping[str, Any]]) -> tuple[NightCause, ...]:
     found: dict[str, list[tuple[str, Mapping[str, Any]]]] = {}
     for row in rows:
         for reason in row["attention"]:
-            kind = NUMBERS.sub("#", re.sub(rf"\b{re.escape(row['name'])}\b", "*", reason))
+            named = row["name"] in reason  # most reasons do not name their picture
+            kind = NUMBERS.sub(
+                "#", re.sub(rf"\b{re.escape(row['name'])}\b", "*", reason) if named else reason
+            )
             found.setdefault(kind, []).append((reason, row))
     causes = [NightCause(same[0][0], tuple(row for _, row in same)) for same in found.values()]
     return tuple(sorted(causes, key=lambda cause: -len(cause.rows)))

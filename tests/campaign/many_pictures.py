@@ -32,7 +32,8 @@ def clone(
     with engine.begin() as connection:
         first = dict(connection.execute(sa.select(tables["images"])).mappings().one())
         rows = {name: _rows(connection, name) for name in parts}
-        connection.execute(sa.delete(tables["images"]))
+        for name in (*PARTS, "images"):
+            connection.execute(sa.delete(tables[name]))
         for start in range(0, count, BLOCK):
             numbers = range(start, min(start + BLOCK, count))
             connection.execute(sa.insert(tables["images"]), [_image(first, n) for n in numbers])
