@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, sparse
 from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
@@ -52,19 +52,22 @@ KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
 GRAZING = 0.1  # least cosine to the line of sight, for the point that a ray meets under a strain
 COSINE_STEP = 1e-3
+# In squares of a step: how much wider light becomes that fills a cell, is looked up linearly in depth, or is given to the
+# cells as a cubic spline. The tables are made sharper by as much.
+CELL_VARIANCE, LINEAR_VARIANCE, SPLINE_VARIANCE = 1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0
 MOST_SHARPENED = 1.5  # logarithm, of a spectrum
 WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbLight:
-    """Tables (t directions, n depths) of a disk's light.
+    """Tables of a disk's light in t directions and at n depths.
 
     Attributes
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    tables : (13 + k, t, n) array
+    tables : (t, n, 13 + k) array
         First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
         axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
         shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
@@ -86,20 +89,23 @@ class LimbLight:
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
         """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
-        tables = self.tables[:first]
-        count, t, n = tables.shape
+        t, n, count = self.tables.shape
         row = np.mod(angle_rad, TURN) * (t / TURN)
         column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
         i, j = row.astype(np.int64), column.astype(np.int64)
-        along, flat = column - j, tables.reshape(count, -1)
-        out = np.zeros((count, len(row)))
-        part = row - i
-        rows = zip((-1, 0, 1, 2), cubic_weights(part), strict=True)
-        for jump, weight in rows if self.fine else ((0, 1.0 - part), (1, part)):
-            index = (i + jump) % t * n + j
-            out += weight * (1.0 - along) * np.take(flat, index, axis=1)
-            out += weight * along * np.take(flat, index + 1, axis=1)
-        return out
+        along, part = column - j, row - i
+        rows = list(zip((-1, 0, 1, 2), cubic_weights(part), strict=True))
+        rows = rows if self.fine else [(0, 1.0 - part), (1, part)]
+        index, weight = [], []
+        for jump, share in rows:
+            here = (i + jump) % t * n + j
+            index += [here, here + 1]
+            weight += [share * (1.0 - along), share * along]
+        ends = np.arange(len(row) + 1) * len(index)
+        places = (np.stack(weight, axis=1).ravel(), np.stack(index, axis=1).ravel(), ends)
+        lookup = sparse.csr_array(places, shape=(len(row), t * n))
+        nodes = self.tables.reshape(t * n, count)[:, :first]
+        return np.ascontiguousarray((lookup @ nodes).T)
 
 
 def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -111,6 +117,13 @@ def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray,
         ((-1.5 * t + 2.0) * t + 0.5) * t,
         (0.5 * t - 0.5) * t * t,
     )
+
+
+def spline_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what a point between 0 and 1 gives to -1, 0, 1, 2 as a cubic spline: no comb where points lie in rows."""
+    t, u = part, 1.0 - part
+    sides = [(4.0 - 6.0 * v**2 + 3.0 * v**3) / 6.0 for v in (t, u)]
+    return u**3 / 6.0, sides[0], sides[1], t**3 / 6.0
 
 
 def limb_light(
@@ -161,7 +174,7 @@ def limb_light(
     blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
     every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
-    return LimbLight(float(first), float(step), every, node_rad, fine)
+    return LimbLight(float(first), float(step), every.transpose(1, 2, 0).copy(), node_rad, fine)
 
 
 def _sources(
@@ -309,7 +322,9 @@ def _spread_along_rays(
     variance = max(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
     sources = fft.irfft(fft.rfft(sources, axis=1) * wave[:, None], t, axis=1)
-    spread = fft.rfft(spreads[:, ::-1], good) * _blurred(TURN * fft.rfftfreq(good, step), blur_px2)
+    gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
+    blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
+    spread = fft.rfft(spreads[:, ::-1], good) * blurred
     spectrum = fft.rfft(sources, good) * spread
     return np.asarray(fft.irfft(spectrum, good)[..., 2 * half : n])
 
@@ -346,16 +361,19 @@ def _spreads(
 def _pixel_spread(psf: Psf) -> tuple[FloatArray, int]:
     """Return the PSF integrated over a pixel in cells (k, k), and the cells in a pixel."""
     per_px = 8 if psf.half_size_px < 12.0 else 4
-    cells = psf.kernel(per_px)
-    size = len(cells) + per_px
+    cells = np.pad(psf.kernel(per_px), per_px)
+    size = len(cells)
     return np.asarray(fft.irfft2(_over_pixel(cells, per_px, size), (size, size))), per_px
 
 
 def _over_pixel(cells: FloatArray, per_px: int, size: int) -> NDArray[np.complex128]:
-    """Return the spectrum, padded to `size`, of a PSF's cells (k, k) integrated over a pixel of `per_px` cells."""
-    box = np.ones(per_px + 1) / per_px
-    box[[0, -1]] *= 0.5
-    return np.asarray(fft.rfft2(cells, (size, size)) * fft.rfft2(np.outer(box, box), (size, size)))
+    """Return the spectrum, padded to `size`, of a PSF's cells (k, k) integrated over a pixel of `per_px` cells.
+
+    The cells hold the PSF's integral over themselves, which is taken back.
+    """
+    line, pixel = fft.fftfreq(size, 1.0 / per_px), fft.rfftfreq(size, 1.0 / per_px)
+    over = [np.sinc(f) / np.sinc(f / per_px) for f in (line, pixel)]
+    return np.asarray(fft.rfft2(cells, (size, size)) * over[0][:, None] * over[1])
 
 
 def _one_spread(
@@ -363,10 +381,11 @@ def _one_spread(
 ) -> FloatArray:
     across, along = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
     seen = (np.hypot(radius - across, along) - radius) / step + half
-    below = np.clip(seen.astype(np.int64), 0, 2 * half - 1)
+    below = np.clip(seen.astype(np.int64), 1, 2 * half - 2)
     part = np.clip(seen - below, 0.0, 1.0)
     n = 2 * half + 1
-    out = np.bincount(below, share * (1.0 - part), n) + np.bincount(below + 1, share * part, n)
+    taps = zip((-1, 0, 1, 2), spline_weights(part), strict=True)
+    out = np.sum([np.bincount(below + jump, share * weight, n) for jump, weight in taps], axis=0)
     return np.asarray(out / share.sum())
 
 
@@ -399,11 +418,12 @@ def _spread_in_plane(
     sources = _sources(picture, model, outline.center_px, reach - limb, share, rays_at, step, node_rad, law)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step
-    size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + per_px + 2, real=True)
+    size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + 2 * per_px, real=True)
     wave = np.hypot(fft.fftfreq(size, step)[:, None], fft.rfftfreq(size, step)) * TURN
-    spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2)
+    gridded = step**2 * CELL_VARIANCE + (depth[1] - depth[0]) ** 2 * LINEAR_VARIANCE
+    spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2 - gridded)
     plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread, (size, size))
-    middle = half + len(cells) // 2 + per_px // 2  # of the body in the spread plane
+    middle = half + len(cells) // 2  # of the body in the spread plane
     away = np.maximum(outline.radius(angle)[:, None] + depth, 0.0) / step
     where = [
         middle + away * np.sin(angle)[:, None],
