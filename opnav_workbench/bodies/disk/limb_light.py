@@ -43,10 +43,10 @@ LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
 
 # Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
 # both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
-COARSE, FINE = (0.125, 96, 160, 2.0), (0.0625, 160, 400, 1.0)
+COARSE, FINE = (0.25, 96, 160, 2.0), (0.125, 160, 400, 1.0)
 SPREADS = 24  # directions in which the spread function is taken
-PLANE_RADIUS_PX = (15.0, 50.0)  # smaller disks are spread in two dimensions, coarse and fine
-PLANE_STEP_PX = 0.25  # an even number of cells a pixel keeps the pixel centered
+PLANE_RADIUS_PX = (15.0, 25.0)  # smaller disks are spread in two dimensions, coarse and fine
+PLANE_STEPS = 2  # of depth: the grid's
 GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
@@ -402,7 +402,7 @@ def _spread_in_plane(
     law: FloatArray,
     blur_px2: float,
 ) -> FloatArray:
-    psf, step = picture.psf.at(outline.center_px), PLANE_STEP_PX
+    psf, step = picture.psf.at(outline.center_px), PLANE_STEPS * float(depth[1] - depth[0])
     per_px = round(1.0 / step)
     half = int(np.ceil((float(outline.radius_px.max()) + 2.0) / step))
     offset = step * np.arange(-half, half + 1)
