@@ -143,6 +143,9 @@ class TargetSurface(StrictModel):
     albedo_sigma
         1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2, with an albedo map 0.05.
         It makes most of the uncertainty of a center of a few pixels.
+    law_sigma
+        1 sigma of how far the scattering law may lie from `law` toward Lommel-Seeliger's, as a part of the way from
+        Lambert's to it: by default 0.3; without a law it lies anywhere between both.
     """
 
     law: dict[str, Any] | None = None
@@ -154,6 +157,7 @@ class TargetSurface(StrictModel):
     axes_sigma: Part | None = None
     limb_roughness: Part | None = None
     albedo_sigma: Part | None = None
+    law_sigma: Part | None = None
 
 
 def _checked_keywords(keywords: dict[str, Any]) -> dict[str, Any]:

@@ -43,6 +43,9 @@ class FigureUncertainty:
     albedo_sigma
         Of what whole hemispheres differ by in brightness. Light curves of Pluto, Charon, the large satellites of Jupiter and
         Saturn, Ceres and Vesta have 0.2 mag rms, with Iapetus 0.5.
+    law_sigma
+        How far the scattering law may be from the body's toward Lommel-Seeliger's, which is at 1. None: nothing is known of
+        a law of Lambert's, which lies anywhere from there to Lommel-Seeliger's; any other is good to 0.3.
 
     Raises
     ------
@@ -54,12 +57,15 @@ class FigureUncertainty:
     axes_sigma: float = 0.05
     limb_roughness: float = 0.003
     albedo_sigma: float = 0.2
+    law_sigma: float | None = None
 
     def __post_init__(self) -> None:
         for label in (one.name for one in fields(self)):
             value = getattr(self, label)
-            if not 0.0 < value < 1.0:
-                whole = "brightness" if label == "albedo_sigma" else "mean radius"
+            if value is not None and not 0.0 < value < 1.0:
+                whole = {"albedo_sigma": "brightness", "law_sigma": "way between two laws"}.get(
+                    label, "mean radius"
+                )
                 raise MissionError(f"{label} is {value}; give a part of the {whole}, above 0 and below 1.")
 
 

@@ -63,6 +63,7 @@ MAX_POINT_DIAMETER_PX = 3.0
 # (Nolan et al. 2013, doi 10.1016/j.icarus.2013.05.028).
 SHAPE_AXES_SIGMA = 0.02
 MAPPED_ALBEDO_SIGMA = 0.05
+STATED_LAW_SIGMA = 0.3  # of a law that the mission states: one of a kind of bodies
 MAX_AXES_SIGMA = 0.9  # of a body ten times as long as wide; an axis cannot vanish
 
 
@@ -85,7 +86,7 @@ def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
     shape = _shape_of_target(inputs, name, surface)
     law = _scattering_law(context, name, surface)
     flux = _flux_e(context, target, SUN_B_V if photometry is None else photometry.b_v)
-    figure = _figure(surface, shape)
+    figure = _figure(surface, shape, law_stated=has_scattering_law(context, name))
     try:
         return BodyModel(target, law, albedo, shape, flux, figure)
     except MissionError:
@@ -127,7 +128,7 @@ def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> Shape
     return None if surface.shape is None else _shape_model(surface.shape, surface.shape_unit)
 
 
-def _figure(surface: TargetSurface, shape: ShapeModel | None) -> FigureUncertainty:
+def _figure(surface: TargetSurface, shape: ShapeModel | None, *, law_stated: bool) -> FigureUncertainty:
     """Return how far the figure may be wrong: as the mission says; where it does not, as on a first approach."""
     stated = surface.model_dump(
         include={field.name for field in fields(FigureUncertainty)}, exclude_none=True
@@ -135,6 +136,8 @@ def _figure(surface: TargetSurface, shape: ShapeModel | None) -> FigureUncertain
     default = FigureUncertainty() if shape is None else FigureUncertainty(axes_sigma=SHAPE_AXES_SIGMA)
     if surface.albedo_map is not None:
         default = replace(default, albedo_sigma=MAPPED_ALBEDO_SIGMA)
+    if law_stated:
+        default = replace(default, law_sigma=STATED_LAW_SIGMA)
     return replace(default, **stated)
 
 

@@ -9,7 +9,7 @@ brightness, background and its slopes   none
 center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
 size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
 axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
-law                                     powers of 2 / (mu0 + mu) and mu0 mu: `UNKNOWN_LAW` or `GIVEN_LAW`, `MINNAERT_SIGMA`
+law                                     powers of 2 / (mu0 + mu) and mu0 mu: `BodyModel.figure`, `UNKNOWN_LAW`, `GIVEN_LAW`
 PSF                                     variance and wings: `BodyPicture.psf_width_sigma`, `WING_SIGMA`
 
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
@@ -38,7 +38,7 @@ from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import FigureUncertainty, Lambert
+from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
 __all__ = ["DiskFit", "DiskPixels", "DiskShape", "Unknown", "fit_disk"]
 
@@ -53,7 +53,9 @@ DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
 SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
-UNKNOWN_LAW, GIVEN_LAW, MINNAERT_SIGMA = (0.5, 0.5), (0.0, 0.3), 0.2
+# Mean and sigma of the first power, sigma of the second.
+UNKNOWN_LAW, GIVEN_LAW = (0.5, 0.5, 0.2), (0.0, 0.3, 0.2)
+MINNAERT_SHARE = GIVEN_LAW[2] / GIVEN_LAW[1]  # where the first is stated
 WING_SIGMA = 0.15
 MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
 MOST_HALVINGS = 3
@@ -315,7 +317,7 @@ class _DiskProblem:
         model = picture.model(name)
         self.can_be_strained = can_be_strained(model)
         self.figure: FigureUncertainty = model.figure
-        self.law_prior = UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
+        self.law_prior = _law_prior(model)
         self.psf_px = float(np.max(picture.psf.sigma_px))
         self.psf_variance_px2 = self.psf_px**2 + PIXEL_VARIANCE_PX2
         inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
@@ -352,7 +354,7 @@ class _DiskProblem:
         out[FIGURE] = self._size()[1], figure.axes_sigma, figure.axes_sigma
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHADING] = figure.axes_sigma * SHADING_SHARE
-        out[SHARES] = self.law_prior[1], MINNAERT_SIGMA
+        out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
         out[STRAY] = WING_SIGMA
         return out
@@ -370,6 +372,14 @@ class _DiskProblem:
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
+
+
+def _law_prior(model: BodyModel) -> tuple[float, float, float]:
+    """Return mean and sigma of the first power of a body's law, and the sigma of the second."""
+    stated = model.figure.law_sigma
+    if stated is not None:
+        return 0.0, stated, MINNAERT_SHARE * stated
+    return UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
 
 
 def _arcs(angle: FloatArray, node: FloatArray) -> FloatArray:
@@ -471,7 +481,9 @@ class _Fitter:
         )
 
     def _solve(self) -> None:
-        near, columns = self._columns()
+        self._solve_at(*self._columns())
+
+    def _solve_at(self, near: LimbPixels, columns: FloatArray) -> None:
         system = self._system(near, columns)
         self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
 
@@ -488,7 +500,7 @@ class _Fitter:
         doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
         if np.any(doubt > 1.0) or np.any(self.doubt != 1.0):
             self.doubt = doubt
-            self._solve()
+            self._solve_at(linear.pixels, linear.columns)
 
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most."""
