@@ -32,6 +32,8 @@ One module a command or group of commands; nothing else in the package imports t
     Operational readiness tests: new, solve, score.
 ``campaign``
     The archive of many runs: ingest, query, export, plot, compare, stack.
+``campaign_prune``
+    A night's folder made smaller by age.
 ``campaign_serve``
     The archive's pages in a browser.
 ``kernels``

@@ -6,6 +6,7 @@ export  observables as one file
 plot    trends, with outliers named
 compare two nights or kernel sets: how far the same pictures' answers moved, in sigmas
 serve   the archive in a browser
+prune   a night's folder made smaller by age
 stack   many solved pictures of a faint target as one
 """
 
@@ -50,6 +51,7 @@ from opnav_workbench.campaign.stacking import (
     stack_pictures,
     write_stack,
 )
+from opnav_workbench.cli.campaign_prune import prune_night
 from opnav_workbench.cli.campaign_serve import serve
 from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress, shown
 from opnav_workbench.errors import SessionError
@@ -617,4 +619,5 @@ def _print_comparison(console: Console, found: Comparison) -> None:
 
 
 campaign_app.command()(serve)
+campaign_app.command("prune")(prune_night)
 campaign_app.command()(stack)

