@@ -11,7 +11,7 @@ crescent (its light is beside its center of figure, and it is no Gaussian) is ta
 between the pixels.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -143,7 +143,8 @@ class StarFitAssessment:
         """Say where an image is not that of a star; correlations, which fit no shape, cannot tell."""
         if fit.method != "least_squares":
             return []
-        if _misfit(fit) > MAX_MISFIT_RATIO * fit.psf_error or _strange_shape(fit, self.prior):
+        known_to = max(fit.psf_error, self.prior.correction_part)
+        if _misfit(fit) > MAX_MISFIT_RATIO * known_to or _strange_shape(fit, self.prior):
             chi2 = float(fit.chi2_reduced[0])
             return [f"its image is not that of a star (reduced chi-squared {chi2:.1f})"]
         return []
@@ -353,7 +354,7 @@ def _off_detector(predicted: FloatArray, n_pixel: int, n_line: int) -> str:
 
 def _widened(prior: ShapePrior, diameter_px: float) -> ShapePrior:
     sigma = np.hypot(prior.sigma_px, DISK_SIGMA * diameter_px)
-    return ShapePrior(float(np.log(sigma)), prior.sigma_log_scale, prior.ellipticity, prior.sigma_ellipticity)
+    return replace(prior, log_scale=float(np.log(sigma)))
 
 
 def _saturated_nearby(saturated: ArrayLike | None, predicted: FloatArray, radius_px: float) -> bool:

@@ -3,6 +3,8 @@
 Come in by a PSF class such as `GaussianPsf`, or by `psf_from_mapping` for one described in YAML; `Psf` is what all of
 them can do.
 
+``correction``
+    What an elliptical Gaussian leaves of a real PSF, with its covariance.
 ``empirical``
     A template taken from bright stars.
 ``gaussian``
@@ -19,6 +21,7 @@ them can do.
     Smeared by motion during the exposure.
 """
 
+from opnav_workbench.psf.correction import PsfCorrection
 from opnav_workbench.psf.empirical import EmpiricalPsf
 from opnav_workbench.psf.gaussian import FieldPsf, GaussianPsf, GridShape, PolynomialShape
 from opnav_workbench.psf.integrals import (
@@ -44,6 +47,7 @@ __all__ = [
     "PixelIntegrals",
     "PolynomialShape",
     "Psf",
+    "PsfCorrection",
     "PsfGradient",
     "TrailedPsf",
     "add_boxes",

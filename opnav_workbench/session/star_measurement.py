@@ -17,6 +17,7 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import FieldMatch, StarStatus
 from opnav_workbench.stars import (
+    ExpectedPlaces,
     ShapePrior,
     StarCenters,
     StarFlag,
@@ -84,9 +85,16 @@ class StarFitOptions:
 
 
 def fit_all(
-    context: Context, match: FieldMatch, prior: ShapePrior, options: StarFitOptions
+    context: Context,
+    match: FieldMatch,
+    prior: ShapePrior,
+    options: StarFitOptions,
+    place_sigma_px: FloatArray,
 ) -> tuple[StarCenters, ShapePrior]:
-    """Measure all stars of a match at once; return the PSF that they agree on, too."""
+    """Measure all stars of a match at once; return the PSF that they agree on, too.
+
+    `place_sigma_px` (n,) tells how well the catalog knows the stars' places, up to a shift of all; infinite: not at all.
+    """
     coarse = _coarse(context, match, match.expected_px, prior, options)
     if options.final not in FITTED_METHODS:
         return coarse, prior
@@ -101,6 +109,7 @@ def fit_all(
         prior,
         saturated=context.picture.saturated,
         noise_model=context.noise_model,
+        places=ExpectedPlaces(match.expected_px, place_sigma_px),
     )
     return with_flanks(context, centers, start, psf), psf
 

@@ -162,7 +162,10 @@ def _with_all_fitted(
     context: Context, inputs: Inputs, state: SessionState, match: FieldMatch, options: StarFitOptions
 ) -> SessionState:
     """Fit all stars of a match, and give each its status."""
-    centers, psf = fit_all(context, match, state.psf or context.camera_psf, options)
+    stars = predicted_stars(state)
+    sigma = np.sqrt(0.5 * np.trace(stars.covariance_px2, axis1=1, axis2=2))
+    sigma = np.where(np.isin(stars.id, list(state.placed)) | ~match.visible, np.inf, sigma)
+    centers, psf = fit_all(context, match, state.psf or context.camera_psf, options, sigma)
     state = state.replace(centers=centers, psf=psf, star_methods=MappingProxyType({}))
     return _with_statuses(context, inputs, state, match, options)
 

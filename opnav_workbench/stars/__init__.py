@@ -13,6 +13,8 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
     First centers by matched filter or cross-correlation with a template: `correlate`.
 ``detection``
     Blind detection: `detect` and its `Detections`.
+``effective_psf``
+    The correction to a Gaussian that all stars of a picture agree on.
 ``evidence``
     How sure an identification is: evidence of a rotation, confidence, `Identification`.
 ``flags``
@@ -50,6 +52,7 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
 from opnav_workbench.stars.center_bounds import CenterBound, cramer_rao, flux_at_snr
 from opnav_workbench.stars.correlation import StarTemplate, correlate, extract_template, gaussian_template
 from opnav_workbench.stars.detection import Detections, detect
+from opnav_workbench.stars.effective_psf import ExpectedPlaces
 from opnav_workbench.stars.evidence import Identification
 from opnav_workbench.stars.flags import StarFlag, describe_flags
 from opnav_workbench.stars.identification import identify, identify_marked, identify_sky
@@ -61,6 +64,7 @@ from opnav_workbench.stars.saturated import WingCenters, fit_wings
 __all__ = [
     "CenterBound",
     "Detections",
+    "ExpectedPlaces",
     "Identification",
     "NoiseModel",
     "PsfShape",

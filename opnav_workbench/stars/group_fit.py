@@ -369,17 +369,25 @@ def _star_by_star(
 def _psf_error(
     solution: BatchSolution, covariance: FloatArray, model: StarModel, error: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance that an error of the PSF model, a fraction of each star's light in a pixel, adds; and its chi2.
+    """Covariance that errors of the PSF model add, and their chi2: a fraction of each star's light, and what was learned.
 
-    With C the inverse normal matrix, parameters follow the data by C J'W, so a variance V adds C J'W V WJ C.
+    With C the inverse normal matrix, parameters follow the data by C J'W, so a covariance V adds C J'W V WJ C.
     """
     final = solution.final
-    if error == 0.0:
-        return np.zeros_like(covariance), np.zeros(len(covariance))
-    variance = (error * model.light(solution.parameters, final)) ** 2
+    learned = model.psf_errors(solution.parameters)
+    added, chi2 = np.zeros_like(covariance), np.zeros(len(covariance))
+    if error == 0.0 and learned is None:
+        return added, chi2
     gain = np.matmul(covariance, final.jacobian * final.weight[:, None, :])
-    added = np.matmul(gain * variance[:, None, :], np.swapaxes(gain, 1, 2))
-    return added, np.sum(final.weight * variance, axis=1)
+    if error > 0.0:
+        variance = (error * model.light(solution.parameters, final)) ** 2
+        added = np.matmul(gain * variance[:, None, :], np.swapaxes(gain, 1, 2))
+        chi2 = np.sum(final.weight * variance, axis=1)
+    if learned is not None:
+        moved = np.matmul(gain, learned)
+        added = added + np.matmul(moved, np.swapaxes(moved, 1, 2))
+        chi2 = chi2 + np.einsum("gm,gmr->g", final.weight, learned**2)
+    return added, chi2
 
 
 def _windows(values: FloatArray, corner: IntArray, side: int, size: int) -> FloatArray:

@@ -3,20 +3,30 @@
 A star alone does not tell its shape where the image is undersampled, but all stars of a picture share optics and
 smear. From each star's fit the prior is taken out, the stars' own measurements are combined robustly with their
 scatter, and the result is the tighter prior of a second fit. The stars also tell how well a Gaussian describes the PSF.
+Where it does not, or where the picture is so undersampled that no star could tell, they tell what is missing
+(`effective_psf`), and a third fit has it.
 
 Reference: the scatter between stars follows DerSimonian & Laird (1986), doi:10.1016/0197-2456(86)90046-2, with medians.
 """
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.psf import shape_from_ellipse
+from opnav_workbench.stars.boxes import check_image
+from opnav_workbench.stars.effective_psf import ExpectedPlaces, learn_correction
 from opnav_workbench.stars.flags import StarFlag
-from opnav_workbench.stars.least_squares import SEARCH_RADIUS_PX, fit_gaussian
+from opnav_workbench.stars.least_squares import (
+    SEARCH_RADIUS_PX,
+    checked_settings,
+    default_box_px,
+    fit_gaussian,
+)
 from opnav_workbench.stars.picture_fit import misfit_factor
 from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
@@ -110,19 +120,22 @@ def fit_stars(
     search_radius_px: float = SEARCH_RADIUS_PX,
     joint: bool = True,
     mask_hits: bool = True,
+    places: ExpectedPlaces | None = None,
 ) -> tuple[StarCenters, ShapePrior]:
-    """Fit all stars of a frame twice: with `prior`, then with the PSF that its well-exposed stars agree on.
+    """Fit all stars of a frame with `prior`, then with the PSF that its well-exposed stars agree on.
 
     Parameters
     ----------
     image_dn, noise_dn, bad, start_pixel_line, prior, box_px, background, saturated, noise_model,
     search_radius_px, joint, mask_hits
-        As in `fit_gaussian`.
+        As in `fit_gaussian`; a correction to the prior is learned anew.
+    places
+        Where the catalog has the stars: it helps to learn the PSF of an undersampled frame.
 
     Returns
     -------
     centers : StarCenters
-        Of the second fit; `psf_error` is what the first one measured.
+        Of the last fit; `psf_error` is what the one before measured.
     consensus : ShapePrior
         The PSF of this frame.
 
@@ -139,9 +152,53 @@ def fit_stars(
             search_radius_px=search_radius_px, joint=joint, mask_hits=mask_hits,
         )  # fmt: skip
 
+    prior = replace(prior, correction=None)
     first = fit(prior, 0.0)
     consensus = shape_from_stars(first, prior)
-    return fit(consensus, estimate_psf_error(first)), consensus
+    centers = fit(consensus, estimate_psf_error(first))
+    teachers = _teachers(centers)
+    if not _gaussian_may_fail(centers, consensus, teachers):
+        return centers, consensus
+    size = default_box_px(prior.sigma_px) if box_px is None else box_px
+    settings = checked_settings(size, background, noise_model, 0.0, search_radius_px)
+    shape = _common_shape(consensus)
+    pixels = check_image(image_dn, noise_dn, bad, saturated)
+    learned = replace(shape, correction=learn_correction(pixels, centers, teachers, shape, settings, places))
+    return fit(learned, estimate_psf_error(fit(learned, 0.0))), learned
+
+
+# ---- Who teaches the PSF beyond a Gaussian, and whether there is anything to learn.
+
+TEACHING_SNR = 15.0
+MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest say it all
+UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
+COMMON_SHAPE_SIGMA = (
+    0.01  # of its log scale and ellipticity from star to star: what they seem to scatter by is phase
+)
+MISFIT_IN_SIGMAS = 5.0  # of the pooled chi-squared of all teachers
+
+
+def _teachers(centers: StarCenters) -> IntArray:
+    """Return the rows of the brightest well-exposed stars."""
+    rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR))
+    brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
+    return np.sort(brightest)
+
+
+def _common_shape(psf: ShapePrior) -> ShapePrior:
+    """Return the PSF with the scatter of shapes that remains once the stars of an undersampled frame share one PSF."""
+    if psf.sigma_px >= UNDERSAMPLED_SIGMA_PX:
+        return psf
+    return replace(psf, sigma_log_scale=COMMON_SHAPE_SIGMA, sigma_ellipticity=COMMON_SHAPE_SIGMA)
+
+
+def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray) -> bool:
+    """Tell whether a Gaussian may not describe the stars: it visibly does not, or nobody could see it."""
+    if len(teachers) < MIN_TEACHERS:
+        return False
+    chi2, freedom = centers.chi2_reduced[teachers], centers.degrees_of_freedom[teachers]
+    excess = float(np.median((chi2 - 1.0) * np.sqrt(freedom / 2.0))) * np.sqrt(len(teachers))
+    return psf.sigma_px < UNDERSAMPLED_SIGMA_PX or excess > MISFIT_IN_SIGMAS
 
 
 def _combine_parameter(

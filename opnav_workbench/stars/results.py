@@ -9,7 +9,8 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.psf import ellipse_from_shape, shape_from_ellipse
+from opnav_workbench.psf import PsfCorrection, box_values, ellipse_from_shape, shape_from_ellipse
+from opnav_workbench.psf.correction import phases_of_a_pixel
 from opnav_workbench.stars.flags import StarFlag
 
 __all__ = ["NoiseModel", "PsfShape", "ShapePrior", "StarCenters", "StarImages"]
@@ -59,6 +60,7 @@ UNUSABLE_FLAGS = (
 )
 
 DEFAULT_SIGMA_LOG_SCALE = 0.3  # a PSF width known to 30 %: what a camera description is good for
+CORE_HALF_SIGMAS = 3.0  # half the side of the square that holds what counts of a star
 DEFAULT_SIGMA_ELLIPTICITY = 0.2  # sigmas along the axes differ by 20 %: optics and a smear of half a sigma
 
 
@@ -90,6 +92,7 @@ class ShapePrior:
     sigma_log_scale: float
     ellipticity: FloatArray  # (2,)
     sigma_ellipticity: float
+    correction: PsfCorrection | None = None  # what the Gaussian leaves of the PSF
 
     def __post_init__(self) -> None:
         ellipticity = np.asarray(self.ellipticity, dtype=float)
@@ -132,6 +135,23 @@ class ShapePrior:
     def mean(self) -> FloatArray:
         """Log scale, e1, e2; (3,)."""
         return np.array([self.log_scale, *self.ellipticity])
+
+    @property
+    def correction_part(self) -> float:
+        """The correction and its errors as a part of the star's image (root of sums of squares).
+
+        A star of another color or brightness differs from the picture's others by less than they do from a Gaussian.
+        """
+        if self.correction is None:
+            return 0.0
+        center, size = phases_of_a_pixel(), 2 * int(np.ceil(CORE_HALF_SIGMAS * self.sigma_px)) + 1
+        first = np.full(center.shape, -(size // 2.0))
+        image = box_values(center, np.broadcast_to(self.mean, (len(center), 3)), first, size)
+        added, errors = (
+            self.correction.evaluate(center, first, size)[0],
+            self.correction.errors(center, first, size),
+        )
+        return float(np.sqrt((np.sum(added**2) + np.sum(errors**2)) / np.sum((image + added) ** 2)))
 
     @property
     def information(self) -> FloatArray:

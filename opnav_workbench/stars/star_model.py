@@ -71,6 +71,10 @@ class StarProfile(Protocol):
         """Shares (n, size, size) and derivatives: along pixel, along line, with each shape parameter."""
         ...
 
+    def errors(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray | None:
+        """Independent one-sigma errors (n, size, size, r) of the shares that all stars have in common; None without."""
+        ...
+
     def ellipse(self, shape: FloatArray) -> FloatArray:
         """Ellipses (n, 3) of shapes (n, n_shape): sigma_major_px, sigma_minor_px, angle_rad."""
         ...
@@ -120,14 +124,25 @@ class GaussianProfile:
 
     def value(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray:
         """Shares with the shape of the prior's mean."""
-        return box_values(center, np.broadcast_to(self.prior.mean, (len(center), 3)), first, size)
+        shares = box_values(center, np.broadcast_to(self.prior.mean, (len(center), 3)), first, size)
+        correction = self.prior.correction
+        return shares if correction is None else shares + correction.evaluate(center, first, size)[0]
 
     def evaluate(
         self, center: FloatArray, shape: FloatArray, first: FloatArray, size: int
     ) -> tuple[FloatArray, ...]:
         """Shares and derivatives."""
         psf = box_integrals(center, shape, first, size)
-        return psf.value, psf.d_pixel, psf.d_line, psf.d_log_scale, psf.d_e1, psf.d_e2
+        parts = psf.value, psf.d_pixel, psf.d_line
+        if self.prior.correction is not None:
+            added = self.prior.correction.evaluate(center, first, size)
+            parts = parts[0] + added[0], parts[1] + added[1], parts[2] + added[2]
+        return *parts, psf.d_log_scale, psf.d_e1, psf.d_e2
+
+    def errors(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray | None:
+        """Errors of a correction that was learned."""
+        correction = self.prior.correction
+        return None if correction is None else correction.errors(center, first, size)
 
     def ellipse(self, shape: FloatArray) -> FloatArray:
         """Ellipses of the fitted shapes."""
@@ -189,6 +204,10 @@ class KnownProfile:
         del shape
         psf = self.psf.gradient(center, np.asarray(first, np.int64), size)
         return psf.value, psf.d_pixel, psf.d_line
+
+    def errors(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray | None:  # noqa: ARG002
+        """None: the PSF is given."""
+        return None
 
     def ellipse(self, shape: FloatArray) -> FloatArray:
         """Second moments of the PSF, the same for all."""
@@ -312,6 +331,16 @@ class StarModel:
         """Return the light of the stars (g, m) at parameters `p`, of which `state` is the evaluation."""
         unit = state.jacobian[:, self.flux_columns]
         return np.asarray(np.sum(p[:, self.flux_columns, None] * unit, axis=1))
+
+    def psf_errors(self, p: FloatArray) -> FloatArray | None:
+        """Return what one-sigma errors of the PSF make of the boxes (g, m, r) at parameters `p`; None without."""
+        g, k = len(p), self.members
+        center = p[:, self.center_columns.ravel()].reshape(g * k, 2)
+        errors = self.profile.errors(center, np.repeat(self.first, k, axis=0), self.size)
+        if errors is None:
+            return None
+        light = p[:, self.flux_columns].reshape(g, k, 1, 1) * errors.reshape(g, k, self.size**2, -1)
+        return np.asarray(light.sum(axis=1))
 
     def linear_start(self, center: FloatArray) -> FloatArray:
         """Return parameters (g, q): fluxes and level solved linearly at centers (g, k, 2), expected shape."""

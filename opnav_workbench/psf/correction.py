@@ -1,0 +1,151 @@
+"""What an elliptical Gaussian leaves of a real PSF: a smooth correction of the light before it is integrated over pixels.
+
+The correction is a Gaussian process on the plane, with lengths in sigmas of the PSF and densities in those of the
+Gaussian's peak: a smooth layer and a fine one for core and rings, a coarse one for wings. Being densities of light, their
+pixel shares add up to the same flux at every sub-pixel phase. A fourth, weak layer is what pixels make of the light
+beyond adding it up: edges less sensitive, charge that spreads. The modes are the eigenvectors of each layer's covariance.
+
+Reference: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, chapters 2 and 8.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
+
+__all__ = ["PsfCorrection", "mode_layers", "mode_shares", "phases_of_a_pixel"]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """A square of cubic B-splines; lengths in sigmas of the PSF, densities in those of the Gaussian's peak."""
+
+    spacing: float
+    half_nodes: int  # on each side of the middle one
+    length: float  # over which the correction changes
+    core: float  # scale of the fall of its amplitude, amplitude (1 + (r / core)^2)^-power
+    amplitude: float
+    power: float
+    integrated: bool = True  # over the pixels; else in units of the PSF that is integrated already
+
+
+LAYERS = (
+    _Layer(0.8, 6, 1.6, 2.0, 1.0, 2.0),  # smooth
+    _Layer(0.6, 6, 0.8, 1.5, 1.0, 2.0),  # fine
+    _Layer(2.5, 5, 3.5, 4.0, 0.1, 1.5),  # wings
+    _Layer(0.6, 6, 1.0, 1.5, 0.2, 2.0, integrated=False),  # pixels
+)
+LEAST_VARIANCE = 1e-4  # of a layer's largest mode: weaker ones change no pixel that anybody could measure
+PHASES = 8  # along each axis of a pixel
+PEAK_DENSITY = 1.0 / (2.0 * np.pi)  # of a Gaussian, per sigma^2
+
+
+@cache
+def _modes(layer: _Layer) -> FloatArray:
+    """Modes (k, side, side) of a layer: densities as coefficients of B-splines, [mode, line, pixel]."""
+    at = layer.spacing * np.arange(-layer.half_nodes, layer.half_nodes + 1)
+    line, pixel = (a.ravel() for a in np.meshgrid(at, at, indexing="ij"))
+    fall = layer.amplitude * (1.0 + (pixel**2 + line**2) / layer.core**2) ** -layer.power
+    square = (pixel[:, None] - pixel) ** 2 + (line[:, None] - line) ** 2
+    value, vector = np.linalg.eigh(fall[:, None] * fall * np.exp(-0.5 * square / layer.length**2))
+    kept = value > LEAST_VARIANCE * value[-1]
+    modes = PEAK_DENSITY * (vector[:, kept] * np.sqrt(value[kept])).T[::-1]
+    return readonly(modes.reshape(-1, len(at), len(at)))
+
+
+@cache
+def mode_layers() -> IntArray:
+    """Return the layer (k,) that each mode belongs to."""
+    layers = np.concatenate([np.full(len(_modes(layer)), i, np.int64) for i, layer in enumerate(LAYERS)])
+    layers.setflags(write=False)
+    return layers
+
+
+def phases_of_a_pixel() -> FloatArray:
+    """Return places (64, 2) all over a pixel, about its middle."""
+    phase = (np.arange(PHASES) + 0.5) / PHASES - 0.5
+    return np.stack(np.meshgrid(phase, phase), axis=-1).reshape(-1, 2)
+
+
+def mode_shares(sigma_px: float, center: FloatArray, first: FloatArray, size: int) -> FloatArray:
+    """Return pixel shares (n, size, size, k) of all modes for points at centers (n, 2); boxes as in `Psf.box`."""
+    parts = []
+    for layer in LAYERS:
+        along_pixel, along_line = (
+            _axis(layer, sigma_px, first[:, axis] - center[:, axis], size)[0] for axis in (0, 1)
+        )
+        lines = np.einsum("nyi,kij->nykj", along_line, _modes(layer), optimize=True)
+        parts.append(np.einsum("nykj,nxj->nyxk", lines, along_pixel, optimize=True))
+    return np.concatenate(parts, axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PsfCorrection:
+    """A correction as it was learned, with its covariance.
+
+    Attributes
+    ----------
+    sigma_px
+        Of the Gaussian that it corrects.
+    amplitudes : (k,) array
+        Of the modes.
+    root : (k, r) array
+        Root of their covariance: amplitudes scatter by `root` times standard normal numbers.
+    """
+
+    sigma_px: float
+    amplitudes: FloatArray
+    root: FloatArray
+    _coefficients: tuple[FloatArray, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        layers = mode_layers()
+        coefficients = (
+            np.tensordot(self.amplitudes[layers == i], _modes(layer), 1) for i, layer in enumerate(LAYERS)
+        )
+        object.__setattr__(self, "_coefficients", tuple(coefficients))
+        freeze_arrays(self)
+
+    def evaluate(
+        self, center: FloatArray, first: FloatArray, size: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return pixel shares (n, size, size) and their derivatives with the center along pixel and line, 1/px."""
+        value, d_pixel, d_line = np.zeros((3, len(center), size, size))
+        for layer, coefficients in zip(LAYERS, self._coefficients, strict=True):
+            (x, dx), (y, dy) = (
+                _axis(layer, self.sigma_px, first[:, axis] - center[:, axis], size) for axis in (0, 1)
+            )
+            lines, x, dx = y @ coefficients, np.swapaxes(x, 1, 2), np.swapaxes(dx, 1, 2)
+            value += lines @ x
+            d_pixel += lines @ dx
+            d_line += dy @ coefficients @ x
+        return value, d_pixel, d_line
+
+    def errors(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray:
+        """Return independent one-sigma errors (n, size, size, r) of the pixel shares."""
+        return mode_shares(self.sigma_px, center, first, size) @ self.root
+
+
+def _axis(layer: _Layer, sigma_px: float, offset: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+    """Light (n, size, nodes) of the B-splines in the pixels of an axis, and its derivatives with the center, 1/px."""
+    nodes = np.arange(-layer.half_nodes, layer.half_nodes + 1)
+    if not layer.integrated:
+        width = float(np.hypot(sigma_px, np.sqrt(PIXEL_VARIANCE_PX2)))
+        at = (offset[:, None] + np.arange(size))[..., None] / (layer.spacing * width) - nodes
+        _, value, slope = _bspline(at)
+        return value / width, -slope / (layer.spacing * width**2)
+    edges = offset[:, None] - 0.5 + np.arange(size + 1)
+    cumulated, density, _ = _bspline(edges[..., None] / (layer.spacing * sigma_px) - nodes)
+    return layer.spacing * np.diff(cumulated, axis=1), -np.diff(density, axis=1) / sigma_px
+
+
+def _bspline(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Integral from below, value and slope of the cubic B-spline of unit spacing."""
+    distance = np.abs(at)
+    inner, outer = np.maximum(1.0 - distance, 0.0), np.maximum(2.0 - distance, 0.0)
+    beyond = (outer**4 - 4.0 * inner**4) / 24.0
+    slope = np.sign(at) * (2.0 * inner**2 - 0.5 * outer**2)
+    return np.where(at > 0.0, 1.0 - beyond, beyond), (outer**3 - 4.0 * inner**3) / 6.0, slope

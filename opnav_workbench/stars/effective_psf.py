@@ -1,0 +1,281 @@
+"""The effective PSF of a picture: what its stars together say of the light's distribution beyond a Gaussian.
+
+An undersampled star falls on four or five pixels, which tell its flux, place and level, and hardly its shape: taken for
+a Gaussian, its center errs with the sub-pixel phase, and no residual shows it. The stars of a picture share one PSF and
+fall at different phases; all of them together determine a correction to the Gaussian (`psf.correction`), linear in
+its modes. Every star's own flux, center, level and a small scatter of its shape are eliminated from the normal equations,
+so that the correction has its true covariance; the variance of each layer of modes is estimated with it (MacKay 1992).
+Where the catalog's places are known they help: a shift, turn and scale of all of them are free.
+
+Without them the modes that move all stars of a phase alike are known by nothing but the prior, and the covariance says so.
+What a Gaussian fit calls center and flux, in the mean over all phases, stays: modes that would change it are taken out.
+
+References: Anderson & King (2000), doi:10.1086/316632; MacKay (1992), doi:10.1162/neco.1992.4.3.415.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.psf import PsfCorrection, box_integrals
+from opnav_workbench.psf.correction import mode_layers, mode_shares, phases_of_a_pixel
+from opnav_workbench.stars.boxes import Pixels, box_corners, cut_at
+from opnav_workbench.stars.group_fit import FitSettings
+from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
+
+__all__ = ["ExpectedPlaces", "learn_correction"]
+
+# Of the layers' modes. Simulated disks, obstructed Airy patterns and Moffat profiles have half of it; the fine layer's was
+# raised until stars of real frames, which fall at other phases in each, repeat nearly within their sigmas.
+PRIOR_AMPLITUDES = (0.5, 0.6, 0.5, 0.2)
+PRIOR_COUNT = 8.0  # modes that this is worth beside the layer's own
+PASSES = (
+    6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
+)
+VARIANCE_STEPS = 3  # of the layers' variances in a pass
+MAX_STEP_PX = 0.3
+JUDGED_FROM = 3  # pass from which places worse than stated count for less: before, a wrong PSF scatters them
+MISFIT_SIGMAS = 3.0  # of all stars together
+PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
+PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
+MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
+FLAT = 1e-12  # prior information of what is free
+FLUX, PIXEL, LINE, SCALE, E1, E2, LEVEL = range(7)
+CENTER = slice(PIXEL, SCALE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExpectedPlaces:
+    """Where the catalog's stars are expected, up to a common shift, turn and scale.
+
+    Attributes
+    ----------
+    pixel_line : (n, 2) array
+    sigma_px : (n,) array
+        Of each place, along each axis; infinite where nothing is known.
+    """
+
+    pixel_line: FloatArray
+    sigma_px: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def take(self, rows: IntArray) -> Self:
+        """Return some of them."""
+        return replace(self, pixel_line=self.pixel_line[rows], sigma_px=self.sigma_px[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """Normal equations of every star's own parameters (n, 7), and of what all share (k,)."""
+
+    own: FloatArray  # (n, 7, 7)
+    mixed: FloatArray  # (n, 7, k)
+    shared: FloatArray  # (k, k)
+    own_right: FloatArray  # (n, 7)
+    shared_right: FloatArray  # (k,)
+
+    def reduced(self) -> tuple[FloatArray, FloatArray]:
+        """Return matrix (k, k) and right-hand side (k,) of what is shared, the stars' own parameters eliminated."""
+        k = len(self.shared)
+        solved = np.linalg.solve(self.own, np.concatenate([self.mixed, self.own_right[:, :, None]], axis=2))
+        flat = self.mixed.reshape(-1, k).T @ solved.reshape(-1, k + 1)
+        return self.shared - flat[:, :k], self.shared_right - flat[:, k]
+
+    def own_steps(self, shared: FloatArray) -> FloatArray:
+        """Return the stars' own parameters (n, 7) for given shared ones."""
+        right = self.own_right - self.mixed @ shared
+        return np.asarray(np.linalg.solve(self.own, right[:, :, None])[:, :, 0])
+
+    def with_places(self, centers: FloatArray, places: ExpectedPlaces, *, judged: bool) -> "_Normal":
+        """Add the expected places, and their common shift, turn and scale behind the shared parameters."""
+        n, _, k = self.mixed.shape
+        basis = _similarity(places.pixel_line)
+        offset = places.pixel_line - centers
+        weight = _place_weights(offset, basis, places.sigma_px, judged=judged)
+        own, mixed = self.own.copy(), np.concatenate([self.mixed, np.zeros((n, 7, 4))], axis=2)
+        right = self.own_right.copy()
+        own[:, [PIXEL, LINE], [PIXEL, LINE]] += weight[:, None]
+        mixed[:, CENTER, k:] = -weight[:, None, None] * basis
+        right[:, CENTER] += weight[:, None] * offset
+        shared = np.zeros((k + 4, k + 4))
+        shared[:k, :k] = self.shared
+        shared[k:, k:] = np.einsum("n,nai,naj->ij", weight, basis, basis) + FLAT * np.eye(4)
+        moved = -np.einsum("n,nai,na->i", weight, basis, offset)
+        return _Normal(own, mixed, shared, right, np.concatenate([self.shared_right, moved]))
+
+
+def learn_correction(
+    pixels: Pixels,
+    stars: StarCenters,
+    rows: IntArray,
+    psf: ShapePrior,
+    settings: FitSettings,
+    places: ExpectedPlaces | None = None,
+) -> PsfCorrection:
+    """Return what the stars `rows` say of the PSF beyond the Gaussian `psf`, by whose sigmas their shapes may differ.
+
+    Parameters
+    ----------
+    pixels
+        The picture.
+    stars, rows
+        From a fit with a Gaussian, and those of them (m,) that are isolated and well exposed.
+    settings
+        Of that fit: size of the boxes, noise.
+    places
+        Where the catalog has the same stars, where that is known.
+    """
+    known = np.column_stack([stars.flux_dn, stars.pixel_line, stars.background_dn])[rows]
+    places = None if places is None else places.take(rows)
+    usual = _usual_modes(psf, settings.size)
+    layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
+    correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
+    for step in range(PASSES):
+        normal = _normal_equations(pixels, known, psf, correction, usual, settings, step > 0)
+        if places is not None:
+            normal = normal.with_places(known[:, 1:3], places, judged=step >= JUDGED_FROM)
+        matrix, right = normal.reduced()
+        inner, inner_right, back = _without_places(matrix, right, len(layers))
+        amplitudes, root, variance = _modes_with_variances(inner, inner_right, variance)
+        shared = np.concatenate([amplitudes, back(amplitudes)])
+        correction = PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root)
+        known = known + _limited(normal.own_steps(shared))
+    return correction
+
+
+def _usual_modes(psf: ShapePrior, size: int) -> FloatArray:
+    """Projection (k, k) that takes from the modes what a Gaussian fit would call a shift or more flux."""
+    center = phases_of_a_pixel()
+    first = np.full(center.shape, -(size // 2.0))
+    gaussian = box_integrals(center, np.broadcast_to(psf.mean, (len(center), 3)), first, size)
+    shares = mode_shares(psf.sigma_px, center, first, size).reshape(len(center) * size**2, -1)
+    columns = [shares.T @ part.ravel() for part in (gaussian.value, gaussian.d_pixel, gaussian.d_line)]
+    taken, _ = np.linalg.qr(np.stack(columns, axis=1))
+    return np.asarray(np.eye(len(taken)) - taken @ taken.T)
+
+
+def _normal_equations(
+    pixels: Pixels,
+    known: FloatArray,
+    psf: ShapePrior,
+    correction: PsfCorrection,
+    usual: FloatArray,
+    settings: FitSettings,
+    learned: bool,
+) -> _Normal:
+    """Normal equations about flux, center and level (n, 4) and the correction so far; its modes are sought as a whole."""
+    n, size, center = len(known), settings.size, known[:, 1:3]
+    boxes = cut_at(pixels, box_corners(pixels, center, size), size)
+    first = boxes.first.astype(float)
+    gaussian = box_integrals(center, np.broadcast_to(psf.mean, (n, 3)), first, size)
+    corrected = correction.evaluate(center, first, size)
+    flux, value = known[:, :1, None], gaussian.value + corrected[0]
+    derivatives = (
+        gaussian.d_pixel + corrected[1], gaussian.d_line + corrected[2],
+        gaussian.d_log_scale, gaussian.d_e1, gaussian.d_e2,
+    )  # fmt: skip
+    columns = (value, *(flux * d for d in derivatives), np.ones_like(value))
+    jacobian = np.stack(columns, axis=1).reshape(n, 7, -1)
+    light = (flux * value).reshape(n, -1)
+    variance = boxes.variance_dn2.reshape(n, -1) + _shot_noise(light, settings.noise_model)
+    residual = boxes.data_dn.reshape(n, -1) - light - known[:, 3:]
+    variance += (_model_error(residual, light, variance) * light) ** 2 if learned else 0.0
+    residual += (flux * corrected[0]).reshape(n, -1)
+    modes = flux * (mode_shares(psf.sigma_px, center, first, size).reshape(n, size**2, -1) @ usual)
+    weighted = jacobian / variance[:, None]
+    scatter = np.diag([FLAT, FLAT, FLAT, *psf.information, FLAT])
+    root = (modes / np.sqrt(variance)[:, :, None]).reshape(n * size**2, -1)
+    return _Normal(
+        own=np.matmul(weighted, np.swapaxes(jacobian, 1, 2)) + scatter,
+        mixed=np.matmul(weighted, modes),
+        shared=root.T @ root,
+        own_right=np.matmul(weighted, residual[:, :, None])[:, :, 0],
+        shared_right=root.T @ (residual / np.sqrt(variance)).ravel(),
+    )
+
+
+def _model_error(residual: FloatArray, light: FloatArray, variance: FloatArray) -> float:
+    """Part of the stars' light (n, m) that neither noise nor the PSF learned so far explains: flat field, color, blends."""
+    freedom = np.isfinite(variance).sum(axis=1) - 4.0
+    excess = np.sum(residual**2 / variance, axis=1) - freedom
+    if (
+        float(np.median(excess / np.sqrt(2.0 * np.maximum(freedom, 1.0)))) * np.sqrt(len(excess))
+        < MISFIT_SIGMAS
+    ):
+        return 0.0
+    return float(np.sqrt(np.median(np.maximum(excess, 0.0) / np.sum(light**2 / variance, axis=1))))
+
+
+def _shot_noise(light: FloatArray, noise: NoiseModel | None) -> FloatArray | float:
+    return 0.0 if noise is None else np.maximum(light, 0.0) / noise.gain_e_per_dn
+
+
+def _similarity(places: FloatArray) -> FloatArray:
+    """Shift, turn and scale of places (n, 2): (n, 2, 4), of order 1."""
+    offset = places - places.mean(axis=0)
+    x, y = (offset / max(float(np.abs(offset).max()), 1.0)).T
+    one, none = np.ones_like(x), np.zeros_like(x)
+    return np.stack([np.stack([one, none, x, -y], 1), np.stack([none, one, y, x], 1)], axis=1)
+
+
+def _place_weights(
+    offset: FloatArray, basis: FloatArray, sigma_px: FloatArray, *, judged: bool
+) -> FloatArray:
+    """Weights (n,) of places that lie off by `offset` (n, 2); 0 for those that nothing brings near the others."""
+    variance = sigma_px**2 + PLACE_FLOOR_PX**2
+    weight, allowed = 1.0 / variance, variance + (0.0 if judged else PHASE_ERROR_PX**2)
+    for _ in range(3):
+        normal = np.einsum("n,nai,naj->ij", weight, basis, basis) + FLAT * np.eye(4)
+        moved = basis @ np.linalg.solve(normal, np.einsum("n,nai,na->i", weight, basis, offset))
+        square = np.sum((offset - moved) ** 2, axis=1) / allowed
+        worse = 1.0
+        if judged and np.any(weight > 0.0):
+            # Of two degrees of freedom the median is 2 ln 2.
+            worse = max(float(np.median(square[weight > 0.0])) / (2.0 * np.log(2.0)), 1.0)
+        weight = np.where(square <= MAX_PLACE_SIGMAS**2 * worse, 1.0 / (variance * worse), 0.0)
+    return np.asarray(weight)
+
+
+def _without_places(matrix: FloatArray, right: FloatArray, k: int) -> tuple[FloatArray, FloatArray, "_Back"]:
+    """Eliminate what stands behind the k modes; the last item tells it from the modes."""
+    solved: FloatArray = np.linalg.solve(matrix[k:, k:], np.column_stack([matrix[k:, :k], right[k:]]))
+    return (
+        matrix[:k, :k] - matrix[:k, k:] @ solved[:, :k],
+        right[:k] - matrix[:k, k:] @ solved[:, k],
+        _Back(solved),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Back:
+    """From the modes to what was eliminated."""
+
+    solved: FloatArray
+
+    def __call__(self, amplitudes: FloatArray) -> FloatArray:
+        return np.asarray(self.solved[:, -1] - self.solved[:, :-1] @ amplitudes)
+
+
+def _modes_with_variances(
+    matrix: FloatArray, right: FloatArray, variance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Amplitudes (k,), root (k, k) of their covariance, and the variance of each layer that explains them."""
+    layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
+    for _ in range(VARIANCE_STEPS):
+        sigma = np.sqrt(variance)[layers]
+        value, vector = np.linalg.eigh(sigma[:, None] * matrix * sigma)
+        root = sigma[:, None] * vector / np.sqrt(1.0 + np.maximum(value, 0.0))
+        amplitudes = root @ (root.T @ right)
+        square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
+        variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
+    return amplitudes, root, variance
+
+
+def _limited(steps: FloatArray) -> FloatArray:
+    """Steps of flux, center and level (n, 4)."""
+    center = np.clip(steps[:, CENTER], -MAX_STEP_PX, MAX_STEP_PX)
+    return np.column_stack([steps[:, FLUX], center, steps[:, LEVEL]])

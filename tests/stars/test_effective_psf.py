@@ -1,0 +1,180 @@
+"""Undersampled pictures: the PSF beyond a Gaussian, learned from all stars, against images summed from fine samples.
+
+The truth has shapes that the model does not: an obstructed aperture's rings, coma, a core with wings, pixels less
+sensitive at their edges. Its bound is that of a PSF known exactly.
+"""
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates, spline_filter
+from scipy.signal import fftconvolve
+from scipy.special import j1
+
+from opnav_workbench.psf.correction import PsfCorrection, mode_layers
+from opnav_workbench.stars import ExpectedPlaces, NoiseModel, ShapePrior, fit_stars
+
+FINE, HALF = 40, 8  # samples a pixel; pixels on each side
+READ_NOISE_DN, GAIN = 1.1, 22.0
+NOISE = NoiseModel(READ_NOISE_DN, GAIN)
+BOX, SIDE = 9, 256
+
+
+def gaussian(x, y, sigma):
+    return np.exp(-0.5 * (x**2 + y**2) / sigma**2) / sigma**2
+
+
+def wings(x, y, s):
+    return 0.85 * gaussian(x, y, s) + 0.15 * gaussian(x, y, 2.5 * s)
+
+
+def coma(x, y, s):
+    return (
+        gaussian(x, y, 0.9 * s)
+        + 0.35 * gaussian(x - 0.9 * s, y - 0.5 * s, 1.2 * s)
+        + 0.12 * gaussian(x - 2.0 * s, y - 1.2 * s, 1.5 * s)
+    )
+
+
+def disk(x, y, s):
+    """Out of focus."""
+    return 1.0 / (1.0 + np.exp((np.hypot(x, y) - 1.8 * s) / (0.1 * s)))
+
+
+def obstructed(x, y, s, part=0.35):
+    r = np.hypot(x, y) / (2.355 * s) * 1.03 * np.pi + 1e-9
+    return ((2.0 * j1(r) / r - part * 2.0 * j1(part * r) / r) / (1.0 - part**2)) ** 2
+
+
+def pixel_shares(density, sigma, edge_loss=0.0):
+    """Share of the light in a pixel at every offset in steps of 1/FINE px, by summation of fine samples; for a spline."""
+    at = np.arange(-HALF * FINE, HALF * FINE + 1) / FINE
+    light = density(*np.meshgrid(at, at), sigma)
+    u = np.arange(-FINE // 2, FINE // 2 + 1) / FINE
+    response = 1.0 - edge_loss * 4.0 * u**2
+    response[[0, -1]] *= 0.5  # trapezoids
+    response *= FINE / response.sum()
+    return spline_filter(fftconvolve(light / light.sum(), np.outer(response, response), mode="same"))
+
+
+def corners(center):
+    return np.rint(center).astype(int) - BOX // 2
+
+
+def boxes_of(shares, center, first):
+    pixel, line = ((first[:, a, None] + np.arange(BOX) - center[:, a, None] + HALF) * FINE for a in (0, 1))
+    at = np.broadcast_arrays(line[:, :, None], pixel[:, None, :])
+    return map_coordinates(shares, at, order=3, mode="constant", prefilter=False)
+
+
+def bound(shares, center, flux):
+    """Cramer-Rao bound (n, 2) with a known PSF; flux, center and level free; and the signal-to-noise ratio."""
+    first, step = corners(center), 0.02
+    value = boxes_of(shares, center, first)
+    moved = [
+        (boxes_of(shares, center + e, first) - boxes_of(shares, center - e, first)) / (2.0 * step)
+        for e in step * np.eye(2)
+    ]
+    jacobian = np.stack([value, *(flux[:, None, None] * d for d in moved), np.ones_like(value)], 1)
+    jacobian = jacobian.reshape(len(center), 4, -1)
+    variance = READ_NOISE_DN**2 + np.maximum(flux[:, None, None] * value, 0.0).reshape(len(center), -1) / GAIN
+    covariance = np.linalg.inv((jacobian / variance[:, None]) @ jacobian.transpose(0, 2, 1))
+    return np.sqrt(np.stack([covariance[:, 1, 1], covariance[:, 2, 2]], 1)), flux / np.sqrt(
+        covariance[:, 0, 0]
+    )
+
+
+def frame(shares, n, snr, rng):
+    """Image of n isolated stars, their centers, and their bound."""
+    side = int(np.ceil(np.sqrt(n)))
+    cell = rng.permutation(side**2)[:n]
+    spacing = SIDE / side
+    free = np.array([spacing / 2.0 - BOX])
+    center = (np.stack([cell % side, cell // side], 1) + 0.5) * spacing + rng.uniform(-free, free, (n, 2))
+    wanted = np.exp(rng.uniform(*np.log(snr), n))
+    flux = 4.0 * wanted
+    for _ in range(6):
+        flux *= wanted / bound(shares, center, flux)[1]
+    image = np.zeros((SIDE, SIDE))
+    first = corners(center)
+    light = boxes_of(shares, center, first)
+    for corner, star in zip(first, flux[:, None, None] * light, strict=True):
+        image[corner[1] : corner[1] + BOX, corner[0] : corner[0] + BOX] += star
+    image = rng.poisson(np.maximum(image, 0.0) * GAIN) / GAIN + rng.normal(0.0, READ_NOISE_DN, image.shape)
+    return image, center, bound(shares, center, flux)[0]
+
+
+def errors(shares, sigma, n, frames, snr, *, place_sigma=None, prior_off=1.1):
+    """Errors, own sigmas and bounds (3, m, 2) of all usable stars; a common shift of a frame's stars is taken out."""
+    rows = []
+    for seed in range(frames):
+        rng = np.random.default_rng([seed, n])
+        image, center, least = frame(shares, n, snr, rng)
+        places = None
+        if place_sigma is not None:
+            known = center + np.array([0.4, -0.3]) + rng.normal(0.0, place_sigma, center.shape)
+            places = ExpectedPlaces(known, np.full(n, place_sigma))
+        prior = ShapePrior.round_psf(prior_off * sigma)
+        start = center + rng.uniform(-0.5, 0.5, center.shape)
+        fit, _ = fit_stars(image, READ_NOISE_DN, None, start, prior, noise_model=NOISE, places=places)
+        error = fit.pixel_line - center
+        rows.append(np.stack([error - np.median(error, axis=0), fit.sigma_px, least])[:, fit.usable])
+    return np.concatenate(rows, axis=1)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.slow(keep=["obstructed"])
+@pytest.mark.parametrize(
+    ("density", "sigma", "frames"),
+    [(obstructed, 0.35, 2), (coma, 0.5, 3), (wings, 0.35, 3)],
+    ids=["obstructed", "coma", "wings"],
+)
+def test_undersampled_stars_of_any_shape_are_near_the_bound(density, sigma, frames):
+    error, own, least = errors(pixel_shares(density, sigma), sigma, 40, frames, (12, 60))
+    assert rms(error / least) < 1.25  # a Gaussian: 2 to 5
+    assert 0.8 < rms(error / own) < 1.2
+
+
+@pytest.mark.slow
+def test_pixels_less_sensitive_at_their_edges_are_learned():
+    error, own, least = errors(pixel_shares(gaussian, 0.35, edge_loss=0.25), 0.35, 40, 3, (20, 100))
+    assert rms(error / least) < 1.4
+    assert 0.75 < rms(error / own) < 1.2
+
+
+@pytest.mark.slow
+def test_where_the_catalog_has_the_stars_tells_what_no_picture_can():
+    shares = pixel_shares(disk, 0.3)
+    without, with_places = (
+        errors(shares, 0.3, 40, 3, (30, 100), place_sigma=sigma) for sigma in (None, 0.01)
+    )
+    assert rms(with_places[0]) < 0.8 * rms(without[0])
+    assert rms(with_places[0] / with_places[1]) < 1.4
+
+
+@pytest.mark.slow
+def test_a_gaussian_stays_at_the_bound():
+    error, own, least = errors(pixel_shares(gaussian, 0.4), 0.4, 40, 3, (12, 60))
+    assert rms(error / least) < 1.15
+    assert 0.8 < rms(error / own) < 1.15
+
+
+def test_derivatives_of_a_correction_are_those_of_its_shares():
+    rng = np.random.default_rng(1)
+    count = len(mode_layers())
+    correction = PsfCorrection(0.3, rng.normal(size=count), np.zeros((count, 0)))
+    center, first, step = rng.uniform(-0.5, 0.5, (5, 2)), np.full((5, 2), -4.0), 1e-5
+    derivatives = correction.evaluate(center, first, 9)[1:]
+    for moved, derivative in zip(step * np.eye(2), derivatives, strict=True):
+        up, down = (correction.evaluate(center + s * moved, first, 9)[0] for s in (1.0, -1.0))
+        np.testing.assert_allclose((up - down) / (2.0 * step), derivative, atol=1e-8)
+
+
+def test_well_sampled_gaussians_are_fitted_as_ever():
+    shares = pixel_shares(gaussian, 1.0)
+    rng = np.random.default_rng(3)
+    image, center, _ = frame(shares, 16, (30, 100), rng)
+    _, psf = fit_stars(image, READ_NOISE_DN, None, center, ShapePrior.round_psf(1.0), noise_model=NOISE)
+    assert psf.correction is None
