@@ -242,7 +242,9 @@ def _place_weights(
 
 def _without_places(matrix: FloatArray, right: FloatArray, k: int) -> tuple[FloatArray, FloatArray, "_Back"]:
     """Eliminate what stands behind the k modes; the last item tells it from the modes."""
-    solved: FloatArray = np.linalg.solve(matrix[k:, k:], np.column_stack([matrix[k:, :k], right[k:]]))
+    solved = np.asarray(
+        np.linalg.solve(matrix[k:, k:], np.column_stack([matrix[k:, :k], right[k:]])), np.float64
+    )
     return (
         matrix[:k, :k] - matrix[:k, k:] @ solved[:, :k],
         right[:k] - matrix[:k, k:] @ solved[:, k],
