@@ -31,7 +31,7 @@ from opnav_workbench.headless.starting import (
     WarmStarter,
     starter_of_this_process,
 )
-from opnav_workbench.headless.warm_server import can_fork
+from opnav_workbench.headless.warm_server import WarmServerError, can_fork
 from opnav_workbench.headless.worker_check import unfit_because, what_to_ask
 from opnav_workbench.parts import install_command
 from opnav_workbench.processing.pictures import failed_result
@@ -152,9 +152,12 @@ def process_picture(
 def _one_try(job: NotebookRequest, stop: threading.Event, starter: Starter) -> NotebookOutcome:
     # Its own for every try: what a lost process may still write harms nobody.
     folder = Path(job.folder) / f"{job.name}-{uuid.uuid4().hex[:8]}"
-    with _running(job, folder, starter) as child:
-        started = time.monotonic()
-        fault, reason, peak = _watch(child, job, stop)
+    try:
+        with _running(job, folder, starter) as child:
+            started = time.monotonic()
+            fault, reason, peak = _watch(child, job, stop)
+    except WarmServerError as error:
+        return NotebookOutcome(job.name, str(folder), "machine", str(error), 0.0, 0.0)
     if not fault:
         fault, reason = _read_report(folder, child.returncode)
     if fault and FAULTS[fault].is_result:
@@ -291,13 +294,14 @@ class LocalPool:
         if count < 1:
             raise SessionError(f"{count} jobs at a time; give at least 1.")
         self._count = count
-        self._starter: Starter = WarmStarter(notice) if warm and can_fork() else ColdStarter()
+        self._warm, self._notice = warm and can_fork(), notice
 
     def run(self, jobs: Sequence[NotebookRequest]) -> Generator[NotebookOutcome, None, None]:
         """Yield the verdicts as they come; closing the iterator stops what is running."""
         stop = threading.Event()
+        starter: Starter = WarmStarter(self._notice) if self._warm else ColdStarter()
         with ThreadPoolExecutor(self._count) as threads:
-            futures = [threads.submit(process_picture, job.to_dict(), stop, self._starter) for job in jobs]
+            futures = [threads.submit(process_picture, job.to_dict(), stop, starter) for job in jobs]
             try:
                 for future in as_completed(futures):
                     yield NotebookOutcome(**future.result())
@@ -305,7 +309,7 @@ class LocalPool:
                 stop.set()
                 for future in futures:
                     future.cancel()
-                self._starter.close()
+                starter.close()
 
 
 _ASKED: dict[str, str] = {}  # of a worker: why it is not fit for a night, by the night's word

@@ -85,10 +85,17 @@ class WarmStarter:
         self._server: WarmServer | None = None
         self._opened = ""
         self._lost = 0
+        self._closed = False
         self._cold = ColdStarter()
 
     def start(self, job: Path, parameters: Mapping[str, Any], log: Path) -> Child:
-        """Have a job file carried out."""
+        """Have a job file carried out.
+
+        Raises
+        ------
+        WarmServerError
+            The starter has been closed.
+        """
         while self._lost < WARM_TRIES:
             server = None
             try:
@@ -105,6 +112,7 @@ class WarmStarter:
         """Return a server that has opened what these parameters ask for."""
         how = {name: value for name, value in parameters.items() if name not in OF_A_PICTURE}
         with self._lock:
+            self._check_open()
             if self._server is None or not self._server.alive or self._opened != json_text(how):
                 if self._server is not None:
                     self._server.close()
@@ -113,6 +121,7 @@ class WarmStarter:
 
     def _give_up(self, server: WarmServer | None, why: str) -> None:
         with self._lock:
+            self._check_open()
             if server is not None and server is not self._server:
                 return  # another thread was faster
             self._lost += 1
@@ -122,9 +131,14 @@ class WarmStarter:
             if self._lost == WARM_TRIES:
                 self._notice(f"pictures go the cold way, four times slower: {why}")
 
+    def _check_open(self) -> None:
+        if self._closed:
+            raise WarmServerError("stopped")
+
     def close(self) -> None:
-        """End the process that copies are made of."""
+        """End the process that copies are made of, and all copies; none is begun any more."""
         with self._lock:
+            self._closed = True
             if self._server is not None:
                 self._server.close()
                 self._server = None

@@ -1,8 +1,11 @@
 """Warm processes: nothing of a picture reaches the next, and a lost process costs nothing."""
 
 import json
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
+from typing import ClassVar
 
 import nbformat
 import psutil
@@ -93,3 +96,43 @@ def test_where_nothing_can_be_copied_a_night_goes_the_cold_way_and_says_so(tmp_p
     assert [starter.start(tmp_path / "job", {}, tmp_path / "log") for _ in range(3)] == ["a cold process"] * 3
     assert len(told) == 1
     assert "libraries started 3 threads" in told[0]
+
+
+class Warming:
+    """A server that is still loading when it is closed."""
+
+    made: ClassVar[list["Warming"]] = []
+    alive = True
+
+    def __init__(self, *_):
+        self.made.append(self)
+        self.asked, self.closed = threading.Event(), threading.Event()
+
+    def start(self, _job):
+        self.asked.set()
+        self.closed.wait(10.0)
+        raise WarmServerError("the warm process ended")
+
+    def close(self):
+        self.closed.set()
+
+
+def test_a_night_that_is_stopped_starts_no_other_server(tmp_path, monkeypatch):
+    monkeypatch.setattr(starting, "WarmServer", Warming)
+    monkeypatch.setattr(starting.ColdStarter, "start", lambda *_: pytest.fail("a cold process"))
+    starter, said = starting.WarmStarter(), []
+
+    def begin():
+        with pytest.raises(WarmServerError, match="stopped"):
+            starter.start(tmp_path / "job", {}, tmp_path / "log")
+        said.append("refused")
+
+    thread = threading.Thread(target=begin)
+    thread.start()
+    while not Warming.made:
+        time.sleep(0.01)
+    Warming.made[0].asked.wait(10.0)
+    starter.close()
+    thread.join(10.0)
+    assert said == ["refused"]
+    assert len(Warming.made) == 1
