@@ -480,6 +480,9 @@ class Counts(Layout):
     failed: int = Field(ge=0, description="Failed so far.")
     by_status: dict[str, int] = Field(description="Count by status.")
     by_fault: dict[str, int] = Field(description="Count by fault of machine or program.")
+    retries: int = Field(
+        default=0, ge=0, description="Further tries after faults of the machine, of all pictures together."
+    )
 
 
 class StatusFile(Layout):

@@ -42,6 +42,7 @@ METRICS = (
     ("pictures_to_process", "Pictures that this night was to process.", ("pictures", "to_process")),
     ("pictures_processed", "Pictures processed so far.", ("pictures", "processed")),
     ("pictures_failed", "Pictures of these that failed.", ("pictures", "failed")),
+    ("retries", "Further tries after faults of the machine.", ("pictures", "retries")),
     ("pictures_per_minute", "Rate of this night.", ("pictures_per_minute",)),
     ("disk_free_mb", "Space left for results.", ("disk_free_mb",)),
     ("updated_timestamp_seconds", "When this was written.", ("updated_s",)),
@@ -73,6 +74,7 @@ class NightWatch:
         self._began = time.time()
         self._statuses: Counter[str] = Counter()
         self._faults: Counter[str] = Counter()
+        self._retries = 0
         self._last: dict[str, Any] = {}
         self._state = ""
         self._lock = threading.Lock()
@@ -120,6 +122,7 @@ class NightWatch:
         status = "failed" if verdict.fault else result_status(self._plan.out / verdict.name) or "failed"
         self._statuses[status] += 1
         self._faults[verdict.fault] += bool(verdict.fault)
+        self._retries += verdict.tries - 1
         self._last = {"name": verdict.name, "status": status, "reason": verdict.reason}
         level = logging.WARNING if status == "failed" else logging.INFO
         what = f"{FAULTS[verdict.fault].words}: {verdict.reason}" if verdict.fault else status
@@ -161,6 +164,7 @@ class NightWatch:
                 "failed": self._statuses["failed"],
                 "by_status": dict(self._statuses),
                 "by_fault": {name: count for name, count in self._faults.items() if count},
+                "retries": self._retries,
             },
             "pictures_per_minute": round(rate, 3),
             "ready_utc": ready,

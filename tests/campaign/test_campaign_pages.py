@@ -71,6 +71,19 @@ def test_pictures_are_counted_grouped_searched_and_paged(night, monkeypatch):
         assert len({name for names in pages for name in names}) == 11
 
 
+def test_how_the_night_goes_is_told_as_far_as_it_is_known(night):
+    pictures = {"processed": 8, "to_process": 11, "failed": 3}
+    status = {"state": "running", "updated_utc": "2026-01-01T00:00:00+00:00", "pictures": pictures}
+    status |= {"pictures_per_minute": 31.25, "disk_free_mb": None}
+    with served(night) as ask:
+        (night / "status.json").write_text(json.dumps(status))  # of a version that did not count retries
+        assert "running, 8 of 11 processed, 3 failed,\n31.2 a minute" in ask("/changes")[1]
+        (night / "status.json").write_text(json.dumps(status | {"pictures": pictures | {"retries": 2}}))
+        assert "3 failed, 2 tried again," in ask("/changes")[1]
+        (night / "status.json").write_text('{"state": "runn')
+        assert "The night" not in ask("/changes")[1]
+
+
 def test_what_changed_and_what_it_was_made_with(night):
     with served(night) as ask:
         changes = ask("/changes")[1]
@@ -111,6 +124,7 @@ def test_only_files_of_a_run_are_given(night, tmp_path):
         assert ask("/", method="POST")[0] == 501
 
 
+@pytest.mark.slow
 def test_a_notebook_is_made_a_page_when_it_is_asked_for(night):
     notebook = {"nbformat": 4, "nbformat_minor": 5, "metadata": {}, "cells": []}
     cell = {"cell_type": "markdown", "id": "a", "metadata": {}, "source": "# What was *done*"}

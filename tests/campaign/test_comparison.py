@@ -74,6 +74,7 @@ def test_nothing_in_common_is_said(tmp_path, nights, make_run):
             compare(one, three)
 
 
+@pytest.mark.slow
 def test_command_tells_and_draws(nights, tmp_path):
     words = ["campaign", "compare", *map(str, nights), "--plot", str(tmp_path / "moved.png")]
     answer = CliRunner().invoke(app, words, env={"COLUMNS": "160"})
