@@ -9,7 +9,6 @@ import webbrowser
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Lock
 from typing import Annotated, Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -54,11 +53,16 @@ class CampaignServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, campaign: Campaign, port: int = 0) -> None:
-        self.pages, self.lock = CampaignPages(campaign), Lock()
+        self.pages = CampaignPages(campaign)
         try:
             super().__init__((HOST, port), _Answer)
         except (OSError, OverflowError) as error:
             raise SessionError(f"port {port} cannot be used ({error}); give another --port.") from error
+
+    def server_close(self) -> None:
+        """Let the port go, and what is being drawn."""
+        super().server_close()
+        self.pages.close()
 
     @property
     def address(self) -> str:
@@ -80,8 +84,7 @@ class _Answer(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.FORBIDDEN, "ask by the address that opnav printed")
             return
         try:
-            with self.server.lock:
-                found = self._found()
+            found = self._found()
         except OpNavError as error:
             self.send_error(HTTPStatus.INTERNAL_SERVER_ERROR, explain=str(error))
             return

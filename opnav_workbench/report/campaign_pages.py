@@ -1,11 +1,13 @@
 """Pages about a campaign, made when they are asked for: `opnav campaign serve` shows them.
 
-A page holds some hundred pictures and the numbers of all; what costs more (trends) has a page of its own.  Counts and
-causes are asked for once, until the archive changes.
+A page holds some hundred pictures and the numbers of all; what costs more (trends) has a page of its own, which says so
+while it is being drawn.  Counts and causes are asked for once, until the archive changes.  Many threads may ask.
 """
 
 import re
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from urllib.parse import urlencode
 
@@ -21,6 +23,7 @@ __all__ = ["PICTURE_FILES", "CampaignPages"]
 
 ROWS_A_PAGE = 100
 CAUSES_SHOWN = 20
+PATIENCE_S = 2.0  # of a browser for trends; then it is told to ask again
 WORDS, WORDS_ASKED = re.compile(r"(?<![\w.])[A-Za-z_]{3,}(?![\w.])"), 8  # of a reason: those without numbers
 STATUS_FILE = "status.json"  # of the night that fills the archive, beside it
 # What of a picture's folder is shown, and nothing else of it.
@@ -46,7 +49,13 @@ class CampaignPages:
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
         self._known: tuple[Any, Overview, tuple[NightCause, ...]] | None = None
-        self._trends: tuple[Any, Trends, bytes] | None = None
+        self._asking = Lock()
+        self._drawing = ThreadPoolExecutor(1)  # figures one after the other
+        self._trends: tuple[Any, Future[tuple[Trends, bytes]]] | None = None
+
+    def close(self) -> None:
+        """Begin no figure any more."""
+        self._drawing.shutdown(wait=True, cancel_futures=True)
 
     def pictures(self, page: int = 1, status: str = "", words: str = "") -> str:
         """Return a page of pictures, by time, with counts and causes of all."""
@@ -93,12 +102,21 @@ class CampaignPages:
         return path if path.is_file() else None
 
     def trends(self) -> str:
-        """Return the page of trends and outliers."""
-        return self._page("campaign_others.html", "trends", outliers=self._drawn()[0].outliers())
+        """Return the page of trends and outliers; one that asks again soon while they are not drawn yet."""
+        try:
+            found: Trends | None = self._drawn().result(PATIENCE_S)[0]
+        except TimeoutError:
+            found = None
+        return self._page(
+            "campaign_others.html",
+            "trends",
+            drawn=found is not None,
+            outliers=() if found is None else found.outliers(),
+        )
 
     def trends_png(self) -> bytes:
         """Return the figure of the trends."""
-        return self._drawn()[1]
+        return self._drawn().result()[1]
 
     def made_with(self) -> str:
         """Return the page of versions, catalogs and kernels."""
@@ -123,18 +141,24 @@ class CampaignPages:
         )
 
     def _overview(self) -> tuple[Overview, tuple[NightCause, ...]]:
-        state = _state(self._campaign.path)
-        if self._known is None or self._known[0] != state:
-            numbers = self._campaign.overview()
-            self._known = (state, numbers, night_causes(numbers.reasons))
-        return self._known[1], self._known[2]
+        with self._asking:
+            state = _state(self._campaign.path)
+            if self._known is None or self._known[0] != state:
+                numbers = self._campaign.overview()
+                self._known = (state, numbers, night_causes(numbers.reasons))
+            return self._known[1], self._known[2]
 
-    def _drawn(self) -> tuple[Trends, bytes]:
-        state = _state(self._campaign.path)
-        if self._trends is None or self._trends[0] != state:
-            found = trends(self._campaign)
-            self._trends = (state, found, png_bytes(trends_figure(found, self._campaign.path.name)))
-        return self._trends[1], self._trends[2]
+    def _drawn(self) -> "Future[tuple[Trends, bytes]]":
+        """Return the trends, which may be in the making: of the archive as it is, or as it was when that began."""
+        with self._asking:
+            state = _state(self._campaign.path)
+            if self._trends is None or (self._trends[1].done() and self._trends[0] != state):
+                self._trends = (state, self._drawing.submit(self._draw))
+            return self._trends[1]
+
+    def _draw(self) -> tuple[Trends, bytes]:
+        found = trends(self._campaign)
+        return found, png_bytes(trends_figure(found, self._campaign.path.name))
 
 
 def _search(cause: NightCause) -> str:

@@ -4,12 +4,13 @@ import http.client
 import json
 import re
 from contextlib import contextmanager
-from threading import Thread
+from threading import Event, Thread
 
 import pytest
 
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli.campaign_serve import CampaignServer
+from opnav_workbench.report import campaign_pages
 
 
 @contextmanager
@@ -82,6 +83,27 @@ def test_how_the_night_goes_is_told_as_far_as_it_is_known(night):
         assert "3 failed, 2 tried again," in ask("/changes")[1]
         (night / "status.json").write_text('{"state": "runn')
         assert "The night" not in ask("/changes")[1]
+
+
+def test_trends_that_take_long_are_told_of_and_hold_nobody_up(night, monkeypatch):
+    go, real = Event(), campaign_pages.trends
+
+    def slow(campaign):
+        go.wait(20.0)
+        return real(campaign)
+
+    monkeypatch.setattr(campaign_pages, "trends", slow)
+    monkeypatch.setattr(campaign_pages, "PATIENCE_S", 0.05)
+    with served(night) as ask:
+        waiting = ask("/trends")[1]
+        assert "are being drawn" in waiting
+        assert 'http-equiv="refresh"' in waiting
+        assert "11 pictures" in ask("/")[1]
+        go.set()
+        assert ask("/trends.png")[2]["Content-Type"] == "image/png"
+        ready = ask("/trends")[1]
+        assert "Nothing is off its trend" in ready
+        assert 'http-equiv="refresh"' not in ready
 
 
 def test_what_changed_and_what_it_was_made_with(night):
