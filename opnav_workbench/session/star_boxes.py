@@ -80,20 +80,39 @@ def star_boxes(
         check_star_ids(stars, ids)
         place = {star: row for row, star in enumerate(known)}
         rows = [place[star] for star in ids]
+    images = None if state.centers is None else state.centers.images
+    pictured = np.zeros(len(stars), bool) if images is None else np.isfinite(images.data_dn).any(axis=(1, 2))
+    sigma_px = None if state.centers is None else state.centers.sigma_px
     measured, size = has_center(state), default_box_px((state.psf or context.camera_psf).sigma_px)
-    return tuple(_box(context, state, predicted, row, bool(measured[row]), size) for row in rows)
+    return tuple(
+        _box(
+            context,
+            state,
+            predicted,
+            sigma_px if measured[row] else None,
+            row,
+            None if pictured[row] else size,
+        )
+        for row in rows
+    )
 
 
 def _box(
-    context: Context, state: SessionState, predicted: FloatArray, row: int, measured: bool, size: int
+    context: Context,
+    state: SessionState,
+    predicted: FloatArray,
+    sigma_px: FloatArray | None,
+    row: int,
+    size: int | None,
 ) -> StarBox:
+    """Return a star's box: of a measured one with the sigmas of all; with a size cut from the picture, as no fit kept it."""
     assert state.a_priori is not None
     star, centers = str(state.a_priori.id[row]), state.centers
     images = None if centers is None else centers.images
-    has_image = images is not None and np.isfinite(images.data_dn[row]).any()
-    if images is not None and has_image:
+    if images is not None and size is None:
         first, data, model = images.first[row], images.data_dn[row], images.model_dn[row]
     else:
+        assert size is not None
         first, data = _cut(context, predicted[row], size)
         model = np.full_like(data, np.nan)
     status = state.status[row]
@@ -104,14 +123,14 @@ def _box(
         data_dn=data,
         model_dn=model,
         residual_dn=data - model,
-        observed_px=centers.pixel_line[row] if centers is not None and measured else None,
+        observed_px=centers.pixel_line[row] if centers is not None and sigma_px is not None else None,
         predicted_px=predicted[row],
-        sigma_px=centers.sigma_px[row] if centers is not None and measured else None,
+        sigma_px=None if sigma_px is None else sigma_px[row],
         snr=float("nan") if centers is None else float(centers.snr[row]),
         status=status.status,
         reason=status.reason,
         verdict=state.decisions.get(star, ("", ""))[0],
-        flags="" if centers is None or not measured else describe_flags(int(centers.flags[row])),
+        flags="" if centers is None or sigma_px is None else describe_flags(int(centers.flags[row])),
         method="" if centers is None else state.star_methods.get(star, centers.method),
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from enum import IntFlag
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,6 +49,7 @@ _MEANING = {
 }
 
 
+@lru_cache(maxsize=256)
 def describe_flags(flags: int) -> str:
     """Return the meaning of a flag value in words, ``"ok"`` for none.
 

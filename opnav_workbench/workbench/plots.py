@@ -17,6 +17,7 @@ from opnav_workbench.workbench.overlays import expected_attitude
 
 __all__ = [
     "ResidualPlots",
+    "StarResiduals",
     "SvgPlot",
     "VectorPlot",
     "data_range",
@@ -31,6 +32,8 @@ __all__ = [
 FONT_PX = 11
 WANTED_TICKS = 4
 RANGE_MARGIN = 0.06  # of the data's range, so that no mark sits on the frame
+# Points with a tooltip, error bar and click each; where there are more, those farthest from zero, and the rest as one crowd.
+MOST_POINTS = 40
 
 
 def round_ticks(low: float, high: float, wanted: int = WANTED_TICKS) -> FloatArray:
@@ -109,6 +112,7 @@ class SvgPlot:
     font_px: int = FONT_PX
     focus: str = ""
     curves: list[Curve] = field(default_factory=list)
+    crowds: list[Curve] = field(default_factory=list)
     points: list[Point] = field(default_factory=list)
 
     @property
@@ -154,10 +158,24 @@ class SvgPlot:
         bars = np.abs(self.y(np.asarray(sigma)) - self.y(0.0))
         bars = np.where(np.isfinite(bars), bars, 0.0)
         whose = stars or [""] * len(titles)
-        for a, b, bar, title, star in zip(across, down, bars, titles, whose, strict=True):
-            if np.isfinite(a) and np.isfinite(b):
-                self.points.append(Point(style, float(a), float(b), float(bar), title, star))
+        shown = np.isfinite(across) & np.isfinite(down)
+        alone = self._alone(np.where(shown, np.abs(np.asarray(y, float)), -1.0), whose) & shown
+        for row in np.flatnonzero(alone).tolist():
+            place = float(across[row]), float(down[row])
+            self.points.append(Point(style, *place, float(bars[row]), titles[row], whose[row]))
+        if (shown & ~alone).any():
+            self.crowds.append(Curve(style, specks(across[shown & ~alone], down[shown & ~alone])))
         return self
+
+    def _alone(self, far: FloatArray, stars: Sequence[str]) -> BoolArray:
+        """Tell which points are drawn by themselves: all of few, of many the farthest and the star in focus."""
+        if len(far) <= MOST_POINTS:
+            return np.ones(len(far), bool)
+        alone = np.zeros(len(far), bool)
+        alone[np.argpartition(far, -MOST_POINTS)[-MOST_POINTS:]] = True
+        if self.focus in stars:
+            alone[stars.index(self.focus)] = True
+        return alone
 
     @property
     def clip(self) -> str:
@@ -181,6 +199,18 @@ class SvgPlot:
         """Where ticks stand down the page (px), and their numbers."""
         values = round_ticks(min(self.y_range), max(self.y_range), self.ticks)
         return [(float(self.y(value)), f"{value:.6g}") for value in values]
+
+
+def specks(across: FloatArray, down: FloatArray) -> str:
+    """Return dots as one SVG path, one for each screen px.
+
+    Examples
+    --------
+    >>> specks(np.array([1.0, 1.2, 5.0]), np.array([2.0, 2.1, 7.0]))
+    'M1 2h0M5 7h0'
+    """
+    places = np.unique(np.rint(np.stack([across, down], axis=1)).astype(int), axis=0)
+    return "".join(f"M{x} {y}h0" for x, y in places.tolist())
 
 
 # ---- Residuals of the stars: against magnitude before and after repointing, and as vectors over the picture.
@@ -266,18 +296,16 @@ def residual_plots(rows: StarResiduals, size: tuple[int, int], focus: str = "") 
     """
     if not rows.ids:
         return None
-    before = _against_magnitude(rows, rows.before_px, "from the a priori places", size)
-    after = _against_magnitude(rows, rows.after_px, rows.reference, size) if rows.reference else None
-    for plot in filter(None, (before, after)):
-        plot.focus = focus
+    before = _against_magnitude(rows, rows.before_px, "from the a priori places", size, focus)
+    after = _against_magnitude(rows, rows.after_px, rows.reference, size, focus) if rows.reference else None
     return ResidualPlots(before, after)
 
 
 def _against_magnitude(
-    rows: StarResiduals, residual_px: FloatArray, title: str, size: tuple[int, int]
+    rows: StarResiduals, residual_px: FloatArray, title: str, size: tuple[int, int], focus: str
 ) -> SvgPlot:
     reach = residual_px + np.array([-1.0, 1.0])[:, None, None] * rows.sigma_px
-    plot = SvgPlot(*size, data_range(rows.mag), data_range(reach, with_zero=True), title)
+    plot = SvgPlot(*size, data_range(rows.mag), data_range(reach, with_zero=True), title, focus=focus)
     for column, style in enumerate(("pixel", "line")):
         residual, sigma = residual_px[:, column], rows.sigma_px[:, column]
         titles = [
@@ -301,10 +329,12 @@ class Vector:
 
 @dataclass(frozen=True, slots=True)
 class VectorPlot:
-    """Residual vectors over the picture."""
+    """Residual vectors over the picture; of many stars the longest by themselves, the others as one path with its roots."""
 
     plot: SvgPlot
     vectors: list[Vector]
+    crowd: str = ""
+    crowd_roots: str = ""
 
 
 def vector_plot(rows: StarResiduals, width_px: int) -> VectorPlot:
@@ -321,5 +351,8 @@ def vector_plot(rows: StarResiduals, width_px: int) -> VectorPlot:
     ends = np.stack(
         [plot.x(rows.place_px[:, 0]), plot.y(rows.place_px[:, 1]), plot.x(tips[:, 0]), plot.y(tips[:, 1])]
     )
-    vectors = [Vector(star, *places) for star, places in zip(rows.ids, ends.T.tolist(), strict=True)]
-    return VectorPlot(plot, vectors)
+    order = np.argsort(-np.hypot(*rows.after_px.T), kind="stable")
+    alone, rest = np.sort(order[:MOST_POINTS]), np.sort(order[MOST_POINTS:])
+    vectors = [Vector(rows.ids[row], *ends[:, row].tolist()) for row in alone.tolist()]
+    crowd = "".join(f"M{x0:.0f} {y0:.0f}L{x1:.0f} {y1:.0f}" for x0, y0, x1, y1 in ends[:, rest].T.tolist())
+    return VectorPlot(plot, vectors, crowd, specks(*ends[:2, rest]))

@@ -6,7 +6,8 @@ bright star, this star, the camera's Gaussian) are changed on the spot and all s
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -20,7 +21,7 @@ from opnav_workbench.session.star_boxes import StarBox
 from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_REASONS, Action, ActionRegistry
 from opnav_workbench.workbench.markup import PagePicture, render
-from opnav_workbench.workbench.plots import ResidualPlots, residual_plots, star_residuals
+from opnav_workbench.workbench.plots import ResidualPlots, StarResiduals, residual_plots, star_residuals
 from opnav_workbench.workbench.stretch import RESIDUAL_SIGMAS, gray_png, residual_png
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
 
@@ -248,10 +249,13 @@ KEY_ORDERS = (
 
 def in_order(boxes: Sequence[StarBox], order: str, *, descending: bool) -> tuple[StarBox, ...]:
     """Return boxes sorted; those without the number come last either way."""
+    if order == "catalog":
+        return tuple(reversed(boxes)) if descending else tuple(boxes)
     _, key = ORDERS[order]
-    known = [box for box in boxes if not (isinstance(key(box), float) and np.isnan(key(box)))]
-    rest = [box for box in boxes if isinstance(key(box), float) and np.isnan(key(box))]
-    return (*sorted(known, key=key, reverse=descending), *rest)
+    keys = [(key(box), box) for box in boxes]
+    known = [pair for pair in keys if pair[0] == pair[0]]  # nan is not itself
+    known.sort(key=itemgetter(0), reverse=descending)
+    return tuple(box for _, box in (*known, *(pair for pair in keys if pair[0] != pair[0])))
 
 
 NAME_LETTERS = 15  # that a small card has room for
@@ -296,6 +300,9 @@ class _BoxCache:
     boxes: tuple[StarBox, ...] = ()
     order: tuple[str, bool] = ("", False)
     ordered: tuple[StarBox, ...] = ()
+    ids: tuple[str, ...] = ()
+    by_id: Mapping[str, StarBox] = field(default_factory=dict)
+    residuals: StarResiduals | None = None
 
 
 class StarsTab(Tab):
@@ -324,12 +331,15 @@ class StarsTab(Tab):
         cache, order = self._box_cache, (self.order, self.descending)
         if cache.order != order:
             cache.order, cache.ordered = order, in_order(cache.boxes, self.order, descending=self.descending)
+            cache.ids = tuple(box.id for box in cache.ordered)
+            cache.by_id = {box.id: box for box in cache.ordered}
         return cache.ordered
 
     @property
-    def ids(self) -> list[str]:
+    def ids(self) -> tuple[str, ...]:
         """Catalog ids in the order of the boxes."""
-        return [box.id for box in self.boxes]
+        _ = self.boxes  # of the present state
+        return self._box_cache.ids
 
     @property
     def radius_px(self) -> float:
@@ -339,8 +349,8 @@ class StarsTab(Tab):
     @property
     def focused(self) -> StarBox | None:
         """The star under decision."""
-        by_id = {box.id: box for box in self.boxes}
-        return by_id.get(self.focus_id) or next(iter(by_id.values()), None)
+        boxes = self.boxes
+        return self._box_cache.by_id.get(self.focus_id) or next(iter(boxes), None)
 
     def on_enter(self) -> None:
         """Begin with the first undecided star."""
@@ -378,17 +388,19 @@ class StarsTab(Tab):
         return render("stars.html", page=self._page(session, focused.id), actions=self.registry)
 
     def _page(self, session: ImageSession, focus: str) -> StarPage:
-        cards = star_cards(self.boxes, session.state.decisions, expected_from(session))
+        boxes, decisions = self.boxes, session.state.decisions
         place = self.ids.index(focus)
         room = ROWS_PER_PAGE if self.table else BOXES_PER_PAGE
         first = place // room * room
+        cards = star_cards(boxes[first : first + room], decisions, expected_from(session))
+        verdicts = [decisions.get(star, ("",))[0] for star in self.ids]
         return StarPage(
-            cards=cards[first : first + room],
-            focus=cards[place],
+            cards=cards,
+            focus=cards[place - first],
             first=first,
-            n_all=len(cards),
-            n_accepted=sum(card.decision == "accepted" for card in cards),
-            n_rejected=sum(card.decision == "rejected" for card in cards),
+            n_all=len(boxes),
+            n_accepted=verdicts.count("accepted"),
+            n_rejected=verdicts.count("rejected"),
             searched=session.state.centers is not None,
             radius_px=self.radius_px,
             template=self.search.template,
@@ -400,8 +412,14 @@ class StarsTab(Tab):
             columns=tuple((name, heading, self._sign(name)) for name, (heading, _) in ORDERS.items()),
             pointing=self.runner.pointing_line(),
             noise_dn=self._noise_dn(),
-            residuals=residual_plots(star_residuals(session), RESIDUAL_PLOT_PX, focus),
+            residuals=residual_plots(self._residuals(session), RESIDUAL_PLOT_PX, focus),
         )
+
+    def _residuals(self, session: ImageSession) -> StarResiduals:
+        """Residuals of the stars in use, found once for each state."""
+        if self._box_cache.residuals is None:
+            self._box_cache.residuals = star_residuals(session)
+        return self._box_cache.residuals
 
     def _sign(self, order: str) -> str:
         return "" if order != self.order else "▼" if self.descending else "▲"

@@ -55,6 +55,8 @@ ZSCALE_SAMPLES = 4000
 # "sky": noise as dark grain, faint stars bright; a body that fills more than a few pixels keeps its shades.
 SKY_SIGMAS = (-1.5, 30.0)
 SKY_PERCENTILE = 99.7
+# Percentiles of more pixels are taken of every k-th: to a thousandth of a sigma the same, and quick at 4096 x 4096.
+MOST_SAMPLED = 1_500_000
 ZSCALE_LEAST = 5  # pixels; astropy fits a line through them
 SIGMAS_1_TO_99 = 4.65  # between the percentiles of a normal distribution
 
@@ -93,9 +95,11 @@ def limits_of(image_dn: FloatArray, usable: BoolArray | None = None) -> dict[str
     """
     good = np.isfinite(image_dn) if usable is None else usable & np.isfinite(image_dn)
     values = image_dn[good] if good.any() else np.zeros(1)
+    ends = (values.min(), values.max())
+    values = values[:: max(1, len(values) // MOST_SAMPLED)]
     tails = [50.0 + side * 0.5 * share for share in PERCENTILES.values() for side in (-1.0, 1.0)]
     cuts = np.percentile(values, tails).reshape(-1, 2)
-    pairs = {"sky": _sky(values), "zscale": _zscale(values), "min-max": (values.min(), values.max())}
+    pairs = {"sky": _sky(values), "zscale": _zscale(values), "min-max": ends}
     pairs |= {name: tuple(cut) for name, cut in zip(PERCENTILES, cuts, strict=True)}
     return {name: _apart(float(low), float(high)) for name, (low, high) in pairs.items()}
 
