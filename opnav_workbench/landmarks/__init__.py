@@ -19,6 +19,8 @@ for measured points of any origin.
     Position and attitude of the camera, robust, with covariance.
 ``finder``
     From a picture to judged landmarks.
+``patches``
+    What a person looks at to judge a landmark: patch, drawing, correlation.
 ``lost``
     The same where nobody knows the body's place: from its silhouette first.
 """
@@ -27,6 +29,7 @@ from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, po
 from opnav_workbench.landmarks.lost import SilhouettePlace, find_lost_landmarks, place_from_silhouette
 from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
 from opnav_workbench.landmarks.maplets import Maplets
+from opnav_workbench.landmarks.patches import LandmarkPatch, landmark_patches
 from opnav_workbench.landmarks.pose import (
     PosedLandmarks,
     PoseKnowledge,
@@ -50,6 +53,7 @@ __all__ = [
     "LANDMARK_STATUSES",
     "LandmarkCenters",
     "LandmarkPartials",
+    "LandmarkPatch",
     "LandmarkPrediction",
     "LandmarkSolution",
     "Maplets",
@@ -63,6 +67,7 @@ __all__ = [
     "find_lost_landmarks",
     "judge_landmarks",
     "landmark_partials",
+    "landmark_patches",
     "make_maplets",
     "place_from_silhouette",
     "pose_from_landmarks",

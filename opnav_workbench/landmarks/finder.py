@@ -45,7 +45,15 @@ from opnav_workbench.landmarks.results import LandmarkCenters, LandmarkSolution,
 from opnav_workbench.render import BodyModel
 from opnav_workbench.targets import TargetState
 
-__all__ = ["find_landmarks", "judge_landmarks", "posed", "predicted_again", "with_pose"]
+__all__ = [
+    "drawn_templates",
+    "find_landmarks",
+    "judge_landmarks",
+    "picture_planes",
+    "posed",
+    "predicted_again",
+    "with_pose",
+]
 
 MOST_LANDMARKS = 400  # of those that can be seen; more do not help a pose whose errors are shared
 SMALLEST_WINDOW, LARGEST_WINDOW, WINDOW_SHARE = 15, 41, 0.95  # px: a template's side, of a maplet's width
@@ -122,7 +130,7 @@ def find_landmarks(
     if spare := int(first.usable.sum()) - len(rows):
         counts[f"beyond the {MOST_LANDMARKS} taken"] = spare
     known = PoseKnowledge(position_covariance_km2, attitude_covariance_rad2)
-    planes = _planes(picture)
+    planes = picture_planes(picture)
     wanted = maplets.take(rows)
     radius = _radius(picture, known, first, rows, search_radius_px)
     corrected, search = _passes(picture, planes, wanted, model, whole, known, radius)
@@ -138,7 +146,7 @@ def _chosen(prediction: LandmarkPrediction) -> IntArray:
     return np.sort(np.random.default_rng(SEED).permutation(rows)[:MOST_LANDMARKS])
 
 
-def _planes(picture: BodyPicture) -> PicturePlanes:
+def picture_planes(picture: BodyPicture) -> PicturePlanes:
     """Return the picture with its whole variance: that of the sky, and the light's own."""
     signal = np.nan_to_num(np.asarray(picture.signal_dn, dtype=np.float64))
     variance = np.asarray(picture.noise_dn, dtype=np.float64) ** 2
@@ -208,9 +216,17 @@ def _passes(
 def _templates(
     picture: BodyPicture, maplets: Maplets, model: BodyModel, whole: WholeBody | None
 ) -> Templates:
+    """Draw maplets in windows as large as suits them all."""
     distance = np.linalg.norm(model.target.position_km)
     wide = 2.0 * maplets.half_width_km / pixel_size_km(picture.camera, np.asarray(distance))
     size = int(np.clip(WINDOW_SHARE * np.median(wide), SMALLEST_WINDOW, LARGEST_WINDOW)) // 2 * 2 + 1
+    return drawn_templates(picture, maplets, model, whole, size)
+
+
+def drawn_templates(
+    picture: BodyPicture, maplets: Maplets, model: BodyModel, whole: WholeBody | None, size: int
+) -> Templates:
+    """Draw maplets as a picture sees them, in windows of `size` px."""
     return draw_templates(
         maplets,
         model,

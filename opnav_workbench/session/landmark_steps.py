@@ -5,7 +5,7 @@ with every decision and every attitude.  The attitude takes part in the pose wit
 of the camera's a priori one.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,14 +15,17 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.bodies import BodyCenter
+from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.landmarks import (
+    LandmarkPatch,
     LandmarkSolution,
     Maplets,
     PoseKnowledge,
     find_landmarks,
     judge_landmarks,
+    landmark_patches,
     posed,
     predicted_again,
 )
@@ -37,6 +40,7 @@ from opnav_workbench.targets import TargetState
 __all__ = [
     "METHOD",
     "accept_landmarks",
+    "body_landmark_patches",
     "find_body_landmarks",
     "landmark_observables",
     "landmarks_outcome",
@@ -90,14 +94,7 @@ def find_body_landmarks(
 ) -> SessionState:
     """Find the landmarks of one body."""
     name = parameters["name"]
-    maplets = _read(parameters["maplets"], parameters["sha256"])
-    request = BodyRequest(name, METHOD, scene=tuple(parameters.get("scene", ())))
-    try:
-        picture = body_picture(context, inputs, state, (name,), scene_names(inputs, state, request))
-    except (MissionError, KernelError, CameraError) as error:
-        raise SessionError(f"landmarks of {name}: it cannot be drawn: {error}") from error
-    if maplets.body != name:
-        maplets = replace(maplets, body=name)
+    picture, maplets = _drawn_from(context, inputs, state, parameters)
     known = _known(context, state, inputs.targets[name])
     found = find_landmarks(
         picture,
@@ -109,6 +106,34 @@ def find_body_landmarks(
     others = tuple(one for one in state.landmarks if one.centers.body != name)
     state = state.replace(landmarks=(*others, found))
     return _judged(context, inputs, state)
+
+
+def _drawn_from(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> tuple[BodyPicture, Maplets]:
+    """Return picture and maplets that landmarks are drawn from.
+
+    Raises
+    ------
+    SessionError
+        The body cannot be drawn, or the maplets are not those of the step any more.
+    """
+    name = parameters["name"]
+    maplets = _read(parameters["maplets"], parameters["sha256"])
+    request = BodyRequest(name, METHOD, scene=tuple(parameters.get("scene", ())))
+    try:
+        picture = body_picture(context, inputs, state, (name,), scene_names(inputs, state, request))
+    except (MissionError, KernelError, CameraError) as error:
+        raise SessionError(f"landmarks of {name}: it cannot be drawn: {error}") from error
+    return picture, maplets if maplets.body == name else replace(maplets, body=name)
+
+
+def body_landmark_patches(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any], ids: Sequence[str]
+) -> tuple[LandmarkPatch, ...]:
+    """Return what a person looks at of some landmarks; `parameters` are those of the step that found them."""
+    solution = _solution(state, parameters["name"], ids)
+    return landmark_patches(*_drawn_from(context, inputs, state, parameters), solution, ids)
 
 
 def _known(context: Context, state: SessionState, target: TargetState) -> PoseKnowledge:
@@ -171,6 +196,20 @@ def _decided(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any], verdict: str
 ) -> SessionState:
     name, ids, reason = parameters["name"], parameters["ids"], parameters["reason"]
+    _solution(state, name, ids)
+    decisions = {landmark_name(name, identity): (verdict, reason) for identity in ids}
+    state = state.replace(landmark_decisions=MappingProxyType({**state.landmark_decisions, **decisions}))
+    return _judged(context, inputs, state)
+
+
+def _solution(state: SessionState, name: str, ids: Sequence[str]) -> LandmarkSolution:
+    """Return what was found of a body's landmarks.
+
+    Raises
+    ------
+    SessionError
+        Nothing was looked for yet, or an id is none of them.
+    """
     found = next((one for one in state.landmarks if one.centers.body == name), None)
     if found is None:
         raise SessionError(f"no landmarks of {name} were looked for yet: call find_landmarks() first.")
@@ -180,9 +219,7 @@ def _decided(
         raise SessionError(
             f"{name} has no landmark {', '.join(unknown)} in this picture; there are such as {some}."
         )
-    decisions = {landmark_name(name, identity): (verdict, reason) for identity in ids}
-    state = state.replace(landmark_decisions=MappingProxyType({**state.landmark_decisions, **decisions}))
-    return _judged(context, inputs, state)
+    return found
 
 
 def landmarks_outcome(state: SessionState, parameters: dict[str, Any]) -> str:

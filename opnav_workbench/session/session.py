@@ -23,6 +23,7 @@ from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
 from opnav_workbench.files import json_text, make_folder, plain_values, sha256_of
 from opnav_workbench.kernels.shape_files import ShapeFile
+from opnav_workbench.landmarks import LandmarkPatch
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.paths import exists
@@ -36,7 +37,7 @@ from opnav_workbench.session.decisions import Decisions, load_decisions, write_d
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource, LostField
-from opnav_workbench.session.landmark_steps import landmark_observables, maplets_file
+from opnav_workbench.session.landmark_steps import body_landmark_patches, landmark_observables, maplets_file
 from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables, solved_attitude
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
@@ -729,6 +730,13 @@ class ImageSession:
         """Take measured landmarks of a body, whatever the others say (`landmark_steps.accept_landmarks`)."""
         parameters = {"name": name, "ids": _id_list(ids), "reason": reason}
         self._step("accept_landmarks", parameters, reason)
+
+    def landmark_patches(self, name: str, ids: Sequence[str]) -> tuple[LandmarkPatch, ...]:
+        """Return patch, drawing and correlation of landmarks that were found (`landmark_steps.body_landmark_patches`)."""
+        steps = [e for e in self.standing if e.step == "find_landmarks" and e.parameters["name"] == name]
+        if not steps:
+            raise SessionError(f"no landmarks of {name} were looked for yet: call find_landmarks() first.")
+        return body_landmark_patches(self.context, self.inputs, self.state, dict(steps[-1].parameters), ids)
 
     def observables(self, reason: str = "") -> QTable:
         """Compute the observables of all bodies found so far (`pointing.with_observables`); `reason` for the journal.

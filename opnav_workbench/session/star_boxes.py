@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
@@ -81,9 +81,12 @@ def star_boxes(
         place = {star: row for row, star in enumerate(known)}
         rows = [place[star] for star in ids]
     images = None if state.centers is None else state.centers.images
-    pictured = np.zeros(len(stars), bool) if images is None else np.isfinite(images.data_dn).any(axis=(1, 2))
+    pictured = np.zeros(len(stars), dtype=bool)
+    if images is not None:
+        pictured[:] = np.isfinite(images.data_dn).any(axis=(1, 2))
     sigma_px = None if state.centers is None else state.centers.sigma_px
-    measured, size = has_center(state), default_box_px((state.psf or context.camera_psf).sigma_px)
+    measured: BoolArray = np.asarray(has_center(state))
+    size = default_box_px((state.psf or context.camera_psf).sigma_px)
     return tuple(
         _box(
             context,

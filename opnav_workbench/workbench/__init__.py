@@ -31,6 +31,8 @@ Deciding
     The analyst's circle of a body.
 ``limb_scan_choice``
     Limb scans chosen by number, click or box, and their page.
+``landmarks_tab``
+    Landmarks: patch beside drawing beside correlation, accepted and rejected as stars are.
 ``exports``
     The marks as a DS9 region file, the picture with its solved WCS as FITS.
 ``observables_tab``

@@ -12,6 +12,8 @@ __all__ = [
     "BOX_SCANS",
     "CIRCLE",
     "EVERYWHERE",
+    "LANDMARK_MENU",
+    "LANDMARK_REASONS",
     "LOOKING",
     "NOTE_MENU",
     "NUDGE",
@@ -154,15 +156,23 @@ class ActionRegistry:
 
 
 REJECT_REASONS = ("cosmic ray", "blend", "hot pixel", "too faint", "wrong star", "detector edge", "other")
-REASON_MENU, NOTE_MENU = "reason menu", "note"
+LANDMARK_REASONS = ("wrong place", "shadow", "surface has changed", "blurred", "other")
+REASON_MENU, LANDMARK_MENU, NOTE_MENU = "reason menu", "landmark menu", "note"
 # What a click, a drag or an arrow key in the picture then means.
 NUDGE, CIRCLE, TWO_STARS, PLACE_STAR, BOX_SCANS = "nudge", "circle", "two_star", "place_star", "box_scans"
-TABS = (("stars", "Stars"), ("pointing", "Pointing"), ("bodies", "Bodies"), ("observables", "Observables"))
+TABS = (
+    ("stars", "Stars"),
+    ("pointing", "Pointing"),
+    ("bodies", "Bodies"),
+    ("observables", "Observables"),
+    ("landmarks", "Landmarks"),
+)
 # Headings of the list of keys, in its order.
 PLACES = (
     (EVERYWHERE, "Everywhere"),
     *TABS,
     (REASON_MENU, "Reason for a rejection"),
+    (LANDMARK_MENU, "Reason for a landmark's rejection"),
     (NUDGE, "While nudging"),
     (CIRCLE, "While a circle is set"),
     ("view", "Picture"),
@@ -256,9 +266,31 @@ def _bodies() -> Iterator[Action]:
     yield Action("automatic_scans", ("y",), "Automatic", "Back to the automatic choice of scans.", where)
 
 
+def _landmarks() -> Iterator[Action]:
+    where = "landmarks"
+    yield Action(
+        "find_landmarks", ("f",), "Find", "Find this body's landmarks, and the camera's pose.", where
+    )
+    yield Action("landmark_body", ("t",), "Next body", "Go to the next body.", where)
+    yield Action(
+        "accept_landmark", ("a",), "Accept", "Accept this landmark and go on to the next open one.", where
+    )
+    yield Action("reject_landmark", ("r", "x"), "Reject", "Reject it; a digit then gives the reason.", where)
+    yield Action("next_landmark", ("n", "ArrowRight"), "Next", "Go to the next landmark.", where)
+    yield Action("previous_landmark", ("ArrowLeft",), "Previous", "Go to the landmark before.", where)
+    yield Action("next_open_landmark", ("u", " "), "Next open", "Go to the next undecided landmark.", where)
+    yield Action(
+        "sort_landmarks", ("k",), "Sort", "Order: as found, worst correlation, largest residual first.", where
+    )
+
+
 def _tools() -> Iterator[Action]:
     for number, reason in enumerate(REJECT_REASONS, 1):
         yield Action(f"reason_{number}", (str(number),), reason, f"Reject as: {reason}.", REASON_MENU)
+    for number, reason in enumerate(LANDMARK_REASONS, 1):
+        yield Action(
+            f"landmark_reason_{number}", (str(number),), reason, f"Reject as: {reason}.", LANDMARK_MENU
+        )
     sides = (("left", "ArrowLeft"), ("right", "ArrowRight"), ("up", "ArrowUp"), ("down", "ArrowDown"))
     for side, key in sides:
         yield Action(f"nudge_{side}", (key,), f"1 px {side}", f"Move the field 1 px {side}.", NUDGE)
@@ -274,7 +306,7 @@ def _tools() -> Iterator[Action]:
     yield Action("circle_smaller", ("<",), "Smaller", "Make the radius 1 px smaller.", CIRCLE)
 
 
-WORKBENCH_ACTIONS = (*_everywhere(), *_stars(), *_pointing(), *_bodies(), *_tools())
+WORKBENCH_ACTIONS = (*_everywhere(), *_stars(), *_pointing(), *_bodies(), *_landmarks(), *_tools())
 
 
 # What happens in the page alone: the room that its parts have.
@@ -297,6 +329,8 @@ LOOKING = frozenset(
         ),
         *("sort", "sort_by"),
         *("next_body", "body", "method", "solve_range", "next_scan", "previous_scan", "look_scan"),
+        *("landmark", "landmark_body", "next_landmark", "previous_landmark", "next_open_landmark"),
+        *("sort_landmarks", "reject_landmark"),
         *("two_star", "nudge", "place_star", "circle", "box_scans", "two_star_name", "older_entries"),
     }
 )

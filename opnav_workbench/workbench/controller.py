@@ -15,6 +15,7 @@ from opnav_workbench.errors import OpNavError
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import (
     CIRCLE,
+    LANDMARK_MENU,
     LOOKING,
     NOTE_MENU,
     NUDGE,
@@ -27,6 +28,7 @@ from opnav_workbench.workbench.actions import (
 )
 from opnav_workbench.workbench.bodies_tab import BodiesTab
 from opnav_workbench.workbench.image_queue import ORDERS, SHOWN, ImageQueue, QueueItem
+from opnav_workbench.workbench.landmarks_tab import LandmarksTab
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
 from opnav_workbench.workbench.pointing_tab import PointingTab
@@ -37,7 +39,7 @@ from opnav_workbench.workbench.viewer import Layer, Viewer
 
 __all__ = ["REGIONS", "WorkbenchController"]
 
-TOOL_LAYERS = ("two stars", "limb scans")  # that the tabs draw
+TOOL_LAYERS = ("two stars", "limb scans", "landmarks")  # that the tabs draw
 GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
@@ -78,6 +80,7 @@ class WorkbenchController:
             "pointing": PointingTab(self.runner, self.registry),
             "bodies": self.bodies,
             "observables": ObservablesTab(self.runner, self.registry, out),
+            "landmarks": LandmarksTab(self.runner, self.registry),
         }
         self.tab_name = "stars"
         self.keys_shown = False
@@ -144,7 +147,7 @@ class WorkbenchController:
         return self.registry.for_key(key, *self._places())
 
     def _places(self) -> list[str]:
-        places = [REASON_MENU] if self.runner.menu == REASON_MENU else []
+        places = [self.runner.menu] if self.runner.menu in (REASON_MENU, LANDMARK_MENU) else []
         if self.runner.tool == NUDGE:
             places.append(NUDGE)
         if self.tab_name == "bodies" and self.queue.opened is not None and self.bodies.moves_circle:

@@ -152,11 +152,11 @@ MASKED_GRAY = (128, 128, 128)
 BELOW, ABOVE = (33, 102, 172), (214, 96, 0)
 
 
-def gray_png(image_dn: FloatArray, low_dn: float, high_dn: float) -> bytes:
-    """Return a picture (n_line, n_pixel) in an asinh stretch as PNG; not-finite pixels are mid-gray."""
+def gray_png(image_dn: FloatArray, low_dn: float, high_dn: float, stretch: str = "asinh") -> bytes:
+    """Return a picture (n_line, n_pixel) in one of `STRETCHES` as PNG; not-finite pixels are mid-gray."""
     shown = np.isfinite(image_dn)
     high_dn = high_dn if high_dn > low_dn else low_dn + 1.0
-    value = shades(np.where(shown, image_dn, low_dn), low_dn, high_dn, "asinh")
+    value = shades(np.where(shown, image_dn, low_dn), low_dn, high_dn, stretch)
     gray = np.where(shown, np.rint(255.0 * value), MASKED_GRAY[0]).astype(np.uint8)
     return _quick_png(Image.fromarray(gray))
 

@@ -412,6 +412,15 @@ class PictureModels:
         for kind in ("circle", "focus"):
             source = self.sources[kind] = _source("pixel", "line", "radius")
             source.name = f"opnav-{kind}"
+            self.picture.circle(
+                "pixel",
+                "line",
+                radius="radius",
+                source=source,
+                fill_color=None,
+                **HALO,
+                line_width=2 + HALO_PX,
+            )
             ring = self.picture.circle(
                 "pixel", "line", radius="radius", source=source, fill_color=None, line_width=2
             )
