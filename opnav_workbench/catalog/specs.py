@@ -227,12 +227,26 @@ def _fetched_status() -> CatalogStatus:
 
 
 def _astrometry_net_status() -> CatalogStatus:
-    files = list(INDEX_FOLDER.glob("index-*.fits"))
+    files, tycho2 = list(INDEX_FOLDER.glob("index-*.fits")), installed_tycho2()
+    how = (
+        "apt install astrometry-data-tycho2-07 brings 1.9 million stars to magnitude 12"
+        if tycho2 is None
+        else f"most stars of Tycho-2: --catalog {tycho2}"
+    )
     return CatalogStatus(
         form="astrometry-net:GLOB",
         available=True,
-        detail=f"{len(files)} index files in {INDEX_FOLDER}; give a GLOB for other folders",
+        detail=f"{len(files)} index files in {INDEX_FOLDER}; {how}; give a GLOB for other folders",
     )
+
+
+def installed_tycho2() -> str | None:
+    """Return the spec of Debian's Tycho-2 index file with the most stars, where one is installed.
+
+    The files differ in the size of their patterns; the smallest number stands for the smallest, made of the most stars.
+    """
+    files = sorted(INDEX_FOLDER.glob("index-tycho2-[0-9]*.fits"))
+    return f"astrometry-net:{files[0]}" if files else None
 
 
 def _vizier_status() -> CatalogStatus:
