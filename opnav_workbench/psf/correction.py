@@ -146,6 +146,7 @@ def _bspline(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Integral from below, value and slope of the cubic B-spline of unit spacing."""
     distance = np.abs(at)
     inner, outer = np.maximum(1.0 - distance, 0.0), np.maximum(2.0 - distance, 0.0)
-    beyond = (outer**4 - 4.0 * inner**4) / 24.0
-    slope = np.sign(at) * (2.0 * inner**2 - 0.5 * outer**2)
-    return np.where(at > 0.0, 1.0 - beyond, beyond), (outer**3 - 4.0 * inner**3) / 6.0, slope
+    inner2, outer2 = inner * inner, outer * outer  # products: powers of arrays take ten times as long
+    beyond = (outer2 * outer2 - 4.0 * inner2 * inner2) / 24.0
+    slope = np.sign(at) * (2.0 * inner2 - 0.5 * outer2)
+    return np.where(at > 0.0, 1.0 - beyond, beyond), (outer2 * outer - 4.0 * inner2 * inner) / 6.0, slope

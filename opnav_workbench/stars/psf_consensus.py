@@ -164,7 +164,9 @@ def fit_stars(
     shape = _common_shape(consensus)
     pixels = check_image(image_dn, noise_dn, bad, saturated)
     learned = replace(shape, correction=learn_correction(pixels, centers, teachers, shape, settings, places))
-    return fit(learned, estimate_psf_error(fit(learned, 0.0))), learned
+    centers = fit(learned, 0.0)
+    psf_error = estimate_psf_error(centers)
+    return (fit(learned, psf_error) if psf_error > 0.0 else centers), learned
 
 
 # ---- Who teaches the PSF beyond a Gaussian, and whether there is anything to learn.
