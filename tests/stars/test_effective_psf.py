@@ -84,7 +84,7 @@ def bound(shares, center, flux):
 
 
 def frame(shares, n, snr, rng):
-    """Image of n isolated stars, their centers, and their bound."""
+    """Image of n isolated stars, their centers, their bound, and their signal-to-noise ratios."""
     side = int(np.ceil(np.sqrt(n)))
     cell = rng.permutation(side**2)[:n]
     spacing = SIDE / side
@@ -100,15 +100,15 @@ def frame(shares, n, snr, rng):
     for corner, star in zip(first, flux[:, None, None] * light, strict=True):
         image[corner[1] : corner[1] + BOX, corner[0] : corner[0] + BOX] += star
     image = rng.poisson(np.maximum(image, 0.0) * GAIN) / GAIN + rng.normal(0.0, READ_NOISE_DN, image.shape)
-    return image, center, bound(shares, center, flux)[0]
+    return image, center, *bound(shares, center, flux)
 
 
-def errors(shares, sigma, n, frames, snr, *, place_sigma=None, prior_off=1.1):
-    """Errors, own sigmas and bounds (3, m, 2) of all usable stars; a common shift of a frame's stars is taken out."""
+def errors(shares, sigma, n, frames, snr, place_sigma=None, prior_off=1.1):
+    """Errors, own sigmas, bounds and SNR (4, m, 2) of all usable stars; a common shift of a frame's stars is taken out."""
     rows = []
     for seed in range(frames):
         rng = np.random.default_rng([seed, n])
-        image, center, least = frame(shares, n, snr, rng)
+        image, center, least, ratio = frame(shares, n, snr, rng)
         places = None
         if place_sigma is not None:
             known = center + np.array([0.4, -0.3]) + rng.normal(0.0, place_sigma, center.shape)
@@ -117,7 +117,8 @@ def errors(shares, sigma, n, frames, snr, *, place_sigma=None, prior_off=1.1):
         start = center + rng.uniform(-0.5, 0.5, center.shape)
         fit, _ = fit_stars(image, READ_NOISE_DN, None, start, prior, noise_model=NOISE, places=places)
         error = fit.pixel_line - center
-        rows.append(np.stack([error - np.median(error, axis=0), fit.sigma_px, least])[:, fit.usable])
+        columns = error - np.median(error, axis=0), fit.sigma_px, least, np.column_stack([ratio, ratio])
+        rows.append(np.stack(columns)[:, fit.usable])
     return np.concatenate(rows, axis=1)
 
 
@@ -132,14 +133,14 @@ def rms(values):
     ids=["obstructed", "coma", "wings"],
 )
 def test_undersampled_stars_of_any_shape_are_near_the_bound(density, sigma, frames):
-    error, own, least = errors(pixel_shares(density, sigma), sigma, 40, frames, (12, 60))
+    error, own, least, _ = errors(pixel_shares(density, sigma), sigma, 40, frames, (12, 60))
     assert rms(error / least) < 1.25  # a Gaussian: 2 to 5
     assert 0.8 < rms(error / own) < 1.2
 
 
 @pytest.mark.slow
 def test_pixels_less_sensitive_at_their_edges_are_learned():
-    error, own, least = errors(pixel_shares(gaussian, 0.35, edge_loss=0.25), 0.35, 40, 3, (20, 100))
+    error, own, least, _ = errors(pixel_shares(gaussian, 0.35, edge_loss=0.25), 0.35, 40, 3, (20, 100))
     assert rms(error / least) < 1.4
     assert 0.75 < rms(error / own) < 1.2
 
@@ -156,7 +157,7 @@ def test_where_the_catalog_has_the_stars_tells_what_no_picture_can():
 
 @pytest.mark.slow
 def test_a_gaussian_stays_at_the_bound():
-    error, own, least = errors(pixel_shares(gaussian, 0.4), 0.4, 40, 3, (12, 60))
+    error, own, least, _ = errors(pixel_shares(gaussian, 0.4), 0.4, 40, 3, (12, 60))
     assert rms(error / least) < 1.15
     assert 0.8 < rms(error / own) < 1.15
 
@@ -175,6 +176,6 @@ def test_derivatives_of_a_correction_are_those_of_its_shares():
 def test_well_sampled_gaussians_are_fitted_as_ever():
     shares = pixel_shares(gaussian, 1.0)
     rng = np.random.default_rng(3)
-    image, center, _ = frame(shares, 16, (30, 100), rng)
+    image, center, *_ = frame(shares, 16, (30, 100), rng)
     _, psf = fit_stars(image, READ_NOISE_DN, None, center, ShapePrior.round_psf(1.0), noise_model=NOISE)
     assert psf.correction is None
