@@ -38,6 +38,7 @@ def test_aperture_finds_sum_center_and_width(center):
     assert (found.n_missing > 0) == (center[0] < 5.0)
 
 
+@pytest.mark.slow
 def test_aperture_sums_as_a_known_library_does():
     """Photutils' exact circle on the same sky: nothing but the area of the edge pixels can differ."""
     aperture = pytest.importorskip("photutils.aperture")
@@ -84,6 +85,7 @@ def solved(demo_truths, backgrounds_once):
     return opened
 
 
+@pytest.mark.slow
 def test_compass_points_as_the_wcs_does(solved):
     arrows = {name: np.array(way) for name, *way in compass_arrows(solved[0])}
     assert set(arrows) == {"N", "E", "Sun"}
@@ -95,6 +97,7 @@ def test_compass_points_as_the_wcs_does(solved):
         assert arrows[name] @ step / np.hypot(*step) == pytest.approx(1.0, abs=1e-4), name
 
 
+@pytest.mark.slow
 def test_sun_stands_where_the_body_is_lit(solved):
     """Light falls from the Sun's side: the terminator lies across the arrow."""
     (arrow,) = (np.array(way) for name, *way in compass_arrows(solved[0]) if name == "Sun")
@@ -108,12 +111,14 @@ def test_sun_stands_where_the_body_is_lit(solved):
     assert arrow @ step / np.hypot(*step) == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_image_laid_over_itself_is_itself(solved):
     image = solved[0].context.picture.image_dn
     np.testing.assert_array_equal(laid_over(solved[0], solved[0], "sky"), image)
     np.testing.assert_array_equal(laid_over(solved[0], solved[0], "pixel"), image)
 
 
+@pytest.mark.slow
 def test_image_is_laid_by_direction_or_by_pixel(solved):
     onto, other = solved
     by_pixel = laid_over(other, onto, "pixel")
