@@ -39,6 +39,7 @@ __all__ = [
     "LimbCrossings",
     "cross_limb",
     "crossing_columns",
+    "crossing_depths",
     "find_place",
     "fit_crossings",
 ]

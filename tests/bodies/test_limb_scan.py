@@ -1,23 +1,23 @@
 """Limb scans: centers of spheres and ellipsoids, albedo maps, other sizes, scans by hand, and what cannot be measured."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from opnav_workbench.bodies import BodyFlag, Circle, displaced_model
-from opnav_workbench.bodies.limb_scan.centerfinder import _sky_share, find_limb_scan
+from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
 from opnav_workbench.bodies.limb_scan.fan import ScanSampler
-from opnav_workbench.bodies.limb_scan.matching import correlation_peaks
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import AlbedoMap, Lambert, LommelSeeliger, LunarLambert
-from opnav_workbench.render.scattering import AdjustedLaw
+from opnav_workbench.render import AlbedoMap, FigureUncertainty, Lambert, LommelSeeliger, LunarLambert
 from opnav_workbench.simulation.surfaces import mottled_map
 
 PLACE = (500.3, 480.7)
 TRIAXIAL = (1.0, 0.85, 0.7)
 PEAK_DN = 500.0  # with 3 DN of noise: 115 sigma
+# Size and axes that nobody knows better than at a first approach move a center seen from one side by tenths of a pixel, and
+# sigma says so; how well the scans themselves do shows where they are known.
+KNOWN = FigureUncertainty(0.001, 0.001, 0.001)
 
 
 @pytest.fixture(scope="module")
@@ -26,15 +26,16 @@ def sphere(body_stage):
     return model, body_stage.light(model)
 
 
-def test_a_noiseless_sphere_is_found_to_a_thousandth(body_stage, sphere):
+def test_a_noiseless_sphere_is_found_to_a_hundredth(body_stage, sphere):
     model, light = sphere
     picture = body_stage.picture(light, [model], data=PEAK_DN * light, offset_px=(2.4, -1.8))
     center = find_limb_scan(picture, "BODY")
     assert center.status == "ok"
-    assert np.abs(center.pixel_line - PLACE).max() < 0.003
+    # Law, PSF, size and axes are unknowns now: toward the Sun they multiply what the tables are good to, 0.002 px.
+    assert np.abs(center.pixel_line - PLACE).max() < 0.015
     assert abs(center.diameter_px - 60.0) < 0.05
-    assert center.detail.roughness == 0.0
-    assert np.hypot(*center.detail.iterations[-1]) < 0.01
+    assert center.detail.roughness < 0.05  # no surface is taken for more even than 1 %
+    assert np.hypot(*center.detail.iterations[-1]) < 0.015
 
 
 @pytest.mark.slow(keep=["axes1-8.0-90.0"])
@@ -45,7 +46,7 @@ def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
     errors, pulls = [], []
     for _ in range(3):
         place = np.array(PLACE) + rng.uniform(-0.5, 0.5, 2)
-        model = body_stage.body(diameter, phase, place, axes)
+        model = body_stage.body(diameter, phase, place, axes, figure=KNOWN)
         light = body_stage.light(model)
         picture = body_stage.picture(light, [model], rng, peak_dn=PEAK_DN, offset_px=(0.8, -0.6))
         center = find_limb_scan(picture, "BODY")
@@ -59,18 +60,19 @@ def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
 
 
 @pytest.mark.slow
-def test_a_mottled_surface_does_not_move_the_center(body_stage):
-    errors = []
+def test_a_mottled_surface_moves_the_center_as_stated(body_stage):
+    """An albedo of 0.2 rms, of which nothing is known but what this limb shows, and a law that is known to 0.3."""
     for seed in (1, 2):
-        model = body_stage.body(100.0, 15.0, PLACE, law=LunarLambert(0.5))
+        model = body_stage.body(100.0, 15.0, PLACE, law=LunarLambert(0.5), figure=KNOWN)
         mottled = replace(model, albedo=AlbedoMap(mottled_map(seed, rows=90)))
         light = body_stage.light(mottled)
         picture = body_stage.picture(light, [model], np.random.default_rng(seed), offset_px=(1.0, 2.0))
         center = find_limb_scan(picture, "BODY")
         assert center.status == "ok", center.messages
-        assert center.detail.roughness > 0.0
-        errors.append(center.pixel_line - PLACE)
-    assert np.abs(errors).max() < 0.05
+        assert 0.1 < center.detail.roughness < 0.4
+        error = center.pixel_line - PLACE
+        assert np.abs(error).max() < 0.1
+        assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
 
 
 @pytest.mark.slow(keep=["70.0-60.0-law3-taken3"])
@@ -85,7 +87,7 @@ def test_a_mottled_surface_does_not_move_the_center(body_stage):
 )
 @pytest.mark.parametrize(("diameter", "phase"), [(70.0, 60.0), (100.0, 30.0), (180.0, 15.0)])
 def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, taken, diameter, phase):
-    true = body_stage.body(diameter, phase, PLACE, law=law)
+    true = body_stage.body(diameter, phase, PLACE, law=law, figure=KNOWN)
     picture = body_stage.picture(
         body_stage.light(true), [replace(true, law=taken)], np.random.default_rng(4), offset_px=(1.0, -1.0)
     )
@@ -96,16 +98,24 @@ def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, 
 
 
 @pytest.mark.slow(keep=["0.99"])
-@pytest.mark.parametrize("ratio", [0.99, 1.02, 1.3])
-def test_another_size_is_measured_and_does_not_move_the_center(body_stage, sphere, ratio):
+@pytest.mark.parametrize(("ratio", "size_sigma"), [(0.99, 0.1), (1.02, 0.1), (1.3, 0.1), (1.3, 0.05)])
+def test_another_size_is_measured_and_does_not_move_the_center(body_stage, sphere, ratio, size_sigma):
+    """What lies within the size's own uncertainty is no misfit; beyond three of its sigmas it is."""
     model, light = sphere
-    other = replace(model, target=replace(model.target, radii_km=model.target.radii_km * ratio))
+    other = replace(
+        model,
+        target=replace(model.target, radii_km=model.target.radii_km * ratio),
+        figure=FigureUncertainty(size_sigma=size_sigma),
+    )
     picture = body_stage.picture(light, [other], np.random.default_rng(2), offset_px=(1.0, 1.0))
     center = find_limb_scan(picture, "BODY")
-    assert np.abs(center.pixel_line - PLACE).max() < 0.06
+    error = center.pixel_line - PLACE
+    assert np.abs(error).max() < 0.1
+    assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
     assert abs(center.diameter_px - 60.0) < 0.15
-    assert bool(center.flags & BodyFlag.CIRCLE_MISFIT) == (ratio == 1.3)
-    assert (center.status == "uncertain") == (ratio == 1.3)
+    misfit = (ratio, size_sigma) == (1.3, 0.05)
+    assert bool(center.flags & BodyFlag.CIRCLE_MISFIT) == misfit
+    assert (center.status == "uncertain") == misfit
 
 
 @pytest.mark.slow
@@ -179,8 +189,8 @@ def test_nothing_there_saturated_or_not_a_body(body_stage, sphere):
     assert (buried.status, buried.flags) == ("saturated", int(BodyFlag.OVEREXPOSED))
     for ratio in (0.7, 1.3):
         circled = find_limb_scan(picture, "BODY", circle=Circle(np.add(PLACE, 3.0), ratio * 30.0))
-        assert circled.status == "uncertain"
-        assert circled.flags & BodyFlag.CIRCLE_MISFIT
+        # The circle says where to look; the size is the model's, with its own uncertainty.
+        assert circled.status == "ok"
         assert np.abs(circled.pixel_line - PLACE).max() < 0.05
     with pytest.raises(CenterfindingError, match="no model of 'MOON'"):
         find_limb_scan(picture, "MOON")
@@ -200,15 +210,22 @@ def test_an_occulted_limb_is_left_out(body_stage):
 
 
 @pytest.mark.slow
-def test_solving_for_the_size_widens_the_covariance(body_stage, sphere):
+def test_range_follows_from_the_size_of_the_image(body_stage, sphere):
+    """The size is among the unknowns whether or not the range is asked for: the center does not depend on that."""
     model, light = sphere
-    picture = body_stage.picture(light, [model], np.random.default_rng(3))
-    plain, sized = find_limb_scan(picture, "BODY"), find_limb_scan(picture, "BODY", solve_range=True)
-    assert np.linalg.eigvalsh(sized.covariance_px2)[1] > 2.0 * np.linalg.eigvalsh(plain.covariance_px2)[1]
-    assert abs(sized.diameter_px - 60.0) < 4.0 * sized.diameter_sigma_px
-    np.testing.assert_allclose(
-        sized.range_km / model.target.range_km, plain.diameter_px / sized.diameter_px, rtol=0.01
+    known = replace(model, figure=FigureUncertainty(size_sigma=1e-4, axes_sigma=1e-4))
+    rng = np.random.default_rng(3)
+    picture = body_stage.picture(light, [known], rng)
+    plain, ranged = find_limb_scan(picture, "BODY"), find_limb_scan(picture, "BODY", solve_range=True)
+    assert np.isnan(plain.range_km)
+    np.testing.assert_array_equal(plain.pixel_line, ranged.pixel_line)
+    assert abs(ranged.range_km - model.target.range_km) < 4.0 * ranged.range_sigma_km
+    assert ranged.range_sigma_km < 2e-4 * ranged.range_km
+    free = find_limb_scan(
+        replace(picture, models=(replace(known, figure=FigureUncertainty()),)), "BODY", solve_range=True
     )
+    assert free.range_sigma_km > 0.1 * free.range_km
+    assert np.linalg.eigvalsh(free.covariance_px2)[1] > np.linalg.eigvalsh(plain.covariance_px2)[1]
 
 
 def test_bit_for_bit_the_same(body_stage, sphere):
@@ -235,31 +252,6 @@ def test_samples_follow_a_plane_and_know_their_weights():
     assert not sampler.blocked(usable).any()
     assert sampler.blocked(~usable).all()
     assert ScanSampler(places + 100.0, (10, 5, 30, 20)).blocked(usable).all()
-
-
-def test_peaks_at_the_border_are_none():
-    place, _ = correlation_peaks(np.array([[0.1, 0.2, 0.3], [0.3, np.nan, 0.1]]), np.arange(3.0))
-    assert np.isnan(place).all()
-
-
-def test_the_limb_without_light_inside_says_nothing_on_the_console():
-    """A body of 1:0.9:0.85 at 110 degrees of phase: what the scans gave overflowed a division, aloud."""
-
-    def run(inside):
-        match = SimpleNamespace(brightness=np.array(inside), background_dn=np.array([5.0, 5.0, 5.0]))
-        view = SimpleNamespace(model=np.ones((3, 4)))
-        evaluation = SimpleNamespace(view=view)
-        solved = SimpleNamespace(used=np.ones(3, bool))
-        return SimpleNamespace(last=SimpleNamespace(match=match, evaluation=evaluation, solved=solved))
-
-    assert _sky_share(run([0.0, 0.0, 1.0])) == np.inf
-    assert _sky_share(run([10.0, 10.0, 10.0])) == 0.5
-
-
-def test_the_fitted_law_goes_from_one_law_to_the_other():
-    mu0, mu = np.meshgrid(np.linspace(0.1, 1.0, 5), np.linspace(0.1, 1.0, 5))
-    to_lambert = AdjustedLaw(LommelSeeliger(), -1.0).reflectance(mu0, mu, 0.3)
-    np.testing.assert_allclose(to_lambert, Lambert().reflectance(mu0, mu, 0.3), rtol=1e-12)
 
 
 @pytest.mark.slow

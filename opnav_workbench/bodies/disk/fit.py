@@ -268,19 +268,24 @@ class DiskFit:
         return theta
 
     def light_dn(self) -> FloatArray:
-        """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo."""
+        """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo, as it was tabulated."""
         return np.asarray(self.brightness_dn * self.columns[Unknown.BRIGHTNESS])
+
+    def even_dn(self) -> FloatArray:
+        """Return the light (n,) that the solution has at its pixels, DN, for a uniform albedo."""
+        return np.asarray(self.light_dn() + self._beyond_tables_dn())
+
+    def _beyond_tables_dn(self) -> FloatArray:
+        beyond = self.solution.theta - self.tabulated
+        changing = [*SHARES, *SHADING, *STRAY, Unknown.BLUR]
+        shaded = beyond[FIGURE[1:]] @ self.columns[-2:] + beyond[changing] @ self.columns[changing]
+        return np.asarray(self.brightness_dn * shaded)
 
     def model_dn(self) -> FloatArray:
         """Return what the solution expects (n,) at its pixels, DN."""
         theta = self.solution.theta
-        beyond = theta - self.tabulated
-        changing = [*SHARES, *SHADING, *STRAY, Unknown.BLUR]
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
-        model = theta[linear] @ self.columns[linear]
-        model += self.brightness_dn * (
-            beyond[FIGURE[1:]] @ self.columns[-2:] + beyond[changing] @ self.columns[changing]
-        )
+        model = theta[linear] @ self.columns[linear] + self._beyond_tables_dn()
         j = len(self.piece_albedo)
         place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
         below = np.floor(place).astype(np.int64)
@@ -300,6 +305,45 @@ class DiskFit:
     def sigma(self, unknown: Unknown) -> float:
         """Return the standard deviation of what is shared."""
         return float(np.sqrt(self.solution.covariance[unknown, unknown]))
+
+
+def disk_columns(
+    made: TabulatedDisk,
+    shape: DiskShape,
+    detector: tuple[int, int],
+    reach_px: tuple[float, float],
+    *,
+    rough: bool = True,
+) -> tuple[LimbPixels, FloatArray]:
+    """Return the pixels of a detector (lines, pixels) about a shape's outline, and the derivatives of their light.
+
+    They are `DiskFit.columns`; `rough` says whether the outline has the heights of its pieces.
+    """
+    outline = made.outline(shape, rough=rough)
+    near = limb_pixels(outline, detector, *reach_px)
+    wave = 2.0 * near.angle_rad
+    # Within the limb the light keeps its share of the radius, outside its distance.
+    inside = np.minimum(near.depth_px, 0.0)
+    strain = shape.strain[:2] - made.strain[:2]
+    grown = shape.log_size - made.shape.log_size + strain[0] * np.cos(wave) + strain[1] * np.sin(wave)
+    depth = near.depth_px + inside * np.expm1(-grown)
+    tables = made.light.at(near.angle_rad, depth)
+    m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
+    size = -slope * (near.limb_px + inside)
+    away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
+    columns = [
+        m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
+        *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
+    ]  # fmt: skip
+    return near, np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
+
+
+def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) -> FloatArray:
+    """Return `DiskFit.columns` (p, ...), DN, of a limb that is as bright as `lit_dn` (...)."""
+    out = columns.copy()
+    out[MOVING] *= lit_dn
+    out[[*SHARES, *SHADING, *STRAY, -2, -1]] *= brightness_dn
+    return out
 
 
 def piece_angles(n: int) -> FloatArray:
@@ -591,25 +635,7 @@ class _Fitter:
         return law > bounds.law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
     def _columns(self) -> tuple[LimbPixels, FloatArray]:
-        """Return the pixels about the present outline, and the derivatives of their light: `DiskFit.columns`."""
-        shape, made = self.shape, self.made
-        outline = made.outline(shape)
-        near = limb_pixels(outline, self.problem.pixels.data_dn.shape, *self.problem.reach)
-        wave = 2.0 * near.angle_rad
-        # Within the limb the light keeps its share of the radius, outside its distance.
-        inside = np.minimum(near.depth_px, 0.0)
-        strain = shape.strain[:2] - made.strain[:2]
-        grown = shape.log_size - made.shape.log_size + strain[0] * np.cos(wave) + strain[1] * np.sin(wave)
-        depth = near.depth_px + inside * np.expm1(-grown)
-        tables = made.light.at(near.angle_rad, depth)
-        m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
-        size = -slope * (near.limb_px + inside)
-        away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
-        columns = [
-            m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
-            *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
-        ]  # fmt: skip
-        return near, np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
+        return disk_columns(self.made, self.shape, self.problem.pixels.data_dn.shape, self.problem.reach)
 
     def _cells(self, near: LimbPixels, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return weights, data and columns of the cells (j, c)."""
@@ -625,9 +651,8 @@ class _Fitter:
         problem, shape, made = self.problem, self.shape, self.made
         whole, data, means = self._cells(near, columns)
         lit = self.brightness * self.piece_albedo[:, None]
-        means[MOVING] *= lit
-        means[[*SHARES, *SHADING, *STRAY]] *= self.brightness
-        shaded, parts = means[-2:] * self.brightness, means[SHARED + 1 : -2]
+        means = columns_dn(means, self.brightness, lit)
+        shaded, parts = means[-2:], means[SHARED + 1 : -2]
         known = np.array(
             [shape.log_size, *shape.strain[:2], *made.shape.law, *made.strain[2:], made.shape.blur_px2]
         )

@@ -3,19 +3,15 @@
 Enter by `find_limb_scan`.
 
 ``centerfinder``
-    The method from the coarse search to the result, with flags, status and messages.
+    The method: measured disk, scans about its center until that stays, judgement, what every scan shows.
 ``fan``
     Where scans run, and pictures sampled along them.
 ``view``
-    What scans show: data, rendered model, and profiles of an uneven albedo.
+    What scans show: data and the light of the disk's tables, on the same points.
 ``matching``
-    Offsets of scans from the model, and what all scans share.
-``acquisition``
-    From the coarse place to within a pixel.
+    Offset of each scan from the model: weighted correlation.
 ``selection``
     Which scans make the center, and why.
 ``center_solution``
     From offsets to the center, with its covariance.
-``iteration``
-    Model, offsets and center in turn, until the center stays.
 """

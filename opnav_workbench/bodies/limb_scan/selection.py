@@ -1,8 +1,7 @@
 """Which scans make the center: chosen by hand, or by themselves, each with the reason in plain words.
 
-A scan should cross the lit limb where the albedo is even, and all of them together should span enough of the limb to hold
-the center in both directions (AAS 13-443). So scans are left out, the most uneven first, as long as the weaker direction
-of the center does not suffer: what an uneven scan would add to the span is worth more than what its albedo costs.
+A scan is able where it crosses the lit limb in sight. Those over an uneven albedo are left out as long as the others span
+enough of the limb (AAS 13-443); what remains uneven is in the weights.
 """
 
 from collections.abc import Sequence
@@ -12,23 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.limb_scan.fan import ScanFan
+from opnav_workbench.bodies.limb_scan.matching import ScanMatch
 from opnav_workbench.bodies.limb_scan.view import ScanView
+from opnav_workbench.bodies.neighbours import near_bodies
+from opnav_workbench.bodies.picture import displaced_model, pixel_rays, placed_models
+from opnav_workbench.bodies.place import crossing_depths
 from opnav_workbench.bodies.results import NOT_CHOSEN, USED
+from opnav_workbench.constants import FWHM_PER_SIGMA
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["ScanSelection", "checked_scan_numbers", "choose_scans", "unevenness"]
+__all__ = ["ScanSelection", "checked_scan_numbers", "choose_scans"]
 
 FAINT_PX = 1.0  # uncertainty of an offset beyond which a scan says nothing
-UNEVEN_RATIO = 2.0  # of the median unevenness, and
-UNEVEN_SHARE = 0.10  # of the brightness: a scan this much uneven may be left out
-WEAKER_BY = 1.05  # growth of the center's larger sigma that leaving scans out may cost
-SPAN_RAD = np.radians(90.0)  # that scans left over must turn through, if all of them do
-FEWEST = 4
-BESIDE = 2  # scans to each side that count as the neighbourhood
-INSIDE_SIGMAS = 2.5  # of the PSF inside of the edge, where the picture shows the surface and not the edge
-LEAST_LIGHT = 0.2  # of the model's peak along the scan
+FAINT_LIMB = 0.15  # of the brightest limb: nearer to the cusps limb and terminator mix
 LOST_SHARE = 0.02  # of what a scan tells may lie on unusable samples
+UNEVEN_RATIO, UNEVEN_SHARE = (
+    2.0,
+    0.1,
+)  # of the median unevenness, and of the brightness: both, and a scan is left out
+SPAN_RAD = np.radians(90.0)  # that the others must turn through, if all of them do
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,11 +41,17 @@ class ScanSelection:
 
     Attributes
     ----------
-    chosen : (n,) array of bool
+    chosen, covered : (n,) arrays of bool
+        Covered: another body hides or shades the limb.
+    uneven, edge_px : (n,) arrays
+        Relative scatter of the albedo near the scan; distance of the outermost lit point, nan without one.
     reason : (n,) array of str
     """
 
     chosen: BoolArray
+    covered: BoolArray
+    uneven: FloatArray
+    edge_px: FloatArray
     reason: NDArray[np.str_]
     summary: tuple[str, ...]
 
@@ -72,178 +82,110 @@ def checked_scan_numbers(numbers: Sequence[int], n_scans: int) -> NDArray[np.int
     return np.unique(np.array(asked, dtype=np.int64))
 
 
-def unevenness(
-    fan: ScanFan, view: ScanView, brightness: FloatArray, psf_sigma_px: float, gain: float
-) -> FloatArray:
-    """Return the relative scatter (n,) of data over model along and beside each scan, noise taken out.
-
-    Measured inside of the edge; what all scans have in common at one depth is the scattering law's and is taken out.
-    """
-    inside = fan.edge_px[:, None] - fan.distances()
-    bright = view.model > LEAST_LIGHT * view.model.max(axis=1, keepdims=True)
-    good = ~view.blocked & bright & (inside > INSIDE_SIGMAS * psf_sigma_px)
-    light = np.where(good, view.model * brightness[:, None], 1.0)
-    ratio = np.where(good, view.data / light, np.nan)
-    variance = np.where(good, (view.noise2 + light / gain) / light**2, 0.0)
-    usual = _column_medians(ratio, good)
-    ratio = ratio / usual
-    total, mean, square = (
-        _around(np.where(good, plane, 0.0).sum(axis=1)) for plane in (np.ones_like(ratio), ratio, ratio**2)
-    )
-    noise = _around(variance.sum(axis=1))
-    enough = total >= 2.0 * (2 * BESIDE + 1)
-    count = np.where(enough, total, 1.0)
-    scatter2 = square / count - (mean / count) ** 2 - noise / count
-    level = np.maximum(np.abs(mean / count), 1e-3)
-    return np.where(enough, np.sqrt(np.maximum(scatter2, 0.0)) / level, np.nan)
-
-
-def _column_medians(ratio: FloatArray, good: BoolArray) -> FloatArray:
-    out = np.ones(ratio.shape[1])
-    for column in np.flatnonzero(good.sum(axis=0) > FEWEST):
-        out[column] = np.median(ratio[good[:, column], column])
-    return np.where(np.abs(out) > 1e-3, out, 1.0)
-
-
-def _around(values: FloatArray) -> FloatArray:
-    padded = np.pad(values, BESIDE, mode="wrap")
-    return np.convolve(padded, np.ones(2 * BESIDE + 1), "valid")
-
-
 def choose_scans(
-    fan: ScanFan,
-    view: ScanView,
-    sigma_px: FloatArray,
-    motion: FloatArray,
-    uneven: FloatArray,
-    numbers: NDArray[np.int64] | None,
+    disk: MeasuredDisk, view: ScanView, match: ScanMatch, numbers: NDArray[np.int64] | None
 ) -> ScanSelection:
-    """Choose scans.
-
-    Parameters
-    ----------
-    sigma_px : (n,) array
-        Uncertainty of their offsets.
-    motion : (n, 2) array
-        What their offsets say of the center.
-    uneven : (n,) array
-        See `unevenness`.
-    numbers : (k,) array of int or None
-        Chosen by hand; None: choose automatically.
-    """
-    reason = _obstacles(fan, view, sigma_px)
-    possible = reason == ""
+    """Choose scans; `numbers` are those that an analyst chose, None: automatically."""
+    edge, limb = lit_edges(disk, view)
+    covered, uneven = covered_scans(disk, view.fan), _unevenness(disk, view.fan)
+    reason = _obstacles(view, match, edge, covered)
+    able = reason == ""
     if numbers is not None:
-        return _by_hand(possible, reason, numbers)
-    limb = possible & fan.crosses_limb
-    terminator = possible & ~fan.crosses_limb
-    alone = _major_sigma(motion, sigma_px, limb)
-    needs_help = limb.sum() < FEWEST or not alone < FAINT_PX
-    candidates = limb | terminator if needs_help else limb
-    reason[terminator & ~candidates] = "crosses the terminator, not the lit limb"
-    chosen, dropped = _thinned(fan, candidates, motion, sigma_px, uneven)
-    _explain(reason, fan, chosen, dropped, uneven)
-    return ScanSelection(chosen, reason, _summary(fan, chosen, dropped, motion, sigma_px))
+        asked = np.isin(np.arange(len(able)), numbers)
+        reason[~asked] = "not in the analyst's list"
+        reason[asked & able] = "chosen by the analyst"
+        summary = f"{int((asked & able).sum())} scans chosen by the analyst"
+        if lost := int((asked & ~able).sum()):
+            summary += f"; {lost} more cannot be used"
+        return ScanSelection(asked & able, covered, uneven, edge, reason, (summary,))
+    reason[able & ~limb] = "crosses the terminator, not the lit limb"
+    chosen = _even(view.fan, able & limb, uneven)
+    for row in np.flatnonzero(able & limb):
+        words = f"lit limb; albedo even to {max(100 * uneven[row], 1.0):.0f} %"
+        reason[row] = (
+            words
+            if chosen[row]
+            else f"albedo uneven by {100 * uneven[row]:.0f} %, and the others span enough"
+        )
+    summary = f"{int(chosen.sum())} of {len(able)} scans chosen, over {np.degrees(_span_rad(view.fan, chosen)):.0f} deg"
+    if left := int((able & limb & ~chosen).sum()):
+        summary += f"; {left} left out for their uneven albedo"
+    return ScanSelection(chosen, covered, uneven, edge, reason, (summary,))
 
 
-def _obstacles(fan: ScanFan, view: ScanView, sigma_px: FloatArray) -> NDArray[np.str_]:
+def lit_edges(disk: MeasuredDisk, view: ScanView) -> tuple[FloatArray, BoolArray]:
+    """Return the distance (n,) of each scan's outermost lit point, nan without one, and whether that is on the limb."""
+    fan = view.fan
+    width = max(0.5 * FWHM_PER_SIGMA * float(np.max(disk.picture.psf.sigma_px)), 1.0)
+    brightest = float(view.model.max(initial=0.0))
+    depth = np.arange(-disk.fit.reach_px[0], disk.fit.reach_px[1], 0.25)
+    angle, places = np.broadcast_arrays(fan.angle_rad[:, None], depth)
+    light = disk.fit.made.light.at(angle.ravel(), places.ravel(), 1)[0].reshape(angle.shape)
+    crossing = crossing_depths(light, depth, width, 0.01)
+    near = np.abs(view.fan.depth_px) < 2.0 * width
+    strength = np.where(near, view.model, 0.0).max(axis=1)
+    on_limb = (np.abs(crossing) < 2.0 * width) & (strength > FAINT_LIMB * brightest)
+    return np.where(on_limb, fan.limb_px, fan.limb_px + crossing), on_limb
+
+
+def _obstacles(view: ScanView, match: ScanMatch, edge_px: FloatArray, covered: BoolArray) -> NDArray[np.str_]:
     """Return why scans cannot be used (n,); empty where they can."""
-    reason = np.full(len(fan), "", dtype="<U120")
-    told = np.square(np.einsum("nwk,nk->nw", view.slope, fan.direction))
+    reason = np.full(len(view.fan), "", dtype="<U160")
+    told = view.limb**2
     lost = np.where(view.blocked, told, 0.0).sum(axis=1) > LOST_SHARE * np.maximum(told.sum(axis=1), 1e-300)
-    faint = ~(sigma_px < FAINT_PX)
-    for row in np.flatnonzero(faint):
-        reason[row] = f"too faint: its edge is uncertain by more than {FAINT_PX:g} px"
+    reason[~(match.sigma_px < FAINT_PX)] = f"too faint: its edge is uncertain by more than {FAINT_PX:g} px"
     reason[lost] = (
         "its edge lies off the detector, or on bad or saturated pixels or ones that another body lights"
     )
-    reason[fan.covered] = "another body hides or shades it here"
-    reason[~np.isfinite(fan.edge_px)] = "meets no lit surface"
+    reason[covered] = "another body hides or shades it here"
+    reason[~np.isfinite(edge_px)] = "meets no lit surface near the limb"
     return reason
 
 
-def _by_hand(possible: BoolArray, reason: NDArray[np.str_], numbers: NDArray[np.int64]) -> ScanSelection:
-    asked = np.zeros(len(possible), dtype=bool)
-    asked[numbers] = True
-    reason[~asked] = "not in the analyst's list"
-    reason[asked & possible] = "chosen by the analyst"
-    unusable = int((asked & ~possible).sum())
-    summary = f"{int((asked & possible).sum())} scans chosen by the analyst"
-    if unusable:
-        summary += f"; {unusable} more cannot be used"
-    return ScanSelection(asked & possible, reason, (summary,))
+def covered_scans(disk: MeasuredDisk, fan: ScanFan) -> BoolArray:
+    """Tell at which scans' limb (n,) another body hides or shades the body, or shows beside it."""
+    picture, name, center = disk.picture, disk.name, fan.center_px
+    others = near_bodies(picture, name, center)
+    if not others:
+        return np.zeros(len(fan), dtype=bool)
+    pixel_scale = picture.camera.pixel_scale_rad
+    size = float(np.exp(-disk.fit.shape.log_size))
+    models = placed_models(picture, {name: center, **others}, {name: size})
+    placed = [PlacedBody(m, pixel_scale) for m in models if not m.is_point]
+    own = PlacedBody(displaced_model(picture, name, center, size), pixel_scale)
+    inner, limb = (pixel_rays(picture, fan.places(fan.limb_px[:, None] * part)[:, 0]) for part in (0.95, 1.0))
+    alone = own.radiance(inner)
+    own.note_occulters(placed)
+    covered = np.abs(alone - own.radiance(inner)) > 0.01 * alone
+    for body in placed:
+        if body.model.target.name != name:
+            covered |= body.blocks(limb, np.full(len(fan), np.inf))
+    return np.asarray(covered)
 
 
-def _thinned(
-    fan: ScanFan, candidates: BoolArray, motion: FloatArray, sigma_px: FloatArray, uneven: FloatArray
-) -> tuple[BoolArray, BoolArray]:
-    """Return the scans kept, and those left out, the most uneven first, while the center's weaker direction bears it."""
-    chosen, dropped = candidates.copy(), np.zeros(len(fan), dtype=bool)
-    if candidates.sum() <= FEWEST:
-        return chosen, dropped
-    rough = np.nan_to_num(uneven)
-    usual = float(np.median(rough[candidates]))
-    limit = max(UNEVEN_RATIO * usual, UNEVEN_SHARE)
-    bound = WEAKER_BY * _major_sigma(motion, sigma_px, candidates)
-    span = min(_span_rad(fan.angle_rad[candidates]), SPAN_RAD)
-    for row in np.argsort(-rough, kind="stable"):
-        if not candidates[row] or rough[row] <= limit:
-            continue
-        trial = chosen.copy()
-        trial[row] = False
-        spans = _span_rad(fan.angle_rad[trial]) >= span
-        if trial.sum() >= FEWEST and spans and _major_sigma(motion, sigma_px, trial) <= bound:
-            chosen, dropped[row] = trial, True
-    return chosen, dropped
+def _unevenness(disk: MeasuredDisk, fan: ScanFan) -> FloatArray:
+    """Return the relative scatter (n,) of the albedo that the disk has near each scan."""
+    fit = disk.fit
+    albedo = 1.0 + fit.solution.nodes[:, :-1] / fit.brightness_dn
+    near = np.stack([np.roll(albedo, k, axis=0) for k in (-1, 0, 1)], axis=1).reshape(len(albedo), -1)
+    rough = near.std(axis=1) / np.maximum(near.mean(axis=1), 0.1)
+    piece = (np.mod(fan.angle_rad, 2.0 * np.pi) * (len(albedo) / (2.0 * np.pi))).astype(np.int64)
+    return np.asarray(rough[piece % len(albedo)])
 
 
-def _explain(
-    reason: NDArray[np.str_], fan: ScanFan, chosen: BoolArray, dropped: BoolArray, uneven: FloatArray
-) -> None:
-    rough = np.nan_to_num(uneven)
-    usual = float(np.median(rough[chosen])) if chosen.any() else 0.0
-    for row in np.flatnonzero(chosen | dropped):
-        edge = "lit limb" if fan.crosses_limb[row] else "terminator, as the lit limb alone is not enough"
-        albedo = "too small to judge its albedo"
-        if np.isfinite(uneven[row]):
-            albedo = f"albedo even to {max(100 * rough[row], 1.0):.0f} %"
-        if dropped[row]:
-            reason[row] = (
-                f"albedo uneven by {100 * rough[row]:.0f} %, where {100 * usual:.0f} % is usual; the others span "
-                "enough without it"
-            )
-        elif rough[row] > max(UNEVEN_RATIO * usual, UNEVEN_SHARE):
-            reason[row] = f"{edge}; albedo uneven by {100 * rough[row]:.0f} %, kept for the span that it adds"
-        else:
-            reason[row] = f"{edge}; {albedo}"
+def _even(fan: ScanFan, able: BoolArray, uneven: FloatArray) -> BoolArray:
+    """Return the able scans without the uneven ones, if those that are left span enough."""
+    if not able.any():
+        return able
+    even = able & (uneven <= max(UNEVEN_RATIO * float(np.median(uneven[able])), UNEVEN_SHARE))
+    enough = _span_rad(fan, even) >= 0.95 * max(_span_rad(fan, able), SPAN_RAD)
+    return even if enough and even.sum() > 2 else able
 
 
-def _summary(
-    fan: ScanFan, chosen: BoolArray, dropped: BoolArray, motion: FloatArray, sigma_px: FloatArray
-) -> tuple[str, ...]:
-    span = np.degrees(_span_rad(fan.angle_rad[chosen]))
-    said = [f"{int(chosen.sum())} of {len(fan)} scans chosen, over {span:.0f} deg"]
-    if dropped.any():
-        left = f"{int(dropped.sum())} left out for their uneven albedo"
-        now, before = (
-            f"{_major_sigma(motion, sigma_px, rows):.3f} px" for rows in (chosen, chosen | dropped)
-        )
-        costs = "at no cost" if now == before else f"at the cost of {now} instead of {before}"
-        said.append(f"{left}, {costs} in the weaker direction")
-    return tuple(said)
-
-
-def _major_sigma(motion: FloatArray, sigma_px: FloatArray, rows: BoolArray) -> float:
-    """Return the larger sigma of the center that scans with independent errors would give; infinite if undetermined."""
-    weighted = motion[rows] / sigma_px[rows, None]
-    smallest = float(np.linalg.eigvalsh(weighted.T @ weighted)[0]) if rows.any() else 0.0
-    return float(smallest**-0.5) if smallest > 1e-12 else np.inf
-
-
-def _span_rad(angle_rad: FloatArray) -> float:
+def _span_rad(fan: ScanFan, rows: BoolArray) -> float:
     """Return the angle that holds all scans: a turn less the widest gap between neighbours."""
-    if len(angle_rad) < 2:
+    if rows.sum() < 2:
         return 0.0
-    ordered = np.sort(angle_rad)
+    ordered = np.sort(fan.angle_rad[rows])
     gaps = np.diff(np.append(ordered, ordered[0] + 2.0 * np.pi))
     return float(2.0 * np.pi - gaps.max())

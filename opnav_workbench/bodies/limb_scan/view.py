@@ -1,313 +1,158 @@
-"""What the scans show: data and rendered model on the same points, their noise, and what an uneven albedo would change.
+"""What scans show: data, and the light of the fitted disk with its derivatives, on the same points.
 
-Flow   center -> window -> rendered body and its derivatives -> samples along the scans; rays along the scans -> brightness
-       of the surface, divided among depths -> line spread -> samples
-Units  DN; derivatives per px that the center moves; profiles relative to the model's brightness
-
-Albedo  A scan that crosses the limb sees the surface at an angle of b = arccos(r / r_limb) from grazing; on a sphere that
-        is the arc from the limb. The albedo along a scan is a sum of hat functions of b. As it is not known, it is taken
-        for a random function of b, Gaussian, with a correlation length of 8 deg, which is what maps of icy satellites and
-        of Pluto have at the sizes that matter at a limb (Buie et al. 2010, doi:10.1088/0004-6256/139/3/1128).
-Law     Lommel-Seeliger's law is Lambert's times 2 / (mu0 + mu), mu0 and mu the cosines of incidence and emission; most
-        laws lie between the two. A power of that factor times any law, ``law (2 / (mu0 + mu))^share``, follows what scans
-        show of the darkening near the limb: share 1 turns Lambert into Lommel-Seeliger, share -1 the other way.
+Flow   shape of the disk -> pixels about its outline, with the columns of the likelihood -> data and light sampled along the
+       scans
+Units  DN; derivatives per px, per unit of each share
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import convolve1d, laplace
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.limb_scan.fan import (
-    STEP_PX,
-    ScanFan,
-    ScanSampler,
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.bodies.disk.fit import (
+    CENTER,
+    FIGURE,
+    SHADING,
+    SHARED,
+    SHARES,
+    STRAY,
+    DiskShape,
+    Unknown,
+    columns_dn,
+    disk_columns,
+    piece_angles,
 )
-from opnav_workbench.bodies.limb_scan.matching import ScanSystem
-from opnav_workbench.bodies.neighbours import edge_reach, without_others
-from opnav_workbench.bodies.picture import (
-    BodyPicture,
-    Circle,
-    displaced_model,
-    pixel_rays,
-    sunlight_electrons,
-)
-from opnav_workbench.bodies.subarray import Cutout, choose_subarray, find_hit_pixels
-from opnav_workbench.psf import Psf
-from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, ScatteringLaw, render_moving
-from opnav_workbench.render.body import PlacedBody
-from opnav_workbench.render.scattering import AdjustedLaw
+from opnav_workbench.bodies.disk.limb_cells import depth_edges
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk
+from opnav_workbench.bodies.limb_scan.fan import ScanFan, ScanSampler, lay_fan
+from opnav_workbench.bodies.silhouette import TURN, Outline
 
-__all__ = [
-    "CORRELATION_RAD",
-    "ModelLight",
-    "ScanProfiles",
-    "ScanView",
-    "fan_reach",
-    "law_share",
-    "pooled_brightness",
-    "render_model_light",
-    "scan_profiles",
-    "scan_system",
-    "usable_pixels",
-    "view_scans",
-    "with_law_share",
-]
+__all__ = ["COMMON", "LAG_PX", "LOOK", "OUTLINE", "ScanView", "piece_shares", "view_scans"]
 
-
-# ---- A scattering law made to fit: the body's own, darkened toward the limb by more or less.
-
-LARGEST_LAW_SHARE = 1.2  # a little beyond from one law to the other
-
-
-def law_share(picture: BodyPicture, name: str) -> float:
-    """Return the share that is in a body's law already."""
-    law = picture.model(name).law
-    return law.share if isinstance(law, AdjustedLaw) else 0.0
-
-
-def with_law_share(picture: BodyPicture, name: str, share: float) -> BodyPicture:
-    """Return the picture with another share in the law of one body's model, kept within bounds."""
-    bounded = float(np.clip(share, -LARGEST_LAW_SHARE, LARGEST_LAW_SHARE))
-    models = (_with_share(m, bounded) if m.target.name == name else m for m in picture.models)
-    return replace(picture, models=tuple(models))
-
-
-def _with_share(model: BodyModel, share: float) -> BodyModel:
-    own = model.law.law if isinstance(model.law, AdjustedLaw) else model.law
-    return replace(model, law=AdjustedLaw(own, share))
-
-
-# ---- What a scan would show if the albedo differed from place to place.
-
-CORRELATION_RAD = np.radians(8.0)
-NODES = 10  # hat functions; they stand less than 3 deg apart
-FINE = 4  # rays per sample: 1/8 px
-KEPT_SHARE = 1e-4  # of the line spread function; what lies farther out is cut off
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanProfiles:
-    """Brightness of n scans in one dimension: without the curvature of the limb, which the rendered picture has.
-
-    Attributes
-    ----------
-    total : (n, w) array
-        Of a uniform albedo of 1, relative.
-    parts : (n, w, j) array
-        Orthogonal parts of the random albedo: the covariance of brightness is ``parts @ parts.T`` for an albedo
-        with a relative scatter of 1.
-    law : (n, w) array
-        Change per share of another law (`opnav_workbench.bodies.limb_scan.view`), at unchanged mean brightness.
-    """
-
-    total: FloatArray
-    parts: FloatArray
-    law: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-
-def scan_profiles(
-    picture: BodyPicture, name: str, fan: ScanFan, center_px: FloatArray, range_scale: float
-) -> ScanProfiles:
-    """Return the brightness profiles of scans, from rays along them and the PSF's line spread."""
-    spread = _line_spread(picture.psf.at(center_px), round(1.0 / STEP_PX) * FINE)
-    pad = -(-len(spread) // (2 * FINE))
-    n, w = len(fan), fan.n_samples + 2 * pad
-    distance = STEP_PX * (fan.first[:, None] - pad + np.arange(w * FINE) / FINE)
-    model = displaced_model(picture, name, center_px, range_scale)
-    rays = pixel_rays(picture, fan.places(center_px, distance).reshape(-1, 2))
-
-    def radiance(law: ScatteringLaw) -> FloatArray:
-        body = PlacedBody(replace(model, law=law), picture.camera.pixel_scale_rad)
-        return body.radiance(rays).reshape(n, -1)
-
-    light = radiance(model.law)
-    share, prior = _albedo_parts(distance, fan)
-    fine = convolve1d(light[..., None] * (share @ prior), spread, axis=1, mode="constant")
-    total = convolve1d(light, spread, axis=1, mode="constant")
-    law = convolve1d(light * _darkening(light, radiance), spread, axis=1, mode="constant")
-    kept = slice(pad * FINE, (pad + fan.n_samples) * FINE, FINE)
-    peak = max(float(total.max(initial=0.0)), np.finfo(float).tiny)
-    return ScanProfiles(total[:, kept] / peak, fine[:, kept] / peak, law[:, kept] / peak)
-
-
-def _darkening(light: FloatArray, radiance: Callable[[ScatteringLaw], FloatArray]) -> FloatArray:
-    """Return the logarithm of 2 / (mu0 + mu) along scans (n, k), less its mean where there is light."""
-    lambert, seeliger = radiance(Lambert()), radiance(LommelSeeliger())
-    lit = (lambert > 0.0) & (seeliger > 0.0)
-    factor = np.log(np.where(lit, seeliger, 1.0) / np.where(lit, lambert, 1.0))
-    weight = np.where(lit, light, 0.0)
-    mean = np.sum(weight * factor, axis=1) / np.maximum(weight.sum(axis=1), np.finfo(float).tiny)
-    return np.where(lit, factor - mean[:, None], 0.0)
-
-
-def _albedo_parts(distance_px: FloatArray, fan: ScanFan) -> tuple[FloatArray, FloatArray]:
-    """Return the shares (n, k, j) of points in hat functions of their arc, and the root (j, j) of the prior covariance."""
-    arc = np.arccos(np.clip(np.abs(distance_px) / fan.limb_px[:, None], 0.0, 1.0))
-    deepest = np.arccos(np.clip(STEP_PX * fan.first / fan.limb_px, 0.0, 1.0)).max()
-    node = np.linspace(0.0, max(float(deepest), 1e-3), NODES)
-    share = np.clip(1.0 - np.abs(arc[..., None] - node) / node[1], 0.0, None)
-    share[..., -1] = np.where(arc >= node[-1], 1.0, share[..., -1])
-    apart = (node[:, None] - node) / CORRELATION_RAD
-    value, vector = np.linalg.eigh(np.exp(-0.5 * apart**2))
-    return share, vector * np.sqrt(np.maximum(value, 0.0))
-
-
-def _line_spread(psf: Psf, subsample: int) -> FloatArray:
-    """Return the light of a point along a line, summed across it and over pixels: the mean of both axes, in fine steps."""
-    kernel = psf.kernel(subsample)
-    line = 0.5 * (kernel.sum(axis=0) + kernel.sum(axis=1))
-    line = np.convolve(line, np.ones(subsample + 1) / (subsample + 1.0))
-    kept = np.flatnonzero(line > KEPT_SHARE * line.max())
-    half = int(max(abs(kept[0] - len(line) // 2), abs(kept[-1] - len(line) // 2)))
-    middle = len(line) // 2
-    line = line[middle - half : middle + half + 1]
-    return np.asarray(line / line.sum())
-
-
-# ---- What the scans show: data and rendered model on the same points, their noise, and which points count.
-
-FAINTEST = 0.05  # of the mean brightness: the least that a scan is taken for
-POOLED = 5  # scans to each side whose mean brightness stands for a scan's own
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelLight:
-    """A body rendered in a window of the picture, and its derivatives.
-
-    Attributes
-    ----------
-    window : (int, int, int, int)
-    light_dn : (n_line, n_pixel) array
-    slope_dn : (2, n_line, n_pixel) array
-        Per px that the center moves along pixel and along line.
-    flux_dn
-        On and off the window.
-    """
-
-    window: tuple[int, int, int, int]
-    light_dn: FloatArray
-    slope_dn: FloatArray
-    diameter_px: float
-    flux_dn: float
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
+OUTLINE = [*CENTER, *FIGURE]  # what moves the limb, and what changes the look of all scans:
+LOOK = [Unknown.BRIGHTNESS, *SHARES, *SHADING, Unknown.BLUR, *STRAY]
+COMMON = [*OUTLINE, *LOOK]
+MARGIN_PX = 3.0  # of pixels beyond the samples: what the interpolation needs
+LAG_PX = 5.0  # to each side: what an analyst looks at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanView:
-    """Windows of n scans with w samples each.
+    """n scans with w samples each.
 
     Attributes
     ----------
+    outline
+        About which the scans were laid.
+    window : (int, int, int, int)
+        Pixels that the scans rest on.
     data, model : (n, w) arrays
-    slope : (n, w, 2) array
-        Of the model.
-    blur : (n, w) array
-        Change of the model per px^2 of additional variance of the PSF, along each axis.
-    noise2 : (n, w) array
-        Variance of the background's noise.
+        The model's albedo is that of the disk as a whole, and it has no background.
+    limb : (n, w) array
+        Change of the model per px that the limb lies farther out.
+    common : (n, w, p) array
+        Change with each of `COMMON`.
+    parts : (n, w, k) array
+        Light of an albedo that is concentrated at each of k arcs from the limb.
+    variance : (n, w) array
+        Of noise.
+    cell : (n, w) array of int
+        Depth in steps over which the albedo's grain is one.
     blocked : (n, w) array of bool
+    data_plane, model_plane, variance_plane, use : (n_line, n_pixel) arrays
+        Of the window; the model is 0 away from the limb.
     """
 
+    outline: Outline
+    fan: ScanFan
+    sampler: ScanSampler
+    window: tuple[int, int, int, int]
     data: FloatArray
     model: FloatArray
-    slope: FloatArray
-    blur: FloatArray
-    noise2: FloatArray
+    limb: FloatArray
+    common: FloatArray
+    parts: FloatArray
+    variance: FloatArray
+    cell: IntArray
     blocked: BoolArray
+    data_plane: FloatArray
+    model_plane: FloatArray
+    variance_plane: FloatArray
+    use: BoolArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
 
-def render_model_light(
-    picture: BodyPicture, name: str, center_px: FloatArray, range_scale: float, reach_px: float
-) -> ModelLight:
-    """Render a body alone at a place, in the part of the detector within `reach_px` of it."""
-    window = choose_subarray(picture, name, Circle(center_px, reach_px), margin=0.0).window
-    (body,) = render_moving(
-        [displaced_model(picture, name, center_px, range_scale)],
-        picture.camera,
-        picture.camera_from_j2000,
-        picture.observer_velocity_km_s,
-        psf=picture.psf,
-        sunlight_e=sunlight_electrons(picture),
-        window=window,
-    )
-    gain = picture.gain_e_per_dn
-    slope = body.slopes / gain
-    return ModelLight(window, body.electrons / gain, slope, body.body.diameter_px, body.body.flux_e / gain)
+def piece_shares(angle_rad: FloatArray, pieces: int) -> FloatArray:
+    """Return the shares (n, j) that pieces of limb have in what is interpolated at angles (n,)."""
+    place = np.mod(angle_rad - piece_angles(pieces)[0], TURN) * (pieces / TURN)
+    below = np.floor(place).astype(np.int64)
+    out, rows = np.zeros((len(angle_rad), pieces)), np.arange(len(angle_rad))
+    out[rows, below % pieces] = 1.0 - (place - below)
+    out[rows, (below + 1) % pieces] += place - below
+    return out
 
 
-def usable_pixels(picture: BodyPicture, name: str, center_px: FloatArray, body: ModelLight) -> Cutout:
-    """Return the data of the body's window, without pixels that other bodies light or cosmic rays have hit."""
-    cutout = without_others(picture, name, center_px, body.window)
-    weight = cutout.weight(body.light_dn)
-    under = float(np.sum(weight * body.light_dn**2))
-    scale = float(np.sum(weight * cutout.data_dn * body.light_dn)) / under if under > 0.0 else 0.0
-    hits = find_hit_pixels(cutout.data_dn - scale * body.light_dn, cutout.weight(scale * body.light_dn))
-    return replace(cutout, use=cutout.use & ~hits)
+def view_scans(disk: MeasuredDisk, shape: DiskShape, n_scans: int) -> ScanView:
+    """Lay scans about a shape that is near the fitted one, and sample data and light along them."""
+    fit, pixels = disk.fit, disk.pixels
+    outline = fit.made.outline(shape, rough=False)
+    fan = lay_fan(outline, n_scans, fit.reach_px)
+    window = _window(disk, outline, fit.reach_px[1] + LAG_PX + MARGIN_PX)
+    pixel, line, n_pixel, n_line = window
+    part = np.s_[line : line + n_line, pixel : pixel + n_pixel]
+    places, columns = _strip_columns(disk, shape)
+    sampler = ScanSampler(fan.places(fan.distances()), window)
 
+    def plane(values: FloatArray) -> FloatArray:
+        out = np.zeros((n_line, n_pixel))
+        out[places[0] - line, places[1] - pixel] = values
+        return out
 
-def view_scans(sampler: ScanSampler, cutout: Cutout, body: ModelLight) -> ScanView:
-    """Sample data and model along scans."""
+    model_plane = plane(columns[0])
+    sampled = [sampler.sample(plane(column)) for column in columns]
+    variance = pixels.noise_dn[part] ** 2 + np.maximum(model_plane, 0.0) / pixels.gain_e_per_dn
+    edges = depth_edges(*fit.reach_px, float(np.max(disk.picture.psf.sigma_px)))
     return ScanView(
-        data=sampler.sample(cutout.data_dn),
-        model=sampler.sample(body.light_dn),
-        slope=np.stack([sampler.sample(slope) for slope in body.slope_dn], axis=-1),
-        blur=sampler.sample(0.5 * laplace(body.light_dn, mode="nearest")),
-        noise2=np.maximum(sampler.sample(cutout.noise_dn**2), np.finfo(float).tiny),
-        blocked=sampler.blocked(cutout.use),
+        outline=outline,
+        fan=fan,
+        sampler=sampler,
+        window=window,
+        data=sampler.sample(pixels.data_dn[part]),
+        model=sampled[0],
+        limb=sampled[1],
+        common=np.stack(sampled[2 : 2 + len(COMMON)], axis=-1),
+        parts=np.stack(sampled[2 + len(COMMON) :], axis=-1),
+        variance=np.maximum(sampler.sample(variance), 0.5 * float(np.median(variance))),
+        cell=np.searchsorted(edges, fan.depth_px),
+        blocked=sampler.blocked(pixels.use[part]),
+        data_plane=pixels.data_dn[part],
+        model_plane=model_plane,
+        variance_plane=variance,
+        use=pixels.use[part],
     )
 
 
-def pooled_brightness(view: ScanView) -> FloatArray:
-    """Return the brightness (n,), data over model, of each scan with its neighbours.
-
-    Pooled, it does not follow the noise of the one scan whose weights it sets.
-    """
-    free = ~view.blocked
-    both = np.where(free, view.data * view.model, 0.0).sum(axis=1)
-    square = np.where(free, view.model**2, 0.0).sum(axis=1)
-    total = both.sum() / max(square.sum(), np.finfo(float).tiny)
-    around = np.ones(2 * POOLED + 1)
-    pooled = np.convolve(np.pad(both, POOLED, mode="wrap"), around, "valid")
-    under = np.convolve(np.pad(square, POOLED, mode="wrap"), around, "valid")
-    under = np.maximum(under, 1e-6 * max(float(under.max()), np.finfo(float).tiny))
-    floor = max(FAINTEST * abs(total), np.finfo(float).tiny)
-    return np.asarray(np.maximum(pooled / under, floor))
+def _window(disk: MeasuredDisk, outline: Outline, outward_px: float) -> tuple[int, int, int, int]:
+    size = np.array([disk.picture.camera.n_pixel, disk.picture.camera.n_line])
+    reach, center = outline.reach_px + outward_px, outline.center_px
+    first = np.clip(np.floor(center - reach[:2]), 0, size - 1).astype(int)
+    last = np.clip(np.ceil(center + reach[2:]), first, size - 1).astype(int)
+    return int(first[0]), int(first[1]), int(last[0] - first[0] + 1), int(last[1] - first[1] + 1)
 
 
-def scan_system(
-    fan: ScanFan, view: ScanView, profiles: ScanProfiles, gain_e_per_dn: float, brightness: FloatArray
-) -> ScanSystem:
-    """Set up the matching of data and model for each scan.
-
-    A sample every half pixel holds half of a pixel's information: its variance counts double.
-    """
-    shot = np.maximum(brightness[:, None] * view.model, 0.0) / gain_e_per_dn
-    norm = np.einsum("nw,nw->", profiles.total, profiles.total)
-    scale = float(np.einsum("nw,nw->", view.model, profiles.total)) / max(norm, np.finfo(float).tiny)
-    return ScanSystem(
-        view.data,
-        view.model,
-        view.slope,
-        fan.direction,
-        scale * profiles.parts,
-        (view.noise2 + shot) / STEP_PX,
-        view.blocked,
-        brightness,
-        np.stack([scale * profiles.law, view.blur], axis=-1),
+def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray, IntArray], FloatArray]:
+    """Return line and pixel (m,) of the strip about an outline; light, changes with limb and `COMMON`, parts (2 + p + k, m)."""
+    fit = disk.fit
+    reach = fit.reach_px[0] + MARGIN_PX, fit.reach_px[1] + MARGIN_PX
+    near, columns = disk_columns(fit.made, shape, disk.pixels.use.shape, reach, rough=False)
+    light = replace(fit, pixels=near, columns=columns).even_dn()
+    angle = piece_angles(len(fit.piece_albedo))
+    lit = fit.brightness_dn * np.interp(near.angle_rad, angle, fit.piece_albedo, period=TURN)
+    dn = columns_dn(columns, fit.brightness_dn, lit)
+    dn[FIGURE[1:]] += dn[-2:]
+    return (near.line, near.pixel), np.concatenate(
+        [light[None], dn[SHARED][None], dn[COMMON], dn[SHARED + 1 : -2]]
     )
-
-
-def fan_reach(fan: ScanFan, picture: BodyPicture) -> float:
-    """Return how far from the center the scans' windows reach, with the pixels that interpolation needs."""
-    return float(STEP_PX * (fan.first.max() + fan.n_samples)) + 3.0 + edge_reach(picture)
