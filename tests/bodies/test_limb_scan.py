@@ -98,24 +98,16 @@ def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, 
 
 
 @pytest.mark.slow(keep=["0.99"])
-@pytest.mark.parametrize(("ratio", "size_sigma"), [(0.99, 0.1), (1.02, 0.1), (1.3, 0.1), (1.3, 0.05)])
-def test_another_size_is_measured_and_does_not_move_the_center(body_stage, sphere, ratio, size_sigma):
-    """What lies within the size's own uncertainty is no misfit; beyond three of its sigmas it is."""
+@pytest.mark.parametrize("ratio", [0.99, 1.02, 1.3])
+def test_another_size_is_measured_and_does_not_move_the_center(body_stage, sphere, ratio):
+    """Sizes are uncertain by 10 %: 2.6 sigma of that are no misfit."""
     model, light = sphere
-    other = replace(
-        model,
-        target=replace(model.target, radii_km=model.target.radii_km * ratio),
-        figure=FigureUncertainty(size_sigma=size_sigma),
-    )
+    other = replace(model, target=replace(model.target, radii_km=model.target.radii_km * ratio))
     picture = body_stage.picture(light, [other], np.random.default_rng(2), offset_px=(1.0, 1.0))
     center = find_limb_scan(picture, "BODY")
-    error = center.pixel_line - PLACE
-    assert np.abs(error).max() < 0.1
-    assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
+    assert center.status == "ok", center.messages
+    assert np.abs(center.pixel_line - PLACE).max() < 0.06
     assert abs(center.diameter_px - 60.0) < 0.15
-    misfit = (ratio, size_sigma) == (1.3, 0.05)
-    assert bool(center.flags & BodyFlag.CIRCLE_MISFIT) == misfit
-    assert (center.status == "uncertain") == misfit
 
 
 @pytest.mark.slow

@@ -85,11 +85,11 @@ def _table(pluto, maps):
     return np.array(scans), np.array(disks)
 
 
-def _check(scans, disks):
+def _check(scans, disks, dec_arcsec=DEC_ARCSEC):
     # Paper's errors are those of one picture; of many, their rms. Law, PSF and size are unknowns here, and not the paper's.
     rms = np.sqrt(np.mean(scans**2, axis=0))
     assert rms[0] < RA_ARCSEC
-    assert rms[1] < DEC_ARCSEC
+    assert rms[1] < dec_arcsec
     disk = np.median(np.hypot(*disks.T))
     assert 0.3 < disk < 3.0  # the order of an arcsecond
     assert np.median(np.hypot(*scans.T)) * BETTER < disk
@@ -107,4 +107,6 @@ def test_the_published_map_of_hubble(pluto, data_dir):
     with Image.open(data_dir / "maps" / "hs-2010-06-g-full_jpg.jpg") as published:
         gray = np.asarray(published.convert("L").resize((768, 384))) / 255.0
     maps = [AlbedoMap(0.1 + 0.7 * gray, first_longitude_deg=east) for east in (0.0, 90.0)]
-    _check(*_table(pluto, maps))
+    _check(
+        *_table(pluto, maps), 1.7 * DEC_ARCSEC
+    )  # of two maps: their rms exceeds that of many by 1.7 in 1 of 20 cases

@@ -144,7 +144,7 @@ def _window(disk: MeasuredDisk, outline: Outline, outward_px: float) -> tuple[in
 
 
 def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray, IntArray], FloatArray]:
-    """Return line and pixel (m,) of the strip about an outline; light, changes with limb and `COMMON`, parts (2 + p + k, m)."""
+    """Return line and pixel (m,) of the strip; light, its changes with limb and `COMMON`, its parts (2 + p + k, m)."""
     fit = disk.fit
     reach = fit.reach_px[0] + MARGIN_PX, fit.reach_px[1] + MARGIN_PX
     near, columns = disk_columns(fit.made, shape, disk.pixels.use.shape, reach, rough=False)
