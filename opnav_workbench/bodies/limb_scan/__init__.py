@@ -3,7 +3,7 @@
 Enter by `find_limb_scan`.
 
 ``centerfinder``
-    The method: measured disk, scans about its center until that stays, judgement, what every scan shows.
+    The method: measured disk, scans about its center, judgement, what every scan showed.
 ``fan``
     Where scans run, and pictures sampled along them.
 ``view``
@@ -13,5 +13,5 @@ Enter by `find_limb_scan`.
 ``selection``
     Which scans make the center, and why.
 ``center_solution``
-    From offsets to the center, with its covariance.
+    From offsets to the outline, with its covariance.
 """
