@@ -11,7 +11,13 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
 from opnav_workbench.bodies.disk.marginal import FieldPrior
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk, same_center, sigmas_apart
+from opnav_workbench.bodies.disk.measurement import (
+    MeasuredDisk,
+    crossing_covariance,
+    measure_disk,
+    same_center,
+    sigmas_apart,
+)
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import (
     DOUBTFUL_FLAGS,
@@ -27,6 +33,7 @@ from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 __all__ = [
     "CenterReading",
     "confirmed_center",
+    "crossing_reading",
     "difference_covariance",
     "disk_reading",
     "is_thin_crescent",
@@ -90,6 +97,23 @@ def second_reading(
     return SecondReading(
         method, center_px, covariance_px2, sigmas_apart(away, covariance_px2 + first_covariance_px2)
     )
+
+
+def crossing_reading(
+    disk: MeasuredDisk, first_px: FloatArray, first_covariance_px2: FloatArray
+) -> SecondReading | None:
+    """Return what the crossings of the limb say of a center; None where too few rays cross it.
+
+    A fit that has wandered off what it began from sees no limb any more; then the crossings that made its place count.
+    """
+    fit, read, start = disk.fit, disk.crossing, disk.place
+    if read is not None:
+        place, covariance = fit.center_px + read.step_px, crossing_covariance(read.covariance[:2, :2])
+    elif np.isfinite(start.center_sigma_px):
+        place, covariance = start.center_px, crossing_covariance(start.center_sigma_px**2 * np.eye(2))
+    else:
+        return None
+    return second_reading("limb crossings", place, covariance, first_px, first_covariance_px2)
 
 
 def difference_covariance(away_px: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ TRIAXIAL = (1.0, 0.85, 0.7)
 PEAK_DN = 500.0  # with 3 DN of noise: 115 sigma
 # Size and axes that nobody knows better than at a first approach move a center seen from one side by tenths of a pixel, and
 # sigma says so; how well the scans themselves do shows where they are known.
-KNOWN = FigureUncertainty(0.001, 0.001, 0.001)
+KNOWN = FigureUncertainty(0.001, 0.001, 0.001, law_sigma=0.05)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ BETTER = 8.0  # the median's ratio that is asked for
 ARCSEC = np.pi / 648_000.0
 READ_NOISE_E, GAIN = 24.2, 22.0
 HALF = 115  # px: Pluto is 189 px wide
-KNOWN = FigureUncertainty(0.001, 0.001, 0.001)  # the scans of the paper took Pluto's size for known
+KNOWN = FigureUncertainty(0.001, 0.001, 0.001, law_sigma=0.05)  # the scans of the paper took Pluto's size for known
 
 
 class PlutoScene:

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, crossing_covariance, measure_disk
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, measure_disk
 from opnav_workbench.bodies.judgement import (
     CenterReading,
+    crossing_reading,
     difference_covariance,
     disk_reading,
     judged_center,
-    second_reading,
 )
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
@@ -66,7 +66,7 @@ def find_disk(
     disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
     if isinstance(disk, BodyCenter):
         return disk
-    second = _second_reading(disk)
+    second = crossing_reading(disk, disk.fit.center_px, disk.fit.covariance_px2)
     reading = disk_reading(disk, METHOD, second)
     if second is not None:
         same = alike(disk.fit, disk.crossing)
@@ -99,21 +99,6 @@ def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterR
         "the likelihood of the disk", reading.center_px, reading.covariance_px2, second.difference_sigmas
     )
     return replace(reading, center_px=second.pixel_line, covariance_px2=covariance, second=other)
-
-
-def _second_reading(disk: MeasuredDisk) -> SecondReading | None:
-    """Return what the crossings of the limb say of the center; None where too few rays cross it.
-
-    A fit that has wandered off what it began from sees no limb any more; then the crossings that made its place count.
-    """
-    fit, read, start = disk.fit, disk.crossing, disk.place
-    if read is not None:
-        place, covariance = fit.center_px + read.step_px, crossing_covariance(read.covariance[:2, :2])
-    elif np.isfinite(start.center_sigma_px):
-        place, covariance = start.center_px, crossing_covariance(start.center_sigma_px**2 * np.eye(2))
-    else:
-        return None
-    return second_reading("limb crossings", place, covariance, fit.center_px, fit.covariance_px2)
 
 
 def _detail(fit: DiskFit) -> DiskReading:

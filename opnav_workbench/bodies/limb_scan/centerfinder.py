@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.fit import DiskShape, Unknown
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
-from opnav_workbench.bodies.judgement import CenterReading, judged_center, second_reading
+from opnav_workbench.bodies.judgement import CenterReading, crossing_reading, judged_center, second_reading
 from opnav_workbench.bodies.limb_scan.center_solution import FEWEST, OutlineStep, solve_outline
 from opnav_workbench.bodies.limb_scan.fan import N_SCANS, STEP_PX, ScanSampler
 from opnav_workbench.bodies.limb_scan.matching import ScanMatch, correlate_scans, match_scans
 from opnav_workbench.bodies.limb_scan.selection import ScanSelection, checked_scan_numbers, choose_scans
 from opnav_workbench.bodies.limb_scan.view import LAG_PX, ScanView, view_scans
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.results import REJECTED, BodyCenter, BodyFlag, LimbScans
+from opnav_workbench.bodies.results import REJECTED, BodyCenter, BodyFlag, LimbScans, SecondReading
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["find_limb_scan"]
@@ -70,7 +70,7 @@ def find_limb_scan(
     -------
     BodyCenter
         `detail` is a `LimbScans`: every scan with its offset and the reason why it was used or not. Status ``ok`` where
-        the likelihood of the whole disk confirms the center; ``uncertain`` (see its messages); ``not_detected``,
+        the likelihood of the whole disk and the crossings of the limb confirm the center; ``uncertain`` (see its messages); ``not_detected``,
         ``off_detector``, ``saturated`` or ``failed`` without a center. `diameter_px` is measured with the same scans.
 
     Raises
@@ -146,12 +146,20 @@ def _undetermined(disk: MeasuredDisk, choice: ScanSelection) -> BodyCenter:
     return BodyCenter.without_center(disk.name, METHOD, "failed", message, *said[:3])
 
 
+def _farther_reading(run: _Run) -> SecondReading:
+    """Return the one that differs more of the likelihood, where the scans began, and of crossings that know no weights."""
+    fit, own = run.disk.fit, run.solved.covariance[:2, :2]
+    likelihood = second_reading(
+        "the likelihood of the disk", fit.center_px, fit.covariance_px2, run.center_px, own
+    )
+    crossings = crossing_reading(run.disk, run.center_px, own)
+    readings = [likelihood] if crossings is None else [likelihood, crossings]
+    return max(readings, key=lambda reading: reading.difference_sigmas)
+
+
 def _reading(run: _Run) -> CenterReading:
     fit, solved = run.disk.fit, run.solved
     covariance = solved.covariance[:2, :2]
-    second = second_reading(
-        "the likelihood of the disk", fit.center_px, fit.covariance_px2, run.center_px, covariance
-    )
     chosen, used, covered = (int(n.sum()) for n in (run.choice.chosen, solved.used, run.choice.covered))
     return CenterReading(
         method=METHOD,
@@ -162,7 +170,7 @@ def _reading(run: _Run) -> CenterReading:
         log_size_sigma=float(np.sqrt(solved.covariance[SIZE, SIZE])),
         chi2_reduced=solved.chi2_reduced,
         converged=fit.converged and float(np.hypot(*solved.step[:2])) < LONGEST_PX,
-        second=second,
+        second=_farther_reading(run),
         conditions={BodyFlag.OCCULTED: True} if covered else {},
         notes={
             BodyFlag.OCCULTED: f"{covered} scans left out",
