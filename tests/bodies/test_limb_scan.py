@@ -15,8 +15,8 @@ from opnav_workbench.simulation.surfaces import mottled_map
 PLACE = (500.3, 480.7)
 TRIAXIAL = (1.0, 0.85, 0.7)
 PEAK_DN = 500.0  # with 3 DN of noise: 115 sigma
-# Size and axes that nobody knows better than at a first approach move a center seen from one side by tenths of a pixel, and
-# sigma says so; how well the scans themselves do shows where they are known.
+# Size, axes and law that nobody knows better than at a first approach move a center seen from one side by tenths of a pixel,
+# and sigma says so; how well the scans themselves do shows where they are known, as they are of these simulated bodies.
 KNOWN = FigureUncertainty(0.001, 0.001, 0.001, law_sigma=0.05)
 
 
@@ -26,16 +26,17 @@ def sphere(body_stage):
     return model, body_stage.light(model)
 
 
-def test_a_noiseless_sphere_is_found_to_a_hundredth(body_stage, sphere):
+def test_a_noiseless_sphere_is_found_to_a_thousandth(body_stage, sphere):
+    """Its figure and law are stated as known, as they are; PSF and albedo are unknowns."""
     model, light = sphere
-    picture = body_stage.picture(light, [model], data=PEAK_DN * light, offset_px=(2.4, -1.8))
+    known = replace(model, figure=KNOWN)
+    picture = body_stage.picture(light, [known], data=PEAK_DN * light, offset_px=(2.4, -1.8))
     center = find_limb_scan(picture, "BODY")
     assert center.status == "ok"
-    # Law, PSF, size and axes are unknowns now: toward the Sun they multiply what the tables are good to, 0.002 px.
-    assert np.abs(center.pixel_line - PLACE).max() < 0.015
+    assert np.abs(center.pixel_line - PLACE).max() < 0.003
     assert abs(center.diameter_px - 60.0) < 0.05
     assert center.detail.roughness < 0.05  # no surface is taken for more even than 1 %
-    assert np.hypot(*center.detail.iterations[-1]) < 0.015
+    assert np.hypot(*center.detail.iterations[-1]) < 0.01
 
 
 @pytest.mark.slow(keep=["axes1-8.0-90.0"])
@@ -60,8 +61,9 @@ def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
 
 
 @pytest.mark.slow
-def test_a_mottled_surface_moves_the_center_as_stated(body_stage):
-    """An albedo of 0.2 rms, of which nothing is known but what this limb shows, and a law that is known to 0.3."""
+def test_a_mottled_surface_does_not_move_the_center(body_stage):
+    """An albedo of 0.2 rms, of which nothing is known but what this limb shows; figure and law are stated, as they are."""
+    errors = []
     for seed in (1, 2):
         model = body_stage.body(100.0, 15.0, PLACE, law=LunarLambert(0.5), figure=KNOWN)
         mottled = replace(model, albedo=AlbedoMap(mottled_map(seed, rows=90)))
@@ -71,8 +73,9 @@ def test_a_mottled_surface_moves_the_center_as_stated(body_stage):
         assert center.status == "ok", center.messages
         assert 0.1 < center.detail.roughness < 0.4
         error = center.pixel_line - PLACE
-        assert np.abs(error).max() < 0.1
+        errors.append(error)
         assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
+    assert np.abs(errors).max() < 0.05
 
 
 @pytest.mark.slow(keep=["70.0-60.0-law3-taken3"])
@@ -87,7 +90,7 @@ def test_a_mottled_surface_moves_the_center_as_stated(body_stage):
 )
 @pytest.mark.parametrize(("diameter", "phase"), [(70.0, 60.0), (100.0, 30.0), (180.0, 15.0)])
 def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, taken, diameter, phase):
-    true = body_stage.body(diameter, phase, PLACE, law=law, figure=KNOWN)
+    true = body_stage.body(diameter, phase, PLACE, law=law, figure=replace(KNOWN, law_sigma=None))
     picture = body_stage.picture(
         body_stage.light(true), [replace(true, law=taken)], np.random.default_rng(4), offset_px=(1.0, -1.0)
     )
@@ -144,7 +147,7 @@ def test_every_scan_has_a_reason(body_stage, sphere):
 
 @pytest.mark.slow
 def test_a_scan_that_is_off_is_rejected_with_its_reason(body_stage, sphere):
-    model, light = sphere
+    model, light = replace(sphere[0], figure=KNOWN), sphere[1]
     clean = find_limb_scan(body_stage.picture(light, [model], np.random.default_rng(3)), "BODY").detail
     row = clean.used[len(clean.used) // 2]
     pixel, line = np.rint(clean.start_px + (clean.limb_px[row] + 1.5) * np.array(

@@ -21,7 +21,8 @@ BETTER = 8.0  # the median's ratio that is asked for
 ARCSEC = np.pi / 648_000.0
 READ_NOISE_E, GAIN = 24.2, 22.0
 HALF = 115  # px: Pluto is 189 px wide
-KNOWN = FigureUncertainty(0.001, 0.001, 0.001, law_sigma=0.05)  # the scans of the paper took Pluto's size for known
+# The paper's scans took size, figure and law for known. In these pictures they are: a sphere, and the law of the model.
+KNOWN = FigureUncertainty(2e-4, 2e-4, 2e-4, law_sigma=0.02)
 
 
 class PlutoScene:
@@ -85,11 +86,9 @@ def _table(pluto, maps):
     return np.array(scans), np.array(disks)
 
 
-def _check(scans, disks, dec_arcsec=DEC_ARCSEC):
-    # Paper's errors are those of one picture; of many, their rms. Law, PSF and size are unknowns here, and not the paper's.
-    rms = np.sqrt(np.mean(scans**2, axis=0))
-    assert rms[0] < RA_ARCSEC
-    assert rms[1] < dec_arcsec
+def _check(scans, disks):
+    assert np.abs(scans[:, 0]).max() < RA_ARCSEC
+    assert np.sqrt(np.mean(scans[:, 1] ** 2)) < DEC_ARCSEC
     disk = np.median(np.hypot(*disks.T))
     assert 0.3 < disk < 3.0  # the order of an arcsecond
     assert np.median(np.hypot(*scans.T)) * BETTER < disk
@@ -97,6 +96,11 @@ def _check(scans, disks, dec_arcsec=DEC_ARCSEC):
 
 @pytest.mark.slow
 def test_ten_mottled_maps(pluto):
+    """The paper's errors are those of one picture; of ten surfaces, the rms is held beside that of declination.
+
+    The law, the PSF and the albedo's strength are unknowns of the scans: each of ten within 0.03 arcsec would ask for a
+    sigma of 0.012; theirs is 0.04.
+    """
     _check(*_table(pluto, [AlbedoMap(mottled_map(seed, 0.2, 0.8)) for seed in range(1, 11)]))
 
 
@@ -107,6 +111,6 @@ def test_the_published_map_of_hubble(pluto, data_dir):
     with Image.open(data_dir / "maps" / "hs-2010-06-g-full_jpg.jpg") as published:
         gray = np.asarray(published.convert("L").resize((768, 384))) / 255.0
     maps = [AlbedoMap(0.1 + 0.7 * gray, first_longitude_deg=east) for east in (0.0, 90.0)]
-    _check(
-        *_table(pluto, maps), 1.7 * DEC_ARCSEC
-    )  # of two maps: their rms exceeds that of many by 1.7 in 1 of 20 cases
+    scans, disks = _table(pluto, maps)
+    _check(scans, disks)
+    assert np.abs(scans[:, 1]).max() < DEC_ARCSEC
