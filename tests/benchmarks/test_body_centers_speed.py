@@ -16,7 +16,7 @@ from opnav_workbench.bodies import (
 )
 from opnav_workbench.camera import Camera
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.render import BodyModel, render_bodies
+from opnav_workbench.render import BodyModel, FigureUncertainty, render_bodies
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.stars import NoiseModel
 from opnav_workbench.targets import TargetState
@@ -24,6 +24,9 @@ from opnav_workbench.targets import TargetState
 NOISE_DN, GAIN, PEAK_DN = 3.0, 22.0, 1200.0
 TRUE_PX, OFF_PX = (511.3, 508.8), (4.2, -3.7)
 RADIUS_KM = 1188.3
+KNOWN = FigureUncertainty(
+    5e-5, 5e-5, 5e-5, law_sigma=0.02
+)  # what is drawn is a sphere of this size, and Lambert's
 # A center costs a search and few renderings: these bounds hold on a busy machine, and fail where a fit renders for every
 # parameter and step (a general solver: 25 and more).
 MAX_RENDERINGS = 15.0
@@ -35,7 +38,8 @@ def picture_of(diameter_px):
     toward = camera.unproject(np.array([TRUE_PX]))[0]
     distance = 2.0 * RADIUS_KM / (diameter_px * camera.pixel_scale_rad)
     sun = 4.9e9 * np.array([np.sin(0.7), 0.0, np.cos(0.7)])
-    model = BodyModel(TargetState("PLUTO", toward * distance, radii_km=[RADIUS_KM] * 3, sun_position_km=sun))
+    target = TargetState("PLUTO", toward * distance, radii_km=[RADIUS_KM] * 3, sun_position_km=sun)
+    model = BodyModel(target, figure=KNOWN)
     psf = GaussianPsf(0.8, 0.8)
     light = render_bodies([model], camera, np.eye(3), np.zeros(3), psf=psf, sunlight_e=1e15).electrons
     signal = PEAK_DN * light / light.max()

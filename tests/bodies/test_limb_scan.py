@@ -17,7 +17,7 @@ TRIAXIAL = (1.0, 0.85, 0.7)
 PEAK_DN = 500.0  # with 3 DN of noise: 115 sigma
 # Size, axes and law that nobody knows better than at a first approach move a center seen from one side by tenths of a pixel,
 # and sigma says so; how well the scans themselves do shows where they are known, as they are of these simulated bodies.
-KNOWN = FigureUncertainty(0.001, 0.001, 0.001, law_sigma=0.05)
+KNOWN = FigureUncertainty(2e-4, 2e-4, 2e-4, law_sigma=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,10 @@ def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
 
 @pytest.mark.slow
 def test_a_mottled_surface_does_not_move_the_center(body_stage):
-    """An albedo of 0.2 rms, of which nothing is known but what this limb shows; figure and law are stated, as they are."""
+    """An albedo of 0.2 rms, of which nothing is known but what this limb shows; figure and law are stated, as they are.
+
+    What is left is as for a wrong law: the albedo's strength is an unknown, and a coordinate has a sigma of 0.06 px.
+    """
     errors = []
     for seed in (1, 2):
         model = body_stage.body(100.0, 15.0, PLACE, law=LunarLambert(0.5), figure=KNOWN)
@@ -75,7 +78,7 @@ def test_a_mottled_surface_does_not_move_the_center(body_stage):
         error = center.pixel_line - PLACE
         errors.append(error)
         assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
-    assert np.abs(errors).max() < 0.05
+    assert np.abs(errors).max() < 0.07
 
 
 @pytest.mark.slow(keep=["70.0-60.0-law3-taken3"])

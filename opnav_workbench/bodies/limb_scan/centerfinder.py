@@ -70,8 +70,9 @@ def find_limb_scan(
     -------
     BodyCenter
         `detail` is a `LimbScans`: every scan with its offset and the reason why it was used or not. Status ``ok`` where
-        the likelihood of the whole disk and the crossings of the limb confirm the center; ``uncertain`` (see its messages); ``not_detected``,
-        ``off_detector``, ``saturated`` or ``failed`` without a center. `diameter_px` is measured with the same scans.
+        the likelihood of the whole disk and the crossings of the limb confirm the center; ``uncertain`` (see its
+        messages); ``not_detected``, ``off_detector``, ``saturated`` or ``failed`` without a center. `diameter_px` is
+        measured with the same scans.
 
     Raises
     ------
