@@ -215,9 +215,13 @@ class LunarLambert(ScatteringLaw):
         if np.ndim(self.lunar_weight) == 0:
             self._require(0.0 <= powers[0] <= 1.0, "lunar_weight", "a constant lies within 0..1")
 
-    def _lit(self, mu0: FloatArray, mu: FloatArray, phase_rad: FloatArray) -> FloatArray:
+    def share(self, phase_rad: float | FloatArray) -> FloatArray:
+        """Return Lommel-Seeliger's share at phase angles."""
         powers = np.atleast_1d(np.asarray(self.lunar_weight, dtype=np.float64))
-        share = np.clip(np.polynomial.polynomial.polyval(np.degrees(phase_rad), powers), 0.0, 1.0)
+        return np.asarray(np.clip(np.polynomial.polynomial.polyval(np.degrees(phase_rad), powers), 0.0, 1.0))
+
+    def _lit(self, mu0: FloatArray, mu: FloatArray, phase_rad: FloatArray) -> FloatArray:
+        share = self.share(phase_rad)
         return np.asarray(mu0 * (2.0 * share / (mu0 + mu) + 1.0 - share))
 
 

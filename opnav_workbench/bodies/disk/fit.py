@@ -9,7 +9,7 @@ brightness, background and its slopes   none
 center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
 size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
 axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
-law                                     powers of 2 / (mu0 + mu) and mu0 mu: `BodyModel.figure`, `UNKNOWN_LAW`, `GIVEN_LAW`
+law                                     share of Lommel-Seeliger, power of mu0 mu: `FigureUncertainty`, `UNKNOWN_LAW`, `GIVEN_LAW`
 PSF                                     variance and wings: `BodyPicture.psf_width_sigma`, `WING_SIGMA`
 
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
@@ -30,7 +30,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
     gathered,
     limb_pixels,
 )
-from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
+from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import RELIEF_RAD, BodyPlace
@@ -53,9 +53,10 @@ DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
 SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
-# Mean and sigma of the first power, sigma of the second.
+# Mean and sigma of Lommel-Seeliger's share beyond the law's own, sigma of the power of mu0 mu.
 UNKNOWN_LAW, GIVEN_LAW = (0.5, 0.5, 0.2), (0.0, 0.3, 0.2)
 MINNAERT_SHARE = GIVEN_LAW[2] / GIVEN_LAW[1]  # where the first is stated
+LAW_BOUNDS = np.array([[-0.1, -0.4], [1.5, 0.4]])  # of the whole share, and of the power
 WING_SIGMA = 0.15
 MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
 MOST_HALVINGS = 3
@@ -151,7 +152,7 @@ class DiskShape:
     strain : (5,) array
         As `opnav_workbench.bodies.strained.STRAINS`; the first two change the outline's radius as cos 2a and sin 2a.
     law : (2,) array
-        Powers of 2 / (mu0 + mu) and of mu0 mu.
+        As `opnav_workbench.bodies.disk.limb_light.limb_light` has it.
     blur_px2
         Variance of the PSF along each axis beyond its own.
     rough_px : (j,) array
@@ -362,6 +363,8 @@ class _DiskProblem:
         self.can_be_strained = can_be_strained(model)
         self.figure: FigureUncertainty = model.figure
         self.law_prior = _law_prior(model)
+        own = own_share(model.law, float(picture.phase_rad(name)))
+        self.law_bounds = LAW_BOUNDS - [own, 0.0]
         self.psf_px = float(np.max(picture.psf.sigma_px))
         self.psf_variance_px2 = self.psf_px**2 + PIXEL_VARIANCE_PX2
         inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
@@ -419,7 +422,7 @@ class _DiskProblem:
 
 
 def _law_prior(model: BodyModel) -> tuple[float, float, float]:
-    """Return mean and sigma of the first power of a body's law, and the sigma of the second."""
+    """Return mean and sigma of what a body's law has more of Lommel-Seeliger's, and the sigma of its power."""
     stated = model.figure.law_sigma
     if stated is not None:
         return 0.0, stated, MINNAERT_SHARE * stated
@@ -457,10 +460,6 @@ def fit_disk(
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
     return _Fitter(problem, shape, start, prior).run()
-
-
-def _bounded(law: FloatArray) -> FloatArray:
-    return np.clip(law, [-0.4, -0.4], [1.6, 0.4])
 
 
 class _LinearDisk(NamedTuple):
@@ -603,7 +602,7 @@ class _Fitter:
         radius = 0.5 * self.problem.picture.diameter_px(self.problem.name)
         length = max(float(np.hypot(*center)), radius * abs(float(size)))
         part = most * min(1.0, LONGEST_PX / max(length, 1e-12))
-        law = _bounded(theta[SHARES])
+        law = np.clip(theta[SHARES], *self.problem.law_bounds)
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),

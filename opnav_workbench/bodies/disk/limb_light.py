@@ -10,8 +10,9 @@ dimension for some directions replace the rendering of the whole disk. The curva
 a cell of the PSF at t along the limb sees the surface t^2 / 2R deeper than one that lies on the ray. Disks that are not
 much wider than the PSF are spread in two dimensions instead, and tabulated then.
 
-Law     Lommel-Seeliger's law is Lambert's times 2 / (mu0 + mu), Minnaert's has powers of mu0 and mu. Powers of 2 / (mu0 +
-        mu) and of mu0 mu times the body's own law make up for one that it does not have.
+Law     A mixture of Lambert's law and Lommel-Seeliger's, which is Lambert's times 2 / (mu0 + mu), is what is fitted to the
+        laws of surfaces (McEwen 1991, doi:10.1016/0019-1035(91)90053-V); Minnaert's has powers of mu0 and mu. Another
+        share in the mixture, and a power of mu0 mu, make up for a law that the body does not have.
 Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies at the limb is foreshortened, and the
         albedo of a body varies over arcs of its surface, not over pixels.
 """
@@ -30,10 +31,10 @@ from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.psf import Psf
-from opnav_workbench.render import BodyModel
+from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "limb_light"]
+__all__ = ["PLANES", "LimbLight", "limb_light", "own_share"]
 
 PLANES = (
     "light", "by_depth", "by_angle", "blur", "wings", "halo",
@@ -50,6 +51,7 @@ PLANE_STEPS = 2  # of depth: the grid's
 GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
+OTHER_SHARE = 0.5  # of Lommel-Seeliger in a law of another kind
 GRAZING = 0.1  # least cosine to the line of sight, for the point that a ray meets under a strain
 COSINE_STEP = 1e-3
 # In squares of a step: how much wider light becomes that fills a cell, is looked up linearly in depth, or is given to the
@@ -149,7 +151,7 @@ def limb_light(
     node_rad : (k,) array
         Arcs from the limb at which the albedo has nodes, from 0 upward.
     law : (2,) array
-        Powers of 2 / (mu0 + mu) and of mu0 mu times the body's own law.
+        Lommel-Seeliger's share beyond the body's own, `own_share`, and the power of mu0 mu.
     blur_px2
         Variance of the PSF along each axis, beyond its own.
     fine
@@ -215,12 +217,13 @@ def _light_changes(
     camera, sun = (_toward(place, met.point) for place in (body.camera_km, body.sun_km))
     mu0, mu = (np.einsum("in,in->n", normal, side) for side in (sun, camera))
     lit = (shine > 0.0) & (mu0 > 0.0) & (mu > 0.0)
-    low = np.maximum(np.stack([mu0, mu]), DARKEST)
-    logs = np.stack([np.log(2.0 / np.maximum(mu0 + mu, DARKEST)), np.log(low[0] * low[1])])
-    weight = np.where(lit, shine, 0.0)
-    logs -= (logs @ weight)[:, None] / max(float(weight.sum()), np.finfo(float).tiny)
-    light = np.where(lit, shine * np.exp(law @ logs), 0.0)
-    rows = [light, *(light * logs)]
+    share = own_share(body.model.law, body.phase_rad)
+    plain = np.where(lit, shine * _law_factor(mu0, mu, law, share) / _of_mixture(mu0, mu, share), 0.0)
+    total = max(float(plain.sum()), np.finfo(float).tiny)
+    light = plain * (float(np.sum(shine, where=lit)) / total)  # the brightness is another unknown
+    mixed = _of_mixture(mu0, mu, share + law[0])
+    changes = [(_seeliger(mu0, mu) - 1.0) / mixed, np.log(np.maximum(mu0, DARKEST) * np.maximum(mu, DARKEST))]
+    rows = [light, *(light * (change - float(change @ plain) / total) for change in changes)]
     by_mu0, by_mu = _slopes(body, mu0, mu, law)
     scale = np.where(lit, light / np.maximum(_law_value(body, mu0, mu, law), 1e-9), 0.0)
     for lean in _leans(picture, body, center_px, met.point, normal):
@@ -263,11 +266,32 @@ def _leans(
     return [lean - normal * np.einsum("in,in->n", normal, lean) for lean in leans]
 
 
-def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
+def own_share(law: ScatteringLaw, phase_rad: float) -> float:
+    """Return Lommel-Seeliger's share in a law; half of laws of another kind."""
+    if isinstance(law, LunarLambert):
+        return float(law.share(phase_rad))
+    return {Lambert: 0.0, LommelSeeliger: 1.0}.get(type(law), OTHER_SHARE)
+
+
+def _seeliger(mu0: FloatArray, mu: FloatArray) -> FloatArray:
+    """Return Lommel-Seeliger's law over Lambert's."""
+    return np.asarray(2.0 / np.maximum(mu0 + mu, 2.0 * DARKEST))
+
+
+def _of_mixture(mu0: FloatArray, mu: FloatArray, share: float) -> FloatArray:
+    """Return a mixture of both laws over Lambert's."""
+    return np.maximum(1.0 + share * (_seeliger(mu0, mu) - 1.0), DARKEST)
+
+
+def _law_factor(mu0: FloatArray, mu: FloatArray, law: FloatArray, share: float) -> FloatArray:
     low, high = np.maximum(mu0, DARKEST), np.maximum(mu, DARKEST)
-    phase = np.full_like(mu0, body.phase_rad)
+    return np.asarray(_of_mixture(mu0, mu, share + law[0]) * (low * high) ** law[1])
+
+
+def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
+    phase, share = np.full_like(mu0, body.phase_rad), own_share(body.model.law, body.phase_rad)
     value = body.model.law.reflectance(np.maximum(mu0, 0.0), np.maximum(mu, 1e-6), phase)
-    return np.asarray(value * (2.0 / (low + high)) ** law[0] * (low * high) ** law[1])
+    return np.asarray(value * _law_factor(mu0, mu, law, share) / _of_mixture(mu0, mu, share))
 
 
 def _slopes(
