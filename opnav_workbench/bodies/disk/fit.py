@@ -9,7 +9,7 @@ brightness, background and its slopes   none
 center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
 size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
 axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
-law                                     share of Lommel-Seeliger, power of mu0 mu: `FigureUncertainty`, `UNKNOWN_LAW`, `GIVEN_LAW`
+law                                     share of Lommel-Seeliger, power of mu0 mu: `FigureUncertainty`, `UNKNOWN_LAW` or given
 PSF                                     variance and wings: `BodyPicture.psf_width_sigma`, `WING_SIGMA`
 
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
@@ -566,7 +566,7 @@ class _Fitter:
                 self.shape, self.brightness, self.piece_albedo = before
             length = self._move(start, 0.5**halving)
             self._solve()
-            if self.linear.solution.held_chi2 < start.held_chi2 + GROWTH or length < STILL_PX:
+            if self.linear.solution.held_cost < start.held_cost + GROWTH or length < STILL_PX:
                 break
         if not self.made.light.fine and self._stale(NEW):
             self._tabulate_or_return()

@@ -73,6 +73,9 @@ class MarginalSolution:
         y^T C^-1 y at the solution.
     held_chi2
         The same with those of theta that were to be held, at the values given.
+    width
+        Logarithm of the determinant of what field and grain add to the noise: with chi-squared it says which of two
+        models of the same cells is the likelier, however wide they take their own errors to be.
     """
 
     log_likelihood: float
@@ -81,6 +84,12 @@ class MarginalSolution:
     nodes: FloatArray
     chi2: float
     held_chi2: float
+    width: float
+
+    @property
+    def held_cost(self) -> float:
+        """Minus twice the logarithm of the likelihood with what is held, but for a constant of the cells."""
+        return self.held_chi2 + self.width
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -182,8 +191,10 @@ class LimbSystem:
         whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
         held_chi2 = chi2 if held is None else _held(normal, right, whole, held)
         used = weight > 0.0
+        field_width = 2.0 * float(np.log(np.diag(factor)).sum())
+        grain_width = float(np.log1p((prior.grain * self.light[used]) ** 2 / self.variance[used]).sum())
         log_determinants = (
-            2.0 * float(np.log(np.diag(factor)).sum())
+            field_width
             - float(np.log(weight[used]).sum())
             + float(np.log(value).sum())
             - 2.0 * float(np.log(scale).sum())
@@ -191,7 +202,13 @@ class LimbSystem:
         rest = cross[:, p] - cross[:, :p] @ theta
         nodes = field @ rest - spread.T @ linalg.cho_solve((factor, True), spread @ rest, check_finite=False)
         return MarginalSolution(
-            -0.5 * (chi2 + log_determinants), theta, covariance, nodes.reshape(j, q), chi2, held_chi2
+            -0.5 * (chi2 + log_determinants),
+            theta,
+            covariance,
+            nodes.reshape(j, q),
+            chi2,
+            held_chi2,
+            field_width + grain_width,
         )
 
 
