@@ -56,7 +56,7 @@ SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigma
 # Mean and sigma of Lommel-Seeliger's share beyond the law's own, sigma of the power of mu0 mu.
 UNKNOWN_LAW, GIVEN_LAW = (0.5, 0.5, 0.2), (0.0, 0.3, 0.2)
 MINNAERT_SHARE = GIVEN_LAW[2] / GIVEN_LAW[1]  # where the first is stated
-LAW_BOUNDS = np.array([[-0.1, -0.4], [1.5, 0.4]])  # of the whole share, and of the power
+LAW_BOUNDS = np.array([[-0.1, -0.6], [1.5, 0.6]])  # of the whole share, and of the power
 WING_SIGMA = 0.15
 MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
 MOST_HALVINGS = 3
