@@ -9,7 +9,7 @@ brightness, background and its slopes   none
 center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
 size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
 axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
-law                                     share of Lommel-Seeliger, power of mu0 mu: `FigureUncertainty`, `UNKNOWN_LAW` or given
+law                                     Lommel-Seeliger share, power of mu0 mu: `FigureUncertainty`, `UNKNOWN_LAW` or given
 PSF                                     variance and wings: `BodyPicture.psf_width_sigma`, `WING_SIGMA`
 
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
