@@ -435,7 +435,7 @@ class DiskReading:
     strain : (2,) array
         Relative change of the outline's radius as cos 2a and sin 2a, a from +pixel toward +line.
     law_shares : (2,) array
-        Powers of 2 / (mu0 + mu) and of mu0 mu that its light has beside the model's law.
+        What its light has beside the model's law: share of Lommel-Seeliger's in a mixture with Lambert's, power of mu0 mu.
     albedo_sigma, albedo_length_rad
         Relative scatter of the albedo along the limb, and the arc over which it is correlated.
     limb_roughness_px

@@ -197,7 +197,7 @@ def test_nothing_there_saturated_or_not_a_body(body_stage, sphere):
 
 
 def test_an_occulted_limb_is_left_out(body_stage):
-    far = body_stage.body(80.0, 20.0, PLACE)
+    far = body_stage.body(80.0, 20.0, PLACE, figure=FigureUncertainty(law_sigma=0.02))  # Lambert's, as drawn
     near = body_stage.body(30.0, 20.0, (PLACE[0] + 30.0, PLACE[1] + 26.0), name="MOON", range_share=0.5)
     light = body_stage.light(far, near)
     picture = body_stage.picture(light, [far, near], np.random.default_rng(1))
