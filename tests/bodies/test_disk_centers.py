@@ -81,7 +81,9 @@ def test_centers_of_a_few_pixels_know_what_they_do_not_see(sample):
 def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):
     """The camera's response is unknown, and so is how bright the nearer body is: its pixels do not count."""
     place = np.array([500.3, 480.7])
-    far = body_stage.body(80.0, 20.0, place, figure=FigureUncertainty(law_sigma=0.02))  # Lambert's, as drawn
+    far = body_stage.body(
+        80.0, 20.0, place, figure=FigureUncertainty(0.01, 0.002, 5e-4, 0.02, 0.02)
+    )  # as drawn
     near = body_stage.body(30.0, 20.0, np.add(place, (30.0, 26.0)), name="MOON", range_share=0.5)
     picture = body_stage.picture(body_stage.light(far, near), [far, near], np.random.default_rng(1))
     center = find_disk(picture, "BODY")

@@ -197,7 +197,9 @@ def test_nothing_there_saturated_or_not_a_body(body_stage, sphere):
 
 
 def test_an_occulted_limb_is_left_out(body_stage):
-    far = body_stage.body(80.0, 20.0, PLACE, figure=FigureUncertainty(law_sigma=0.02))  # Lambert's, as drawn
+    far = body_stage.body(
+        80.0, 20.0, PLACE, figure=FigureUncertainty(0.01, 0.002, 5e-4, 0.02, 0.02)
+    )  # as drawn
     near = body_stage.body(30.0, 20.0, (PLACE[0] + 30.0, PLACE[1] + 26.0), name="MOON", range_share=0.5)
     light = body_stage.light(far, near)
     picture = body_stage.picture(light, [far, near], np.random.default_rng(1))
