@@ -133,7 +133,7 @@ ANSWERS = {
             "h = np.radians(30)\nanswer_3 = (2 * h + np.sin(2 * h)) / (2 * h - np.sin(2 * h))",
             "variances",
         ),
-        ("answer_4 = range(60, 180, 5)", "answer_4 = range(100, 110)", "Spread the scans"),
+        ("answer_4 = range(84, 166, 5)", "answer_4 = range(100, 110)", "Spread the scans"),
     ],
     "05_partials": [
         ("answer_1 = 2_533_159 * camera.pixel_scale_rad", "answer_1 = 0.0796", "pixels per kilometer"),
