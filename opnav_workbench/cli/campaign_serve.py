@@ -19,7 +19,6 @@ from opnav_workbench.campaign import ARCHIVE_FILE, Campaign
 from opnav_workbench.cli.terminal import shown
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.headless.notebook_run import notebook_html
-from opnav_workbench.report.campaign_pages import CampaignPages
 
 __all__ = ["CampaignServer", "serve"]
 
@@ -53,6 +52,8 @@ class CampaignServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, campaign: Campaign, port: int = 0) -> None:
+        from opnav_workbench.report.campaign_pages import CampaignPages  # noqa: PLC0415  templates load in a second
+
         self.pages = CampaignPages(campaign)
         try:
             super().__init__((HOST, port), _Answer)

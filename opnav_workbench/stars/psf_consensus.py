@@ -173,6 +173,7 @@ def fit_stars(
 
 TEACHING_SNR = 15.0
 MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest say it all
+MIN_BLIND_TEACHERS = 8  # where no misfit is seen: fewer would learn noise, at a third more of their own error
 UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
 COMMON_SHAPE_SIGMA = (
     0.01  # of its log scale and ellipticity from star to star: what they seem to scatter by is phase
@@ -200,7 +201,8 @@ def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray
         return False
     chi2, freedom = centers.chi2_reduced[teachers], centers.degrees_of_freedom[teachers]
     excess = float(np.median((chi2 - 1.0) * np.sqrt(freedom / 2.0))) * np.sqrt(len(teachers))
-    return psf.sigma_px < UNDERSAMPLED_SIGMA_PX or excess > MISFIT_IN_SIGMAS
+    blind = psf.sigma_px < UNDERSAMPLED_SIGMA_PX and len(teachers) >= MIN_BLIND_TEACHERS
+    return blind or excess > MISFIT_IN_SIGMAS
 
 
 def _combine_parameter(

@@ -221,4 +221,4 @@ def test_table_1_from_a_real_picture(data_dir, tmp_path):
     assert found["Algorithm"].tolist() == ["Matched Filter", "Cross Correlation", "Least Squares"]
     for axis in ("Pixel", "Line"):
         assert np.abs(found[f"{axis} difference"]).max() < 0.4  # px
-    assert found.meta["chi2_reduced"] > 1.3  # no Gaussian
+    assert 0.8 < found.meta["chi2_reduced"] < 1.3  # no Gaussian, but what it leaves is learned from its stars

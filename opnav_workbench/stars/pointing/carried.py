@@ -184,9 +184,10 @@ def carry_attitude(
     if freedom and chdtrc(freedom, chi2) < LEAST_PROBABILITY:
         apart = left.reshape(-1, 3)
         spread = spread * (chi2 / freedom) + apart.T @ apart / len(apart)
+    found = rotation_from_vector(axes @ error) @ axes
     return CarriedAttitude(
-        camera_from_j2000=rotation_from_vector(axes @ error) @ axes,
-        covariance_rad2=symmetric(axes @ spread @ axes.T),
+        camera_from_j2000=found,
+        covariance_rad2=symmetric(found @ spread @ found.T),
         images=tuple(n.image for n in ordered),
         after_s=after_s,
         chi2=chi2,
