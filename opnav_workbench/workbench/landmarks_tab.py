@@ -17,7 +17,7 @@ from opnav_workbench.templating import png_url
 from opnav_workbench.workbench.actions import LANDMARK_MENU, LANDMARK_REASONS, Action, ActionRegistry
 from opnav_workbench.workbench.markup import PagePicture, render
 from opnav_workbench.workbench.stretch import gray_png
-from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
+from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab, next_of
 from opnav_workbench.workbench.viewer import Layer
 
 __all__ = ["LandmarksTab"]
@@ -400,8 +400,7 @@ class LandmarksTab(Tab):
 
     def _go_open(self, *, quiet: bool = False) -> None:
         ids, left = self.ids, set(self._open())
-        at = ids.index(self.focused) if ids else 0
-        following = next((one for one in ids[at + 1 :] + ids[: at + 1] if one in left), None)
+        following = next_of(ids, self.focused, left) if ids else None
         if following is not None:
             self._go_to(following)
         elif not quiet:

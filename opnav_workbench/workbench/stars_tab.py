@@ -23,7 +23,7 @@ from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_RE
 from opnav_workbench.workbench.markup import PagePicture, render
 from opnav_workbench.workbench.plots import ResidualPlots, StarResiduals, residual_plots, star_residuals
 from opnav_workbench.workbench.stretch import RESIDUAL_SIGMAS, gray_png, residual_png
-from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
+from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab, next_of
 
 __all__ = ["StarsTab"]
 
@@ -509,9 +509,7 @@ class StarsTab(Tab):
         ids, undecided = self.ids, set(self.runner.undecided())
         if not ids:
             return
-        start = ids.index(after if after in ids else self._star_or_raise())
-        order = ids[start + 1 :] + ids[: start + 1]
-        found = next((star for star in order if star in undecided), None)
+        found = next_of(ids, after if after in ids else self._star_or_raise(), undecided)
         if found is None:
             self.runner.status.say("no star is undecided.")
             return

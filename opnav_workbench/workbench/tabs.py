@@ -9,7 +9,7 @@ takes both back.
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,6 +33,7 @@ __all__ = [
     "StepRunner",
     "Tab",
     "entry_words",
+    "next_of",
     "typed_number",
 ]
 
@@ -427,6 +428,12 @@ class StepRunner:
         if pointing is None:
             return "no pointing is solved: the a priori one stands."
         return f"pointing: {pointing.rests_on}; moved {pointing.delta_pixel:+.2f} px, {pointing.delta_line:+.2f} lines."
+
+
+def next_of(ids: Sequence[str], here: str, wanted: Collection[str]) -> str | None:
+    """Return the next wanted one after `here`, from the end on to the beginning; None without one."""
+    start = ids.index(here) + 1
+    return next((one for one in (*ids[start:], *ids[:start]) if one in wanted), None)
 
 
 def entry_words(entry: JournalEntry) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.rehearsal import DEMO_KERNELS
+from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_MISSION
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation.truth import Truth
 from opnav_workbench.workbench.controller import WorkbenchController
@@ -119,6 +119,21 @@ def _open_quickly(backgrounds_once: None) -> None:
 def kernels() -> Iterator[None]:
     with KernelSet(DEMO_KERNELS):
         yield
+
+
+@pytest.fixture(scope="module")
+def solved_sessions(demo_truths: tuple[Truth, Truth]) -> list[ImageSession]:
+    """Both demo pictures, their pointing solved, Pluto among the targets."""
+    opened = []
+    with KernelSet(DEMO_KERNELS):
+        for truth in demo_truths:
+            session = ImageSession.open(truth.picture, DEMO_MISSION)
+            session.add_target("PLUTO")
+            session.predict()
+            session.find_stars()
+            session.repoint()
+            opened.append(session)
+    return opened
 
 
 @pytest.fixture

@@ -6,32 +6,15 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.kernels import KernelSet
-from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_MISSION
-from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, ActionRegistry
 from opnav_workbench.workbench.image_view import ImageView
 from opnav_workbench.workbench.view_models import THEMES
 from opnav_workbench.workbench.viewer import Layer, Viewer
 
 
-@pytest.fixture(scope="module")
-def sessions(demo_truths):
-    opened = []
-    with KernelSet(DEMO_KERNELS):
-        for truth in demo_truths:
-            session = ImageSession.open(truth.picture, DEMO_MISSION)
-            session.add_target("PLUTO")
-            session.predict()
-            session.find_stars()
-            session.repoint()
-            opened.append(session)
-    return opened
-
-
 @pytest.fixture
-def view(sessions):
-    return ImageView(sessions[0])
+def view(solved_sessions):
+    return ImageView(solved_sessions[0])
 
 
 def pixels(view, key="data"):
@@ -45,31 +28,33 @@ def test_view_serves_the_workbench(view):
     ActionRegistry([*WORKBENCH_ACTIONS, *VIEW_ACTIONS])  # no key means two things
 
 
-def test_pixels_are_exact(view, sessions):
-    np.testing.assert_allclose(pixels(view), sessions[0].context.picture.image_dn, rtol=1e-7, atol=1e-7)
+def test_pixels_are_exact(view, solved_sessions):
+    np.testing.assert_allclose(
+        pixels(view), solved_sessions[0].context.picture.image_dn, rtol=1e-7, atol=1e-7
+    )
 
 
 @pytest.mark.slow
-def test_another_picture_begins_as_pictures_do(view, sessions):
+def test_another_picture_begins_as_pictures_do(view, solved_sessions):
     """How one picture was looked at is not the next one's; a body of 1 px has a mark; a blank view has none."""
     points = view.models.sources["body_point"].data
     assert len(points["pixel"]) == 1
     view.state.update(contrast=3.0, bias=0.2, limits="manual", low=5.0, high=6.0, stretch="log")
-    view.show(sessions[1])
+    view.show(solved_sessions[1])
     assert (view.state.contrast, view.state.bias, view.state.limits) == (1.0, 0.5, "sky")
     assert view.state.stretch == "log"  # a habit, not of one picture
     view.blank("next.fit cannot be opened")
     assert view.state.message == "next.fit cannot be opened"
     assert not any(len(column) for source in view.models.sources.values() for column in source.data.values())
     assert np.ptp(pixels(view)) == 0
-    view.show(sessions[0])
+    view.show(solved_sessions[0])
     assert view.state.message == ""
     assert np.ptp(pixels(view)) > 0
 
 
 @pytest.mark.slow
-def test_vectors_are_drawn_long_enough_until_the_analyst_takes_a_scale(view, sessions):
-    view.show(sessions[0])
+def test_vectors_are_drawn_long_enough_until_the_analyst_takes_a_scale(view, solved_sessions):
+    view.show(solved_sessions[0])
     own = view.state.vector_scale
     assert own > 1.0
     view.refresh()
@@ -104,7 +89,7 @@ def test_picture_of_another_size_is_refused(view):
 
 
 @pytest.mark.slow
-def test_home_shows_the_whole_square_or_all_lines_of_a_strip(view, sessions):
+def test_home_shows_the_whole_square_or_all_lines_of_a_strip(view, solved_sessions):
     x, y = view.models.x_range, view.models.y_range
     assert (x.start, x.end, y.start, y.end) == (
         -0.5,
@@ -112,21 +97,21 @@ def test_home_shows_the_whole_square_or_all_lines_of_a_strip(view, sessions):
         255.5,
         -0.5,
     )  # lines downwards, pixels as wide as high
-    view.show(sessions[1])
+    view.show(solved_sessions[1])
     assert y.start - y.end == pytest.approx(1.15 * 128)
     assert x.end - x.start == pytest.approx(3.0 * (y.start - y.end))
 
 
-def test_model_is_made_when_asked_for_and_again_after_a_step(view, sessions):
+def test_model_is_made_when_asked_for_and_again_after_a_step(view, solved_sessions):
     assert not json.loads(view.state.images)["model"]["ready"]
     view.state.image = "model"
     assert json.loads(view.state.images)["model"]["ready"]
     before = pixels(view, "model")
-    star = sessions[0].state.a_priori.id[0]
-    sessions[0].reject_stars([star], "test")
+    star = solved_sessions[0].state.a_priori.id[0]
+    solved_sessions[0].reject_stars([star], "test")
     view.refresh()
     assert pixels(view, "model") is not before
-    sessions[0].undo()
+    solved_sessions[0].undo()
     same = json.loads(view.state.images)
     assert same["model"]["limits"] == same["data"]["limits"]  # blinking then shows what differs
 
@@ -144,10 +129,10 @@ def test_refresh_that_changes_nothing_sends_nothing(view):
 
 
 @pytest.mark.slow
-def test_another_session_replaces_everything(view, sessions):
+def test_another_session_replaces_everything(view, solved_sessions):
     view.circle([10, 10], 5)
     view.layer("scans", Layer([(0, 0, 1, 1)], ["used"]))
-    view.show(sessions[1])
+    view.show(solved_sessions[1])
     assert pixels(view).shape == (128, 5024)
     assert json.loads(view.state.setup)["strip"]
     assert (

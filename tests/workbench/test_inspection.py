@@ -6,10 +6,7 @@ from scipy.ndimage import map_coordinates
 
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import apparent_direction, geometric_direction
-from opnav_workbench.kernels import KernelSet
 from opnav_workbench.psf import box_integrals
-from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_MISSION
-from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.exports import solved_wcs
 from opnav_workbench.workbench.inspection import compass_arrows, measure_aperture
 from opnav_workbench.workbench.laying import laid_over
@@ -71,25 +68,11 @@ def test_aperture_without_pixels_says_so():
         measure_aperture(image, np.hypot(*(np.indices((40, 40)) - 20)) > 4.9, (20.0, 20.0), 4.0)
 
 
-@pytest.fixture(scope="module")
-def solved(demo_truths, backgrounds_once):
-    opened = []
-    with KernelSet(DEMO_KERNELS):
-        for truth in demo_truths:
-            session = ImageSession.open(truth.picture, DEMO_MISSION)
-            session.add_target("PLUTO")
-            session.predict()
-            session.find_stars()
-            session.repoint()
-            opened.append(session)
-    return opened
-
-
 @pytest.mark.slow
-def test_compass_points_as_the_wcs_does(solved):
-    arrows = {name: np.array(way) for name, *way in compass_arrows(solved[0])}
+def test_compass_points_as_the_wcs_does(solved_sessions):
+    arrows = {name: np.array(way) for name, *way in compass_arrows(solved_sessions[0])}
     assert set(arrows) == {"N", "E", "Sun"}
-    camera, wcs = solved[0].context.camera, solved_wcs(solved[0])
+    camera, wcs = solved_sessions[0].context.camera, solved_wcs(solved_sessions[0])
     middle = 0.5 * (np.array([camera.n_pixel, camera.n_line]) - 1.0)
     ra, dec = wcs.all_pix2world(*middle, 0)
     for name, place in (("N", (ra, dec + 1e-3)), ("E", (ra + 1e-3 / np.cos(np.radians(dec)), dec))):
@@ -98,29 +81,29 @@ def test_compass_points_as_the_wcs_does(solved):
 
 
 @pytest.mark.slow
-def test_sun_stands_where_the_body_is_lit(solved):
+def test_sun_stands_where_the_body_is_lit(solved_sessions):
     """Light falls from the Sun's side: the terminator lies across the arrow."""
-    (arrow,) = (np.array(way) for name, *way in compass_arrows(solved[0]) if name == "Sun")
-    target, camera = solved[0].inputs.targets["PLUTO"], solved[0].context.camera
+    (arrow,) = (np.array(way) for name, *way in compass_arrows(solved_sessions[0]) if name == "Sun")
+    target, camera = solved_sessions[0].inputs.targets["PLUTO"], solved_sessions[0].context.camera
     sun = target.sun_position_km / np.linalg.norm(target.sun_position_km)
     points = [target.position_km, target.position_km + 1000.0 * sun]
     seen = apparent_direction(
-        np.array([p / np.linalg.norm(p) for p in points]), solved[0].inputs.observer.velocity_km_s
+        np.array([p / np.linalg.norm(p) for p in points]), solved_sessions[0].inputs.observer.velocity_km_s
     )
-    step = np.subtract(*camera.project(seen @ solved[0].camera_from_j2000.T)[::-1])
+    step = np.subtract(*camera.project(seen @ solved_sessions[0].camera_from_j2000.T)[::-1])
     assert arrow @ step / np.hypot(*step) == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.slow
-def test_image_laid_over_itself_is_itself(solved):
-    image = solved[0].context.picture.image_dn
-    np.testing.assert_array_equal(laid_over(solved[0], solved[0], "sky"), image)
-    np.testing.assert_array_equal(laid_over(solved[0], solved[0], "pixel"), image)
+def test_image_laid_over_itself_is_itself(solved_sessions):
+    image = solved_sessions[0].context.picture.image_dn
+    np.testing.assert_array_equal(laid_over(solved_sessions[0], solved_sessions[0], "sky"), image)
+    np.testing.assert_array_equal(laid_over(solved_sessions[0], solved_sessions[0], "pixel"), image)
 
 
 @pytest.mark.slow
-def test_image_is_laid_by_direction_or_by_pixel(solved):
-    onto, other = solved
+def test_image_is_laid_by_direction_or_by_pixel(solved_sessions):
+    onto, other = solved_sessions
     by_pixel = laid_over(other, onto, "pixel")
     np.testing.assert_array_equal(by_pixel[:128], other.context.picture.image_dn[:, :256])
     assert np.isnan(by_pixel[128:]).all()

@@ -11,7 +11,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 
-__all__ = ["LimbPixels", "cell_of", "depth_edges", "gathered", "limb_pixels"]
+__all__ = ["LimbPixels", "cell_of", "depth_edges", "gathered", "limb_pixels", "piece_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +94,14 @@ def depth_edges(inward_px: float, outward_px: float, sharp_px: float) -> FloatAr
     return np.concatenate([inner[:0:-1], near, outer[1:]])
 
 
+def piece_of(angle_rad: FloatArray, pieces: int) -> IntArray:
+    """Return the piece of limb (n,) at each angle."""
+    return np.asarray(np.floor(np.mod(angle_rad, TURN) * (pieces / TURN)).astype(np.int64) % pieces)
+
+
 def cell_of(pixels: LimbPixels, pieces: int, edges: FloatArray) -> IntArray:
     """Return the cell (n,) of each pixel."""
-    piece = np.floor(np.mod(pixels.angle_rad, TURN) * (pieces / TURN)).astype(np.int64) % pieces
+    piece = piece_of(pixels.angle_rad, pieces)
     depth = np.clip(np.searchsorted(edges, pixels.depth_px) - 1, 0, len(edges) - 2)
     return np.asarray(piece * (len(edges) - 1) + depth)
 

@@ -218,7 +218,7 @@ def _light_changes(
     mu0, mu = (np.einsum("in,in->n", normal, side) for side in (sun, camera))
     lit = (shine > 0.0) & (mu0 > 0.0) & (mu > 0.0)
     share = own_share(body.model.law, body.phase_rad)
-    plain = np.where(lit, shine * _law_factor(mu0, mu, law, share) / _of_mixture(mu0, mu, share), 0.0)
+    plain = np.where(lit, _with_law(shine, mu0, mu, law, share), 0.0)
     total = max(float(plain.sum()), np.finfo(float).tiny)
     light = plain * (float(np.sum(shine, where=lit)) / total)  # the brightness is another unknown
     mixed = _of_mixture(mu0, mu, share + law[0])
@@ -283,15 +283,18 @@ def _of_mixture(mu0: FloatArray, mu: FloatArray, share: float) -> FloatArray:
     return np.maximum(1.0 + share * (_seeliger(mu0, mu) - 1.0), DARKEST)
 
 
-def _law_factor(mu0: FloatArray, mu: FloatArray, law: FloatArray, share: float) -> FloatArray:
-    low, high = np.maximum(mu0, DARKEST), np.maximum(mu, DARKEST)
-    return np.asarray(_of_mixture(mu0, mu, share + law[0]) * (low * high) ** law[1])
+def _with_law(
+    light: FloatArray, mu0: FloatArray, mu: FloatArray, law: FloatArray, share: float
+) -> FloatArray:
+    """Return light (n,) by a law that has `share` of Lommel-Seeliger's as another makes it: `limb_light`."""
+    power = (np.maximum(mu0, DARKEST) * np.maximum(mu, DARKEST)) ** law[1]
+    return np.asarray(light * (_of_mixture(mu0, mu, share + law[0]) * power) / _of_mixture(mu0, mu, share))
 
 
 def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
     phase, share = np.full_like(mu0, body.phase_rad), own_share(body.model.law, body.phase_rad)
     value = body.model.law.reflectance(np.maximum(mu0, 0.0), np.maximum(mu, 1e-6), phase)
-    return np.asarray(value * _law_factor(mu0, mu, law, share) / _of_mixture(mu0, mu, share))
+    return _with_law(value, mu0, mu, law, share)
 
 
 def _slopes(

@@ -187,8 +187,8 @@ class LimbSystem:
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
         least = np.maximum(self.prior_precision, RIDGE * np.diag(plain)[:p])
         theta, covariance, value, scale = _solved(normal, right, least)
-        chi2 = float(information[p, p] + self.prior_precision @ self.prior_mean**2 - right @ theta)
         whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
+        chi2 = whole - float(right @ theta)
         held_chi2 = chi2 if held is None else _held(normal, right, whole, held)
         used = weight > 0.0
         field_width = 2.0 * float(np.log(np.diag(factor)).sum())

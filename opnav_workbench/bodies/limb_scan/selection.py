@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.disk.limb_cells import piece_of
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.limb_scan.fan import ScanFan
 from opnav_workbench.bodies.limb_scan.matching import ScanMatch
@@ -169,8 +170,7 @@ def _unevenness(disk: MeasuredDisk, fan: ScanFan) -> FloatArray:
     albedo = 1.0 + fit.solution.nodes[:, :-1] / fit.brightness_dn
     near = np.stack([np.roll(albedo, k, axis=0) for k in (-1, 0, 1)], axis=1).reshape(len(albedo), -1)
     rough = near.std(axis=1) / np.maximum(near.mean(axis=1), 0.1)
-    piece = (np.mod(fan.angle_rad, 2.0 * np.pi) * (len(albedo) / (2.0 * np.pi))).astype(np.int64)
-    return np.asarray(rough[piece % len(albedo)])
+    return np.asarray(rough[piece_of(fan.angle_rad, len(albedo))])
 
 
 def _even(fan: ScanFan, able: BoolArray, uneven: FloatArray) -> BoolArray:
