@@ -21,6 +21,7 @@ __all__ = [
     "Ellipse",
     "ellipse_from_conic",
     "limb_cone",
+    "limb_on_surface",
     "limb_points",
     "sphere_center_offset",
     "terminator_points",
@@ -100,8 +101,24 @@ def limb_points(
     """
     radii, rotation = _body(radii_km, camera_from_body)
     camera = _outside(position_km, radii, rotation, "camera")
-    points = _touching_circle(camera, _off_axis(camera), np.linspace(0.0, 2.0 * np.pi, n, endpoint=False))
-    return _directions(points - camera, radii, rotation)
+    return _directions(_limb(camera, n) - camera, radii, rotation)
+
+
+def limb_on_surface(
+    position_km: ArrayLike, radii_km: ArrayLike, camera_from_body: ArrayLike, n: int = 180
+) -> FloatArray:
+    """Return the points (n, 3) of an ellipsoid's surface, body-fixed km, where lines of sight touch it.
+
+    Parameters, order and errors as in `limb_points`.
+
+    Examples
+    --------
+    >>> on_limb = limb_on_surface([0, 0, 5], [3, 3, 3], np.eye(3), n=4)
+    >>> on_limb[:, 2].round(12) + 0.0
+    array([-1.8, -1.8, -1.8, -1.8])
+    """
+    radii, rotation = _body(radii_km, camera_from_body)
+    return np.asarray(_limb(_outside(position_km, radii, rotation, "camera"), n) * radii)
 
 
 def terminator_points(
@@ -264,6 +281,11 @@ def _touching_circle(viewer: FloatArray, start: FloatArray, angles: FloatArray) 
     inverse = 1.0 / float(np.linalg.norm(viewer))
     wheel = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
     return np.asarray(inverse * axis + np.sqrt(1.0 - inverse**2) * wheel)
+
+
+def _limb(camera: FloatArray, n: int) -> FloatArray:
+    """Return n points (n, 3) of the unit sphere once around its limb."""
+    return _touching_circle(camera, _off_axis(camera), np.linspace(0.0, 2.0 * np.pi, n, endpoint=False))
 
 
 def _off_axis(vector: FloatArray) -> FloatArray:

@@ -255,7 +255,7 @@ def rotation_from_vector(rotvec_rad: ArrayLike) -> FloatArray:
     >>> rotation_from_vector([0.0, 0.0, np.pi / 2]).round(12) @ [1.0, 0.0, 0.0]
     array([0., 1., 0.])
     """
-    vectors = np.asarray(rotvec_rad, float)
+    vectors = np.array(rotvec_rad, float)  # a copy: SciPy takes no read-only arrays
     matrices = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
     return np.asarray(matrices.reshape(*vectors.shape[:-1], 3, 3))
 

@@ -20,7 +20,7 @@ from opnav_workbench.bodies.judgement import (
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
 
-__all__ = ["METHOD", "find_disk"]
+__all__ = ["METHOD", "find_disk", "judged_disk"]
 
 METHOD = "disk"
 CROSSING_SHARE = 0.1
@@ -64,8 +64,11 @@ def find_disk(
     follow from the picture), size, axes, topography of the limb, scattering law, PSF and background.
     """
     disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
-    if isinstance(disk, BodyCenter):
-        return disk
+    return disk if isinstance(disk, BodyCenter) else judged_disk(disk, solve_range=solve_range)
+
+
+def judged_disk(disk: MeasuredDisk, *, solve_range: bool = True) -> BodyCenter:
+    """Return the center of a measured disk, read a second time and judged; parameters as of `find_disk`."""
     second = crossing_reading(disk, disk.fit.center_px, disk.fit.covariance_px2)
     reading = disk_reading(disk, METHOD, second)
     if second is not None:
