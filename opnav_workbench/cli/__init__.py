@@ -44,6 +44,8 @@ One module a command or group of commands; nothing else in the package imports t
     Maplets of a body: made from its shape, shown.
 ``catalog``
     Star catalogs: list, info, build, fetch, cone.
+``body``
+    ``opnav body solve``: a body from the pictures of an approach.
 ``calibrate``
     Camera and PSF from star frames.
 ``docs``

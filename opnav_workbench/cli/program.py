@@ -97,6 +97,11 @@ COMMANDS = {
         "landmarks_app",
         "Landmarks: make maplets of a body from its shape and albedo map, and show what a file of them holds.",
     ),
+    "body": CommandEntry(
+        "body",
+        "body_app",
+        "Bodies from sequences of pictures: size, axes, pole, spin, center of figure.",
+    ),
     "catalog": CommandEntry("catalog", "catalog_app", "Star catalogs: list, info, build, fetch, cone."),
     "calibrate": CommandEntry(
         "calibrate",

@@ -10,6 +10,8 @@ considered, by `observability` for what pictures determine, and by `triangulate`
     `filter_estimate`: square-root information filter and smoother, residuals on their way through it, data editing.
 ``stochastic``
     Accelerations, pointing and biases that change at random; constants of the model; what they leave in the state.
+``body``
+    A body from a sequence of pictures: size and axes, pole, spin, center of figure.
 ``square_root``
     Linear algebra of the square-root information filter and smoother.
 ``history``

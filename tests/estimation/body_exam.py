@@ -67,7 +67,9 @@ def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=4
     radii, period_h, (ra, dec) = BODIES[body]
     radii = np.array(radii)
     camera = lorri() if window is None else replace(lorri(), n_pixel=window, n_line=window)
-    rotation = BodyRotation(np.radians(ra), np.radians(dec), random.uniform(0.0, 6.28), 2.0 * np.pi / (period_h * 3600.0), EPOCH)
+    rotation = BodyRotation(
+        np.radians(ra), np.radians(dec), random.uniform(0.0, 6.28), 2.0 * np.pi / (period_h * 3600.0), EPOCH
+    )
     diameters = np.geomspace(*sizes, count)
     ranges = 2.0 * np.cbrt(np.prod(radii)) / (diameters * camera.pixel_scale_rad)
     speed = (ranges[0] - ranges[-1]) / arc_s
@@ -83,16 +85,20 @@ def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=4
     tilt = random.uniform(0.0, 2.0 * np.pi)
     step = np.array([np.radians(3.0) * np.cos(tilt), np.radians(3.0) * np.sin(tilt), np.radians(random.normal() * 5.0),
                      1e-3 * random.choice([-1.0, 1.0]) * rotation.rate_rad_s])  # fmt: skip
-    knowledge = BodyKnowledge(position_sigma_km=POSITION_SIGMA * ranges[-1], velocity_sigma_km_s=VELOCITY_SIGMA * speed)
+    knowledge = BodyKnowledge(
+        position_sigma_km=POSITION_SIGMA * ranges[-1], velocity_sigma_km_s=VELOCITY_SIGMA * speed
+    )
     state = np.concatenate([random.normal(size=3) * knowledge.position_sigma_km,
                             random.normal(size=3) * knowledge.velocity_sigma_km_s])  # fmt: skip
     surface = make_surface(family, contrast, 100.0, random, data_folder())
     pictures = []
     for k, (et, distance, diameter) in enumerate(zip(times, ranges, diameters, strict=True)):
-        position = distance * toward + 0.02 * distance * drift * (1.0 if k % 2 else 0.3)
+        position = distance * toward + 0.1 * ranges[-1] * drift  # a straight line: a path that bends would tell its scale
         pictures.append(_picture(k, et, position, diameter, camera, radii, rotation, sun, LAWS[law], phase, surface, offset,
                                  state, psf_error, random, seed))  # fmt: skip
-    return Sequence(tuple(pictures), rotation.turned(step), believed_radii, knowledge, rotation, radii, offset, state)
+    return Sequence(
+        tuple(pictures), rotation.turned(step), believed_radii, knowledge, rotation, radii, offset, state
+    )
 
 
 def _picture(k, et, position, diameter, camera, radii, rotation, sun, law, phase, surface, offset, state, psf_error, random,
@@ -191,7 +197,12 @@ def main():
                                  psf_error=given.psf_error, phase_deg=given.phase)  # fmt: skip
         begin = time.process_time()
         solution = solve_body_from_pictures(
-            sequence.pictures, NAME, sequence.believed, sequence.knowledge, radii_km=sequence.radii_km, passes=given.passes
+            sequence.pictures,
+            NAME,
+            sequence.believed,
+            sequence.knowledge,
+            radii_km=sequence.radii_km,
+            passes=given.passes,
         )
         score = scores(sequence, solution)
         good += passed(score)

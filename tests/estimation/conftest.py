@@ -4,8 +4,10 @@ The geometry is New Horizons' (facts: 13.78 km/s, 13 695 km miss, 15 degrees off
 here so that tests have closed forms.
 """
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from opnav_workbench.geometry import apparent_direction, camera_from_j2000, rade
 from opnav_workbench.observables import Observable, joint_covariance_px2, observe
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import TargetState
+
+sys.path.insert(0, str(Path(__file__).parent))  # the exam of a body is a script beside the tests
 
 ENCOUNTER_ET = 490146664.0
 ALONG = np.array([-0.036, -0.962, -0.2706])  # nearly the direction that New Horizons flew in

@@ -113,19 +113,23 @@ def spun_target(sighting: BodySighting, state: BodyState, position_km: FloatArra
     """Return the body of a state at a place: turned as when the light left, and of its size."""
     emitted = sighting.et - float(np.linalg.norm(position_km)) / SPEED_OF_LIGHT_KM_S
     turn = state.rotation.body_from_j2000(emitted)
-    return replace(
-        sighting.target, position_km=position_km, body_from_j2000=turn, radii_km=state.radii_km
-    )
+    return replace(sighting.target, position_km=position_km, body_from_j2000=turn, radii_km=state.radii_km)
 
 
-def seen_target(sighting: BodySighting, state: BodyState, transition: Transition, epoch_et: float) -> TargetState:
+def seen_target(
+    sighting: BodySighting, state: BodyState, transition: Transition, epoch_et: float
+) -> TargetState:
     """Return the body of a state as a picture sees it, about its center of mass."""
     correction = transition(epoch_et, sighting.et)[:3] @ state.state
     return spun_target(sighting, state, sighting.target.position_km + correction)
 
 
 def outline_rows(
-    sighting: BodySighting, reading: OutlineReading, state: BodyState, attitude: FloatArray, transition: FloatArray
+    sighting: BodySighting,
+    reading: OutlineReading,
+    state: BodyState,
+    attitude: FloatArray,
+    transition: FloatArray,
 ) -> Rows:
     """Return the five residuals of an outline; `attitude` is the error of the picture's, `transition` (3, 6).
 
@@ -145,7 +149,8 @@ def outline_rows(
         raise EstimationError(f"{sighting.image}: {error}") from error
     places = surface + state.offset_km
     view = (target, sighting.camera, turned, sighting.velocity_km_s)
-    gather, normal, gap = _gathered(reading, landmark_places(places, *view))
+    middle = landmark_places(state.offset_km[None], *view)[0]
+    gather, normal, gap = _gathered(reading, landmark_places(places, *view), middle)
     partials = _across(normal, landmark_partials(places, *view))
     across = _by_motion(sighting, target, state, partials, transition)
     across[:, RADII.columns] = partials.place_px_per_km * surface
@@ -158,7 +163,11 @@ def outline_rows(
 
 
 def landmark_rows(
-    sighting: BodySighting, reading: LandmarkReading, state: BodyState, attitude: FloatArray, transition: FloatArray
+    sighting: BodySighting,
+    reading: LandmarkReading,
+    state: BodyState,
+    attitude: FloatArray,
+    transition: FloatArray,
 ) -> Rows:
     """Return the 2 n residuals of landmarks, pixel and line of each in turn; parameters as of `outline_rows`."""
     target = spun_target(sighting, state, sighting.target.position_km + transition @ state.state)
@@ -183,10 +192,15 @@ def landmark_rows(
     return Rows(residual.ravel(), by_shared, flat.attitude_px_per_rad, covariance, partials.place_px_per_km)
 
 
-def _gathered(reading: OutlineReading, predicted: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what makes five numbers of steps across the limb (5, n), its normals (n, 2), and observed minus predicted (n,)."""
+def _gathered(
+    reading: OutlineReading, predicted: FloatArray, center_px: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what makes five numbers of steps across the limb (5, n), its normals (n, 2), and observed minus predicted (n,).
+
+    Outlines are compared about their own centers, which may lie far apart while the trajectory is off.
+    """
     outline = reading.outline
-    away = predicted - outline.center_px
+    away = predicted - center_px
     angle = np.arctan2(away[:, 1], away[:, 0])
     wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     radius = outline.radius(angle)
@@ -200,7 +214,8 @@ def _gathered(reading: OutlineReading, predicted: FloatArray) -> tuple[FloatArra
     basis = np.column_stack([normal, waves * (radius * rise)[:, None]])
     weight = np.sqrt(np.maximum(lit, LEAST_WEIGHT))
     gather = np.linalg.pinv(basis * weight[:, None]) * weight
-    return gather, normal, (radius - np.hypot(away[:, 0], away[:, 1])) * rise
+    gap = normal @ (outline.center_px - center_px) + (radius - np.hypot(away[:, 0], away[:, 1])) * rise
+    return gather, normal, gap
 
 
 def _across(normal: FloatArray, partials: LandmarkPartials) -> LandmarkPartials:
@@ -219,7 +234,11 @@ def _across(normal: FloatArray, partials: LandmarkPartials) -> LandmarkPartials:
 
 
 def _by_motion(
-    sighting: BodySighting, target: TargetState, state: BodyState, partials: LandmarkPartials, transition: FloatArray
+    sighting: BodySighting,
+    target: TargetState,
+    state: BodyState,
+    partials: LandmarkPartials,
+    transition: FloatArray,
 ) -> FloatArray:
     """Return partials (k, 20) by trajectory and rotation."""
     out = np.zeros((len(partials.spacecraft_px_per_km), SHARED))

@@ -80,7 +80,9 @@ class BodyKnowledge:
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 < value < np.inf:
-                raise EstimationError(f"{field.name} is {value}; give a standard deviation greater than zero.")
+                raise EstimationError(
+                    f"{field.name} is {value}; give a standard deviation greater than zero."
+                )
 
     def covariance(self, mean_radius_km: float, rate_rad_s: float) -> FloatArray:
         """Return the covariance (20, 20) of what all pictures share."""

@@ -64,7 +64,7 @@ def solve_body_from_pictures(
     radii_km: FloatArray | None = None,
     transition: Transition = straight_line,
     passes: int = PASSES,
-    say: Callable[[str], None] = lambda _words: None,
+    say: Callable[[str, str], None] = lambda _name, _words: None,
 ) -> BodySolution:
     """Solve for a body from pictures of it, reading their outlines anew with what came out.
 
@@ -79,7 +79,7 @@ def solve_body_from_pictures(
     passes
         How often outlines are read.
     say
-        Called with a few words before each picture.
+        Called with a picture's name and a few words before it is read.
 
     Raises
     ------
@@ -98,8 +98,8 @@ def solve_body_from_pictures(
     solution: BodySolution | None = None
     for number in range(1, passes + 1):
         sightings = []
-        for k, one in enumerate(pictures, start=1):
-            say(f"pass {number} of {passes}: {one.image} ({k} of {len(pictures)})")
+        for one in pictures:
+            say(one.image, f"reading its outline, pass {number} of {passes}")
             sightings.append(_sighting(one, name, rotation, believed, solution, transition))
         solution = solve_body(
             sightings, rotation, knowledge, radii_km=believed, transition=transition,

@@ -192,4 +192,6 @@ def _lit(disk: MeasuredDisk) -> FloatArray:
     seen = np.isfinite(system.variance).sum(axis=1) > 0.5 * system.variance.shape[1]
     pieces = (light > 0.1 * float(light.max())) & seen
     angle = np.mod(disk.fit.smooth_outline.angle_rad, 2.0 * np.pi)
-    return pieces[np.minimum((angle * len(pieces) / (2.0 * np.pi)).astype(int), len(pieces) - 1)].astype(float)
+    return pieces[np.minimum((angle * len(pieces) / (2.0 * np.pi)).astype(int), len(pieces) - 1)].astype(
+        float
+    )

@@ -50,6 +50,7 @@ START_STEP_RAD = np.radians(40.0)  # the outline of an ellipsoid comes again aft
 START_SIGMAS = 2.5
 MOST_STARTS = 60
 EXCESS_TOLERANCE_PX = 1e-4
+MIDDLE_OF_FIVE = 4.351  # the median of chi-squared with five degrees of freedom
 SECOND_BEST = 9.0  # of chi-squared: a solution elsewhere that is no less likely than 3 sigma
 FIGURE_LIMITS = 1e-5, 0.9
 
@@ -187,7 +188,9 @@ class BodySolution:
         low, high = FIGURE_LIMITS
         return float(np.clip(np.sqrt(size), low, high)), float(np.clip(np.sqrt(axes), low, high))
 
-    def model(self, model: BodyModel, sighting: BodySighting, transition: Transition = straight_line) -> BodyModel:
+    def model(
+        self, model: BodyModel, sighting: BodySighting, transition: Transition = straight_line
+    ) -> BodyModel:
         """Return the body's model for a picture of the sequence: its size, place and orientation as solved.
 
         A shape keeps its form and becomes no larger; its radii are not those of an ellipsoid.
@@ -333,7 +336,9 @@ class _Batch:
             name: covariance
             for s in self.sightings
             if s.landmarks is not None
-            for name, covariance in zip(s.landmarks.id.tolist(), s.landmarks.place_covariance_km2, strict=True)
+            for name, covariance in zip(
+                s.landmarks.id.tolist(), s.landmarks.place_covariance_km2, strict=True
+            )
         }
         blocks += [np.linalg.inv(places[name]) for name in self.names]
         return np.asarray(block_diag(*blocks))
@@ -354,7 +359,9 @@ class _Batch:
         rates = _ladder(START_SIGMAS * sigma[SPIN.columns][0] * half_s, START_STEP_RAD) / half_s
         steps = sorted(
             ((p, r) for p in phases for r in rates),
-            key=lambda one: float(np.hypot(one[0] / sigma[MERIDIAN.columns][0], one[1] / sigma[SPIN.columns][0])),
+            key=lambda one: float(
+                np.hypot(one[0] / sigma[MERIDIAN.columns][0], one[1] / sigma[SPIN.columns][0])
+            ),
         )
         out = []
         for phase, rate in steps[:MOST_STARTS]:
@@ -414,7 +421,9 @@ class _Batch:
                 jacobian[2 * k : 2 * k + 2, column : column + 3] = rows.by_place[k]
         return jacobian
 
-    def _normal(self, state: BodyState, total: FloatArray, excess_px: float) -> tuple[FloatArray, FloatArray, float]:
+    def _normal(
+        self, state: BodyState, total: FloatArray, excess_px: float
+    ) -> tuple[FloatArray, FloatArray, float]:
         """Return normal matrix, right side and chi-squared."""
         normal, right = self.prior.copy(), -self.prior @ total
         chi2 = float(total @ self.prior @ total)
@@ -472,7 +481,9 @@ class _Batch:
 
     def _freedom(self) -> int:
         outlines = sum(
-            5 for i, s in enumerate(self.sightings) if s.outline is not None and (i, "outline") not in self.outliers
+            5
+            for i, s in enumerate(self.sightings)
+            if s.outline is not None and (i, "outline") not in self.outliers
         )
         landmarks = sum(
             2 for i, s in enumerate(self.sightings) if s.landmarks is not None
@@ -499,15 +510,17 @@ class _Batch:
         ]
         if len(outlines) < 3:
             return 0.0
-        lost = SHARED + 3 * len(self.sightings)
-        freedom = max(5 * len(outlines) - lost, len(outlines))  # attitudes are held by their own knowledge in part
+        # Attitudes are held by what is known of them; what all share takes a part of every outline's freedom.
+        left = max(1.0 - SHARED / (5.0 * len(outlines)), 0.3)
 
         def surplus(sigma: float) -> float:
-            square = 0.0
+            """Of the middle outline: one that does not fit is an outlier, not scatter."""
+            squares = []
             for rows, radius in outlines:
                 more = (sigma / np.array([1.0, 1.0, radius, radius, radius])) ** 2
-                square += float(rows.residual @ np.linalg.solve(rows.covariance + np.diag(more), rows.residual))
-            return square - freedom
+                whole = rows.covariance + np.diag(more)
+                squares.append(float(rows.residual @ np.linalg.solve(whole, rows.residual)))
+            return float(np.median(squares)) - MIDDLE_OF_FIVE * left
 
         return moment_excess(surplus, EXCESS_TOLERANCE_PX)
 
@@ -528,7 +541,9 @@ class _Batch:
                     scale[2:] = 0.5 * s.outline.outline.diameter_px
                 reason = self.outliers.get((i, name), "")
                 sigmas = equal_sigmas(square, len(residual))
-                out.append(((i, name), SightingResidual(s.image, name, residual * scale, sigmas, not reason, reason)))
+                out.append(
+                    ((i, name), SightingResidual(s.image, name, residual * scale, sigmas, not reason, reason))
+                )
         return out
 
     def without_outliers(self, found: _Found, reject_sigmas: float) -> _Found:
@@ -601,7 +616,9 @@ def _turn_between(first: BodyRotation, second: BodyRotation) -> FloatArray:
     if first == second:
         return np.zeros(4)
     step = np.zeros(4)
-    for _ in range(6):  # the step is a chart of rotations: exact for a pole that stays, else within its second order
+    for _ in range(
+        6
+    ):  # the step is a chart of rotations: exact for a pole that stays, else within its second order
         here = first.turned(step)
         jacobian = first.turned(step).angles_jacobian()
         away = np.array([

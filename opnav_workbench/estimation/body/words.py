@@ -2,7 +2,7 @@
 
 Each quantity's standard deviation after the batch is held against what was believed before: where little of that is gone the
 pictures have not observed it. Quantities that go together (correlation) are told as pairs: what they make together is known,
-neither of them.
+neither of them by itself.
 """
 
 from collections.abc import Sequence
@@ -28,6 +28,7 @@ __all__ = ["observability_words"]
 
 NOT_OBSERVED, HARDLY = 0.9, 0.5  # of the a priori sigma left
 TOGETHER = 0.95  # correlation of two that cannot be told apart
+WORTH_SAYING = 0.1  # of the a priori sigma left: less is known well enough, whatever goes with it
 DEG = 180.0 / np.pi
 
 
@@ -62,7 +63,9 @@ def observability_words(
         if left > NOT_OBSERVED * was:
             out.append(f"{quantity.name} is not observed: 1 sigma stays {value}, as believed before")
         elif left > HARDLY * was:
-            out.append(f"{quantity.name} is hardly observed: 1 sigma {value}, {left / was:.0%} of what it was before")
+            out.append(
+                f"{quantity.name} is hardly observed: 1 sigma {value}, {left / was:.0%} of what it was before"
+            )
     return (*out, *_pairs(quantities, after, sigma, known))
 
 
@@ -74,18 +77,26 @@ def _pairs(
         f"{quantities[i].name} and {quantities[j].name} cannot be told apart (correlation {correlation[i, j]:+.2f})"
         for i in range(len(quantities))
         for j in range(i)
-        if abs(correlation[i, j]) > TOGETHER and min(sigma[i] / known[i], sigma[j] / known[j]) < NOT_OBSERVED
+        if abs(correlation[i, j]) > TOGETHER and min(sigma[i] / known[i], sigma[j] / known[j]) > WORTH_SAYING
     ]
 
 
 def _quantities(line_of_sight: FloatArray, *, with_map: bool) -> list[_Quantity]:
     across = np.linalg.svd(line_of_sight[None])[2][1:]
-    axes = (("along the line of sight", line_of_sight), *(("across the line of sight", one) for one in across))
+    axes = (
+        ("along the line of sight", line_of_sight),
+        *(
+            (f"across the line of sight ({k} way)", one)
+            for k, one in zip(("one", "other"), across, strict=True)
+        ),
+    )
     out = [_quantity(f"the position {words}", POSITION.columns, axis, "km") for words, axis in axes]
     out += [_quantity(f"the velocity {words}", VELOCITY.columns, axis, "km/s") for words, axis in axes]
     out.append(_quantity("the size", RADII.columns, np.full(3, 1.0 / 3.0), "%", 100.0))
     for k, name in enumerate("abc"):
-        out.append(_quantity(f"the axis {name} beside the size", RADII.columns, np.eye(3)[k] - 1.0 / 3.0, "%", 100.0))
+        out.append(
+            _quantity(f"the axis {name} beside the size", RADII.columns, np.eye(3)[k] - 1.0 / 3.0, "%", 100.0)
+        )
     for k, side in enumerate(("east", "north")):
         out.append(_quantity(f"the pole toward {side}", POLE.columns, np.eye(2)[k], "deg", DEG))
     out.append(_quantity("the prime meridian", MERIDIAN.columns, np.ones(1), "deg", DEG))
