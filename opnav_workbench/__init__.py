@@ -120,6 +120,8 @@ how a limb scan is chosen
     ``bodies.limb_scan.selection``; by hand in ``session.body_steps`` and ``workbench.limb_scan_choice``
 how landmarks are drawn, matched and judged
     ``landmarks.drawing``, ``landmarks.matching``, ``landmarks.finder``; the pose: ``landmarks.pose``
+how a body's size, pole and spin follow from a sequence
+    ``estimation.body``; from files: ``processing.body_sequence``
 how a body's center is found
     a module of ``bodies`` beside ``bodies.cross_correlation``; which one "auto" means: ``bodies.method``
 a star catalog

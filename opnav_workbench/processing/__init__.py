@@ -8,7 +8,7 @@ YAML or a queue; `run_policy` does it with an open session.
 ``automatic``
     The automatic policy on an open session: stars, pointing, targets, and the farther search for bodies.
 ``body_sequence``
-    A body from the pictures of an approach, and the files it leaves.
+    A body from the pictures of an approach, and the files it leaves: `body_sequence.solve_body_of`.
 ``carrying``
     Pictures without stars take the pointing of their neighbors.
 ``pictures``
@@ -22,13 +22,11 @@ YAML or a queue; `run_policy` does it with an open session.
 """
 
 from opnav_workbench.processing.automatic import open_picture, run_policy
-from opnav_workbench.processing.body_sequence import BodyFromPictures, solve_body_of
 from opnav_workbench.processing.model import OpenedProcessing, Processing
 from opnav_workbench.processing.notebook import PictureJob, notebook_parameters, picture_job
 from opnav_workbench.processing.pictures import Outcome, process, process_image, process_images
 
 __all__ = [
-    "BodyFromPictures",
     "OpenedProcessing",
     "Outcome",
     "PictureJob",
@@ -40,5 +38,4 @@ __all__ = [
     "process_image",
     "process_images",
     "run_policy",
-    "solve_body_of",
 ]

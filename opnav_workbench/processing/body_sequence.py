@@ -1,17 +1,18 @@
 """A body from the pictures of an approach: pointing from stars, outlines and landmarks, one batch, and the files it leaves.
 
-Files   BODY.tpc       PCK with radii, pole and prime meridian: kernels that are loaded before it are corrected by it, and so is
-                       every model of the body's disk
+Files   BODY.tpc       PCK with radii, pole and prime meridian: it corrects kernels that are loaded before it, and so every
+                       model of the body's disk
         BODY.yaml      what the mission file may say of how well the figure is known (``target_surfaces``)
         BODY.json      everything that came out, with covariances
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from opnav_workbench.errors import EstimationError, KernelError, OpNavError
 from opnav_workbench.estimation import Transition, kepler, straight_line
@@ -31,7 +32,6 @@ from opnav_workbench.session.body_models import body_picture, scene_names
 from opnav_workbench.session.pointing import attitude_covariance, pointing_doubt
 from opnav_workbench.session.state import BodyRequest
 from opnav_workbench.version import __version__
-from opnav_workbench.yaml_nodes import yaml_text
 
 __all__ = ["BodyFromPictures", "body_json", "knowledge_of", "solve_body_of", "write_body"]
 
@@ -216,7 +216,9 @@ def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, Path, Pa
     pck, lines, report = (folder / f"{stem}{suffix}" for suffix in (".tpc", ".yaml", ".json"))
     found.solution.write_pck(pck, found.body_id)
     size, axes = (float(f"{value:.3g}") for value in found.solution.figure_sigmas)
-    write_text(lines, yaml_text({"target_surfaces": {found.body: {"size_sigma": size, "axes_sigma": axes}}}))
+    write_text(
+        lines, yaml.safe_dump({"target_surfaces": {found.body: {"size_sigma": size, "axes_sigma": axes}}})
+    )
     write_json(report, body_json(found))
     return pck, lines, report
 
@@ -224,7 +226,6 @@ def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, Path, Pa
 def body_json(found: BodyFromPictures) -> dict[str, Any]:
     """Return everything that came out as plain values; angles in degrees where a person reads."""
     s = found.solution
-    terms = s.rotation.pck_terms()
     return {
         "version": __version__,
         "body": found.body,
@@ -236,7 +237,7 @@ def body_json(found: BodyFromPictures) -> dict[str, Any]:
         "pole_ra_deg": np.degrees(s.rotation.pole_ra_rad),
         "pole_dec_deg": np.degrees(s.rotation.pole_dec_rad),
         "pole_sigma_deg": np.degrees(s.pole_sigma_rad),
-        "prime_meridian_deg": list(terms["prime_meridian_deg"]),
+        "prime_meridian_deg": s.rotation.pck_terms()[2],
         "phase_sigma_deg": np.degrees(s.phase_sigma_rad),
         "spin_rate_rad_s": s.rotation.rate_rad_s,
         "spin_sigma_rad_s": s.spin_sigma_rad_s,

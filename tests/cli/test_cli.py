@@ -20,7 +20,7 @@ from opnav_workbench.version import __version__
 CLI = "opnav_workbench.cli"
 WIDE = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 SINGLE = ("demo", "process", "lab", "nightly", "export", "check", "simulate", "plan", "docs", "doctor")
-GROUPS = ("ort", "campaign", "kernels", "catalog", "calibrate", "mission", "landmarks")
+GROUPS = ("ort", "campaign", "kernels", "catalog", "calibrate", "mission", "landmarks", "body")
 # What no help over all commands needs, and what a command must not load before it draws or shows.
 NAVIGATION = ("numpy", "scipy", "skimage", "astropy", "spiceypy", "pydantic", "yaml")
 DRAWING = ("matplotlib.figure", "bokeh", "ipywidgets", "papermill", "jinja2")

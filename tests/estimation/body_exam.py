@@ -21,14 +21,29 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "bodies"))
 
 from disk_surfaces import LAWS, make_surface
 from disk_truth import (
-    ATTITUDE, GAIN_E_PER_DN, NAME, RADIUS_KM, READ_NOISE_DN, VELOCITY_KM_S, TrialSetup, TrueBody, _bright, _exposed,
-    data_folder, draw_light, lorri, toward_place,
+    ATTITUDE,
+    GAIN_E_PER_DN,
+    NAME,
+    RADIUS_KM,
+    READ_NOISE_DN,
+    VELOCITY_KM_S,
+    TrialSetup,
+    TrueBody,
+    _bright,
+    _exposed,
+    data_folder,
+    draw_light,
+    lorri,
+    toward_place,
 )  # fmt: skip
 
 from opnav_workbench.bodies import BodyPicture
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.estimation.body import (
-    BodyKnowledge, BodyRotation, SequencePicture, solve_body_from_pictures,
+    BodyKnowledge,
+    BodyRotation,
+    SequencePicture,
+    solve_body_from_pictures,
 )  # fmt: skip
 from opnav_workbench.geometry import rotation_from_vector, unit, unit_from_radec, vector_from_rotation
 from opnav_workbench.psf import GaussianPsf
@@ -93,7 +108,9 @@ def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=4
     surface = make_surface(family, contrast, 100.0, random, data_folder())
     pictures = []
     for k, (et, distance, diameter) in enumerate(zip(times, ranges, diameters, strict=True)):
-        position = distance * toward + 0.1 * ranges[-1] * drift  # a straight line: a path that bends would tell its scale
+        position = (
+            distance * toward + 0.1 * ranges[-1] * drift
+        )  # a straight line: a path that bends would tell its scale
         pictures.append(_picture(k, et, position, diameter, camera, radii, rotation, sun, LAWS[law], phase, surface, offset,
                                  state, psf_error, random, seed))  # fmt: skip
     return Sequence(
@@ -114,7 +131,7 @@ def _picture(k, et, position, diameter, camera, radii, rotation, sun, law, phase
     true = TrueBody(there @ center, radii, turn @ there.T, there @ sun, law, surface, None, phase)
     place = _project(camera, there @ center)
     scaled = diameter * RADIUS_KM / np.cbrt(np.prod(radii))  # the truth draws in units of its own body
-    light, ring, lit = draw_light(true, camera, place, scaled, 0.8 * psf_error, 0.0)
+    light, _, lit = draw_light(true, camera, place, scaled, 0.8 * psf_error, 0.0)
     light *= setup.peak_dn / _bright(light, lit)
     data, saturated = _exposed(light, setup, random)
     eps = random.normal(size=3) * ATTITUDE_SIGMA_PX * camera.pixel_scale_rad * np.array([1.0, 1.0, 30.0])
@@ -210,7 +227,7 @@ def main():
         say(f"  axes {1e2 * score['axes']} %, {score['axes_sigmas']} sigma; pole {score['pole_deg']:.3f} deg, "
             f"{score['pole_sigmas']:.2f} sigma; phase {score['phase_deg']:.3f} deg, {score['phase_sigmas']:.2f} sigma; "
             f"spin {score['spin']:.2e}, {score['spin_sigmas']:.2f} sigma")  # fmt: skip
-        say(f"  center of figure {1e2 * score['offset']} %, {score['offset_sigmas']} sigma; state {score['state_sigmas']} sigma; "
+        say(f"  center of figure {1e2 * score['offset']} %, {score['offset_sigmas']} sigma; state {score['state_sigmas']}; "
             f"excess {solution.excess_px:.3f} px; chi2 {solution.chi2:.0f} of {solution.degrees_of_freedom}; "
             f"limb {solution.state.limb_px:.3f} px")  # fmt: skip
         for words in (*solution.words, *solution.messages):

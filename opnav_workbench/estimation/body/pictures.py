@@ -26,7 +26,6 @@ from opnav_workbench.targets import TargetState
 __all__ = ["SequencePicture", "solve_body_from_pictures"]
 
 PASSES = 3
-TRUSTED = ("ok", "uncertain")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +133,6 @@ def _sighting(
     plain = replace(own, target=believed, shape=None, albedo=1.0)
     model = plain if solution is None else solution.model(plain, sighting, transition)
     outline, note = read_outline(_with_model(one.picture, own, model), name)
-    if outline is not None and outline.status not in TRUSTED:
-        outline = None
     return replace(sighting, outline=outline, note=note)
 
 

@@ -69,8 +69,8 @@ class BodyRotation:
         across = float(np.hypot(turned[0], turned[1]))
         if across > 0.01 * max(abs(float(turned[2])), 1e-12):
             raise EstimationError(
-                f"the body turns about another axis than its z axis (by {across:.3g} of {np.linalg.norm(turned):.3g} rad/s): "
-                "a body that tumbles cannot be solved for."
+                f"the body turns about another axis than its z axis ({across:.3g} of {np.linalg.norm(turned):.3g} rad/s): a "
+                "body that tumbles cannot be solved for."
             )
         return cls._of(attitude(epoch_et), float(turned[2]), epoch_et)
 
@@ -134,11 +134,9 @@ class BodyRotation:
         out[2, 0] = -np.tan(min(abs(self.pole_dec_rad), 0.5 * np.pi - 1e-9)) * np.sign(self.pole_dec_rad)
         return out
 
-    def pck_terms(self) -> dict[str, tuple[float, ...]]:
-        """Return pole and prime meridian at J2000 as `opnav_workbench.kernels.making.pck_assignments` takes them, deg."""
+    def pck_terms(self) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+        """Return pole RA, pole Dec and prime meridian at J2000 with their rates, deg and deg/day, as a PCK has them."""
         at_zero = (self.meridian_rad - self.rate_rad_s * self.epoch_et) % TURN
-        return {
-            "pole_ra_deg": (np.degrees(self.pole_ra_rad),),
-            "pole_dec_deg": (np.degrees(self.pole_dec_rad),),
-            "prime_meridian_deg": (np.degrees(at_zero), np.degrees(self.rate_rad_s) * DAY_S),
-        }
+        rate = float(np.degrees(self.rate_rad_s)) * DAY_S
+        ra, dec, meridian = (float(np.degrees(x)) for x in (self.pole_ra_rad, self.pole_dec_rad, at_zero))
+        return (ra,), (dec,), (meridian, rate)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies import BodyCenter, BodyPicture, Outline
+from opnav_workbench.bodies import BodyCenter, BodyFlag, BodyPicture, Outline
 from opnav_workbench.bodies.disk.centerfinder import METHOD, judged_disk
 from opnav_workbench.bodies.disk.fit import Unknown
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
@@ -25,6 +25,11 @@ __all__ = ["BodySighting", "LandmarkReading", "OutlineReading", "landmark_readin
 
 OUTLINE = [Unknown.PIXEL, Unknown.LINE, Unknown.SIZE, Unknown.AXIS_COS, Unknown.AXIS_SIN]
 SIZES = slice(2, 5)
+# A size that is not the expected one is what is asked; a limb that is not the model's, or not confirmed, tells nothing.
+UNUSABLE = (
+    BodyFlag.POOR_FIT | BodyFlag.NOT_CONVERGED | BodyFlag.UNCONFIRMED | BodyFlag.EMPTY | BodyFlag.AT_LIMIT
+    | BodyFlag.THIN_CRESCENT
+)  # fmt: skip
 LEAST_OWN = 0.05  # share of an outline's information that must be the picture's own, not the mission's
 
 
@@ -130,7 +135,7 @@ def read_outline(picture: BodyPicture, name: str) -> tuple[OutlineReading | None
     if isinstance(disk, BodyCenter):
         return None, f"{disk.status}: {'; '.join(disk.messages)}"
     center = judged_disk(disk, solve_range=False)
-    if center.pixel_line is None or center.covariance_px2 is None:
+    if center.flags & UNUSABLE:
         return None, f"{center.status}: {'; '.join(center.messages)}"
     return _reading(disk, center), "" if center.status == "ok" else "; ".join(center.messages)
 
@@ -192,6 +197,5 @@ def _lit(disk: MeasuredDisk) -> FloatArray:
     seen = np.isfinite(system.variance).sum(axis=1) > 0.5 * system.variance.shape[1]
     pieces = (light > 0.1 * float(light.max())) & seen
     angle = np.mod(disk.fit.smooth_outline.angle_rad, 2.0 * np.pi)
-    return pieces[np.minimum((angle * len(pieces) / (2.0 * np.pi)).astype(int), len(pieces) - 1)].astype(
-        float
-    )
+    piece = np.minimum((angle * len(pieces) / (2.0 * np.pi)).astype(int), len(pieces) - 1)
+    return np.asarray(pieces[piece], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Size, axes, pole, spin and center of figure of a body from a sequence of pictures, in one batch with trajectory and pointing.
+"""Size, axes, pole, spin and center of figure of a body from pictures, in one batch with trajectory and pointing.
 
     minimise  sum over pictures |L^-1 r(x)|^2  +  |L0^-1 x|^2
 
@@ -23,7 +23,6 @@ from opnav_workbench.estimation.body.knowledge import (
     MAP,
     MERIDIAN,
     OFFSET,
-    PARAMETERS,
     POLE,
     RADII,
     SHARED,
@@ -219,14 +218,19 @@ class BodySolution:
         KernelError
             The file cannot be written.
         """
+        ra, dec, meridian = self.rotation.pck_terms()
         values = pck_assignments(
-            body_id, radii_km=tuple(float(x) for x in self.radii_km), **self.rotation.pck_terms()
+            body_id,
+            radii_km=tuple(float(x) for x in self.radii_km),
+            pole_ra_deg=ra,
+            pole_dec_deg=dec,
+            prime_meridian_deg=meridian,
         )
-        comment = "\n\n".join((
-            f"Size and rotation of {self.name} as solved by opnav_workbench from {len(self.images)} pictures; "
-            "load it after the kernels that it corrects.",
-            *self.words,
-        ))  # fmt: skip
+        title = (
+            f"Size and rotation of {self.name} as solved by opnav_workbench from {len(self.images)} pictures; load it after "
+            "the kernels that it corrects."
+        )
+        comment = "\n\n".join((title, *self.words))
         write_text_kernel(path, "PCK", values, comment)
         return Path(path)
 
@@ -283,7 +287,7 @@ def solve_body(
     batch = _Batch(seen, rotation, knowledge or BodyKnowledge(), radii_km, transition)
     best, rivals = batch.best([start] if start is not None else batch.starts())
     best = batch.without_outliers(best, reject_sigmas)
-    return batch.solution(best, rivals, reject_sigmas)
+    return batch.solution(best, rivals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -400,7 +404,7 @@ class _Batch:
                 out.append((i, "landmarks", rows))
         return out
 
-    def _used(self, i: int, kind: str, rows: Rows) -> FloatArray:
+    def _used(self, i: int, kind: str) -> FloatArray:
         """Return which rows (k,) are in use."""
         if kind == "outline":
             return np.full(5, (i, kind) not in self.outliers)
@@ -408,7 +412,7 @@ class _Batch:
         assert reading is not None
         return np.repeat([(i, name) not in self.outliers for name in reading.id.tolist()], 2)
 
-    def _jacobian(self, i: int, kind: str, rows: Rows) -> FloatArray:
+    def _jacobian(self, i: int, rows: Rows) -> FloatArray:
         jacobian = np.zeros((len(rows.residual), self.size))
         jacobian[:, :SHARED] = rows.by_shared
         first = SHARED + 3 * i
@@ -428,11 +432,11 @@ class _Batch:
         normal, right = self.prior.copy(), -self.prior @ total
         chi2 = float(total @ self.prior @ total)
         for i, kind, rows in self.rows(state, excess_px):
-            used = self._used(i, kind, rows)
+            used = self._used(i, kind)
             if not used.any():
                 continue
             weight = np.linalg.inv(rows.covariance[np.ix_(used, used)])
-            jacobian, residual = self._jacobian(i, kind, rows)[used], rows.residual[used]
+            jacobian, residual = self._jacobian(i, rows)[used], rows.residual[used]
             by_weight = jacobian.T @ weight
             normal += by_weight @ jacobian
             right += by_weight @ residual
@@ -520,7 +524,7 @@ class _Batch:
                 more = (sigma / np.array([1.0, 1.0, radius, radius, radius])) ** 2
                 whole = rows.covariance + np.diag(more)
                 squares.append(float(rows.residual @ np.linalg.solve(whole, rows.residual)))
-            return float(np.median(squares)) - MIDDLE_OF_FIVE * left
+            return float(np.median(np.array(squares)) - MIDDLE_OF_FIVE * left)
 
         return moment_excess(surplus, EXCESS_TOLERANCE_PX)
 
@@ -566,7 +570,7 @@ class _Batch:
 
     # ---- What comes out.
 
-    def solution(self, found: _Found, rivals: Sequence[_Found], reject_sigmas: float) -> BodySolution:
+    def solution(self, found: _Found, rivals: Sequence[_Found]) -> BodySolution:
         m = len(self.sightings)
         attitudes = np.array(
             [found.covariance[k : k + 3, k : k + 3] for k in range(SHARED, SHARED + 3 * m, 3)]
@@ -608,7 +612,7 @@ class _Batch:
 def _ladder(reach: float, step: float) -> FloatArray:
     """Return 0 and even steps to both sides, as far as `reach` goes."""
     n = int(np.ceil(max(reach - 0.5 * step, 0.0) / step))
-    return np.arange(-n, n + 1) * step
+    return np.asarray(np.arange(-n, n + 1) * step, dtype=np.float64)
 
 
 def _turn_between(first: BodyRotation, second: BodyRotation) -> FloatArray:
