@@ -219,6 +219,10 @@ def _check_file(path: Path, create: bool) -> None:
             head = stream.read(len(SQLITE_MAGIC))
     except OSError as error:
         raise SessionError(f"cannot read {path}: {error.strerror or error}.") from error
+    if not head and not create:  # SQLite would take it for a new database, and write it
+        raise SessionError(
+            f"{path} is empty (0 bytes), no campaign archive; make one: opnav campaign ingest RUN."
+        )
     if head and head != SQLITE_MAGIC:
         # Of our own name it is ours, with a damaged head; of another it may be anything.
         kind = ArchiveDamaged if path.name == ARCHIVE_FILE else SessionError

@@ -1,5 +1,6 @@
 """Questions to the archive, answered as astropy tables with units and descriptions."""
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -58,6 +59,7 @@ ARCHIVE_COLUMNS = (
 )
 TEXT_LISTS = ("messages", "attention")
 EMPTY: dict[str, Any] = {"number": np.nan, "whole": 0, "flag": False, "text": "", "json": ""}
+BEGINS_A_DATE = re.compile(r"\d{4}(-\d|-?$)")  # as exact as need be: 2015, 2015-04, 2015-099T12
 AFTER_ALL_TEXT = "\uffff"  # after every text that begins alike: 2015-04-09 as an end holds the whole day
 
 
@@ -202,6 +204,10 @@ def _filtered(query: "sa.Select[Any]", what: str, filters: Mapping[str, str | No
             continue
         if name in ("since", "until"):
             begins = value.strip().replace(" ", "T").removesuffix("Z")
+            if not BEGINS_A_DATE.match(begins):
+                raise SessionError(
+                    f"--{name} {value!r} is no date; write it like 2015-04-09 or 2015-04-09T12:30."
+                )
             limit = images.c.utc >= begins if name == "since" else images.c.utc <= begins + AFTER_ALL_TEXT
             query = query.where(limit)
             continue

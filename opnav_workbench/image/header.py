@@ -42,6 +42,7 @@ __all__ = [
     "header_geometry",
     "header_matches",
     "header_number",
+    "unread_words",
 ]
 
 
@@ -284,6 +285,25 @@ class GeometryRead:
     contradictions: tuple[str, ...] = ()
 
 
+def unread_words(header: Header, keywords: KeywordMap, names: Sequence[str]) -> tuple[str, ...]:
+    """Return a line for each word that should hold a number and does not, though it says something.
+
+    Parameters
+    ----------
+    names
+        Fields of the map, each of one keyword or several.
+    """
+    said = []
+    for name in names:
+        named = getattr(keywords, name) or ()
+        for keyword in (named,) if isinstance(named, str) else named:
+            value = keywords.known(header, keyword)
+            number = header_number(value)
+            if value is not None and (number is None or not math.isfinite(number)):
+                said.append(f"{keyword} = {value!r} is no number; it is not used")
+    return tuple(said)
+
+
 def header_geometry(header: Header, keywords: KeywordMap) -> GeometryRead:
     """Return what the header says of pointing and trajectory, as far as it can be believed.
 
@@ -304,7 +324,8 @@ def header_geometry(header: Header, keywords: KeywordMap) -> GeometryRead:
         _from_sun(header, keywords, "sun_velocity"),
         (", ".join(keywords.sun_position or ()), ", ".join(keywords.sun_velocity or ())),
     )
-    contradictions = (*wrong, *state.contradictions)
+    unread = unread_words(header, keywords, ("quaternion", "sun_position", "sun_velocity"))
+    contradictions = (*wrong, *unread, *state.contradictions)
     if attitude is None and state.position_km is None:
         return GeometryRead(None, messages, contradictions)
     quality = str(keywords.value(header, "geometry_quality") or "")

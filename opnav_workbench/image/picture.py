@@ -35,6 +35,7 @@ from opnav_workbench.image.header import (
     header_geometry,
     header_matches,
     header_number,
+    unread_words,
 )
 from opnav_workbench.image.planes import make_planes
 
@@ -231,7 +232,7 @@ def _stated_et(name: str, header: Header, keywords: KeywordMap) -> tuple[float |
     """Return what the header states as ET, None where that is no time of a picture, and why."""
     et = header_number(keywords.value(header, "et"))
     if et is None or not math.isfinite(et):
-        return None, ()
+        return None, unread_words(header, keywords, ("et",))
     if FIRST_PICTURE_ET < et < LAST_PICTURE_ET:
         return et, ()
     if keywords.value(header, "utc") is None:

@@ -180,9 +180,17 @@ class Maplets:
         """
         advice = "make one with opnav landmarks make"
         try:
-            with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-                content = {name: archive[name] for name in archive.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+            with Path(path).open("rb") as stream:
+                if not zipfile.is_zipfile(stream):  # of which numpy would say that it may be a pickle
+                    raise MissionError(f"maplets {path} cannot be read (it is no npz file); {advice}.")
+                stream.seek(0)
+                with np.load(stream, allow_pickle=False) as archive:
+                    content = {name: archive[name] for name in archive.files}
+        except OSError as error:
+            raise MissionError(
+                f"maplets {path} cannot be read: {error.strerror or error}; {advice}."
+            ) from error
+        except (ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
             raise MissionError(f"maplets {path} cannot be read ({error}); {advice}.") from error
         missing = [name for name in ("kind", "body", *ARRAYS) if name not in content]
         if missing or str(content["kind"]) != KIND:

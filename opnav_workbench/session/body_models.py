@@ -64,6 +64,9 @@ MAX_POINT_DIAMETER_PX = 3.0
 SHAPE_AXES_SIGMA = 0.02
 MAPPED_ALBEDO_SIGMA = 0.05
 STATED_LAW_SIGMA = 0.3  # of a law that the mission states: one of a kind of bodies
+OTHER_SIZE = (
+    10.0  # times as large as its radii: meters are a thousand; first guesses of radii were 3 times off
+)
 MAX_AXES_SIGMA = 0.9  # of a body ten times as long as wide; an axis cannot vanish
 
 
@@ -84,6 +87,8 @@ def body_model(context: Context, inputs: Inputs, name: str) -> BodyModel:
     if surface.albedo_map is not None:
         albedo = _albedo_map(surface.albedo_map)
     shape = _shape_of_target(inputs, name, surface)
+    if shape is not None:
+        _check_size(name, shape, target.radii_km)
     law = _scattering_law(context, name, surface)
     flux = _flux_e(context, target, SUN_B_V if photometry is None else photometry.b_v)
     figure = _figure(surface, shape, law_stated=has_scattering_law(context, name))
@@ -126,6 +131,18 @@ def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> Shape
     if name in inputs.shapes:
         return _shape_model(inputs.shapes[name], inputs.shape_units.get(name, "km"))
     return None if surface.shape is None else _shape_model(surface.shape, surface.shape_unit)
+
+
+def _check_size(name: str, shape: ShapeModel, known_km: FloatArray | None) -> None:
+    """Refuse a shape that is another body's, or in another unit, by the radii that kernels or mission state."""
+    if known_km is None:
+        return
+    ratio = float(np.max(shape.radii_km) / np.max(known_km))
+    if not 1.0 / OTHER_SIZE < ratio < OTHER_SIZE:
+        raise MissionError(
+            f"the shape of {name} reaches {np.max(shape.radii_km):.4g} km, its radii are stated as "
+            f"{np.max(known_km):.4g} km; give the shape's unit ({name}:FILE:m), its own shape, or correct the radii."
+        )
 
 
 def _figure(surface: TargetSurface, shape: ShapeModel | None, *, law_stated: bool) -> FigureUncertainty:

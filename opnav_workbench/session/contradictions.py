@@ -101,6 +101,8 @@ def _against_clock(context: Context, keywords: KeywordMap, et: float) -> str | N
     picture, clock = context.picture, context.mission.clock_id
     if picture.sclk is None or (picture.et is None and picture.utc is None) or not knows_clock(clock):
         return None
+    if not any(letter.isdigit() for letter in picture.sclk):
+        return f"{keywords.sclk} = {picture.sclk!r} is no reading of a clock"
     try:
         off = et_from_sclk(clock, picture.sclk) - et
         tolerance = clock_tolerance_s(clock, picture.sclk, et)

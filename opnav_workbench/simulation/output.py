@@ -52,7 +52,8 @@ def stretched(image_dn: FloatArray, stretch: Stretch = "linear") -> NDArray[np.u
         raise MissionError(f"unknown stretch {stretch!r}; use {' or '.join(get_args(Stretch))}.")
     level, noise = float(np.median(image_dn)), float(mad_std(image_dn))
     low = level + LOG_LOW_SIGMAS * noise if stretch == "log" else level
-    high = max(float(image_dn.max()), level + LEAST_RANGE_SIGMAS[stretch] * noise, low + np.spacing(low))
+    least = max(np.spacing(abs(low)), np.finfo(np.float32).tiny)  # of one pixel, or all alike
+    high = max(float(image_dn.max()), level + LEAST_RANGE_SIGMAS[stretch] * noise, low + least)
     share = np.clip((image_dn - low) / (high - low), 0.0, 1.0)
     if stretch == "log":
         share = LogStretch(LOG_STRENGTH)(share)

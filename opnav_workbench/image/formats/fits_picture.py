@@ -4,6 +4,7 @@ Every plane is checked for its full length before it is read. Source: FITS Stand
 """
 
 import io
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -85,14 +86,18 @@ def _check_fits_length(name: str, available: int, hdu: Any, index: int) -> None:
 
 
 def _fits_planes(name: str, hdus: Any, keywords: KeywordMap) -> StoredPicture:
-    picture = _picture_extension(name, hdus, keywords.image_extension)
+    beside = {
+        what: None if wanted is None else _find_extension(hdus, wanted)
+        for what, wanted in (("error", keywords.error_extension), ("quality", keywords.quality_extension))
+    }
+    picture = _picture_extension(name, hdus, keywords.image_extension, set(beside.values()))
     messages: list[str] = []
     header = _fits_header(hdus[0].header, messages)
     if picture:
         header |= _fits_header(hdus[picture].header, messages)
     planes: dict[str, Any] = {}
-    for what, wanted in (("error", keywords.error_extension), ("quality", keywords.quality_extension)):
-        index = None if wanted is None else _find_extension(hdus, wanted)
+    for what, index in beside.items():
+        wanted = getattr(keywords, f"{what}_extension")
         planes[what] = None if index is None else hdus[index].data
         if wanted is not None and planes[what] is None:
             messages.append(
@@ -101,8 +106,8 @@ def _fits_planes(name: str, hdus: Any, keywords: KeywordMap) -> StoredPicture:
     return StoredPicture(hdus[picture].data, header, **planes, messages=tuple(messages))
 
 
-def _picture_extension(name: str, hdus: Any, wanted: Extension | None) -> int:
-    """Return the index of the picture: the one named, else the first extension with lines and pixels."""
+def _picture_extension(name: str, hdus: Any, wanted: Extension | None, others: Collection[int | None]) -> int:
+    """Return the index of the picture: the one named, else the first with lines and pixels that is none of `others`."""
     if wanted is not None:
         index = _find_extension(hdus, wanted)
         if index is None:
@@ -111,7 +116,7 @@ def _picture_extension(name: str, hdus: Any, wanted: Extension | None) -> int:
             )
         return index
     for index, hdu in enumerate(hdus):
-        if hdu.is_image and len(hdu.shape) >= 2:
+        if hdu.is_image and len(hdu.shape) >= 2 and index not in others:
             return index
     raise image_error(
         name,
