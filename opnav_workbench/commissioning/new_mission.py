@@ -1,8 +1,9 @@
 """A new mission in one call: camera, header words, how the detector lies, files; solved and simulated to compare."""
 
 import re
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from opnav_workbench.image.file_bytes import file_bytes
 from opnav_workbench.image.formats.reading import read_stored
 from opnav_workbench.kernels import KernelSet, camera_attitude, knows_frame
 from opnav_workbench.mission import load_mission, mission_names
+from opnav_workbench.paths import exists
 from opnav_workbench.scene import body_target, observer_from_kernels
 from opnav_workbench.session import ImageSession, Settings
 from opnav_workbench.session.context import Context, open_context
@@ -43,6 +45,7 @@ INVENTED = 999  # the spacecraft's number, where nothing tells it
 FIRST_UTC = "2030-01-01T00:00:00"
 FIRST_POSITION_KM = np.array([1.0, 0.5, 0.2]) * AU_KM
 STEM = "camera"  # of the camera file
+SIMULATED = "simulated"
 SOLVED_STARS = 4  # that a pointing is believed from
 NAME = re.compile(r"^[a-z][a-z0-9_-]{0,38}$")
 
@@ -112,6 +115,15 @@ class NewMission:
     known_mission: str = ""
 
 
+WRITTEN = (
+    "mission.yaml",
+    "cameras",
+    "pictures",
+    "star_fields.yaml",
+    SIMULATED,
+)  # into the folder of a mission
+
+
 def new_mission(wanted: Wanted, say: Callable[[str], None] | None = None) -> NewMission:
     """Write the files of a mission, with the camera turned as its picture shows it.
 
@@ -131,13 +143,35 @@ def new_mission(wanted: Wanted, say: Callable[[str], None] | None = None) -> New
         )
     if (wanted.folder / "mission.yaml").exists():
         raise MissionError(f"{wanted.folder}/mission.yaml is there already; name another folder (--out).")
+    with _whole_or_none(wanted.folder):
+        return _made(wanted, say or _silent)
+
+
+@contextmanager
+def _whole_or_none(folder: Path) -> Iterator[None]:
+    """Take back what a mission that failed has written, so that the command can be given again."""
+    stood = {path: exists(path) for path in (folder, *(folder / name for name in WRITTEN))}
+    try:
+        yield
+    except BaseException:
+        for path in (path for path, before in stood.items() if not before and path.parent == folder):
+            shutil.rmtree(path, ignore_errors=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        if not stood[folder]:
+            with suppress(OSError):  # another put something there meanwhile
+                folder.rmdir()
+        raise
+
+
+def _made(wanted: Wanted, say: Callable[[str], None]) -> NewMission:
     if wanted.image is None:
         camera = _camera(wanted, None)
-        return _Maker(wanted, _craft(wanted, camera, ""), {}, say or _silent).without_picture(camera)
+        return _Maker(wanted, _craft(wanted, camera, ""), {}, say).without_picture(camera)
     shape, header = _looked_at(wanted.image)
     words = header_words(header)
     camera = _camera(wanted, shape)
-    maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft), words.match, say or _silent)
+    maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft), words.match, say)
     made = maker.with_picture(camera, wanted.image, words)
     return replace(made, known_mission=_known_mission(header))
 
@@ -341,7 +375,6 @@ def _measured(camera: Camera, session: ImageSession, image: str) -> Camera:
     return replace(camera, **told, origins=tuple(origins))
 
 
-SIMULATED = "simulated"
 NOT_TOLD = "neither stars nor a limb told it: as the kernel says, or guessed (see origins)"
 
 

@@ -6,9 +6,11 @@ import stat
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli import lab_server
 from opnav_workbench.cli import process as process_command
 from opnav_workbench.cli.catalog import catalog_app
@@ -19,8 +21,13 @@ from opnav_workbench.kernels.making.attitude_history import even_epochs
 from opnav_workbench.processing import Processing
 from opnav_workbench.rehearsal.scenario import OrtEntry
 from opnav_workbench.session.history import JournalEntry, journal_line, read_journal_file, stored_entry
+from opnav_workbench.simulation.output import stretched
 from opnav_workbench.simulation.scenario import PictureEntry
 from opnav_workbench.yaml_file import check_model
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from hostile import answer
 
 HOW = Processing(mission="new_horizons", targets=())
 BYTES = b"a\xff\xfe.fit"  # no UTF-8
@@ -235,3 +242,45 @@ def test_ctrl_c_ends_any_command_with_a_line(monkeypatch, capsys):
     status, said = ended(monkeypatch, capsys, "catalog", "list")
     assert status == 130
     assert said == "stopped; what was finished is kept.\n"
+
+
+@pytest.mark.parametrize(
+    "line", ["serve EMPTY --no-browser", "query images --archive EMPTY", "compare EMPTY EMPTY"]
+)
+def test_an_empty_file_is_no_archive_and_stays_empty(line, tmp_path):
+    """SQLite made a database of it, and `serve` served that."""
+    (tmp_path / "a").touch()
+    status, _, err = answer(["campaign", *line.replace("EMPTY", str(tmp_path / "a")).split()])
+    assert (status, err.count("\n")) == (2, 1)
+    assert "is empty (0 bytes)" in err
+    assert (tmp_path / "a").read_bytes() == b""
+
+
+def test_a_date_that_is_none_selects_nothing_by_mistake(tmp_path):
+    archive = str(tmp_path / "a.sqlite")
+    with Campaign(archive):
+        pass
+    status, _, err = answer(["campaign", "query", "images", "--archive", archive, "--since", "never"])
+    assert (status, err) == (
+        2, "error: --since 'never' is no date; write it like 2015-04-09 or 2015-04-09T12:30.\n"
+    )  # fmt: skip
+
+
+def test_maplets_that_are_none_are_no_pickles_to_be_trusted(tmp_path):
+    (tmp_path / "a.npz").write_bytes(b"anything")
+    _, _, err = answer(["landmarks", "show", str(tmp_path / "a.npz")])
+    assert "no npz file" in err
+    assert "pickle" not in err
+
+
+@pytest.mark.slow
+def test_a_mission_that_fails_leaves_nothing(tmp_path):
+    """What it left had to be deleted before the command could be given again."""
+    out = tmp_path / "m"
+    told = answer(f"mission new probe --fov-deg 10 --size 64x64 --catalog npz:none --out {out}".split())
+    assert told[0] == 2
+    assert not out.exists()
+
+
+def test_a_picture_of_one_pixel_has_a_preview():
+    assert stretched(np.full((1, 1), 7.0)).tolist() == [[0]]

@@ -195,3 +195,25 @@ def test_a_gzipped_file_unpacks_no_farther_than_pictures_go(tmp_path, monkeypatc
     with pytest.raises(ImageError, match=rf"bomb\.fit\.gz: unpacks from \d+ to more than {limit} bytes"):
         read_image(path, KEYWORDS)
     assert asked == [limit + 1]
+
+
+def test_a_plane_of_errors_is_never_the_picture(tmp_path):
+    """Of a file whose picture is lost, the error plane was measured in its place."""
+    path = tmp_path / "lost.fit"
+    path.write_bytes(stored(fits.PrimaryHDU(PICTURE.ravel()), fits.ImageHDU(PICTURE, name="ERR")))
+    assert read_image(path, KEYWORDS).image_dn.shape == PICTURE.shape  # nobody says what ERR is
+    with pytest.raises(ImageError, match="no two-dimensional picture among its extensions"):
+        read_image(path, KeywordMap(error_extension="ERR"))
+
+
+@pytest.mark.parametrize("word", ["ET", "QX", "SUNX"])
+def test_words_that_are_no_numbers_are_told(word, tmp_path):
+    """They were passed over in silence."""
+    facts = {"UTC": "2015-04-09T12:00:00", "ET": 481852867.186, "QA": 1.0, "QX": 0.0, "QY": 0.0, "QZ": 0.0}
+    header = fits.Header(facts | {"SUNX": 1.5e8, "SUNY": 0.0, "SUNZ": 0.0} | {word: "abc"})
+    path = tmp_path / "words.fit"
+    path.write_bytes(stored(fits.PrimaryHDU(PICTURE, header)))
+    named = {"quaternion": ("QA", "QX", "QY", "QZ"), "sun_position": ("SUNX", "SUNY", "SUNZ")}
+    picture = read_image(path, KeywordMap(et="ET", utc="UTC", **named))
+    assert f"{word} = 'abc' is no number; it is not used" in picture.contradictions
+    assert picture.et is not None

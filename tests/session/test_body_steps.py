@@ -7,13 +7,13 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from opnav_workbench.errors import KernelError, SessionError
+from opnav_workbench.errors import KernelError, MissionError, SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.kernels.dsk_files import write_dsk
 from opnav_workbench.mission import TargetSurface, load_mission
 from opnav_workbench.render import FigureUncertainty
 from opnav_workbench.session import BODY_METHODS, ImageSession
-from opnav_workbench.session.body_models import body_model_if_known
+from opnav_workbench.session.body_models import body_model, body_model_if_known
 
 RIGHT_PX = 0.1  # of a body of uniform albedo, 10 to 50 px wide; what the methods can is tested where they are
 METHODS = ("cross_correlation", "least_squares", "limb_scan", "ellipse")
@@ -98,6 +98,13 @@ def test_a_shape_model_is_trusted_more_than_an_ellipsoid(near, tmp_path):
         model = body_model_if_known(replace(near.context, mission=mission), near.inputs, "PLUTO")
         assert model.shape is not None
         assert model.figure.axes_sigma == expected
+    # In meters, taken for km: Pluto was a point of 1 m, and `ok` 8 sigmas off.
+    surface = TargetSurface(shape=tmp_path / "octahedron.obj", shape_unit="m")
+    mission = replace(near.context.mission, target_surfaces=MappingProxyType({"PLUTO": surface}))
+    with pytest.raises(
+        MissionError, match=r"reaches 1.188 km, its radii are stated as 1188 km; give the shape's unit"
+    ):
+        body_model(replace(near.context, mission=mission), near.inputs, "PLUTO")
 
 
 @pytest.mark.parametrize("method", METHODS)
