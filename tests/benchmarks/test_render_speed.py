@@ -48,22 +48,29 @@ def naive(camera, model, diameter_px):
     """Mean of 5 x 5 rays in every pixel of the window, each ray exact; without the PSF."""
     half = int(diameter_px / 2) + 4
     sub = (np.arange(NAIVE * 2 * half) + 0.5) / NAIVE + 511.0 - half - 0.5
-    places = np.stack(np.meshgrid(sub, sub), axis=-1).reshape(-1, 2)
-    rays = camera.unproject(places).T
-    light = PlacedBody(model, camera.pixel_scale_rad).radiance(np.ascontiguousarray(rays))
-    return light.reshape(2 * half, NAIVE, 2 * half, NAIVE).mean(axis=(1, 3))
+    shown, light = PlacedBody(model, camera.pixel_scale_rad), []
+    for part in np.array_split(sub, 2 * half):  # a line of pixels at a time: what the processor's cache holds
+        rays = camera.unproject(np.stack(np.meshgrid(sub, part), axis=-1).reshape(-1, 2)).T
+        light.append(
+            shown.radiance(np.ascontiguousarray(rays)).reshape(NAIVE, 2 * half, NAIVE).mean(axis=(0, 2))
+        )
+    return np.array(light)
+
+
+def compare(benchmark, fastest, peer, ours):
+    """Note how many times faster ours is, where times are asked for: nothing here is judged by them."""
+    if not benchmark.disabled:
+        (peer_s, _), (ours_s, _) = fastest(peer, ours)
+        benchmark.extra_info["times_faster_than_5x5"] = peer_s / ours_s
 
 
 @pytest.mark.slow
 def test_ellipsoid_of_500_px(benchmark, fastest, camera):
     model = BodyModel(body(camera, 500.0), LommelSeeliger())
-    (naive_s, rough), (adaptive_s, _) = fastest(
-        lambda: naive(camera, model, 500.0), lambda: adaptive(camera, [model])
-    )
+    compare(benchmark, fastest, lambda: naive(camera, model, 500.0), lambda: adaptive(camera, [model]))
     rendering = benchmark(lambda: adaptive(camera, [model]))
-    benchmark.extra_info["times_faster_than_5x5"] = naive_s / adaptive_s
     # Both show the same body; 5 x 5 rays are rough at the limb.
-    light = rough.sum() * camera.pixel_scale_rad**2 / np.pi * 1e12
+    light = naive(camera, model, 500.0).sum() * camera.pixel_scale_rad**2 / np.pi * 1e12
     assert rendering.electrons.sum() == pytest.approx(light, rel=5e-3)
 
 
@@ -72,12 +79,13 @@ def test_pluto_with_a_map_and_charon_in_a_lorri_frame(benchmark, fastest, camera
     albedo = AlbedoMap(np.random.default_rng(3).uniform(0.2, 0.9, (512, 1024)))
     pluto = BodyModel(body(camera, 190.0), LunarLambert(0.5), albedo)
     charon = BodyModel(body(camera, 97.0, 606.0, (820.0, 300.0), "CHARON"), LommelSeeliger(), 0.35)
-    (naive_s, _), (adaptive_s, _) = fastest(
+    compare(
+        benchmark,
+        fastest,
         lambda: (naive(camera, pluto, 190.0), naive(camera, charon, 97.0)),
         lambda: adaptive(camera, [pluto, charon]),
     )
     rendering = benchmark(lambda: adaptive(camera, [pluto, charon]))
-    benchmark.extra_info["times_faster_than_5x5"] = naive_s / adaptive_s
     total = sum(b.flux_e for b in rendering.bodies)
     assert rendering.electrons.sum() == pytest.approx(total, rel=3e-3)
 
@@ -100,9 +108,6 @@ def test_shape_of_50_000_plates(benchmark, fastest, camera):
     )
     assert len(shape.plates) >= 50_000
     model = BodyModel(body(camera, 400.0), LommelSeeliger(), shape=shape)
-    (naive_s, _), (adaptive_s, _) = fastest(
-        lambda: naive(camera, model, 400.0), lambda: adaptive(camera, [model])
-    )
+    compare(benchmark, fastest, lambda: naive(camera, model, 400.0), lambda: adaptive(camera, [model]))
     rendering = benchmark(lambda: adaptive(camera, [model]))
-    benchmark.extra_info["times_faster_than_5x5"] = naive_s / adaptive_s
     assert rendering.electrons.sum() == pytest.approx(rendering.bodies[0].flux_e, rel=5e-3)

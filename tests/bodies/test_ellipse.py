@@ -85,16 +85,21 @@ def test_errors_are_what_the_covariance_says(binned_stage, add_noise, sample):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("diameter", "phase"), [(8.0, 40.0), (40.0, 100.0)])
-def test_errors_over_sigma_of_many_trials(binned_stage, add_noise, diameter, phase):
-    options = {"solve_range": diameter > 20.0}
-    error, pull, _ = trials(
-        binned_stage, add_noise, diameter, phase, np.array([126.6, 127.9]), 110, **options
-    )
-    # 0.9 to 1.1, as far as 220 components can tell (4.8 %); 500 trials gave 1.10 at 8 px
-    assert 0.82 < np.sqrt(np.mean(pull**2)) < 1.18
-    assert np.abs(error.mean(axis=0)).max() < 0.005
-    assert np.sqrt(np.mean(error**2)) < 0.03
+def test_errors_over_sigma_of_many_trials(binned_stage, add_noise):
+    """0.9 to 1.1, as far as the 240 components of both bodies can tell (4.6 %), and those of each (6.5 %).
+
+    500 trials gave 1.10 at 8 px.
+    """
+    pulls = []
+    for diameter, phase in ((8.0, 40.0), (40.0, 100.0)):
+        options = {"solve_range": diameter > 20.0}
+        place = np.array([126.6, 127.9])
+        error, pull, _ = trials(binned_stage, add_noise, diameter, phase, place, 60, **options)
+        assert 0.78 < np.sqrt(np.mean(pull**2)) < 1.22
+        assert np.abs(error.mean(axis=0)).max() < 0.006
+        assert np.sqrt(np.mean(error**2)) < 0.03
+        pulls.append(pull)
+    assert 0.83 < np.sqrt(np.mean(np.square(pulls))) < 1.17
 
 
 def test_range_from_the_apparent_size(body_stage):

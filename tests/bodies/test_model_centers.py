@@ -78,14 +78,19 @@ def test_errors_are_what_the_covariance_says(binned_stage, add_noise, sample):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("diameter", "phase", "axes"), [(5.0, 30.0, SPHERE), (9.0, 110.0, TRIAXIAL)])
-def test_errors_over_sigma_of_many_trials(binned_stage, add_noise, diameter, phase, axes):
-    true = np.array([127.31, 126.84])
-    model = binned_stage.body(diameter, phase, true, axes)
-    half = int(diameter / 2 + 12)
-    light = binned_stage.brute_force(model, (127 - half, 127 - half, 2 * half, 2 * half), 32)
-    # 0.9 to 1.1, as far as 180 components can tell (5.3 %); 500 trials gave 0.92 to 1.10
-    check_trials(trials(binned_stage, model, true, light, 90, 2, add_noise), 0.81, 1.19)
+def test_errors_over_sigma_of_many_trials(binned_stage, add_noise):
+    """0.9 to 1.1, as far as the 180 components of both bodies can tell (5.3 %), and those of each (7.5 %).
+
+    500 trials of each gave 0.92 to 1.10.
+    """
+    true, results = np.array([127.31, 126.84]), []
+    for diameter, phase, axes in ((5.0, 30.0, SPHERE), (9.0, 110.0, TRIAXIAL)):
+        model = binned_stage.body(diameter, phase, true, axes)
+        half = int(diameter / 2 + 12)
+        light = binned_stage.brute_force(model, (127 - half, 127 - half, 2 * half, 2 * half), 32)
+        results.append(trials(binned_stage, model, true, light, 45, 2, add_noise))
+        check_trials(results[-1], 0.75, 1.25, 0.006)
+    check_trials(np.concatenate(results), 0.81, 1.19)
 
 
 @pytest.mark.slow(keep=["find_least_squares"])

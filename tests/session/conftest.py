@@ -1,6 +1,7 @@
 """A session taken the whole way, and sessions at their start."""
 
 from collections.abc import Callable, Iterator
+from copy import copy
 
 import pytest
 
@@ -106,16 +107,24 @@ def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Tr
     return near, pair
 
 
+@pytest.fixture(scope="module")
+def solved_sessions(resolved_truths: tuple[Truth, Truth]) -> tuple[ImageSession, ImageSession]:
+    """Sessions of both pictures, their pointing solved; tests take copies."""
+    with KernelSet(APPROACH):
+        near, pair = (solved(truth) for truth in resolved_truths)
+    return near, pair
+
+
 @pytest.fixture
-def near(resolved_truths: tuple[Truth, Truth], approach: None) -> ImageSession:
+def near(solved_sessions: tuple[ImageSession, ImageSession], approach: None) -> ImageSession:
     """A session of the picture with one large disk, its pointing solved."""
-    return solved(resolved_truths[0])
+    return copied(solved_sessions[0])
 
 
 @pytest.fixture
-def pair(resolved_truths: tuple[Truth, Truth], approach: None) -> ImageSession:
+def pair(solved_sessions: tuple[ImageSession, ImageSession], approach: None) -> ImageSession:
     """A session of the picture with two bodies, its pointing solved."""
-    return solved(resolved_truths[1])
+    return copied(solved_sessions[1])
 
 
 def solved(truth: Truth) -> ImageSession:
@@ -124,3 +133,17 @@ def solved(truth: Truth) -> ImageSession:
     session.find_stars()
     session.repoint()
     return session
+
+
+def copied(session: ImageSession) -> ImageSession:
+    """Return another session that stands where this one does: they share states and inputs, which nothing changes."""
+    own = ImageSession(session.context, session.source, session.inputs, session._catalog)
+    own._history = copy(session._history)
+    for name in ("_standing", "_undone", "_journal"):
+        setattr(own._history, name, list(getattr(own._history, name)))
+    return own
+
+
+@pytest.fixture(scope="session")
+def copy_of() -> Callable[[ImageSession], ImageSession]:
+    return copied

@@ -193,15 +193,16 @@ def test_a_shape_among_the_kernels_is_drawn(near, resolved_truths, tmp_path):
     session = ImageSession.open(resolved_truths[0].picture, "new_horizons")
     with KernelSet([*(k.path for k in KernelSet.active().kernels()), tmp_path / "pluto.bds"]):
         session.predict()
+        session.add_target("PLUTO")
+        assert session.inputs.shapes["PLUTO"] == tmp_path / "pluto.bds"
+        session.save(tmp_path / "run")
         session.find_stars()
         session.repoint()
         session.find_body("PLUTO", "least_squares")
-    assert session.inputs.shapes["PLUTO"] == tmp_path / "pluto.bds"
+    assert ImageSession.resume(tmp_path / "run").inputs.shapes == session.inputs.shapes
     near.find_body("PLUTO", "least_squares")
     with_shape, sphere = _center(session, "PLUTO"), _center(near, "PLUTO")
     assert with_shape.chi2_reduced > 3.0 * sphere.chi2_reduced
-    session.save(tmp_path / "run")
-    assert ImageSession.resume(tmp_path / "run").inputs.shapes == session.inputs.shapes
 
 
 # -- circles and scans ---------------------------------------------------------------------------------------------

@@ -9,12 +9,14 @@ from astropy.table import QTable
 
 from opnav_workbench.bodies import BodyFlag
 from opnav_workbench.geometry import geometric_direction
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.pointing import with_observables
 from opnav_workbench.session.result import result_dict
 
 # With Pluto 47 px wide in the middle of 256 x 256 px, Charon is outside; the Sun stands behind the camera.
 BEHIND, OUTSIDE = "SUN", "CHARON"
+APPROACH = "new_horizons/pluto_approach"
 
 
 def _result(session, **changes):
@@ -29,11 +31,18 @@ def _body(result, name="PLUTO"):
     return found
 
 
+@pytest.fixture(scope="module")
+def found_once(solved_sessions, copy_of):
+    session = copy_of(solved_sessions[0])
+    with KernelSet(APPROACH):
+        session.find_body("PLUTO", "least_squares")
+    assert session.state.bodies[0].status == "ok"
+    return session
+
+
 @pytest.fixture
-def found(near):
-    near.find_body("PLUTO", "least_squares")
-    assert near.state.bodies[0].status == "ok"
-    return near
+def found(found_once, copy_of, approach):
+    return copy_of(found_once)
 
 
 # -- a target is never ok on a pointing that is unsolved or unsure -------------------------------------------------

@@ -133,8 +133,8 @@ def test_fields_far_off_are_identified(name, limits):
 @pytest.mark.slow
 @pytest.mark.parametrize(("limits", "least"), [(WIDE, 0.99), (LOST, 0.95)], ids=["200px", "1000px"])
 def test_many_fields_far_off_are_identified(limits, least):
-    """60 fields of each camera; the published figures are of 250 with the same seed."""
-    both = [rates(camera, limits, 60, seed=2) for camera in CAMERAS.values()]
+    """40 fields of each camera: none missed near, four of those lost; the published figures are of 250 with this seed."""
+    both = [rates(camera, limits, 40, seed=2) for camera in CAMERAS.values()]
     assert np.mean([right for right, _ in both]) >= least
     assert sum(wrong for _, wrong in both) == 0
 
@@ -177,22 +177,20 @@ def confidences(limits, fields, seed):
 
 
 @pytest.mark.slow
-def test_unrelated_fields_are_not_accepted():
-    """A confidence c is exceeded by less than 1 - c of them; 2 more for 200 fields' luck."""
-    confidence = np.concatenate([confidences((60.0, 0.5), 200, 1), confidences(WIDE, 40, 1)])
-    assert not np.any(confidence >= 0.999)
-    assert np.sum(confidence > 0.9) <= 0.01 * len(confidence) + 2
-    assert np.any(confidence > 0.1)  # coincidences there are
-
-
-@pytest.mark.slow
 def test_less_than_one_unrelated_field_of_a_thousand_is_accepted():
+    """A confidence c is exceeded by less than 1 - c of them.
+
+    None of 600 may pass: a rate of three in a thousand is noticed as often (83 %) as by one allowed of 1,000.
+    """
     near, wide, lost = (
-        confidences((60.0, 0.5), 1000, 2),
-        confidences(WIDE, 1000, 2),
+        confidences((60.0, 0.5), 600, 2),
+        confidences(WIDE, 600, 2),
         confidences(LOST, 150, 2),
     )
     for confidence in (near, wide, lost):
-        assert np.mean(confidence >= 0.999) < 1e-3 + 1e-9
+        assert not np.any(confidence >= 0.999)
         assert np.mean(confidence > 0.99) < 1e-2
         assert np.mean(confidence > 0.9) < 0.1
+    close = np.concatenate([near, wide])
+    assert np.sum(close > 0.9) <= 0.01 * len(close) + 2
+    assert np.any(close > 0.1)  # coincidences there are
