@@ -176,25 +176,25 @@ def linearize(
 def camera_jacobian(parameters: CameraParameters, values: FloatArray, in_camera: FloatArray) -> FloatArray:
     """Return d(pixel, line) / d(optical parameters), (n, 2, p), by central differences."""
     columns = np.zeros((len(in_camera), 2, len(values)))
+    place = parameters.camera_near(values).project(in_camera)
     for j in range(len(values)):
-        step = _difference_step(parameters, values, j, in_camera)
+        step = _difference_step(parameters, values, j, in_camera, place)
         if step == 0.0:  # no effect at all, such as that of a term in r on a star at the center
             continue
         plus, minus = (
-            parameters.camera_with(_with_step(values, j, s)).project(in_camera) for s in (step, -step)
+            parameters.camera_near(_with_step(values, j, s)).project(in_camera) for s in (step, -step)
         )
         columns[:, :, j] = (plus - minus) / (2.0 * step)
     return columns
 
 
 def _difference_step(
-    parameters: CameraParameters, values: FloatArray, index: int, in_camera: FloatArray
+    parameters: CameraParameters, values: FloatArray, index: int, in_camera: FloatArray, place: FloatArray
 ) -> float:
-    """Step that moves the stars by `STEP_PX`; distortion terms are nearly linear, but their units differ by 1e10."""
-    place = parameters.camera_with(values).project(in_camera)
+    """Step that moves the stars from their `place` by `DIFFERENCE_STEP_PX`: terms are nearly linear, in units 1e10 apart."""
     step = max(TRIAL_LEAST, TRIAL_PART * abs(values[index]))
     while step < TRIAL_MOST:
-        moved = np.abs(parameters.camera_with(_with_step(values, index, step)).project(in_camera) - place)
+        moved = np.abs(parameters.camera_near(_with_step(values, index, step)).project(in_camera) - place)
         largest = float(np.nanmax(moved, initial=0.0))
         if largest > VISIBLE_PX:
             return float(step * DIFFERENCE_STEP_PX / largest)

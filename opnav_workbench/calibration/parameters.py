@@ -76,6 +76,14 @@ class CameraParameters:
         CameraError
             No camera can have them.
         """
+        return replace(self.camera, **self._fields(values))
+
+    def camera_near(self, values: FloatArray) -> Camera:
+        """Return the same camera unchecked: for differences about values that a camera was seen to have."""
+        return self.camera.varied(**self._fields(values))
+
+    def _fields(self, values: FloatArray) -> dict[str, Any]:
+        """Return the fields of the camera that these values change."""
         given = dict(zip(self.optical, (float(v) for v in values), strict=True))
         camera = self.camera
         center = np.array(camera.center_pixel_line)
@@ -83,13 +91,12 @@ class CameraParameters:
         matrix = np.array(camera.pixel_from_mm)
         matrix[1] *= given.get("line_scale", 1.0)
         focal = given.get("focal_length_mm", camera.focal_length_mm)
-        return replace(
-            camera,
-            focal_length_mm=focal,
-            center_pixel_line=center,
-            pixel_from_mm=matrix,
-            distortion=_distortion(camera.distortion, given, focal),
-        )
+        return {
+            "focal_length_mm": focal,
+            "center_pixel_line": center,
+            "pixel_from_mm": matrix,
+            "distortion": _distortion(camera.distortion, given, focal),
+        }
 
 
 def solvable(camera: Camera) -> tuple[str, ...]:

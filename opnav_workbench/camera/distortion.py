@@ -154,7 +154,7 @@ class OwenDistortion(DirectDistortion):
         r2 = x * x + y * y
         radial = self.e2_per_mm2 * r2 + self.e4_per_mm4 * r2 * r2 + self.e5_per_mm * y + self.e6_per_mm * x
         pinwheel = (self.e1_per_mm + self.e3_per_mm3 * r2) * np.sqrt(r2)
-        return np.stack([x + radial * x - pinwheel * y, y + radial * y + pinwheel * x], axis=-1)
+        return _columns(x + radial * x - pinwheel * y, y + radial * y + pinwheel * x)
 
     def jacobian(self, xy_mm: ArrayLike) -> FloatArray:
         """Return d(distorted)/d(ideal) (..., 2, 2) at ideal coordinates (..., 2) mm."""
@@ -169,13 +169,12 @@ class OwenDistortion(DirectDistortion):
         # d(pinwheel)/dx = (e1/r + 3 e3 r) x; at the center e1 r has a kink, but it is multiplied by y = 0
         # there
         twist = np.divide(self.e1_per_mm, r, out=np.zeros_like(r), where=r > 0.0) + 3.0 * self.e3_per_mm3 * r
-        top = np.stack(
-            [1.0 + radial + radial_x * x - twist * x * y, radial_y * x - pinwheel - twist * y * y], -1
+        return _matrices(
+            1.0 + radial + radial_x * x - twist * x * y,
+            radial_y * x - pinwheel - twist * y * y,
+            radial_x * y + pinwheel + twist * x * x,
+            1.0 + radial + radial_y * y + twist * x * y,
         )
-        low = np.stack(
-            [radial_x * y + pinwheel + twist * x * x, 1.0 + radial + radial_y * y + twist * x * y], -1
-        )
-        return np.stack([top, low], axis=-2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +238,7 @@ class BrownDistortion(DirectDistortion):
         cross = 2.0 * x * y
         u = x * radial + self.p1 * cross + self.p2 * (r2 + 2.0 * x * x) + r2 * (self.s1 + r2 * self.s2)
         v = y * radial + self.p1 * (r2 + 2.0 * y * y) + self.p2 * cross + r2 * (self.s3 + r2 * self.s4)
-        return np.stack([u, v], axis=-1) * self.focal_mm
+        return _columns(u, v) * self.focal_mm
 
     def jacobian(self, xy_mm: ArrayLike) -> FloatArray:
         """Return d(distorted)/d(ideal) (..., 2, 2) at ideal coordinates (..., 2) mm."""
@@ -252,17 +251,28 @@ class BrownDistortion(DirectDistortion):
         shear = 2.0 * (x * y * slope + self.p1 * x + self.p2 * y)
         uu = radial + 2.0 * x * x * slope + 2.0 * self.p1 * y + 6.0 * self.p2 * x + prism_u * x
         vv = radial + 2.0 * y * y * slope + 6.0 * self.p1 * y + 2.0 * self.p2 * x + prism_v * y
-        return np.stack(
-            [np.stack([uu, shear + prism_u * y], -1), np.stack([shear + prism_v * x, vv], -1)], axis=-2
-        )
+        return _matrices(uu, shear + prism_u * y, shear + prism_v * x, vv)
+
+
+def _columns(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return vectors (..., 2) of their two components: `np.stack` of few points costs more than what is stacked."""
+    out = np.empty((*first.shape, 2))
+    out[..., 0], out[..., 1] = first, second
+    return out
+
+
+def _matrices(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    """Return matrices (..., 2, 2) of rows (a, b) and (c, d)."""
+    out = np.empty((*a.shape, 2, 2))
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = a, b, c, d
+    return out
 
 
 def inverse_2x2(matrices: FloatArray) -> FloatArray:
     """Return the inverses of matrices (..., 2, 2); a singular one becomes nan or inf, and no exception."""
     a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        adjugate = np.stack([np.stack([d, -b], -1), np.stack([-c, a], -1)], axis=-2)
-        return np.asarray(adjugate / (a * d - b * c)[..., None, None])
+        return np.asarray(_matrices(d, -b, -c, a) / (a * d - b * c)[..., None, None])
 
 
 def _newton(
@@ -524,6 +534,9 @@ def _both_axes(x: FloatArray, y: FloatArray, series: FloatArray) -> FloatArray:
 REACH_RAYS = 16
 REACH_RADII = 200
 MIN_TANGENT, MAX_TANGENT = 1e-3, 20.0  # of the angle from the boresight: up to 87 deg, in steps of 5 %
+_TANGENTS = np.geomspace(MIN_TANGENT, MAX_TANGENT, REACH_RADII)
+_ANGLES = np.linspace(0.0, 2.0 * np.pi, REACH_RAYS, endpoint=False)
+_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
 
 
 def reach_mm(distortion: Distortion, focal_length_mm: float) -> float:
@@ -531,9 +544,8 @@ def reach_mm(distortion: Distortion, focal_length_mm: float) -> float:
 
     Infinite where it does so up to 87 deg from the boresight.
     """
-    radii = focal_length_mm * np.geomspace(MIN_TANGENT, MAX_TANGENT, REACH_RADII)
-    angles = np.linspace(0.0, 2.0 * np.pi, REACH_RAYS, endpoint=False)
-    points = radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    radii = focal_length_mm * _TANGENTS
+    points = radii[:, None, None] * _CIRCLE
     with np.errstate(all="ignore"):
         folded = ~(_least_stretch(distortion.jacobian(points)) > distortion.least_stretch).all(axis=1)
     return float(radii[max(int(folded.argmax()) - 1, 0)]) if folded.any() else np.inf

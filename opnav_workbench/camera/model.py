@@ -12,6 +12,7 @@ Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields
 from os import PathLike
 from pathlib import Path
@@ -141,6 +142,18 @@ class Camera(CameraResponse):
             raise CameraError(
                 f"{self.name}: focal_from_camera needs orthogonal unit rows (pixel, line, boresight): {error}"
             ) from error
+
+    def varied(self, **changes: Any) -> Self:
+        """Return the camera with other values of some fields, not checked: for differences about one that was.
+
+        `dataclasses.replace` makes a camera that is checked, which costs as much as projecting a thousand stars.
+        """
+        other = copy(self)
+        for name, value in changes.items():
+            known = readonly(np.array(value)) if isinstance(value, np.ndarray) else value
+            object.__setattr__(other, name, known)
+        object.__setattr__(other, "_reach_mm", reach_mm(other.distortion, other.focal_length_mm))
+        return other
 
     @classmethod
     def from_yaml(cls, path: str | PathLike[str]) -> Self:
