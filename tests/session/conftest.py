@@ -58,11 +58,17 @@ def go() -> Callable[[ImageSession], ImageSession]:
     return whole_way
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def finished(truth: Truth, go: Callable[[ImageSession], ImageSession]) -> ImageSession:
     """A finished session that tests only read."""
     with KernelSet(DEMO_KERNELS):
         return go(ImageSession.open(truth.picture, "new_horizons"))
+
+
+@pytest.fixture
+def done(finished: ImageSession, kernels: None) -> ImageSession:
+    """A finished session of the test's own."""
+    return copied(finished)
 
 
 APPROACH = "new_horizons/pluto_approach"
@@ -107,7 +113,7 @@ def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Tr
     return near, pair
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def solved_sessions(resolved_truths: tuple[Truth, Truth]) -> tuple[ImageSession, ImageSession]:
     """Sessions of both pictures, their pointing solved; tests take copies."""
     with KernelSet(APPROACH):

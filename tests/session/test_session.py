@@ -231,15 +231,14 @@ def test_unknown_methods_are_answered_with_the_known(opened, step, named):
 
 
 @pytest.mark.slow
-def test_predict_drops_what_was_found_but_keeps_decisions_and_targets(opened, go):
-    go(opened)
-    star = _used(opened)[0]
-    opened.reject_stars([star], "ghost")
-    opened.predict()
-    assert opened.state.pointing is None
-    assert opened.state.observables == ()
-    assert opened.state.targets == DEMO_TARGETS
-    assert _statuses(opened)[star]["reason"] == "by the analyst: ghost"
+def test_predict_drops_what_was_found_but_keeps_decisions_and_targets(done):
+    star = _used(done)[0]
+    done.reject_stars([star], "ghost")
+    done.predict()
+    assert done.state.pointing is None
+    assert done.state.observables == ()
+    assert done.state.targets == DEMO_TARGETS
+    assert _statuses(done)[star]["reason"] == "by the analyst: ghost"
 
 
 # -- undo ----------------------------------------------------------------------------------------------------------
@@ -385,18 +384,17 @@ def test_repointing_judges_all_stars_anew(misplaced):
     assert not any("outlier" in message for message in session.state.messages)
 
 
-def test_observables_follow_the_pointing(opened, go):
+def test_observables_follow_the_pointing(done):
     """O-C of bodies already measured is made anew with a new pointing."""
-    go(opened)
-    before = json.loads(opened.to_json())
-    opened.reject_stars(_used(opened)[:7], reason="half the field")
-    opened.repoint()
-    after = json.loads(opened.to_json())
-    attitude = np.array(opened.state.pointing.camera_from_j2000)
+    before = json.loads(done.to_json())
+    done.reject_stars(_used(done)[:7], reason="half the field")
+    done.repoint()
+    after = json.loads(done.to_json())
+    attitude = np.array(done.state.pointing.camera_from_j2000)
     for old, new in zip(before["bodies"], after["bodies"], strict=True):
         assert new["observed"] == old["observed"]
         assert new["predicted"] != old["predicted"]
-        observed = opened.context.camera.unproject(np.array([new["observed"]]))[0] @ attitude
+        observed = done.context.camera.unproject(np.array([new["observed"]]))[0] @ attitude
         ra, dec = np.arctan2(observed[1], observed[0]), np.arcsin(observed[2])
         # 1e-9 deg is 3.6 microarcsec, far below any center
         assert new["apparent_ra_deg"] == pytest.approx(np.degrees(ra) % 360.0, abs=1e-9)

@@ -76,17 +76,16 @@ def test_undo_works_after_resume(finished, folder):
 
 
 @pytest.mark.slow
-def test_resume_with_undone_steps_and_decisions(opened, go, tmp_path):
-    go(opened)
-    star = str(opened.state.a_priori.id[opened.state.mask("used")][0])
-    opened.reject_stars([star], reason="straylight")
-    opened.repoint(model="image_plane")
-    opened.undo()
-    opened.repoint()
-    opened.save(tmp_path)
+def test_resume_with_undone_steps_and_decisions(done, tmp_path):
+    star = str(done.state.a_priori.id[done.state.mask("used")][0])
+    done.reject_stars([star], reason="straylight")
+    done.repoint(model="image_plane")
+    done.undo()
+    done.repoint()
+    done.save(tmp_path)
     resumed = ImageSession.resume(tmp_path)
-    assert _without_kernels(resumed) == _without_kernels(opened)
-    assert resumed.journal == opened.journal
+    assert _without_kernels(resumed) == _without_kernels(done)
+    assert resumed.journal == done.journal
     assert resumed.undo().step == "repoint"
     assert resumed.undo().reason == "straylight"
 
@@ -245,29 +244,27 @@ def _contents(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow(keep=["os-fsync"])
 @pytest.mark.parametrize(("where", "what"), [(os, "fsync"), (Path, "replace")])
-def test_full_disk_leaves_older_files_unchanged(opened, go, tmp_path, monkeypatch, where, what):
-    opened.predict()
-    opened.save(tmp_path)
+def test_full_disk_leaves_older_files_unchanged(done, tmp_path, monkeypatch, where, what):
+    done.save(tmp_path)
     before = _contents(tmp_path)
-    go(opened)
+    done.note("later")
     with monkeypatch.context() as patch:
         patch.setattr(where, what, _full)
         with pytest.raises(SessionError, match="No space left on device") as caught:
-            opened.save(tmp_path)
+            done.save(tmp_path)
     _one_line(caught)
     assert _contents(tmp_path) == before
-    opened.save(tmp_path)
+    done.save(tmp_path)
     assert _contents(tmp_path) != before
     assert sorted(_contents(tmp_path)) == list(FILES)
 
 
 @pytest.mark.slow
-def test_disk_full_at_the_last_file_keeps_the_first_ones_too(opened, go, tmp_path, monkeypatch):
+def test_disk_full_at_the_last_file_keeps_the_first_ones_too(done, tmp_path, monkeypatch):
     """result.json is written before session.json, but must not be newer than it."""
-    opened.predict()
-    opened.save(tmp_path)
+    done.save(tmp_path)
     before = _contents(tmp_path)
-    go(opened)
+    done.note("later")
     calls = []
 
     def second_fails(descriptor: int) -> None:
@@ -278,7 +275,7 @@ def test_disk_full_at_the_last_file_keeps_the_first_ones_too(opened, go, tmp_pat
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", second_fails)
         with pytest.raises(SessionError, match=r"session\.json"):
-            opened.save(tmp_path)
+            done.save(tmp_path)
     assert len(calls) == 2
     assert _contents(tmp_path) == before
 
