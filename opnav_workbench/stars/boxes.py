@@ -79,12 +79,21 @@ def check_image(
     saturated_map: BoolArray = _like(
         image, np.asarray(False if saturated is None else saturated, bool), "saturated"
     )
-    bad_map = masked | ~np.isfinite(image) | ~(np.isfinite(noise) & (noise > 0.0))
-    if bad_map.all():
+    good = np.isfinite(image)
+    if noise.strides == (0, 0):
+        good &= bool(np.isfinite(noise[0, 0]) and noise[0, 0] > 0.0)
+    else:
+        good &= noise > 0.0
+        good &= noise < np.inf
+    if bad is not None:
+        good &= ~masked
+    if not good.any():
         raise CenterfindingError(
             "no usable pixel: all are masked, not finite, or without a positive noise_dn."
         )
-    unusable = bad_map | saturated_map
+    bad_map, unusable = ~good, ~good if saturated is None else saturated_map | ~good
+    if not unusable.any():  # the usual large picture is not copied
+        return Pixels(image, noise, bad_map, saturated_map)
     return Pixels(
         np.where(unusable, 0.0, image),
         np.where(unusable, np.inf, noise),

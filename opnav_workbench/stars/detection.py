@@ -177,46 +177,38 @@ def _filtered_peaks(pixels: Pixels, median: float, kernel: FloatArray, threshold
 
     The picture is filtered strip by strip: what is computed of a strip stays in the processor's cache.
     """
-    full = _full_information(pixels.noise_dn, kernel)
+    least = MIN_COVERAGE * _full_information(pixels.noise_dn, kernel)
     n_line, half = len(pixels.image_dn), len(kernel) // 2
     found, sigmas = [], []
     for start in range(0, n_line, STRIP_LINES):
         stop = min(start + STRIP_LINES, n_line)
         low, high = max(start - 1, 0), min(stop + 1, n_line)  # a maximum needs its neighbors
-        snr, flux_sigma = _filtered_strip(pixels, median, kernel, full, low, high)
-        line, pixel = _local_maxima(snr, threshold)
-        steps = np.array([-1, 0, 1])
-        patch = snr[line[:, None, None] + steps[:, None], pixel[:, None, None] + steps]
-        found.append((line + low, pixel, patch, flux_sigma[line, pixel]))
-        sigmas.append(flux_sigma[:: half + 1, :: half + 1].ravel())
+        signal, information = _filtered_strip(pixels, median, kernel, low, high)
+        line, pixel, patch = _local_maxima(signal, information, least, threshold)
+        found.append((line + low, pixel, patch, information[line, pixel] ** -0.5))
+        some = information[:: half + 1, :: half + 1]
+        sigmas.append(some[some > least] ** -0.5)
     line, pixel, patch, flux_sigma = (np.concatenate(column) for column in zip(*found, strict=True))
-    some = np.concatenate(sigmas)
-    usual = float(np.median(some[some > 0.0])) if (some > 0.0).any() else float("nan")
-    return line, pixel, patch, flux_sigma, usual
+    covered = np.concatenate(sigmas)
+    return line, pixel, patch, flux_sigma, float(np.median(covered)) if len(covered) else float("nan")
 
 
 def _filtered_strip(
-    pixels: Pixels, median: float, kernel: FloatArray, full: float, low: int, high: int
+    pixels: Pixels, median: float, kernel: FloatArray, low: int, high: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Signal-to-noise ratio and flux sigma (0 where too little of a star is usable) of the lines from low to high."""
+    """Weighted flux and inverse variance of a star's flux on each pixel of the lines from low to high."""
     half = len(kernel) // 2
     top, bottom = max(low - half, 0), min(high + half, len(pixels.image_dn))
-    noise = pixels.noise_dn[top:bottom]
-    weight = 1.0 / noise**2
-    within = slice(low - top, high - top)
-    signal = weight * (pixels.image_dn[top:bottom] - median)
-    information = _information(weight, kernel)[within]
-    covered = information > MIN_COVERAGE * full
-    flux_sigma = np.where(covered, 1.0 / np.sqrt(np.where(covered, information, 1.0)), 0.0)
-    return _separable(signal, kernel)[within] * flux_sigma, flux_sigma
-
-
-def _information(weight: FloatArray, kernel: FloatArray) -> FloatArray:
-    """Inverse variances of the flux at each pixel; where all weights are equal that is a matter of the edges."""
-    if np.all(weight == weight[0, 0]):
-        line, pixel = (correlate1d(np.ones(n), kernel**2, mode="constant") for n in weight.shape)
-        return np.asarray(weight[0, 0] * line[:, None] * pixel)
-    return _separable(weight, kernel**2)
+    margin = half - (low - top), half - (bottom - high)  # of lines beyond the picture's edge
+    weight = pixels.noise_dn[top:bottom] ** -2.0
+    signal = (pixels.image_dn[top:bottom] - median) * weight
+    if np.all(weight == weight[0, 0]):  # a matter of the edges
+        ones = (np.ones(n) for n in weight.shape)
+        line, pixel = (correlate1d(one, kernel**2, mode="constant") for one in ones)
+        information = weight[0, 0] * line[low - top : high - top, None] * pixel
+    else:
+        information = _separable(weight, kernel**2, margin)
+    return _separable(signal, kernel, margin), information
 
 
 class _PixelPhase:
@@ -261,9 +253,28 @@ def _kernel(sigma_px: float) -> FloatArray:
     return np.asarray(0.5 * np.diff(erf(edges / (np.sqrt(2.0) * sigma_px))))
 
 
-def _separable(image: FloatArray, kernel: FloatArray) -> FloatArray:
-    along = correlate1d(image, kernel, axis=1, mode="constant")
-    return np.asarray(correlate1d(along, kernel, axis=0, mode="constant"))
+def _separable(strip: FloatArray, kernel: FloatArray, margin: tuple[int, int]) -> FloatArray:
+    """Filter along lines and columns; half a kernel is lost above and below but for the `margin`, which is dark.
+
+    Sums of shifted arrays: of a strip that stays in the cache, a third of the time that `correlate1d` takes.
+    """
+    half = len(kernel) // 2
+    tall = np.pad(strip, (margin, (half, half)))
+    n_line, n_pixel = tall.shape[0] - 2 * half, strip.shape[1]
+    down = _shifted_sum([tall[k : k + n_line] for k in range(len(kernel))], kernel)
+    return _shifted_sum([down[:, k : k + n_pixel] for k in range(len(kernel))], kernel)
+
+
+def _shifted_sum(shifted: list[FloatArray], kernel: FloatArray) -> FloatArray:
+    """Sum of arrays times a kernel that is symmetric."""
+    half = len(kernel) // 2
+    total = kernel[half] * shifted[half]
+    pair = np.empty_like(total)
+    for k in range(half):
+        np.add(shifted[k], shifted[-1 - k], out=pair)
+        pair *= kernel[k]
+        total += pair
+    return total
 
 
 def _full_information(noise_dn: FloatArray, kernel: FloatArray) -> float:
@@ -273,19 +284,24 @@ def _full_information(noise_dn: FloatArray, kernel: FloatArray) -> float:
     return float(np.median(some) ** -2.0 * np.sum(kernel**2) ** 2)
 
 
-def _local_maxima(snr: FloatArray, threshold: float) -> tuple[IntArray, IntArray]:
-    """Lines and pixels above the threshold and above their eight neighbors (of equal ones, the first)."""
-    line, pixel = np.divmod(np.flatnonzero(snr[1:-1, 1:-1] >= threshold), max(snr.shape[1] - 2, 1))
-    line, pixel = line + 1, pixel + 1
-    here, top = snr[line, pixel], np.ones(len(line), bool)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            neighbor = snr[line + dy, pixel + dx]
-            if (dy, dx) < (0, 0):
-                top &= here > neighbor
-            elif (dy, dx) > (0, 0):
-                top &= here >= neighbor
-    return line[top], pixel[top]
+def _local_maxima(
+    signal: FloatArray, information: FloatArray, least: float, threshold: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Lines and pixels above the threshold and above their eight neighbors (of equal ones, the first); the ratios there.
+
+    A ratio of signal to noise is the weighted flux over the root of its information; 0 where that is too little.
+    """
+    inner = slice(1, -1), slice(1, -1)
+    here = signal[inner]
+    above = (here * np.abs(here) >= threshold**2 * information[inner]) & (information[inner] > least)
+    line, pixel = np.divmod(np.flatnonzero(above), max(signal.shape[1] - 2, 1))
+    line, pixel, steps = line + 1, pixel + 1, np.array([-1, 0, 1])
+    around = line[:, None, None] + steps[:, None], pixel[:, None, None] + steps
+    known = information[around]
+    patch = np.where(known > least, signal[around] / np.sqrt(np.where(known > least, known, 1.0)), 0.0)
+    flat, middle = patch.reshape(-1, 9), patch[:, 1, 1, None]
+    top = (middle > flat[:, :4]).all(axis=1) & (middle >= flat[:, 5:]).all(axis=1)
+    return line[top], pixel[top], patch[top]
 
 
 def _sharpness(
