@@ -16,7 +16,7 @@ import os
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
-from opnav_workbench.catalog.star_store import Candidates, SkyIndex, sort_keys
+from opnav_workbench.catalog.star_store import Candidates, SkyIndex, SkyOfMany, sort_keys
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError, SessionError
 from opnav_workbench.files import atomic_path
@@ -104,7 +104,7 @@ class RecordStore:
         ``brightest_mag`` and ``faintest_mag``.
     """
 
-    __slots__ = ("_bands", "_index", "_limits", "_names", "_records")
+    __slots__ = ("_bands", "_limits", "_names", "_records", "_sky")
 
     def __init__(
         self,
@@ -116,25 +116,28 @@ class RecordStore:
     ) -> None:
         self._records, self._names, self._limits = records, names, dict(limits)
         self._bands = np.array(list(bands), dtype=np.str_)
-        self._index = SkyIndex(records["ra_rad"], records["dec_rad"], keys=keys)
+        places = records["ra_rad"], records["dec_rad"]
+        self._sky = SkyOfMany(SkyIndex(*places, keys=keys), *places, records["mag"])
 
     def near(self, ra_rad: float, dec_rad: float, radius_rad: float) -> Candidates:
         """Return the stars of the index ranges that the cone meets."""
-        rows = self._index.candidates(ra_rad, dec_rad, radius_rad)
-        part = self._records[rows]
-        return Candidates(rows, part["ra_rad"], part["dec_rad"], part)
+        return self._sky.near(ra_rad, dec_rad, radius_rad)
 
     def mag(self, found: Candidates) -> FloatArray:
         """Return the magnitudes."""
-        return _records(found)["mag"]
+        return np.asarray(self._records["mag"][found.rows])
 
     def flags(self, found: Candidates) -> IntArray:
         """Return the flags."""
-        return _records(found)["flags"].astype(np.int64)
+        return np.asarray(self._records["flags"][found.rows].astype(np.int64))
+
+    def brightest_first(self, found: Candidates) -> Candidates:
+        """Return the candidates by magnitude."""
+        return self._sky.brightest_first(found)
 
     def build(self, found: Candidates) -> StarTable:
         """Return the stars of these records."""
-        part = _records(found)
+        part = self._records[found.rows]
         return StarTable(
             id=np.array(self._names(part), dtype=np.str_),
             band=self._bands[part["band"]],
@@ -142,14 +145,16 @@ class RecordStore:
             **{name: part[name] for name in TABLE_COLUMNS},
         )
 
+    def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
+        """Return what gives places and magnitudes."""
+        return {name: partial(self._column, name, found.rows) for name in ("ra_rad", "dec_rad", "mag")}
+
+    def _column(self, name: str, rows: IntArray) -> FloatArray:
+        return np.asarray(self._records[name][rows])
+
     def summary(self) -> Mapping[str, Any]:
         """Return the number of stars and the limits of their magnitudes."""
         return {"n_stars": len(self._records), **self._limits}
-
-
-def _records(found: Candidates) -> Records:
-    assert found.records is not None  # candidates of this store have their records
-    return found.records
 
 
 # ---- Converted catalogs in the user's cache folder.

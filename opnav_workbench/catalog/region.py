@@ -1,5 +1,6 @@
 """Regions of the sky that a catalog can be asked for: a cone, and a convex polygon such as a detector's footprint."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,6 +18,8 @@ MIN_CORNERS = 3
 # nearer to each other than SAME_CORNER span no edge.
 EDGE_TOLERANCE = 1e-12
 SAME_CORNER = 1e-9
+WIDE_RAD = 1e-3  # of wider cones the cosine tells the edge to 1e-9 rad, where the angle decides
+COSINE_ROUNDING = 1e-12
 EDGE_SHARE = 1e-6  # a star whose squared distance is this near to that of a cone's edge is measured exactly
 
 
@@ -49,11 +52,19 @@ class Cone:
 
     def contains(self, directions: FloatArray) -> BoolArray:
         """Return whether unit vectors (n, 3) lie within the radius (n,)."""
+        if self.radius_rad > WIDE_RAD:
+            height, limit = directions @ self.center, math.cos(self.radius_rad)
+            inside = height > limit
+            edge = np.abs(height - limit) <= COSINE_ROUNDING
+            return self._exact_at(edge, inside, directions)
         offset = directions - self.center
         chord2 = np.einsum("ij,ij->i", offset, offset)
         limit2 = 4.0 * np.sin(0.5 * self.radius_rad) ** 2
         inside = chord2 < limit2
         edge = np.abs(chord2 - limit2) <= EDGE_SHARE * limit2 + SAME_CORNER**2
+        return self._exact_at(edge, inside, directions)
+
+    def _exact_at(self, edge: BoolArray, inside: BoolArray, directions: FloatArray) -> BoolArray:
         if edge.any():  # the angle itself is exact to rounding, but takes ten times as long
             inside[edge] = angle_between(directions[edge], self.center) <= self.radius_rad
         return np.asarray(inside)

@@ -10,6 +10,7 @@ fastest star may have moved (`MotionBound`).
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,9 +20,9 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.proper_motion import with_mean_motion
 from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.region import Region
-from opnav_workbench.catalog.star_table import StarTable
-from opnav_workbench.geometry import angle_between, jyear_from_et, unit_from_radec
+from opnav_workbench.catalog.region import Cone, Region
+from opnav_workbench.catalog.star_table import DeferredStars, StarTable
+from opnav_workbench.geometry import jyear_from_et, unit_from_radec
 
 __all__ = [
     "Candidates",
@@ -74,26 +75,31 @@ class SkyIndex:
 
     def candidates(self, ra_rad: float, dec_rad: float, radius_rad: float) -> IntArray:
         """Return rows that contain every star within `radius_rad` of a direction, and a few beyond it."""
+        return self.rows(self.places(ra_rad, dec_rad, radius_rad))
+
+    def rows(self, places: IntArray) -> IntArray:
+        """Return the rows of the stars that stand at these places of the sky's order."""
+        return places if self._order is None else self._order[places]
+
+    def places(self, ra_rad: float, dec_rad: float, radius_rad: float) -> IntArray:
+        """Return the places in the sky's order of every star within `radius_rad` of a direction, and of a few beyond it."""
         reach = radius_rad + GUARD_RAD
-        first, last = (
-            int(_declination_band(np.asarray(edge))) for edge in (dec_rad - reach, dec_rad + reach)
-        )
+        first, last = _declination_band(np.array([dec_rad - reach, dec_rad + reach])).astype(int).tolist()
         spans = ra_spans(ra_rad, dec_rad, reach)
         if spans == [(0.0, 1.0)]:
-            return self._rows([(float(first), float(last + 1))])
-        return self._rows([(band + a, band + b) for band in range(first, last + 1) for a, b in spans])
+            return self._between([(float(first), float(last + 1))])
+        return self._between([(band + a, band + b) for band in range(first, last + 1) for a, b in spans])
 
-    def _rows(self, key_ranges: list[tuple[float, float]]) -> IntArray:
-        starts = np.searchsorted(self._keys, [low for low, _ in key_ranges], side="left")
-        stops = np.searchsorted(self._keys, [high for _, high in key_ranges], side="right")
+    def _between(self, key_ranges: list[tuple[float, float]]) -> IntArray:
+        lows, highs = zip(*key_ranges, strict=True)
+        starts = self._keys.searchsorted(lows, side="left").tolist()
+        stops = self._keys.searchsorted(highs, side="right").tolist()
+        parts, end = [np.empty(0, np.int64)], 0
         # In ascending order; ranges that meet at a key may both hold the star that stands on it.
-        order = np.argsort(starts, kind="stable")
-        starts, stops = starts[order], stops[order]
-        starts[1:] = np.maximum(starts[1:], np.maximum.accumulate(stops)[:-1])
-        length = np.maximum(stops - starts, 0)
-        ends = np.cumsum(length)
-        places = np.arange(ends[-1]) + np.repeat(starts - (ends - length), length)
-        return np.asarray(places if self._order is None else self._order[places])
+        for start, stop in sorted(zip(starts, stops, strict=True)):
+            parts.append(np.arange(max(start, end), stop))
+            end = max(stop, end)
+        return np.concatenate(parts)
 
 
 def ra_spans(ra_rad: float, dec_rad: float, radius_rad: float) -> list[tuple[float, float]]:
@@ -108,9 +114,9 @@ def ra_spans(ra_rad: float, dec_rad: float, radius_rad: float) -> list[tuple[flo
     """
     if abs(dec_rad) + radius_rad >= 0.5 * np.pi:  # the cone holds a pole, so it meets every right ascension
         return [(0.0, 1.0)]
-    half = (np.arcsin(np.sin(radius_rad) / np.cos(dec_rad)) + GUARD_RAD) / TURN_RAD
+    half = (math.asin(min(math.sin(radius_rad) / math.cos(dec_rad), 1.0)) + GUARD_RAD) / TURN_RAD
     center = (ra_rad / TURN_RAD) % 1.0
-    low, high = float(center - half), float(center + half)
+    low, high = center - half, center + half
     if high - low >= 1.0:
         return [(0.0, 1.0)]
     spans = [(max(low, 0.0), min(high, 1.0))]
@@ -137,9 +143,8 @@ def _declination_band(dec_rad: FloatArray) -> FloatArray:
 class Candidates:
     """Stars that a search looks at before any row of a table is built; columns (k,)."""
 
-    rows: IntArray  # the store's own numbers of the stars; they ascend as `near` gives them
-    ra_rad: FloatArray
-    dec_rad: FloatArray
+    rows: IntArray  # the store's own numbers of the stars
+    directions: FloatArray  # (k, 3), J2000, at each star's epoch
     records: NDArray[Any] | None = None  # as the store read them, where it reads whole records
 
     def take(self, which: IntArray | BoolArray) -> "Candidates":
@@ -148,7 +153,7 @@ class Candidates:
         if records is not None:
             # As plain bytes: numpy copies the fields of a record one by one, five times slower.
             records = records.view(f"V{records.itemsize}")[which].view(records.dtype)
-        return Candidates(self.rows[which], self.ra_rad[which], self.dec_rad[which], records)
+        return Candidates(self.rows[which], self.directions[which], records)
 
 
 class StarStore(Protocol):
@@ -163,11 +168,76 @@ class StarStore(Protocol):
     def flags(self, found: Candidates) -> IntArray:
         """Return the `StarQuality` flags (k,)."""
 
+    def brightest_first(self, found: Candidates) -> Candidates:
+        """Return the candidates by magnitude; of equal ones, the first of the catalog first."""
+
     def build(self, found: Candidates) -> StarTable:
         """Return the stars, in their order."""
 
+    def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
+        """Return what gives single columns (k,) of `build` at once, where the store has them so."""
+
     def summary(self) -> Mapping[str, Any]:
         """Return at least ``n_stars``, ``brightest_mag`` and ``faintest_mag``."""
+
+
+def by_magnitude(found: Candidates, mag: FloatArray) -> Candidates:
+    """Return the candidates by magnitude; of equal ones, that of the lowest number first."""
+    return found.take(np.lexsort((found.rows, mag)))
+
+
+# Once cones have looked at this part of a catalog, what the next ones need is found for all its stars and kept: it costs
+# as much as half of them looked at one by one.
+KEEP_AFTER = 0.125
+
+
+class SkyOfMany:
+    """Directions of stars in the order of the sky, and their ranks by brightness: kept where cones look at many.
+
+    Parameters
+    ----------
+    index
+        Of the stars' places.
+    ra_rad, dec_rad, mag : (n,) ndarray
+        In the order of the catalog; they may be parts of records, in memory or mapped.
+    """
+
+    __slots__ = ("_by_rank", "_index", "_looked_at", "_rank", "_stars", "_vectors")
+
+    def __init__(self, index: SkyIndex, ra_rad: FloatArray, dec_rad: FloatArray, mag: FloatArray) -> None:
+        self._index, self._stars = index, (ra_rad, dec_rad, mag)
+        self._looked_at = 0
+        self._vectors: FloatArray | None = None
+        self._rank: NDArray[np.int32] | None = None
+        self._by_rank: IntArray | None = None
+
+    def near(self, ra_rad: float, dec_rad: float, radius_rad: float) -> Candidates:
+        """Return the stars of the index ranges that a cone meets."""
+        places = self._index.places(ra_rad, dec_rad, radius_rad)
+        rows = self._index.rows(places)
+        self._looked_at += len(rows)
+        if self._vectors is None and self._looked_at > KEEP_AFTER * len(self._stars[0]):
+            self._keep()
+        if self._vectors is None:
+            return Candidates(rows, unit_from_radec(self._stars[0][rows], self._stars[1][rows]))
+        return Candidates(rows, np.take(self._vectors, places, axis=0))
+
+    def _keep(self) -> None:
+        ra, dec, mag = self._stars
+        order = self._index.rows(np.arange(len(ra)))
+        self._by_rank = np.argsort(mag, kind="stable")
+        self._rank = np.empty(len(order), np.int32)
+        self._rank[self._by_rank] = np.arange(len(order), dtype=np.int32)
+        self._vectors = unit_from_radec(ra[order], dec[order])
+
+    def brightest_first(self, found: Candidates) -> Candidates:
+        """Return candidates by magnitude, of equal ones the first of the catalog first; without their directions."""
+        if self._rank is None or self._by_rank is None:
+            rows = np.sort(found.rows)
+            rows = rows[np.argsort(self._stars[2][rows], kind="stable")]
+        else:
+            rows = self._by_rank[np.sort(self._rank[found.rows])]
+        return Candidates(rows, np.empty((0, 3)))
 
 
 class ArrayStore:
@@ -183,7 +253,7 @@ class ArrayStore:
         `StarQuality` flags; none: nothing is known against any star.
     """
 
-    __slots__ = ("_build", "_dec_rad", "_flags", "_index", "_mag", "_ra_rad")
+    __slots__ = ("_build", "_dec_rad", "_flags", "_mag", "_ra_rad", "_sky")
 
     def __init__(
         self,
@@ -196,12 +266,11 @@ class ArrayStore:
         self._ra_rad, self._dec_rad, self._flags, self._build = ra_rad, dec_rad, flags, build
         # A float32 column would be compared with a limit in float32, its rows come out in float64.
         self._mag = np.asarray(mag, dtype=np.float64)
-        self._index = SkyIndex(ra_rad, dec_rad)
+        self._sky = SkyOfMany(SkyIndex(ra_rad, dec_rad), ra_rad, dec_rad, self._mag)
 
     def near(self, ra_rad: float, dec_rad: float, radius_rad: float) -> Candidates:
         """Return the stars of the index ranges that the cone meets."""
-        rows = np.sort(self._index.candidates(ra_rad, dec_rad, radius_rad))
-        return Candidates(rows, self._ra_rad[rows], self._dec_rad[rows])
+        return self._sky.near(ra_rad, dec_rad, radius_rad)
 
     def mag(self, found: Candidates) -> FloatArray:
         """Return the magnitudes."""
@@ -212,9 +281,18 @@ class ArrayStore:
         none = np.zeros(len(found.rows), dtype=np.int64)
         return none if self._flags is None else self._flags[found.rows].astype(np.int64)
 
+    def brightest_first(self, found: Candidates) -> Candidates:
+        """Return the candidates by magnitude."""
+        return self._sky.brightest_first(found)
+
     def build(self, found: Candidates) -> StarTable:
         """Return the stars of these rows."""
         return self._build(found.rows)
+
+    def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
+        """Return what gives places and magnitudes."""
+        columns = {"ra_rad": self._ra_rad, "dec_rad": self._dec_rad, "mag": self._mag}
+        return {name: partial(values.take, found.rows) for name, values in columns.items()}
 
     def summary(self) -> Mapping[str, Any]:
         """Return the number of stars and the limits of their magnitudes."""
@@ -287,18 +365,19 @@ class StoredCatalog(Catalog):
         x, y, z = region.center.tolist()
         ra, dec = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
         found = self._store.near(ra, dec, reach)
-        places = unit_from_radec(found.ra_rad, found.dec_rad)
-        inside = region.contains(places) if et_s is None else angle_between(places, region.center) <= reach
-        mag = self._store.mag(found)
-        chosen = np.flatnonzero(inside & (mag <= mag_limit))
-        chosen = chosen[np.argsort(mag[chosen], kind="stable")]
-        found = found.take(chosen)
+        wanted = region if et_s is None else Cone(region.center, reach)
+        found = found.take(np.flatnonzero(wanted.contains(found.directions)))
+        if mag_limit < math.inf:
+            found = found.take(self._store.mag(found) <= mag_limit)
         if exclude_flags:
             found = found.take((self._store.flags(found) & int(exclude_flags)) == 0)
-        stars = self._store.build(found)
-        if et_s is not None:
-            stars = stars.take(region.contains(stars.directions(et_s)))
-        return with_mean_motion(stars)
+        found = self._store.brightest_first(found)
+        build = partial(self._built, found)
+        stars = DeferredStars.of(len(found.rows), build, self._store.columns(found))
+        return stars if et_s is None else stars.take(region.contains(stars.directions(et_s)))
+
+    def _built(self, found: Candidates) -> StarTable:
+        return with_mean_motion(self._store.build(found))
 
 
 class IndexedCatalog(StoredCatalog):

@@ -4,8 +4,9 @@ Frame  J2000 (ICRS), position at each star's own epoch, motion in RA with the fa
 Units  rad, rad/yr, km/s, magnitudes
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -17,7 +18,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import propagate, propagate_covariance
 
-__all__ = ["EPOCHS_JYEAR", "StarTable"]
+__all__ = ["EPOCHS_JYEAR", "DeferredStars", "StarTable"]
 
 EPOCHS_JYEAR = (1000.0, 3000.0)  # of stars that files of others may tell; what lies beyond is no year
 N_PARAMETERS = 5  # RA cos(dec), dec, parallax, motion in RA cos(dec), motion in dec
@@ -111,7 +112,7 @@ class StarTable:
 
     def __post_init__(self) -> None:
         n = np.size(self.ra_rad)
-        for name in self.__slots__:
+        for name in (f.name for f in fields(self)):
             given, kind = getattr(self, name), _KINDS.get(name, np.float64)
             wanted = (n, _WIDTHS[name]) if name in _WIDTHS else (n,)
             if given is _LEFT_OUT:
@@ -225,3 +226,59 @@ class StarTable:
         table["hip"] = np.array(self.hip)
         table["hip"].info.description = "Hipparcos number, 0 where there is none"
         return table
+
+
+class DeferredStars(StarTable):
+    """Stars whose columns are built when one is asked for: of 100,000 stars that is most of the cost.
+
+    Made by `of`; made as a `StarTable` is (by `dataclasses.replace`, `take`), it is one.
+    """
+
+    __slots__ = ("_build", "_columns", "_count")
+
+    _build: Callable[[], StarTable]
+    _columns: Mapping[str, Callable[[], FloatArray]]
+    _count: int
+
+    @classmethod
+    def of(
+        cls,
+        count: int,
+        build: Callable[[], StarTable],
+        columns: Mapping[str, Callable[[], FloatArray]] = MappingProxyType({}),
+    ) -> "DeferredStars":
+        """Return stars that are there, their columns not yet.
+
+        Parameters
+        ----------
+        count
+            Number of stars.
+        build
+            Returns the whole table.
+        columns
+            What returns single columns of it, cheaper than the table.
+        """
+        stars = object.__new__(cls)
+        for name, value in (("_count", count), ("_build", build), ("_columns", columns)):
+            object.__setattr__(stars, name, value)
+        return stars
+
+    def __getattr__(self, name: str) -> Any:
+        # Python comes here only while the slot is empty.
+        if name not in StarTable.__slots__:
+            raise AttributeError(f"{type(self).__name__} has no {name!r}")
+        if name in self._columns:
+            column = self._columns[name]()
+            column.setflags(write=False)
+            object.__setattr__(self, name, column)
+            return column
+        whole = self._build()
+        for column_name in StarTable.__slots__:
+            object.__setattr__(self, column_name, getattr(whole, column_name))
+        return getattr(self, name)
+
+    def __len__(self) -> int:
+        return self._count if hasattr(self, "_count") else super().__len__()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return StarTable, tuple(getattr(self, f.name) for f in fields(StarTable))

@@ -101,8 +101,8 @@ def open_npz(path: str | Path) -> IndexedCatalog:
     return IndexedCatalog(
         name=f"npz:{path}",
         facts={"file": str(file), "bands": sorted(set(np.unique(columns["band"]).tolist()))},
-        ra_rad=np.asarray(columns["ra_deg"] * RAD_PER_DEG, dtype=np.float64),
-        dec_rad=np.asarray(columns["dec_deg"] * RAD_PER_DEG, dtype=np.float64),
+        ra_rad=np.asarray(columns["ra_deg"], dtype=np.float64) * RAD_PER_DEG,
+        dec_rad=np.asarray(columns["dec_deg"], dtype=np.float64) * RAD_PER_DEG,
         mag=columns["mag"],
         build=partial(_table_of_rows, columns),
         motion=MotionBound(float(np.max(np.nan_to_num(motion))), float(epochs.min()), float(epochs.max())),

@@ -18,6 +18,7 @@ their mean).
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,11 @@ from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.proper_motion import astrometry_columns
-from opnav_workbench.catalog.star_store import GUARD_RAD, Candidates, ra_spans
+from opnav_workbench.catalog.star_store import GUARD_RAD, Candidates, by_magnitude, ra_spans
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import J2000_JYEAR, RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
+from opnav_workbench.geometry import unit_from_radec
 from opnav_workbench.paths import exists, is_folder
 
 __all__ = ["UCAC_BAND", "ZoneLayout", "ZoneStore", "columns_at_j2000", "open_zones"]
@@ -119,7 +121,7 @@ class ZoneStore:
                 parts.append(records[start:stop].view(plain))
         found = np.concatenate(parts).view(self._layout.record)
         ra = found["ra"] * RAD_PER_MAS
-        return Candidates(np.concatenate(rows), ra, self._layout.dec_rad(found), found)
+        return Candidates(np.concatenate(rows), unit_from_radec(ra, self._layout.dec_rad(found)), found)
 
     def mag(self, found: Candidates) -> FloatArray:
         """Return the magnitudes."""
@@ -128,6 +130,14 @@ class ZoneStore:
     def flags(self, found: Candidates) -> IntArray:
         """Return the flags."""
         return self._layout.flags(_records(found))
+
+    def brightest_first(self, found: Candidates) -> Candidates:
+        """Return the candidates by magnitude."""
+        return by_magnitude(found, self.mag(found))
+
+    def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
+        """Return what gives magnitudes."""
+        return {"mag": partial(self.mag, found)}
 
     def build(self, found: Candidates) -> StarTable:
         """Return the stars of these records."""
