@@ -2,7 +2,7 @@
 
 Values that a spacecraft squeezed into fewer bits before sending them are expanded by the mission's table, special pixels
 (below -1e30 DN: ISIS, PDS) and infinities become masked, dark columns are cut off, and saturation comes from the quality
-plane, the camera's limit and the digitizer's bits. An error plane is made positive everywhere.
+plane, the camera's limit and the digitizer's bits. Rectangles of one value never arrived, and are masked. An error plane is made positive everywhere.
 """
 
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.errors import counted
@@ -95,6 +96,10 @@ def make_planes(
         saturated |= full[:, : saturated.shape[1]]
     for limit in _saturation_limits(header, keywords, saturation_dn):
         saturated |= image >= limit
+    lost = lost_areas(np.where(bad | saturated, np.nan, image))
+    if count := int(np.count_nonzero(lost)):
+        messages.append(f"{counted(count, 'pixel')} of one value, in areas that lines and pixels bound, masked: lost")
+        bad |= lost
     _check_usable(name, image, bad, messages)
     error = None if error is None else _positive(error, image, bad, messages)
     return Planes(np.where(np.isnan(image), 0.0, image), error, bad, saturated, tuple(messages))
@@ -179,6 +184,46 @@ def _check_usable(name: str, image: FloatArray, bad: BoolArray, messages: list[s
         raise image_error(name, f"every one of its {bad.size} pixels {reason}; leave this picture out.")
     if usable.min() == usable.max():
         messages.append(f"every usable pixel holds the value {usable[0]:g}: an empty or lost picture")
+
+
+# ---- Parts of a picture that never arrived, and were filled with one value.
+
+LOST_SIDE_PX = 8  # smaller ones are left: a star's box survives them, and noise of few steps makes such
+LOST_FILL = 0.998  # of their bounding box: what telemetry loses ends along lines and pixels, a dark sky beside a body does not
+QUIET_SHARE = 0.5  # of pixels that equal their neighbors: where more do, it is the sky that has no noise
+
+
+def lost_areas(image_dn: FloatArray) -> BoolArray:
+    """Return the pixels (n_line, n_pixel) of rectangles that hold one and the same value, in a picture with noise.
+
+    Parameters
+    ----------
+    image_dn : (n_line, n_pixel) array
+        nan where a pixel is masked already.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(1).normal(20.0, 2.0, (64, 64))
+    >>> image[10:30, 20:40] = 0.0
+    >>> int(lost_areas(image).sum())
+    400
+    """
+    same = np.zeros(image_dn.shape, bool)
+    same[1:, 1:] = (image_dn[1:, 1:] == image_dn[1:, :-1]) & (image_dn[1:, 1:] == image_dn[:-1, 1:])
+    lost = np.zeros(image_dn.shape, bool)
+    if np.count_nonzero(same) < (LOST_SIDE_PX - 1) ** 2:
+        return lost
+    areas, _ = ndimage.label(same)
+    size = np.bincount(areas.ravel())
+    large = np.flatnonzero(size >= (LOST_SIDE_PX - 1) ** 2)
+    boxes = ndimage.find_objects(areas)
+    for number in large[large > 0]:
+        line, pixel = boxes[number - 1]
+        sides = line.stop - line.start, pixel.stop - pixel.start
+        if min(sides) >= LOST_SIDE_PX - 1 and size[number] >= LOST_FILL * sides[0] * sides[1]:
+            lost[line.start - 1 : line.stop, pixel.start - 1 : pixel.stop] = True
+    quiet = np.count_nonzero(same & ~lost) > QUIET_SHARE * np.count_nonzero(~lost)
+    return np.zeros_like(lost) if quiet or lost.all() else lost
 
 
 def _positive(error: FloatArray, image: FloatArray, bad: BoolArray, messages: list[str]) -> FloatArray | None:

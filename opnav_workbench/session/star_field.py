@@ -40,7 +40,7 @@ from opnav_workbench.session.state import (
     unsearched_statuses,
     with_decisions,
 )
-from opnav_workbench.stars import Detections, Identification, detect, identify_marked, identify_sky
+from opnav_workbench.stars import Detections, Identification, StarFlag, detect, identify_marked, identify_sky
 
 __all__ = [
     "brightest",
@@ -59,6 +59,7 @@ __all__ = [
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
+MIN_SHARP = 30  # detections sharper than a star that are kept in any case: few stars may be such
 # An analyst brings the field nearer than this to its stars; the pattern then says how near.
 HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
 
@@ -192,15 +193,19 @@ def star_detections(context: Context) -> Detections:
     if np.all(context.not_stars | saturated | ~np.isfinite(context.signal_dn)):
         empty = np.empty(0)
         return Detections(np.empty((0, 2)), empty, empty, empty, np.empty(0, np.int64))
-    return detect(
+    found = detect(
         context.signal_dn,
         context.noise_dn,
         context.not_stars,
         camera.psf.sigma_px,
         DETECTION_SNR,
         saturated=saturated,
-        max_detections=MAX_DETECTIONS,
+        sharpest_px=max(camera.psf.sigma_px - camera.psf.sigma_sigma_px, 0.5 * camera.psf.sigma_px),
     )
+    # Hot pixels and cosmic rays may outnumber and outshine the stars: as many of them as of what looks like a star.
+    sharp = (found.flags & StarFlag.COSMIC_RAY) != 0
+    crowd = np.cumsum(sharp) > max(MIN_SHARP, np.count_nonzero(~sharp))
+    return found.take(np.flatnonzero(~(sharp & crowd))[:MAX_DETECTIONS])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

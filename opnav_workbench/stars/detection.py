@@ -108,6 +108,7 @@ def detect(
     *,
     saturated: ArrayLike | None = None,
     max_detections: int | None = None,
+    sharpest_px: float | None = None,
 ) -> Detections:
     """Find everything that stands out of the noise like a star.
 
@@ -125,6 +126,8 @@ def detect(
         Smallest signal-to-noise ratio of the matched filter.
     max_detections
         Keep the brightest only.
+    sharpest_px
+        The least sigma that the PSF of this picture may have; `sigma_px` where left out.
 
     Returns
     -------
@@ -155,7 +158,9 @@ def detect(
     line, pixel, patch, flux_sigma, usual = _filtered_peaks(pixels, median, kernel, threshold_snr)
     offset, answer = _PixelPhase(kernel, sigma_px).of(patch)
     sharpness, sharpness_sigma = _sharpness(pixels, median, line, pixel, kernel)
-    too_sharp = sharpness > 1.0 + COSMIC_RAY_MARGIN + COSMIC_RAY_SIGMAS * sharpness_sigma
+    least = min(sharpest_px or sigma_px, sigma_px)
+    most = _most_sharpness(_kernel(least)) / _most_sharpness(kernel)
+    too_sharp = sharpness > most + COSMIC_RAY_MARGIN + COSMIC_RAY_SIGMAS * sharpness_sigma
     peak = patch[:, 1, 1]
     found = Detections(
         pixel_line=np.column_stack([pixel, line]) + offset,
@@ -313,12 +318,17 @@ def _sharpness(
     usable = np.isfinite(pixels.noise_dn[window])
     patch = np.where(usable, pixels.image_dn[window] - median, 0.0).reshape(len(line), 9)
     noise = np.where(usable, pixels.noise_dn[window], 0.0).reshape(len(line), 9)
-    middle = len(kernel) // 2
-    most = (kernel[middle] / kernel[middle - 1 : middle + 2].sum()) ** 2
+    most = _most_sharpness(kernel)
     total = np.maximum(patch.sum(axis=1), np.sqrt(np.sum(noise**2, axis=1)))
     total = np.where(total > 0.0, total, 1.0)
     fraction = patch.max(axis=1) / total
     return fraction / most, np.sqrt(np.sum(noise**2, axis=1)) / (total * most)
+
+
+def _most_sharpness(kernel: FloatArray) -> float:
+    """Return the part of the 3 x 3 flux in the middle pixel of a star that is centered on it."""
+    middle = len(kernel) // 2
+    return float(kernel[middle] / kernel[middle - 1 : middle + 2].sum()) ** 2
 
 
 def _flags(pixels: Pixels, line: IntArray, pixel: IntArray, too_sharp: BoolArray) -> IntArray:
