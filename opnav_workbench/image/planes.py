@@ -2,7 +2,8 @@
 
 Values that a spacecraft squeezed into fewer bits before sending them are expanded by the mission's table, special pixels
 (below -1e30 DN: ISIS, PDS) and infinities become masked, dark columns are cut off, and saturation comes from the quality
-plane, the camera's limit and the digitizer's bits. Rectangles of one value never arrived, and are masked. An error plane is made positive everywhere.
+plane, the camera's limit and the digitizer's bits. Rectangles of one value never arrived, and are masked. An error plane
+is made positive everywhere.
 """
 
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import counted
 from opnav_workbench.image.file_bytes import check_size, image_error
 from opnav_workbench.image.formats.stored import StoredPicture
@@ -98,7 +99,9 @@ def make_planes(
         saturated |= image >= limit
     lost = lost_areas(np.where(bad | saturated, np.nan, image))
     if count := int(np.count_nonzero(lost)):
-        messages.append(f"{counted(count, 'pixel')} of one value, in areas that lines and pixels bound, masked: lost")
+        messages.append(
+            f"{counted(count, 'pixel')} of one value, in areas that lines and pixels bound, masked: lost"
+        )
         bad |= lost
     _check_usable(name, image, bad, messages)
     error = None if error is None else _positive(error, image, bad, messages)
@@ -189,7 +192,9 @@ def _check_usable(name: str, image: FloatArray, bad: BoolArray, messages: list[s
 # ---- Parts of a picture that never arrived, and were filled with one value.
 
 LOST_SIDE_PX = 8  # smaller ones are left: a star's box survives them, and noise of few steps makes such
-LOST_FILL = 0.998  # of their bounding box: what telemetry loses ends along lines and pixels, a dark sky beside a body does not
+# Of their bounding box: what telemetry loses ends along lines and pixels, a dark sky beside a body does not.
+LOST_FILL = 0.998
+MOSTLY = 0.5  # of its lines and columns; a dead column that runs into it is none of it
 QUIET_SHARE = 0.5  # of pixels that equal their neighbors: where more do, it is the sky that has no noise
 
 
@@ -218,12 +223,24 @@ def lost_areas(image_dn: FloatArray) -> BoolArray:
     large = np.flatnonzero(size >= (LOST_SIDE_PX - 1) ** 2)
     boxes = ndimage.find_objects(areas)
     for number in large[large > 0]:
-        line, pixel = boxes[number - 1]
-        sides = line.stop - line.start, pixel.stop - pixel.start
-        if min(sides) >= LOST_SIDE_PX - 1 and size[number] >= LOST_FILL * sides[0] * sides[1]:
-            lost[line.start - 1 : line.stop, pixel.start - 1 : pixel.stop] = True
+        box = boxes[number - 1]
+        first, last = _rectangle(areas[box] == number)
+        sides = last - first
+        if sides.min() >= LOST_SIDE_PX - 1:
+            line, pixel = first[0] + box[0].start, first[1] + box[1].start
+            lost[line - 1 : line + sides[0], pixel - 1 : pixel + sides[1]] = True
     quiet = np.count_nonzero(same & ~lost) > QUIET_SHARE * np.count_nonzero(~lost)
     return np.zeros_like(lost) if quiet or lost.all() else lost
+
+
+def _rectangle(area: BoolArray) -> tuple[IntArray, IntArray]:
+    """Return first and last (line, pixel) of the rectangle that an area is but for what adjoins it; empty if it is none."""
+    spans = [np.flatnonzero(area.mean(axis=axis) > MOSTLY) for axis in (1, 0)]
+    if min(len(span) for span in spans) == 0:
+        return np.zeros(2, np.int64), np.zeros(2, np.int64)
+    first, last = (np.array([span[end] for span in spans]) for end in (0, -1))
+    inner = area[first[0] : last[0] + 1, first[1] : last[1] + 1]
+    return first, last + 1 if inner.mean() >= LOST_FILL else first
 
 
 def _positive(error: FloatArray, image: FloatArray, bad: BoolArray, messages: list[str]) -> FloatArray | None:

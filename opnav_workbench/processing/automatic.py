@@ -166,6 +166,8 @@ def solve_stars(session: ImageSession, opened: OpenedProcessing) -> None:
 def _identify(session: ImageSession, opened: OpenedProcessing) -> None:
     opened.decisions.apply_field(session)
     session.find_stars(opened.how.initial, opened.how.centers)
+    if session.search_sky_where_lost():
+        session.find_stars(opened.how.initial, opened.how.centers)
     opened.decisions.apply(session)
 
 

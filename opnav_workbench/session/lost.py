@@ -31,6 +31,7 @@ from opnav_workbench.stars.lost_in_space import (
     LostAnswer,
     index_of_catalog,
     is_index_at_hand,
+    is_index_made_soon,
     no_patterns,
     right_handed_axes,
     solve_lost,
@@ -77,15 +78,23 @@ def open_inputs(
 
 
 def lost_field(
-    context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
+    context: Context,
+    source: InputSource,
+    inputs: Inputs,
+    catalog: Catalog | None = None,
+    *,
+    patient: bool = False,
 ) -> LostField | None:
     """Return where on the sky the picture was taken, or why it is no picture of this camera; None where nobody knows.
 
     Nobody waits for the index of a deep catalog who has not asked (attitude ``none``, `asked_field`): it is then left.
+    A `patient` caller does, half a minute for two million stars, once; he then asks only where others did not look.
     """
     try:
         catalog = catalog or open_catalog(source.catalog)
-        answer = _searched(context, catalog) if is_index_at_hand(catalog, context.camera) else None
+        at_hand = is_index_at_hand(catalog, context.camera)
+        wanted = at_hand if not patient else not at_hand and is_index_made_soon(catalog)
+        answer = _searched(context, catalog) if wanted else None
     except CatalogError:  # not on this machine, or no catalog of the whole sky
         return None
     return _field_of(context, inputs, answer)

@@ -414,6 +414,17 @@ class ImageSession:
             self._take_lost_field(found)
         return found.message
 
+    def search_sky_where_lost(self) -> bool:
+        """Search the whole sky where `find_stars` did not, for want of an index, and wait for that to be made.
+
+        Returns
+        -------
+        bool
+            Whether there is something new for `find_stars` to begin with; False where nothing was found, or no need.
+        """
+        with self.lock:
+            return self._is_lost(self.state) and self._search_sky(patient=True)
+
     def refit_stars(
         self,
         ids: Sequence[str] | None = None,
@@ -876,11 +887,11 @@ class ImageSession:
         """Whether not even a proposal says where the field is."""
         return state.pointing is None and state.star_field is None
 
-    def _search_sky(self) -> bool:
+    def _search_sky(self, *, patient: bool = False) -> bool:
         """Search the whole sky for the picture, once; False where nothing is found that was not known."""
         if self.inputs.lost is not None:
             return False
-        lost = lost_field(self.context, self.source, self.inputs, self._catalog)
+        lost = lost_field(self.context, self.source, self.inputs, self._catalog, patient=patient)
         if lost is not None:
             self._take_lost_field(lost)
         return lost is not None

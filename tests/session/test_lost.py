@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from opnav_workbench.mission import load_mission
 from opnav_workbench.processing import process
 from opnav_workbench.rehearsal import DEMO_PICTURES
 from opnav_workbench.session import ImageSession, Settings, load_decisions
+from opnav_workbench.session.star_field import star_detections
 
 MISSION = load_mission("new_horizons")
 CAMERA = MISSION.camera_for(DEMO_PICTURES[0].header)
@@ -160,6 +162,40 @@ def test_processing_without_an_attitude(paint, sky, tmp_path):
         [path], mission="new_horizons", catalog=sky[0], attitude="none", targets="none", out=tmp_path / "out"
     )
     assert outcome.result["status"] == "ok"
+
+
+@pytest.mark.slow
+def test_processing_waits_for_the_index_where_the_attitude_is_wrong(paint, sky, tmp_path, monkeypatch):
+    # A person at the workbench does not: there the whole sky is searched when he asks.
+    monkeypatch.setattr("opnav_workbench.session.lost.is_index_at_hand", lambda *_: False)
+    path, _, n_stars = paint((1.0, 0.9, -70.0))
+    session = ImageSession.open(path, MISSION, catalog=sky[0], settings=Settings(widest_shift_px=0.0))
+    session.predict()
+    session.find_stars()
+    assert session.state.star_field is None
+    (outcome,) = process(
+        [path], mission="new_horizons", catalog=sky[0], targets="none", settings={"widest_shift_px": 0.0}
+    )
+    assert outcome.result["status"] == "ok"
+    assert outcome.result["pointing"]["n_stars"] >= 0.7 * n_stars
+
+
+def test_hot_pixels_do_not_crowd_the_stars_out():
+    rng = np.random.default_rng(3)
+    sigma = CAMERA.psf.sigma_px
+    places = rng.uniform(10, 502, (20, 2))
+    line, pixel = np.mgrid[:512, :512]
+    image = rng.normal(0.0, 1.2, line.shape)
+    for x, y in places:
+        image += 60.0 * np.exp(-0.5 * ((pixel - x) ** 2 + (line - y) ** 2) / (sigma**2 + 1.0 / 12.0))
+    image[tuple(rng.integers(0, 512, (2, 600)))] += 2000.0
+    none = np.zeros(image.shape, bool)
+    context = SimpleNamespace(
+        camera=CAMERA, picture=SimpleNamespace(saturated=none), not_stars=none, signal_dn=image,
+        noise_dn=np.full(image.shape, 1.2),
+    )  # fmt: skip
+    found = star_detections(context).pixel_line
+    assert (np.linalg.norm(found[:, None] - places, axis=2).min(axis=0) < 1.0).mean() > 0.9
 
 
 @pytest.mark.slow

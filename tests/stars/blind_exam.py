@@ -161,7 +161,9 @@ class Psf:
 
         # The middle of light stays where it is.
         c = self.coma
-        light = (1 - self.wing - 0.2) * blob(s, -0.2 * c * s / (0.8 - self.wing) * 1.0) + 0.2 * blob(1.2 * s, c * s)
+        light = (1 - self.wing - 0.2) * blob(s, -0.2 * c * s / (0.8 - self.wing) * 1.0) + 0.2 * blob(
+            1.2 * s, c * s
+        )
         light = light + self.wing * blob(2.5 * s)
         return light.reshape(box, OVER, box, OVER).sum(axis=(1, 3)) / OVER**2
 
@@ -184,10 +186,11 @@ def stars_on(image, psf, places, flux):
 # ---- What can be wrong with a picture.
 
 CONDITIONS = (
-    "plain", "few", "none", "wrong", "saturated", "cosmic", "gaps", "broken", "turned", "mirrored", "empty", "sky", "crowded",
-    "fast",
+    "plain", "few", "none", "wrong", "saturated", "cosmic", "gaps", "broken", "turned", "mirrored", "empty", "sky",
+    "crowded", "fast",
 )  # fmt: skip
-LOST_CONDITIONS = ("none", "turned", "mirrored")
+WHOLE_SKY = ("none", "wrong", "turned", "mirrored")  # whose catalog is that of the whole sky
+WIDE = ("plain", "none", "wrong", "mirrored", "turned")  # of which the widest camera has pictures, too
 N_STARS = {"few": (1, 4), "crowded": (20, 400), "none": (8, 400), "turned": (8, 400), "mirrored": (8, 400)}
 
 
@@ -196,7 +199,6 @@ class Picture:
     """A picture's file, and the truth of it."""
 
     path: Path
-    catalog: str
     kind: Kind
     camera_from_j2000: np.ndarray
     places: dict  # of catalog stars that are in the picture, by id
@@ -227,85 +229,114 @@ def snr_of(kind, flux, sigma):
     return flux / np.sqrt(4 * np.pi * sigma**2 * kind.read_noise_dn**2 + flux / kind.gain)
 
 
-def draw(rng, sky, kind, condition, folder, number):
-    """Draw one picture and write its file."""
-    half = np.arctan(0.72 * kind.size / kind.focal_px)
+@dataclass
+class Field:
+    """The stars around a random direction, as a camera sees them."""
+
+    rows: np.ndarray
+    directions: np.ndarray  # true, apparent
+    attitude: np.ndarray
+    places: np.ndarray
+    flux: np.ndarray
+    snr: np.ndarray
+    exposure: float
+
+    def within(self, kind, margin_px):
+        """Tell which stars are on the detector, that much widened."""
+        return (np.abs(self.places - 0.5 * (kind.size - 1)) < 0.5 * kind.size + margin_px).all(axis=1)
+
+
+def random_field(rng, sky, kind, condition, sigma):
+    """Look into a random direction."""
+    v = rng.normal(size=3)
+    v /= np.linalg.norm(v)
+    rows = sky.near(v, 1.02 * np.arctan(0.72 * kind.size / kind.focal_px))
+    x = np.cross(v, rng.normal(size=3))
+    x /= np.linalg.norm(x)
+    attitude = np.array([x, np.cross(kind.look * v, x), kind.look * v])
+    exposure = kind.exposures[0] if condition == "fast" else np.exp(rng.uniform(*np.log(kind.exposures)))
+    true = sky.vectors[rows] + np.radians(SIGMA_MAS / 3.6e6) * rng.normal(size=(len(rows), 3))
+    apparent = aberrated(true / np.linalg.norm(true, axis=1)[:, None])
+    looks = sky.mag[rows] + COLOR_MAG * rng.normal(size=len(rows))
+    flux = exposure * 10.0 ** (-0.4 * (looks - kind.zero_point))
+    places = places_of(kind, apparent, attitude)
+    return Field(rows, apparent, attitude, places, flux, snr_of(kind, flux, sigma), exposure)
+
+
+def wanted_field(rng, sky, kind, condition, sigma):
+    """Look around until there is a field of the kind that is wanted; None where the sky has none."""
     low, high = N_STARS.get(condition, (3, 400))
-    sigma = max(0.26, kind.sigma_px[0] + kind.sigma_px[1] * np.clip(rng.normal(), -1.5, 1.5) * 0.7)
-    for attempt in range(4000):
-        v = rng.normal(size=3)
-        v /= np.linalg.norm(v)
-        rows = sky.near(v, half * 1.02)
-        x = np.cross(v, rng.normal(size=3))
-        x /= np.linalg.norm(x)
-        attitude = np.array([x, np.cross(kind.look * v, x), kind.look * v])
-        exposure = np.exp(rng.uniform(*np.log(kind.exposures)))
-        if condition == "fast":
-            exposure = kind.exposures[0]
-        true = sky.vectors[rows] + np.radians(SIGMA_MAS / 3.6e6) * rng.normal(size=(len(rows), 3))
-        true /= np.linalg.norm(true, axis=1)[:, None]
-        places = places_of(kind, aberrated(true), attitude)
-        on = (np.abs(places - 0.5 * (kind.size - 1)) < 0.5 * kind.size - 3).all(axis=1)
-        looks = sky.mag[rows] + COLOR_MAG * rng.normal(size=len(rows))
-        flux = exposure * 10.0 ** (-0.4 * (looks - kind.zero_point))
-        snr = snr_of(kind, flux, sigma)
-        bright = int((on & (snr > 12)).sum())
-        if condition == "empty" and attempt > 20 and bright == 0:
-            break
-        if condition == "saturated" and not (flux[on] * 0.25 > kind.saturation_dn).any():
-            if attempt < 3999:
-                continue
-        if condition != "empty" and low <= bright <= high:
-            break
-    else:
-        return None
+    for _ in range(4000):
+        field = random_field(rng, sky, kind, condition, sigma)
+        on = field.within(kind, -3)
+        bright = int((on & (field.snr > 12)).sum())
+        if condition == "empty":
+            good = bright == 0
+        elif condition == "saturated":
+            good = low <= bright <= high and (field.flux[on] * 0.25 > kind.saturation_dn).any()
+        else:
+            good = low <= bright <= high
+        if good:
+            return field, bright
+    return None
+
+
+def light_of(rng, kind, condition, field, sigma):
+    """Return the light in DN of stars known and unknown, and of the sky."""
     picture = np.zeros((kind.size, kind.size))
-    near = (np.abs(places - 0.5 * (kind.size - 1)) < 0.5 * kind.size + 12).all(axis=1) & (snr > 0.3)
+    seen = field.within(kind, 12) & (field.snr > 0.3)
     psf = Psf(sigma * 0.93, rng.uniform(0.0, 0.06), rng.uniform(-0.15, 0.15))
-    stars_on(picture, psf, places[near], flux[near])
+    stars_on(picture, psf, field.places[seen], field.flux[seen])
     # Faint stars that no catalog knows: as many as a sky has that doubles with each magnitude.
-    per_px = 45.0 * (np.degrees(1.0 / kind.focal_px)) ** 2
-    faint = rng.poisson(per_px * kind.size**2 * 3.0)
+    faint = rng.poisson(135.0 * np.degrees(kind.size / kind.focal_px) ** 2)
     faint_mag = FAINT_FROM + np.log2(1.0 + rng.uniform(0, 7, faint))
-    light = exposure * 10.0 ** (-0.4 * (faint_mag - kind.zero_point))
-    seen = snr_of(kind, light, sigma) > (2.0 if kind.size > 1024 else 0.3)
-    stars_on(picture, psf, rng.uniform(-0.5, kind.size - 0.5, (faint, 2))[seen], light[seen])
+    light = field.exposure * 10.0 ** (-0.4 * (faint_mag - kind.zero_point))
+    bright = snr_of(kind, light, sigma) > (2.0 if kind.size > 1024 else 0.3)
+    stars_on(picture, psf, rng.uniform(-0.5, kind.size - 0.5, (faint, 2))[bright], light[bright])
+    if condition != "sky":
+        return picture + rng.uniform(0.0, 20.0)
     line, pixel = np.mgrid[: kind.size, : kind.size] / kind.size - 0.5
-    level = rng.uniform(0.0, 20.0)
-    if condition == "sky":
-        level = 60.0 + rng.uniform(-50, 50) * line + rng.uniform(-50, 50) * pixel + rng.uniform(0, 200) * np.exp(-20 * ((line - 0.4) ** 2 + pixel**2))
-    electrons = (picture + level) * kind.gain
+    slopes = rng.uniform(-50, 50, 2)
+    stray = rng.uniform(0, 200) * np.exp(-20 * ((line - 0.4) ** 2 + pixel**2))
+    return picture + 60.0 + slopes[0] * line + slopes[1] * pixel + stray
+
+
+def exposed(rng, kind, condition, light):
+    """Return what the detector makes of light."""
+    electrons = light * kind.gain
     if condition == "cosmic":
         hits(rng, electrons, int(rng.uniform(30, 200)))
-    data = rng.poisson(np.maximum(electrons, 0.0)) / kind.gain + rng.normal(0.0, kind.read_noise_dn, picture.shape)
+    data = rng.poisson(np.maximum(electrons, 0.0)) / kind.gain + rng.normal(
+        0.0, kind.read_noise_dn, light.shape
+    )
     data = np.minimum(data, kind.saturation_dn * 1.05 - kind.bias_dn)
-    if condition == "broken":
-        data = break_pixels(rng, data, kind)
-    data = data + kind.bias_dn
-    quarter, flip = 0, False
+    return (break_pixels(rng, data, kind) if condition == "broken" else data) + kind.bias_dn
+
+
+def draw(rng, sky, kind, condition, folder, number):
+    """Draw one picture and write its file; return it, the catalog's rows around it, and which of them are known."""
+    sigma = max(0.26, kind.sigma_px[0] + kind.sigma_px[1] * np.clip(rng.normal(), -1.5, 1.5) * 0.7)
+    found = wanted_field(rng, sky, kind, condition, sigma)
+    if found is None:
+        return None
+    field, bright = found
+    data = exposed(rng, kind, condition, light_of(rng, kind, condition, field, sigma))
+    told = None if condition == "none" else a_priori(rng, kind, condition, field.attitude)
+    attitude, places = field.attitude, field.places
     if condition == "turned":
-        quarter = int(rng.integers(1, 4))
+        data, attitude = turned_picture(data, attitude, int(rng.integers(1, 4)))
+        places = places_of(kind, field.directions, attitude)
     if condition == "mirrored":
-        flip = True
-    told = a_priori(rng, kind, condition, attitude)
-    truth_attitude = attitude
-    if quarter:
-        data, truth_attitude = turned_picture(kind, data, attitude, quarter)
-        told = a_priori(rng, kind, "plain", attitude)
-    if flip:
         data = data[::-1]
-    missing = rng.random(len(rows)) < (0.35 if condition == "gaps" else 0.02)
-    known = ~missing
+    known = rng.random(len(field.rows)) >= (0.35 if condition == "gaps" else 0.02)
     path = folder / f"{number:04d}.fits"
-    write(path, kind, data, exposure, None if condition == "none" else told)
-    ids = np.array([f"S{row}" for row in rows])
-    if quarter:
-        places = places_of(kind, aberrated(true), truth_attitude)
-    truth = {star: place for star, place, real in zip(ids, places, near & (snr > 1.0), strict=True) if real}
-    return Picture(path, known, kind, truth_attitude, truth, bright), rows, known
+    write(path, kind, data, field.exposure, told)
+    real = field.within(kind, 12) & (field.snr > 1.0)
+    truth = {f"S{row}": place for row, place in zip(field.rows[real], places[real], strict=True)}
+    return Picture(path, kind, attitude, truth, bright), field.rows, known
 
 
-def turned_picture(kind, data, attitude, quarter):
+def turned_picture(data, attitude, quarter):
     """The whole camera turned: the picture of a camera that is mounted otherwise; the lens is taken as ideal."""
     angle = quarter * 0.5 * np.pi
     c, s = round(np.cos(angle)), round(np.sin(angle))
@@ -318,8 +349,9 @@ def a_priori(rng, kind, condition, attitude):
     """Return the attitude that the header tells."""
     shift, twist = rng.normal(size=2) * kind.error_px, np.radians(0.2) * np.clip(rng.normal(), -2, 2)
     if condition == "wrong":
-        away = rng.choice([150.0, 500.0, 3e4])
-        shift, twist = away * np.array([np.cos(a := rng.uniform(0, 6.28)), np.sin(a)]), rng.uniform(-3.1, 3.1) if rng.random() < 0.5 else 0.01
+        away, direction = rng.choice([150.0, 500.0, 3e4]), rng.uniform(0, 2 * np.pi)
+        shift = away * np.array([np.cos(direction), np.sin(direction)])
+        twist = rng.uniform(-3.1, 3.1) if rng.random() < 0.5 else 0.01
     return turn(np.array([shift[1] / kind.focal_px, -shift[0] / kind.focal_px, twist])) @ attitude
 
 
@@ -400,7 +432,9 @@ def judge(picture, result, pointing_solved):
         error, sigma = np.array(star["observed"]) - true, np.array(star["sigma_px"])
         out["stars"].append(error / sigma)
         if (np.abs(error) > np.maximum(FALSE_SIGMAS * sigma, FALSE_PX)).any():
-            out["false"].append((star["id"], np.round(error, 2).tolist(), np.round(sigma, 2).tolist(), round(star["snr"])))
+            out["false"].append(
+                (star["id"], np.round(error, 2).tolist(), np.round(sigma, 2).tolist(), round(star["snr"]))
+            )
     return out
 
 
@@ -417,61 +451,86 @@ def ratio(values):
     return f"{np.sqrt(np.mean(values**2)):.2f} ({np.median(np.abs(values)) / 0.6745:.2f})"
 
 
-def main(path, each=3, seed=1, *conditions):
+def exam_of(condition, number, each, seed, sky, folder):
+    """Draw, process and judge the pictures of one condition; yield each with its verdict and what was found."""
     from opnav_workbench.processing import process
 
+    for index, (name, kind) in enumerate(KINDS.items()):
+        count = each if name != "cubesat" else int(condition in WIDE)
+        if condition == "turned" and kind.lens == "owen":
+            continue  # its lens does not turn with it here
+        for trial in range(count):
+            rng = np.random.default_rng([seed, number, index, trial])
+            drawn = draw(rng, sky, kind, condition, folder, trial)
+            if drawn is None:
+                continue
+            picture, rows, known = drawn
+            spec = catalog_for(condition, sky, folder, picture, rows[~known])
+            began = time.process_time()
+            (outcome,) = process(picture.path, mission=kind.mission, catalog=spec, targets="none")
+            seconds = time.process_time() - began
+            result = outcome.result or {}
+            pointing = result.get("pointing") or {}
+            solved = pointing.get("covariance_rad2") is not None and pointing["n_stars"] > 0
+            found = judge(picture, result, solved)
+            verdict = "refused"
+            if solved:
+                right = found["cross"] < max(5.0 * found["sigma"], 1.0)
+                verdict = "solved" if right else f"WRONG {result['status']}"
+            expected = condition not in ("empty", "mirrored")
+            if (
+                found["false"]
+                or verdict.startswith("WRONG")
+                or solved != expected
+                or found.get("chi2", 0) > 5
+            ):
+                why = "; ".join(map(str, result.get("messages", [outcome.error])))
+                numbers = {k: round(v, 2) for k, v in found.items() if isinstance(v, float)}
+                say(
+                    "   ",
+                    condition,
+                    name,
+                    trial,
+                    f"{picture.n_bright} stars",
+                    verdict,
+                    numbers,
+                    found["false"][:4],
+                    why[:420],
+                )
+            yield name, verdict, found, seconds
+
+
+def main(path, each=3, seed=1, *conditions):
     sky = Sky(path)
+    centers = {name: [] for name in KINDS}
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        whole = None
-        for number_of_condition, condition in enumerate(CONDITIONS):
+        for number, condition in enumerate(CONDITIONS):
             if conditions and condition not in conditions:
                 continue
             tally, chi, stars, times = {}, [], [], []
-            for index, (name, kind) in enumerate(KINDS.items()):
-                skipped = condition == "turned" and kind.lens == "owen"  # its lens does not turn with it here
-                few = skipped or name == "cubesat" and condition not in ("plain", "none", "wrong", "mirrored", "turned")
-                for trial in range(0 if few else 1 if name == "cubesat" else each):
-                    rng = np.random.default_rng([seed, number_of_condition, index, trial])
-                    drawn = draw(rng, sky, kind, condition, folder, trial)
-                    if drawn is None:
-                        continue
-                    picture, rows, known = drawn
-                    if condition in ("none", "wrong", "turned", "mirrored"):
-                        if whole is None:
-                            whole = write_catalog(folder / "whole.npz", sky, slice(None))
-                        spec = whole
-                    else:
-                        around = sky.near(picture.camera_from_j2000[2] * kind.look, np.arctan(3.0 * kind.size / kind.focal_px))
-                        spec = write_catalog(folder / "part.npz", sky, np.setdiff1d(around, rows[~known]))
-                    began = time.process_time()
-                    outcome, = process(picture.path, mission=kind.mission, catalog=spec, targets="none")
-                    times.append(time.process_time() - began)
-                    result = outcome.result
-                    solved = result is not None and (result.get("pointing") or {}).get("covariance_rad2") is not None and result["pointing"]["n_stars"] > 0
-                    found = judge(picture, result, solved)
-                    status = "error" if result is None else result.get("status")
-                    verdict = "refused"
-                    if solved:
-                        right = found["cross"] < max(5.0 * found["sigma"], 1.0)
-                        verdict = "solved" if right else f"WRONG {status}"
-                        if right:
-                            chi.append(found["chi2"])
-                            stars += found["stars"]
-                    expected = condition not in ("empty", "mirrored")
-                    tally[verdict] = tally.get(verdict, 0) + 1
-                    strange = found["false"] or verdict.startswith("WRONG") or (solved != expected) or found.get("chi2", 0) > 5
-                    if strange:
-                        why = outcome.error if result is None else "; ".join(map(str, result.get("messages", [outcome.error])))[:420]
-                        say(
-                            "   ", condition, name, trial, f"{picture.n_bright} stars", status, verdict,
-                            {k: round(v, 2) for k, v in found.items() if isinstance(v, float)}, found["false"][:4], why,
-                        )  # fmt: skip
-            spread = np.sqrt(np.mean(chi)) if chi else np.nan
+            for name, verdict, found, seconds in exam_of(condition, number, each, seed, sky, Path(scratch)):
+                tally[verdict] = tally.get(verdict, 0) + 1
+                times.append(seconds)
+                if verdict == "solved":
+                    chi.append(found["chi2"])
+                    stars += found["stars"]
+                    centers[name] += found["stars"]
             say(
-                f"{condition:10s}", tally, f"attitude error/sigma {spread:.2f}; centers {ratio(stars)} of {len(stars)};",
-                f"time median {np.median(times):.1f}, most {max(times):.1f} s" if times else "",
+                f"{condition:10s}", tally, f"attitude error/sigma {np.sqrt(np.mean(chi or [np.nan])):.2f};",
+                f"centers {ratio(stars)} of {len(stars)}; time median {np.median(times):.1f}, most {max(times):.1f} s",
             )  # fmt: skip
+    for name, values in centers.items():
+        say(f"{name:10s} centers' error/sigma {ratio(values)} of {len(values)}")
+
+
+def catalog_for(condition, sky, folder, picture, unknown):
+    """Return the catalog that a picture is processed with: the whole sky, or what is known around it."""
+    if condition not in WHOLE_SKY:
+        away = np.arctan(3.0 * picture.kind.size / picture.kind.focal_px)
+        around = sky.near(picture.camera_from_j2000[2] * picture.kind.look, away)
+        return write_catalog(folder / "part.npz", sky, np.setdiff1d(around, unknown))
+    whole = folder / "whole.npz"
+    return f"npz:{whole}" if whole.exists() else write_catalog(whole, sky, slice(None))
 
 
 def write_catalog(path, sky, rows):

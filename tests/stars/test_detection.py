@@ -126,3 +126,15 @@ def test_a_saturated_core_is_one_detection_at_its_middle(render_stars):
     assert found.flags[0] == StarFlag.SATURATED
     np.testing.assert_allclose(found.pixel_line[0], [40.3, 35.8], atol=0.4)
     assert found.flux_dn[0] > found.flux_dn[1]
+
+
+def test_a_psf_sharper_than_described_is_no_cosmic_ray(render_stars, star_grid):
+    image, centers, _ = field(render_stars, star_grid, 0.6, 200.0, 49, 21)
+    image[3::40, 5::40] += 4000.0  # single pixels
+    plain, allowed = (detect(image, NOISE_DN, None, 0.85, sharpest_px=least) for least in (None, 0.65))
+    for found, low, high in ((plain, 0.3, 1.0), (allowed, 0.0, 0.05)):
+        near = cKDTree(centers).query(found.pixel_line)[0] < 1.0
+        cosmic = (found.flags & StarFlag.COSMIC_RAY) > 0
+        assert low <= cosmic[near].mean() <= high
+        assert cosmic[~near].all()
+        assert near.sum() == len(centers)

@@ -16,7 +16,11 @@ Enter by `solve_lost`, with the index of a catalog (`index_of_catalog`).
     Log odds of an attitude against chance.
 """
 
-from opnav_workbench.stars.lost_in_space.catalog_index import index_of_catalog, is_index_at_hand
+from opnav_workbench.stars.lost_in_space.catalog_index import (
+    index_of_catalog,
+    is_index_at_hand,
+    is_index_made_soon,
+)
 from opnav_workbench.stars.lost_in_space.search import (
     FOCAL_ERROR,
     LostAnswer,
@@ -35,6 +39,7 @@ __all__ = [
     "index_of_catalog",
     "index_of_stars",
     "is_index_at_hand",
+    "is_index_made_soon",
     "no_patterns",
     "right_handed_axes",
     "solve_lost",

@@ -15,7 +15,7 @@ from opnav_workbench.resources import cache_root
 from opnav_workbench.stars.lost_in_space.index_file import read_arrays, write_arrays
 from opnav_workbench.stars.lost_in_space.sky_index import BANDS, SkyIndex, index_of_stars, patterns_folder
 
-__all__ = ["index_of_catalog", "is_index_at_hand"]
+__all__ = ["index_of_catalog", "is_index_at_hand", "is_index_made_soon"]
 
 EPOCH_JYEAR = 2016.0  # of the index: a motion of 0.1 arcsec/yr is a pixel of a narrow camera in 40 years
 QUICK_STARS = BANDS[1].last  # whose patterns are made in seconds
@@ -48,6 +48,11 @@ def is_index_at_hand(catalog: Catalog, camera: Camera) -> bool:
     part = camera.n_pixel * camera.n_line * camera.pixel_scale_rad**2 / (4.0 * math.pi)
     needed = min(int(catalog.describe().get("n_stars", MOST_STARS)), int(MOST_IN_FIELD / part))
     return needed <= QUICK_STARS or path.is_file()
+
+
+def is_index_made_soon(catalog: Catalog) -> bool:
+    """Tell whether the index of all stars of a catalog is a matter of a minute at most."""
+    return int(catalog.describe().get("n_stars", MOST_STARS + 1)) <= MOST_STARS
 
 
 def _stars_path(key: str) -> Path:
