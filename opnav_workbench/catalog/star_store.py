@@ -240,6 +240,10 @@ class SkyOfMany:
         return Candidates(rows, np.empty((0, 3)))
 
 
+def _picked(values: FloatArray, rows: IntArray) -> FloatArray:
+    return np.asarray(values[rows])
+
+
 class ArrayStore:
     """Stars in memory: positions and magnitudes of all, their rows built only when asked for.
 
@@ -292,7 +296,7 @@ class ArrayStore:
     def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
         """Return what gives places and magnitudes."""
         columns = {"ra_rad": self._ra_rad, "dec_rad": self._dec_rad, "mag": self._mag}
-        return {name: partial(values.take, found.rows) for name, values in columns.items()}
+        return {name: partial(_picked, values, found.rows) for name, values in columns.items()}
 
     def summary(self) -> Mapping[str, Any]:
         """Return the number of stars and the limits of their magnitudes."""

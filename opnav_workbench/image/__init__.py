@@ -31,6 +31,7 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
 from opnav_workbench.image.background import (
     Background,
     column_level,
+    contained_bias_dn,
     darkest_sky,
     estimate_background,
     pixel_noise,
@@ -58,6 +59,7 @@ __all__ = [
     "QualityTable",
     "barycentric_from_heliocentric",
     "column_level",
+    "contained_bias_dn",
     "darkest_sky",
     "estimate_background",
     "extended_light",

@@ -27,7 +27,14 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.constants import MAD_TO_SIGMA, PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import ImageError
 
-__all__ = ["Background", "column_level", "darkest_sky", "estimate_background", "pixel_noise"]
+__all__ = [
+    "Background",
+    "column_level",
+    "contained_bias_dn",
+    "darkest_sky",
+    "estimate_background",
+    "pixel_noise",
+]
 
 
 # ---- The sky of a picture that a body fills: where it is darkest.
@@ -447,6 +454,9 @@ def _noise_mesh(mesh: Mesh, noise: FloatArray, sky: BoolArray, floor_dn: float) 
 # ---- Noise of every pixel: what the sky shows, and what the detector must have at least.
 
 
+BIAS_SHARE = 0.9  # of the camera's bias that a level must reach to contain it: biases drift
+
+
 def pixel_noise(
     background: Background,
     read_noise_dn: float | None,
@@ -497,6 +507,38 @@ def pixel_noise(
     if signal_dn is not None:
         variance = variance + np.maximum(np.asarray(signal_dn, dtype=np.float64), 0.0) / gain
     return np.asarray(np.sqrt(variance))
+
+
+def contained_bias_dn(
+    background: Background,
+    read_noise_dn: float | None,
+    gain_e_per_dn: float | None,
+    bias_dn: float | None,
+) -> float:
+    """Return the electronic offset that a picture's level still contains: the camera's, or 0 where it was taken off.
+
+    Told by the noise, which light has and an offset has not: with the right one of both, read noise and shot noise come
+    nearest to what the sky shows.
+
+    Parameters
+    ----------
+    read_noise_dn, gain_e_per_dn, bias_dn
+        Of the camera; 0 is returned where one is unknown.
+
+    Examples
+    --------
+    >>> raw = Background(np.full((2, 2), 505.0), np.full((2, 2), 2.1))
+    >>> contained_bias_dn(raw, 2.0, 10.0, 500.0), contained_bias_dn(raw, 2.0, 10.0, 900.0)
+    (500.0, 0.0)
+    """
+    read, gain = _known_or(read_noise_dn, 0.0), _known_or(gain_e_per_dn, np.inf)
+    bias, level = _known_or(bias_dn, 0.0), float(np.median(background.level_dn))
+    measured = float(np.median(background.noise_dn)) ** 2
+    if bias <= 0.0 or level < BIAS_SHARE * bias or not np.isfinite(gain) or measured <= 0.0:
+        return 0.0
+    with_light, with_bias = (read**2 + max(level - offset, 0.0) / gain for offset in (0.0, bias))
+    nearer = abs(np.log(max(with_bias, np.finfo(float).tiny) / measured)) < abs(np.log(with_light / measured))
+    return bias if nearer else 0.0
 
 
 def _known_or(value: float | None, otherwise: float) -> float:

@@ -10,7 +10,15 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import ImageError
-from opnav_workbench.image import Background, KeywordMap, Picture, pixel_noise, read_image, sky_and_bodies
+from opnav_workbench.image import (
+    Background,
+    KeywordMap,
+    Picture,
+    contained_bias_dn,
+    pixel_noise,
+    read_image,
+    sky_and_bodies,
+)
 from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.stars import NoiseModel, ShapePrior
@@ -135,7 +143,9 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
         radius_px=max(MIN_BODY_RADIUS_PX, BODY_PSF_SIGMAS * sigma),
         psf_sigma_px=sigma,
     )
-    noise = pixel_noise(background, camera.read_noise_dn, camera.gain_e_per_dn)
+    detector = camera.read_noise_dn, camera.gain_e_per_dn
+    bias = contained_bias_dn(background, *detector, camera.bias_dn)
+    noise = pixel_noise(background, *detector, bias_dn=bias)
     signal = np.where(picture.bad, 0.0, picture.image_dn - background.level_dn)
     return Context(picture, camera, mission, background, signal, noise, picture.bad, extended, settings)
 

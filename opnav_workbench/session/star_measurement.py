@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import CenterfindingError, SessionError
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.state import FieldMatch, StarStatus
 from opnav_workbench.stars import (
@@ -237,11 +237,14 @@ def _template(
     clean = centers.usable & (centers.flags == 0)
     if options.template is None:
         clean &= centers.snr > TEMPLATE_SNR
-    if not clean.any():
-        return gaussian
-    best = int(np.argmax(np.where(clean, centers.snr, -np.inf)))
     radius = default_box_px(prior.sigma_px) / 2.0
-    return extract_template(context.signal_dn, context.not_stars, centers.pixel_line[best], radius)
+    for best in sorted(np.flatnonzero(clean), key=lambda star: -centers.snr[star]):
+        try:
+            return extract_template(context.signal_dn, context.not_stars, centers.pixel_line[best], radius)
+        except CenterfindingError:  # pixels around it are masked
+            if options.template is not None:
+                raise
+    return gaussian
 
 
 # -- rows of centers -----------------------------------------------------------------------------------------------

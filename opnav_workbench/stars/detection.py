@@ -279,7 +279,7 @@ def _shifted_sum(shifted: list[FloatArray], kernel: FloatArray) -> FloatArray:
         np.add(shifted[k], shifted[-1 - k], out=pair)
         pair *= kernel[k]
         total += pair
-    return total
+    return np.asarray(total)
 
 
 def _full_information(noise_dn: FloatArray, kernel: FloatArray) -> float:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opnav_workbench.errors import ImageError
-from opnav_workbench.image import Background, estimate_background, pixel_noise
+from opnav_workbench.image import Background, contained_bias_dn, estimate_background, pixel_noise
 
 SIGMA = 2.0
 SHAPES = [(1024, 1024), (256, 256), (128, 5024), (333, 517)]
@@ -201,6 +201,13 @@ class TestPixelNoise:
 
     def test_bias_has_no_shot_noise(self):
         np.testing.assert_allclose(pixel_noise(self.SKY, 1.1, 22.0, bias_dn=44.0), 1.1, rtol=1e-12)
+
+    @pytest.mark.parametrize(("sky_dn", "offset_dn"), [(3.0, 500.0), (40.0, 500.0), (3.0, 0.0), (520.0, 0.0)])
+    def test_the_sky_tells_whether_the_bias_is_in_it(self, sky_dn, offset_dn):
+        """A raw picture of a bias of 500 DN, one without it, and one of a sky as bright as the bias."""
+        rng = np.random.default_rng(15)
+        image = rng.poisson(sky_dn * 10.0, (256, 256)) / 10.0 + rng.normal(0.0, 2.0, (256, 256)) + offset_dn
+        assert contained_bias_dn(estimate_background(image), 2.0, 10.0, 500.0) == offset_dn
 
     def test_signal_adds_its_shot_noise(self):
         signal = np.array([[0.0, 220.0, -5.0], [0.0, 0.0, 0.0]])
