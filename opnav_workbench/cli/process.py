@@ -142,6 +142,10 @@ def process(
     ],
     given: dict[str, Any],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("run"),
+    figure: Annotated[
+        bool,
+        typer.Option(help="Draw summary.png; without, a picture's first second of processor time is saved."),
+    ] = True,
 ) -> None:
     """Solve pointing and target centers of pictures.
 
@@ -152,12 +156,14 @@ def process(
     Writes OUT/<picture>/ with result.json, observables.ecsv, session.json and summary.png.
     Exit status: 0 all pictures solved, 2 bad input, 3 some pictures failed (the others are kept).
     """
-    outcomes = run_images(images, processing_of(given), out)
+    outcomes = run_images(images, processing_of(given), out, figure=figure)
     if any(outcome.failed for outcome in outcomes):
         raise typer.Exit(EXIT_PARTLY)
 
 
-def run_images(images: Sequence[Path], how: Processing, out: Path) -> tuple[Outcome, ...]:
+def run_images(
+    images: Sequence[Path], how: Processing, out: Path, *, figure: bool = True
+) -> tuple[Outcome, ...]:
     """Process pictures one after the other with progress, and print what came out, also when Ctrl-C ends it.
 
     Raises
@@ -173,7 +179,7 @@ def run_images(images: Sequence[Path], how: Processing, out: Path) -> tuple[Outc
 
     try:
         with reporter:
-            finished[:] = process_images(images, how, out, reporter.say, done)
+            finished[:] = process_images(images, how, out, reporter.say, done, figure=figure)
         return tuple(finished)
     finally:
         if finished:

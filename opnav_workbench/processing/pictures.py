@@ -66,6 +66,7 @@ def process(
     out: str | Path | None = None,
     say: Callable[[str, str], None] = lambda _name, _words: None,
     done: Callable[[Outcome], None] = lambda _outcome: None,
+    figure: bool = True,
     **how: Any,
 ) -> tuple[Outcome, ...]:
     """Solve pointing and target centers of pictures, as the command ``opnav process`` does.
@@ -113,6 +114,9 @@ def process(
         Called with a picture's name and a few words before each step.
     done
         Called with each outcome as soon as it stands.
+    figure
+        Whether ``summary.png`` is drawn: half of a first picture's time.  `opnav_workbench.report.write_summary` draws it
+        of a resumed session at any time.
 
     Returns
     -------
@@ -139,7 +143,7 @@ def process(
     ('ok', ['ok', 'ok'])
     """
     paths = [Path(image) for image in ([images] if isinstance(images, str | Path) else images)]
-    return process_images(paths, Processing.checked(how), out, say, done)
+    return process_images(paths, Processing.checked(how), out, say, done, figure=figure)
 
 
 def _with_fields(signature: inspect.Signature) -> inspect.Signature:
@@ -166,6 +170,8 @@ def process_images(
     out: str | Path | None,
     say: Callable[[str, str], None] = lambda _name, _words: None,
     done: Callable[[Outcome], None] = lambda _outcome: None,
+    *,
+    figure: bool = True,
 ) -> tuple[Outcome, ...]:
     """Process pictures one after the other; parameters, outcomes and errors as of `process`."""
     opened = how.opened()
@@ -175,7 +181,7 @@ def process_images(
             make_folder(out)
         outcomes, waiting = [], []
         for image in images:
-            outcome = process_image(image, opened, out, partial(say, image.name))
+            outcome = process_image(image, opened, out, partial(say, image.name), figure=figure)
             outcomes.append(outcome)
             if may_take_pointing(outcome.result, opened.settings):
                 waiting.append(image)  # told when its neighbors are done too
@@ -217,7 +223,12 @@ def _check_names(images: Sequence[Path]) -> None:
 
 
 def process_image(
-    image: str | Path, opened: OpenedProcessing, out: str | Path | None, say: Progress = silent
+    image: str | Path,
+    opened: OpenedProcessing,
+    out: str | Path | None,
+    say: Progress = silent,
+    *,
+    figure: bool = True,
 ) -> Outcome:
     """Process one picture and write its folder ``OUT/<stem>``.
 
@@ -227,6 +238,8 @@ def process_image(
         The folder of all pictures' folders; None: nothing is written.
     say : callable
         Called with a few words before each step, for progress.
+    figure
+        Whether ``summary.png`` is drawn; without, an older one is taken away, as it shows an older result.
 
     Returns
     -------
@@ -246,7 +259,10 @@ def process_image(
         if folder is not None:
             say("writing")
             session.save(folder)
-            report.write_summary(session, folder / FIGURE_FILE)
+            if figure:
+                report.write_summary(session, folder / FIGURE_FILE)
+            else:
+                (folder / FIGURE_FILE).unlink(missing_ok=True)
     except OpNavError as error:
         return _recorded_failure(path, folder, opened, str(error))
     except OSError as error:  # of the machine: a disk that is full, a folder that is gone

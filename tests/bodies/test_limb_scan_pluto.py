@@ -21,6 +21,7 @@ BETTER = 8.0  # the median's ratio that is asked for
 ARCSEC = np.pi / 648_000.0
 READ_NOISE_E, GAIN = 24.2, 22.0
 HALF = 115  # px: Pluto is 189 px wide
+DISKS = 4  # of the pictures have their whole disk measured too
 # The paper's scans took size, figure and law for known. In these pictures they are: a sphere, and the law of the model.
 KNOWN = FigureUncertainty(2e-4, 2e-4, 2e-4, law_sigma=0.02)
 
@@ -81,8 +82,9 @@ def _table(pluto, maps):
         scan = find_limb_scan(picture, "PLUTO")
         assert scan.status == "ok", scan.messages
         scans.append(pluto.error_arcsec(scan))
-        # A whole disk of another pattern than the model's may be doubted, and is an arcsecond off.
-        disks.append(pluto.error_arcsec(find_cross_correlation(picture, "PLUTO")))
+        # A whole disk of another pattern than the model's may be doubted, and is an arcsecond off: four tell its order.
+        if seed < DISKS:
+            disks.append(pluto.error_arcsec(find_cross_correlation(picture, "PLUTO")))
     return np.array(scans), np.array(disks)
 
 

@@ -42,6 +42,9 @@ def test_a_picture_gets_its_folder_with_all_files(demo_truths, tmp_path):
     assert _names(tmp_path) == ["lorri_4x4", "mvic_framing"]
     steps = ["predicting", "finding stars", "solving the pointing", "computing observables"]
     assert words == ["reading", *steps, "writing"] * 2
+    # Without a figure none stands there: an older one would show another result.
+    again = process_image(demo_truths[0].picture, POLICY, tmp_path, figure=False)
+    assert _names(again.folder) == sorted({*FILES} - {"summary.png"})
 
 
 @pytest.mark.slow
