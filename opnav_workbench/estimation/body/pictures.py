@@ -100,6 +100,7 @@ def solve_body_from_pictures(
         for one in pictures:
             say(one.image, f"reading its outline, pass {number} of {passes}")
             sightings.append(_sighting(one, name, rotation, believed, solution, transition))
+        _require_one(sightings)
         solution = solve_body(
             sightings, rotation, knowledge, radii_km=believed, transition=transition,
             start=None if solution is None else _start(solution, sightings),
@@ -107,6 +108,12 @@ def solve_body_from_pictures(
     assert solution is not None
     left = tuple(f"{s.image}: {s.note}" for s in sightings if s.note)
     return replace(solution, messages=(*solution.messages, *left))
+
+
+def _require_one(sightings: Sequence[BodySighting]) -> None:
+    if all(s.outline is None and s.landmarks is None for s in sightings):
+        why = "; ".join(f"{s.image}: {s.note}" for s in sightings[:2])
+        raise EstimationError(f"none of {len(sightings)} pictures shows an outline that can be used ({why}).")
 
 
 def _sighting(
