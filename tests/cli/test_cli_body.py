@@ -28,7 +28,8 @@ def pictures(tmp_path_factory):
         "kernels": KERNELS,
         "bodies": [{"name": "PLUTO", "law": {"law": "lunar_lambert"}, "albedo": 0.5}],
         "pictures": [
-            {"name": f"p{k}", "utc": time, "camera": "lorri_4x4", "exposure_s": 0.02} for k, time in enumerate(TIMES)
+            {"name": f"p{k}", "utc": time, "camera": "lorri_4x4", "exposure_s": 0.02}
+            for k, time in enumerate(TIMES)
         ],
     }
     (folder / "scenario.yaml").write_text(yaml.safe_dump(scenario))
@@ -67,7 +68,9 @@ def test_wrong_use_costs_one_line(tmp_path):
     answer = invoke("body", "solve", "PLUTO", tmp_path / "none.fit", "-m", "new_horizons")
     assert answer.exit_code != 0
     assert "give kernels" in str(answer.exception)
-    answer = invoke("body", "solve", "PLUTO", tmp_path / "none.fit", "-m", "new_horizons", "--kernels", KERNELS)
+    answer = invoke(
+        "body", "solve", "PLUTO", tmp_path / "none.fit", "-m", "new_horizons", "--kernels", KERNELS
+    )
     assert "none of 1 pictures can be used" in str(answer.exception)
     assert "none.fit" in str(answer.exception)
     assert "Traceback" not in answer.output

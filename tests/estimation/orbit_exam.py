@@ -2,8 +2,8 @@
 
     python tests/estimation/orbit_exam.py --seeds 1 2 --pictures 8
 
-Truth      a bumpy body drawn ray by ray with Hapke's law (tests/landmarks/bumpy.py), spinning under a spacecraft that passes by
-           on a straight line some kilometers away
+Truth      a bumpy body drawn ray by ray with Hapke's law (tests/landmarks/bumpy.py), spinning under a spacecraft that
+           passes by on a straight line some kilometers away
 Believed   a trajectory some tens of meters off, attitudes some pixels off, the pole 0.3 deg, the prime meridian 0.5 deg, the
            spin 2e-5; a map that is a percent too large or small along each axis, cut from a smoothed shape with half of the
            albedo's pattern
@@ -81,18 +81,30 @@ def sightings(seed, count, say=lambda _words: None):
     toward = unit_from_radec(random.uniform(0.0, 6.28), random.uniform(-0.5, 0.5))
     side = unit(np.cross(toward, random.normal(size=3)))
     sun = np.cos(0.6) * toward + np.sin(0.6) * side
-    state = np.concatenate([random.normal(size=3) * KNOWN.position_sigma_km, random.normal(size=3) * KNOWN.velocity_sigma_km_s])
+    state = np.concatenate(
+        [random.normal(size=3) * KNOWN.position_sigma_km, random.normal(size=3) * KNOWN.velocity_sigma_km_s]
+    )
     step = random.normal(size=4) * [*np.radians([0.3, 0.3, 0.5]), 2e-5 * RATE]
     believed = true.turned(step)
     factors = np.exp(0.01 * random.normal(size=3))
     shape = scaled_shape(body.shape(480, smooth=1.0), factors)
     pixel_km = 5.0 * camera.pixel_scale_rad
-    maplets = make_maplets("BENNU", shape, 18.0 * pixel_km, scale_km=pixel_km, samples=37, albedo=known_albedo(body))
+    maplets = make_maplets(
+        "BENNU", shape, 18.0 * pixel_km, scale_km=pixel_km, samples=37, albedo=known_albedo(body)
+    )
     out = []
     for k, et in enumerate(np.linspace(EPOCH - 0.5 * ARC_S, EPOCH + 0.5 * ARC_S, count)):
         place, turn, to_sun = geometry(true, et, toward, sun)
         camera_from_body = looking(unit(turn @ place), camera)
-        light = body.draw(camera, camera_from_body, turn @ place, turn @ to_sun, truth_law(), cells=2, psf_sigma=PSF_PX * PSF_ERROR)
+        light = body.draw(
+            camera,
+            camera_from_body,
+            turn @ place,
+            turn @ to_sun,
+            truth_law(),
+            cells=2,
+            psf_sigma=PSF_PX * PSF_ERROR,
+        )
         electrons = light / np.quantile(light[light > 0], 0.98) * FULL_E
         signal = random.poisson(np.maximum(electrons, 0.0)) + random.normal(scale=READ_E, size=light.shape)
         sigma = np.array([ATTITUDE_SIGMA_PX * camera.pixel_scale_rad] * 2 + [TWIST_SIGMA])
@@ -128,17 +140,19 @@ def main():
     for seed in given.seeds:
         seen, believed, true, state, factors = sightings(seed, given.pictures, say)
         solution = solve_body(seen, believed, KNOWN, radii_km=np.array(RADII))
-        turned = vector_from_rotation(solution.rotation.body_from_j2000(EPOCH) @ true.body_from_j2000(EPOCH).T)
+        turned = vector_from_rotation(
+            solution.rotation.body_from_j2000(EPOCH) @ true.body_from_j2000(EPOCH).T
+        )
         sigma = np.sqrt(np.diag(solution.covariance))
         spin = (solution.rotation.rate_rad_s - true.rate_rad_s) / solution.spin_sigma_rad_s
         tilt = np.degrees(np.arccos(np.clip(solution.rotation.pole @ true.pole, -1.0, 1.0)))
         # A map that is too large by f is made right by 1 / f.
         scale = (solution.state.map_log + np.log(factors)) / sigma[17:20]
         say(
-            f"seed {seed}: pole {tilt:.3f} deg off (sigma {np.degrees(solution.pole_sigma_rad)}), phase "
-            f"{-turned[2] / solution.phase_sigma_rad:.2f} sigma ({np.degrees(solution.phase_sigma_rad):.3f} deg), spin {spin:.2f} "
-            f"sigma, map {scale} sigma ({1e2 * sigma[17:20]} %), state {(solution.state.state - state) / sigma[:6]} sigma "
-            f"({1e3 * sigma[:3]} m); chi2 {solution.chi2:.0f} of {solution.degrees_of_freedom}, "
+            f"seed {seed}: pole {tilt:.3f} deg off (sigma {np.degrees(solution.pole_sigma_rad)}), "
+            f"phase {-turned[2] / solution.phase_sigma_rad:.2f} sigma ({np.degrees(solution.phase_sigma_rad):.3f} deg), "
+            f"spin {spin:.2f} sigma, map {scale} sigma ({1e2 * sigma[17:20]} %), "
+            f"state {(solution.state.state - state) / sigma[:6]} sigma ({1e3 * sigma[:3]} m); chi2 {solution.chi2:.0f} of {solution.degrees_of_freedom}, "
             f"{sum(not r.used for r in solution.residuals)} left out"
         )
         for words in (*solution.words, *solution.messages):

@@ -49,6 +49,8 @@ START_STEP_RAD = np.radians(40.0)  # the outline of an ellipsoid comes again aft
 START_SIGMAS = 2.5
 MOST_STARTS = 60
 EXCESS_TOLERANCE_PX = 1e-4
+FEWEST_TO_JUDGE = 6  # outlines: what one of fewer says nobody can contradict
+LEAST_FREEDOM = 1e-3  # of an outline's variance: what is left of one that alone determines something
 MIDDLE_OF_FIVE = 4.351  # the median of chi-squared with five degrees of freedom
 SECOND_BEST = 9.0  # of chi-squared: a solution elsewhere that is no less likely than 3 sigma
 FIGURE_LIMITS = 1e-5, 0.9
@@ -102,6 +104,9 @@ class BodySolution:
         Pictures in their order; what remains.
     excess_px
         Scatter of outlines beyond what they state; in the covariance.
+    chi2, degrees_of_freedom
+        Of measurements and a priori knowledge together; everything solved for has an a priori sigma, so that there are as
+        many degrees of freedom as measured numbers.
     words
         What the pictures tell and what they do not, in plain words.
     messages
@@ -556,7 +561,11 @@ class _Batch:
             remaining = self.residuals(found)
             far = [(k, r) for k, r in remaining if r.used and r.sigmas > reject_sigmas]
             if not far:
-                return found
+                fewer = self._without_one(found, reject_sigmas)
+                if fewer is None:
+                    return found
+                found = fewer
+                continue
             worst = max(r.sigmas for _, r in far)
             for key, r in far:
                 if r.sigmas > 0.5 * worst:
@@ -567,6 +576,41 @@ class _Batch:
                     "off: sigmas, trajectory or rotation do not fit the pictures; look at the centers, or believe less."
                 )
             found = self._with_excess(self._descend(found.state, found.excess_px))
+
+    def _without_one(self, found: _Found, reject_sigmas: float) -> _Found | None:
+        """Return the solution without the outline that pulls most, if the others say that it is none of them.
+
+        One wrong outline bends a fit of a few and hides in the scatter that it makes.
+        """
+        if found.excess_px == 0.0 or not np.isfinite(reject_sigmas):
+            return None
+        outlines = [
+            (i, rows)
+            for i, kind, rows in self.rows(found.state, found.excess_px)
+            if kind == "outline" and (i, kind) not in self.outliers
+        ]
+        if len(outlines) < FEWEST_TO_JUDGE:
+            return None
+        i, _ = max(outlines, key=lambda one: self._off(one[0], one[1], found.covariance, -1.0))
+        self.outliers[i, "outline"] = "not like the others"
+        others = self._with_excess(self._descend(found.state, 0.0))
+        rows = next(
+            r for k, kind, r in self.rows(others.state, others.excess_px) if (k, kind) == (i, "outline")
+        )
+        sigmas = equal_sigmas(self._off(i, rows, others.covariance, 1.0), len(rows.residual))
+        if sigmas > reject_sigmas:
+            self.outliers[i, "outline"] = f"{sigmas:.1f} sigma off what the others say"
+            return others
+        del self.outliers[i, "outline"]
+        return None
+
+    def _off(self, i: int, rows: Rows, covariance: FloatArray, sign: float) -> float:
+        """Return chi-squared of an outline's residual: one in use (-1) scatters less than it states, one not in use more."""
+        jacobian = self._jacobian(i, rows)
+        mapped = symmetric(rows.covariance + sign * jacobian @ covariance @ jacobian.T)
+        value, axes = np.linalg.eigh(mapped / np.outer(*[np.sqrt(np.diag(rows.covariance))] * 2))
+        part = axes.T @ (rows.residual / np.sqrt(np.diag(rows.covariance)))
+        return float(np.sum(part**2 / np.maximum(value, LEAST_FREEDOM)))
 
     # ---- What comes out.
 
@@ -579,7 +623,11 @@ class _Batch:
         sight = np.mean([s.target.direction for s in self.sightings], axis=0)
         shared = found.covariance[:SHARED, :SHARED]
         words = observability_words(
-            shared, self.a_priori_covariance, sight / np.linalg.norm(sight), with_map=bool(self.names)
+            shared,
+            self.a_priori_covariance,
+            sight / np.linalg.norm(sight),
+            with_outlines=any(s.outline is not None for s in self.sightings),
+            with_map=bool(self.names),
         )
         messages = [] if found.converged else [f"not converged after {MOST_STEPS} steps"]
         if rivals:
@@ -602,7 +650,7 @@ class _Batch:
             residuals=residuals,
             excess_px=found.excess_px,
             chi2=found.chi2,
-            degrees_of_freedom=max(self._freedom() - SHARED, 1),
+            degrees_of_freedom=self._freedom(),
             converged=found.converged,
             words=words,
             messages=tuple(messages),

@@ -29,6 +29,7 @@ __all__ = ["observability_words"]
 NOT_OBSERVED, HARDLY = 0.9, 0.5  # of the a priori sigma left
 TOGETHER = 0.95  # correlation of two that cannot be told apart
 WORTH_SAYING = 0.1  # of the a priori sigma left: less is known well enough, whatever goes with it
+OF_OUTLINES = (RADII, OFFSET, LIMB)
 DEG = 180.0 / np.pi
 
 
@@ -40,7 +41,12 @@ class _Quantity(NamedTuple):
 
 
 def observability_words(
-    covariance: FloatArray, a_priori: FloatArray, line_of_sight: FloatArray, *, with_map: bool
+    covariance: FloatArray,
+    a_priori: FloatArray,
+    line_of_sight: FloatArray,
+    *,
+    with_outlines: bool = True,
+    with_map: bool = False,
 ) -> tuple[str, ...]:
     """Return one line for each quantity that is not or hardly observed, and for each pair that goes together.
 
@@ -50,10 +56,12 @@ def observability_words(
         After and before.
     line_of_sight : (3,) array
         Mean direction from the spacecraft to the body, J2000.
-    with_map
-        Whether landmarks were used.
+    with_outlines, with_map
+        Whether outlines, whether landmarks were used: what only the others could tell is no news.
     """
-    quantities = _quantities(line_of_sight, with_map=with_map)
+    quantities = _quantities(line_of_sight)
+    unasked = [*([] if with_outlines else OF_OUTLINES), *([] if with_map else [MAP])]
+    quantities = [q for q in quantities if not any(q.row[group.columns].any() for group in unasked)]
     rows = np.array([q.row for q in quantities])
     after, before = rows @ covariance @ rows.T, rows @ a_priori @ rows.T
     sigma, known = np.sqrt(np.diag(after)), np.sqrt(np.diag(before))
@@ -66,6 +74,8 @@ def observability_words(
             out.append(
                 f"{quantity.name} is hardly observed: 1 sigma {value}, {left / was:.0%} of what it was before"
             )
+    if not with_outlines:
+        out.append("no outline was used: size, axes and center of figure stay as believed")
     return (*out, *_pairs(quantities, after, sigma, known))
 
 
@@ -81,7 +91,7 @@ def _pairs(
     ]
 
 
-def _quantities(line_of_sight: FloatArray, *, with_map: bool) -> list[_Quantity]:
+def _quantities(line_of_sight: FloatArray) -> list[_Quantity]:
     across = np.linalg.svd(line_of_sight[None])[2][1:]
     axes = (
         ("along the line of sight", line_of_sight),
@@ -104,9 +114,8 @@ def _quantities(line_of_sight: FloatArray, *, with_map: bool) -> list[_Quantity]
     for k, axis in enumerate("xyz"):
         out.append(_quantity(f"the center of figure along {axis}", OFFSET.columns, np.eye(3)[k], "km"))
     out.append(_quantity("how far out limbs are read", LIMB.columns, np.ones(1), "px"))
-    if with_map:
-        for k, axis in enumerate("xyz"):
-            out.append(_quantity(f"the landmarks' scale along {axis}", MAP.columns, np.eye(3)[k], "%", 100.0))
+    for k, axis in enumerate("xyz"):
+        out.append(_quantity(f"the landmarks' scale along {axis}", MAP.columns, np.eye(3)[k], "%", 100.0))
     return out
 
 
