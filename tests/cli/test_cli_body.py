@@ -47,7 +47,7 @@ def test_a_body_is_solved_from_files_and_written_as_pck(pictures, tmp_path):
     )  # fmt: skip
     assert answer.exit_code == 0, answer.output
     assert "radius a, km" in answer.output
-    assert "the prime meridian is not observed" in answer.output
+    assert "the spin rate is not observed" in answer.output
     content = json.loads((out / "PLUTO.json").read_text())
     radii, sigma = np.array(content["radii_km"]), np.array(content["radii_sigma_km"])
     assert np.all(np.abs(radii - 1188.3) < 3.0 * sigma)

@@ -77,7 +77,7 @@ class Sequence:
 
 
 def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=40.0, law="lunar_0.6", family="field_mid",
-                  contrast=1.5, psf_error=1.0, arc_s=ARC_S, window=None):  # fmt: skip
+                  contrast=1.5, psf_error=1.0, arc_s=ARC_S, window=None, position_sigma=POSITION_SIGMA):  # fmt: skip
     random = np.random.default_rng([23, seed])
     radii, period_h, (ra, dec) = BODIES[body]
     radii = np.array(radii)
@@ -101,7 +101,7 @@ def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=4
     step = np.array([np.radians(3.0) * np.cos(tilt), np.radians(3.0) * np.sin(tilt), np.radians(random.normal() * 5.0),
                      1e-3 * random.choice([-1.0, 1.0]) * rotation.rate_rad_s])  # fmt: skip
     knowledge = BodyKnowledge(
-        position_sigma_km=POSITION_SIGMA * ranges[-1], velocity_sigma_km_s=VELOCITY_SIGMA * speed
+        position_sigma_km=position_sigma * ranges[-1], velocity_sigma_km_s=VELOCITY_SIGMA * speed
     )
     state = np.concatenate([random.normal(size=3) * knowledge.position_sigma_km,
                             random.normal(size=3) * knowledge.velocity_sigma_km_s])  # fmt: skip

@@ -129,6 +129,14 @@ def believed(pole_deg=3.0, phase_deg=5.0, spin=1e-3):
 
 
 KNOWN = BodyKnowledge(position_sigma_km=0.5, velocity_sigma_km_s=1e-6)
+# Where the rotation is nearly known one start is enough, and a test takes a third of the time.
+NEARLY = BodyKnowledge(
+    position_sigma_km=0.5,
+    velocity_sigma_km_s=1e-6,
+    pole_sigma_deg=3.0,
+    meridian_sigma_deg=3.0,
+    spin_sigma=3e-4,
+)
 WRONG_RADII = RADII * [1.05, 0.95, 1.05]
 
 
@@ -204,10 +212,10 @@ def test_an_approach_tells_size_pole_spin_and_center(solved):
 
 @pytest.mark.slow
 def test_sigmas_are_true(camera):
-    """Noise as stated, nothing else: 8 quantities of 7 approaches; the radii of one go together, so 1.5 and not 1.2."""
+    """Noise as stated, nothing else: 8 quantities of 6 approaches; the radii of one go together, so 1.5 and not 1.2."""
     sharp = BodyKnowledge(position_sigma_km=0.5, velocity_sigma_km_s=1e-6, meridian_sigma_deg=2.0)
     errors = []
-    for seed in range(7):
+    for seed in range(6):
         solution = solve_body(approach(camera, 8, seed=seed)[0], TRUE, sharp, radii_km=RADII)
         spin = (solution.rotation.rate_rad_s - TRUE.rate_rad_s) / solution.spin_sigma_rad_s
         axes = (solution.radii_km - RADII) / solution.radii_sigma_km
@@ -225,13 +233,13 @@ def test_sigmas_are_true(camera):
 def test_landmarks_join_the_batch(camera):
     """With landmarks the center of figure is known against the map, and places are better than they were believed."""
     sightings, _ = approach(camera, 6, landmarks=25)
-    solution = solve_body(sightings, believed(1.0, 1.0, 1e-5), KNOWN, radii_km=WRONG_RADII)
-    without = solve_body([replace(s, landmarks=None) for s in sightings], believed(1.0, 1.0, 1e-5), KNOWN)
+    solution = solve_body(sightings, believed(1.0, 1.0, 1e-5), NEARLY, radii_km=WRONG_RADII)
+    without = solve_body([replace(s, landmarks=None) for s in sightings], believed(1.0, 1.0, 1e-5), NEARLY)
     assert solution.phase_sigma_rad < 0.5 * without.phase_sigma_rad
     turned = vector_from_rotation(solution.rotation.body_from_j2000(EPOCH) @ TRUE.body_from_j2000(EPOCH).T)
     assert np.degrees(np.linalg.norm(turned)) < 0.5
     assert sum(r.kind != "outline" and r.used for r in solution.residuals) > 40
-    alone = solve_body([replace(s, outline=None) for s in sightings], believed(1.0, 1.0, 1e-5), KNOWN)
+    alone = solve_body([replace(s, outline=None) for s in sightings], believed(1.0, 1.0, 1e-5), NEARLY)
     assert "no outline was used: size, axes and center of figure stay as believed" in alone.words
     assert not any("limbs" in words or "radius" in words for words in alone.words)
 
@@ -239,7 +247,9 @@ def test_landmarks_join_the_batch(camera):
 @pytest.mark.slow
 def test_what_a_sphere_does_not_tell_is_said(camera):
     sightings, _ = approach(camera, 8, radii=np.full(3, 0.26), offset=(0.0, 0.0, 0.0))
-    words = "\n".join(solve_body(sightings, believed(), KNOWN, radii_km=np.full(3, 0.26)).words)
+    words = "\n".join(
+        solve_body(sightings, believed(1.0, 1.0, 1e-4), NEARLY, radii_km=np.full(3, 0.26)).words
+    )
     assert "the prime meridian is hardly observed" in words or "the prime meridian is not observed" in words
     assert "the spin rate is not observed" in words
 
@@ -248,10 +258,11 @@ def test_what_a_sphere_does_not_tell_is_said(camera):
 def test_size_needs_a_known_speed(camera):
     """The same pictures show a larger body that is farther and faster."""
     sightings, _ = approach(camera, 8)
-    loose = BodyKnowledge(position_sigma_km=1e4, velocity_sigma_km_s=1.0)
-    words = "\n".join(solve_body(sightings, believed(), loose, radii_km=RADII).words)
+    loose = replace(NEARLY, position_sigma_km=1e4, velocity_sigma_km_s=1.0)
+    words = "\n".join(solve_body(sightings, believed(1.0, 1.0, 1e-4), loose, radii_km=RADII).words)
     assert "the size is not observed" in words
-    assert "the size" not in "\n".join(solve_body(sightings, believed(), KNOWN, radii_km=RADII).words)
+    known = solve_body(sightings, believed(1.0, 1.0, 1e-4), NEARLY, radii_km=RADII)
+    assert not any(words.startswith("the size") for words in known.words)
 
 
 @pytest.mark.slow
@@ -260,7 +271,7 @@ def test_an_outline_that_does_not_fit_is_left_out_and_named(camera):
     bad = sightings[4].outline
     outline = replace(bad.outline, radius_px=bad.outline.radius_px * 1.1)
     sightings[4] = replace(sightings[4], outline=replace(bad, outline=outline))
-    solution = solve_body(sightings, believed(), KNOWN, radii_km=WRONG_RADII)
+    solution = solve_body(sightings, believed(1.0, 1.0, 1e-4), NEARLY, radii_km=WRONG_RADII)
     left = [r for r in solution.residuals if not r.used]
     assert [r.image for r in left] == ["04"]
     assert "sigma off" in left[0].reason
@@ -312,10 +323,13 @@ def test_the_model_of_a_disk_is_the_solved_body(camera, solved):
 @pytest.mark.slow
 def test_pictures_of_an_approach_tell_the_body():
     """A small exam: `body_exam.py` is the whole one."""
-    sequence = make_sequence(7, "bennu", 4, (25.0, 90.0), window=256, family="uniform", contrast=1.0)
+    sequence = make_sequence(
+        7, "bennu", 2, (30.0, 60.0), window=256, family="uniform", contrast=1.0, position_sigma=3e-4
+    )
     solution = solve_body_from_pictures(
         sequence.pictures, "BODY", sequence.believed, sequence.knowledge, radii_km=sequence.radii_km, passes=2
     )
+    assert {r.image for r in solution.residuals if r.used} == {p.image for p in sequence.pictures}
     score = scores(sequence, solution)
     assert np.abs(score["axes_sigmas"]).max() < 3.0
     assert score["pole_sigmas"] < 3.4

@@ -41,7 +41,8 @@ from opnav_workbench.robust import equal_sigmas, moment_excess
 __all__ = ["BodySolution", "SightingResidual", "solve_body"]
 
 MOST_STEPS = 25
-STILL_SIGMAS = 1e-3  # of a step, in a priori sigmas: the pictures say no more than 1e-4 of them
+STILL = 1e-5  # of chi-squared: a last step of 0.003 sigma in any direction
+NO_BETTER = 1e-2  # a step of 0.1 sigma that makes nothing better: the bottom of a bent valley
 MOST_HALVINGS = 4
 REJECT_SIGMAS = 4.5  # one good outline in 150 000 is lost
 MOST_REJECTED = 1.0 / 3.0
@@ -452,10 +453,10 @@ class _Batch:
         """Gauss-Newton with halved steps where one makes it worse."""
         state, total = start, self._way_to(start)
         normal, right, chi2 = self._normal(state, total, excess_px)
-        sigma0 = np.sqrt(1.0 / np.diag(self.prior))
         converged = False
         for _ in range(MOST_STEPS):
             step = _solve(normal, right)
+            decrease = float(right @ step)  # of chi-squared, as the linearized batch has it
             for halving in range(MOST_HALVINGS):
                 part = step * 0.5**halving
                 try:
@@ -466,9 +467,10 @@ class _Batch:
                 if made[2] < chi2 + 1e-6 * max(chi2, 1.0):
                     break
             else:
+                converged = decrease < NO_BETTER
                 break
             state, total, (normal, right, chi2) = trial, total + part, made
-            if np.abs(step / sigma0).max() < STILL_SIGMAS:
+            if decrease < STILL:
                 converged = True
                 break
         covariance = _inverse(normal)
