@@ -152,8 +152,8 @@ def main():
             f"seed {seed}: pole {tilt:.3f} deg off (sigma {np.degrees(solution.pole_sigma_rad)}), "
             f"phase {-turned[2] / solution.phase_sigma_rad:.2f} sigma ({np.degrees(solution.phase_sigma_rad):.3f} deg), "
             f"spin {spin:.2f} sigma, map {scale} sigma ({1e2 * sigma[17:20]} %), "
-            f"state {(solution.state.state - state) / sigma[:6]} sigma ({1e3 * sigma[:3]} m); "
-            f"chi2 {solution.chi2:.0f} of {solution.degrees_of_freedom}, {sum(not r.used for r in solution.residuals)} left out"
+            f"state {(solution.state.state - state) / sigma[:6]} sigma; "
+            f"chi2 {solution.chi2:.0f} of {solution.degrees_of_freedom}, {sum(not r.used for r in solution.residuals)} out"
         )
         for words in (*solution.words, *solution.messages):
             say(f"  {words}")
