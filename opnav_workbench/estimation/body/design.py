@@ -29,7 +29,7 @@ from opnav_workbench.estimation.body.knowledge import (
 )
 from opnav_workbench.estimation.body.rotation import BodyRotation
 from opnav_workbench.estimation.body.sightings import BodySighting, LandmarkReading, OutlineReading
-from opnav_workbench.geometry import limb_on_surface, rotation_from_vector
+from opnav_workbench.geometry import apparent_direction, limb_on_surface, rotation_from_vector, unit
 from opnav_workbench.landmarks import LandmarkPartials, landmark_partials
 from opnav_workbench.landmarks.prediction import landmark_places
 from opnav_workbench.targets import TargetState
@@ -137,7 +137,7 @@ def outline_rows(
         The camera stands within the body.
     """
     target = spun_target(sighting, state, sighting.target.position_km + transition @ state.state)
-    turned = rotation_from_vector(attitude) @ sighting.camera_from_j2000
+    believed = rotation_from_vector(attitude) @ sighting.camera_from_j2000
     assert target.body_from_j2000 is not None
     turn = target.body_from_j2000
     center = turn @ target.position_km + state.offset_km  # of the figure, from the camera, body-fixed
@@ -146,9 +146,10 @@ def outline_rows(
     except ValueError as error:
         raise EstimationError(f"{sighting.image}: {error}") from error
     places = surface + state.offset_km
+    turned, step_px = _turned_onto(sighting, reading, believed, center @ turn)
     view = (target, sighting.camera, turned, sighting.velocity_km_s)
-    middle = landmark_places(state.offset_km[None], *view)[0]
-    gather, normal, gap = _gathered(reading, landmark_places(places, *view), middle)
+    gather, normal, gap = _gathered(reading, landmark_places(places, *view))
+    gap = gap + normal @ step_px
     partials = _across(normal, landmark_partials(places, *view))
     across = _by_motion(sighting, target, state, partials, transition)
     across[:, RADII.columns] = partials.place_px_per_km * surface
@@ -174,6 +175,8 @@ def landmark_rows(
     places = scaled + np.array([state.places_km[name] for name in reading.id.tolist()])
     view = (target, sighting.camera, turned, sighting.velocity_km_s)
     residual = reading.observed_px - landmark_places(places, *view)
+    if not np.isfinite(residual).all():
+        raise EstimationError(f"{sighting.image}: landmarks would lie beyond what the camera model covers.")
     partials = landmark_partials(places, *view)
     n = len(reading)
     flat = LandmarkPartials(
@@ -190,15 +193,35 @@ def landmark_rows(
     return Rows(residual.ravel(), by_shared, flat.attitude_px_per_rad, covariance, partials.place_px_per_km)
 
 
-def _gathered(
-    reading: OutlineReading, predicted: FloatArray, center_px: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what makes five numbers of steps across the limb (5, n), its normals (n, 2), and observed minus predicted (n,).
+def _turned_onto(
+    sighting: BodySighting, reading: OutlineReading, believed: FloatArray, figure_km: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the attitude that sees the figure's center where the outline has it, and how far (2,) px that is from believed.
 
-    Outlines are compared about their own centers, which may lie far apart while the trajectory is off.
+    So an outline is compared about its own center, however far off the trajectory is, and never beyond what the camera model
+    covers.
     """
+    camera = sighting.camera
+    seen = unit(camera.unproject(reading.outline.center_px[None])[0])
+    expected = unit(apparent_direction(figure_km, sighting.velocity_km_s) @ believed.T)
+    along = float(seen @ expected)
+    if not along > 0.0:
+        raise EstimationError(f"{sighting.image}: its body would stand behind the camera.")
+    across = np.cross(expected, seen)
+    sine = float(np.linalg.norm(across))
+    turn = across * (np.arctan2(sine, along) / sine) if sine > 0.0 else across
+    step_px = camera.project_jacobian(seen[None])[0] @ (seen - expected / along)
+    return rotation_from_vector(turn) @ believed, np.asarray(step_px)
+
+
+def _gathered(reading: OutlineReading, predicted: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what makes five numbers of steps across the limb (5, n), its normals (n, 2), and observed minus predicted."""
     outline = reading.outline
-    away = predicted - center_px
+    if not np.isfinite(predicted).all():
+        raise EstimationError(
+            "a body would reach beyond what the camera model covers; give its size and range better."
+        )
+    away = predicted - outline.center_px
     angle = np.arctan2(away[:, 1], away[:, 0])
     wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     radius = outline.radius(angle)
@@ -212,8 +235,7 @@ def _gathered(
     basis = np.column_stack([normal, waves * (radius * rise)[:, None]])
     weight = np.sqrt(np.maximum(lit, LEAST_WEIGHT))
     gather = np.linalg.pinv(basis * weight[:, None]) * weight
-    gap = normal @ (outline.center_px - center_px) + (radius - np.hypot(away[:, 0], away[:, 1])) * rise
-    return gather, normal, gap
+    return gather, normal, (radius - np.hypot(away[:, 0], away[:, 1])) * rise
 
 
 def _across(normal: FloatArray, partials: LandmarkPartials) -> LandmarkPartials:

@@ -12,7 +12,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies import BodyPicture
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
-from opnav_workbench.errors import EstimationError
+from opnav_workbench.errors import CenterfindingError, EstimationError
 from opnav_workbench.estimation.body.design import BodyState
 from opnav_workbench.estimation.body.knowledge import BodyKnowledge
 from opnav_workbench.estimation.body.rotation import BodyRotation
@@ -139,7 +139,10 @@ def _sighting(
     )
     plain = replace(own, target=believed, shape=None, albedo=1.0)
     model = plain if solution is None else solution.model(plain, sighting, transition)
-    outline, note = read_outline(_with_model(one.picture, own, model), name)
+    try:
+        outline, note = read_outline(_with_model(one.picture, own, model), name)
+    except CenterfindingError as error:  # of one picture: the others go on
+        outline, note = None, str(error)
     return replace(sighting, outline=outline, note=note)
 
 
