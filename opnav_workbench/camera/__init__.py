@@ -10,6 +10,8 @@ Enter by `Camera`: `Camera.from_yaml` for a camera file, `Camera.from_ik` for a 
     More of them: radial as in ISIS, polynomials, fisheye, CAHVOR.
 ``response``
     `CameraResponse`: what a camera makes of light; magnitudes to electrons.
+``rows``
+    Lines exposed at times of their own: rolling shutters and line scanners, and the camera's turn meanwhile.
 ``priors``
     What is believed of PSF, attitude and exposures before pictures are measured.
 ``camera_file``
@@ -49,6 +51,7 @@ from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
 from opnav_workbench.camera.readout import read_out
 from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
+from opnav_workbench.camera.rows import RowSweep, RowTiming, row_sweep
 
 __all__ = [
     "UNKNOWN_COLOR",
@@ -68,7 +71,10 @@ __all__ = [
     "PsfPrior",
     "RadialDistortion",
     "RationalDistortion",
+    "RowSweep",
+    "RowTiming",
     "SipDistortion",
     "TaylorDistortion",
     "read_out",
+    "row_sweep",
 ]

@@ -30,6 +30,7 @@ from opnav_workbench.camera.lens_models import (
 )
 from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.camera.rows import RowTiming
 from opnav_workbench.errors import CameraError
 from opnav_workbench.photometry import Bandpass, ColorResponse
 from opnav_workbench.psf.schema import AnyPsf
@@ -230,6 +231,21 @@ class _Optics(StrictModel):
 MOST_LINES = 16_384  # along an edge: no camera that navigates has half as many
 
 
+class _Rows(StrictModel):
+    """Lines that are not exposed together; the picture's time is that of its middle line.
+
+    `line_time_s` goes from a line to the next one, and is negative where the last line comes first. `detector_line`, of a
+    line scanner, is the detector's line (as the picture counts lines) that every line of the picture comes from;
+    without it the shutter rolls.
+    """
+
+    line_time_s: float
+    detector_line: float | None = None
+
+    def build(self) -> RowTiming:
+        return RowTiming(self.line_time_s, self.detector_line)
+
+
 class _Detector(StrictModel):
     n_pixel: Annotated[int, Field(ge=1, le=MOST_LINES)]
     n_line: Annotated[int, Field(ge=1, le=MOST_LINES)]
@@ -247,6 +263,7 @@ class _Detector(StrictModel):
     dead_pixel_fraction: Share | None = None
     exposure_min_s: NotNegative | None = None
     exposure_max_s: PositiveFloat | None = None
+    rows: _Rows | None = None
 
     def exposure_limits(self) -> ExposureLimits | None:
         if self.exposure_min_s is None or self.exposure_max_s is None:
@@ -349,6 +366,7 @@ class CameraFile(StrictModel):
             "color_response": None if photometry.color is None else photometry.color.build(),
             "attitude_sigma": AttitudeSigma(self.attitude_sigma.cross_px, self.attitude_sigma.twist_deg),
             "exposure_limits": detector.exposure_limits(),
+            "rows": None if detector.rows is None else detector.rows.build(),
             "origins": tuple(Origin(o.field, o.how, o.text) for o in self.origins),
         }
 

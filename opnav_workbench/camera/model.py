@@ -29,6 +29,7 @@ from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
 from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma
 from opnav_workbench.camera.response import CameraResponse
+from opnav_workbench.camera.rows import RowSweep, RowTiming
 from opnav_workbench.camera.saving import write_camera_yaml
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import radec_from_unit, tangent_basis
@@ -64,6 +65,11 @@ class Camera(CameraResponse):
         Acts on mm, between gnomonic projection and `pixel_from_mm`.
     attitude_sigma
         One-sigma errors of the a priori attitude.
+    rows
+        When its lines are exposed, of a rolling shutter or a line scanner; None: all together.
+    sweep
+        How it turns meanwhile, in one picture: directions are then in its frame at mid-picture. None: it rests, as in a
+        camera file.
     source
         Where the values come from.
     confirmed_by
@@ -98,6 +104,8 @@ class Camera(CameraResponse):
     focal_from_camera: FloatArray
     distortion: Distortion = field(default_factory=NoDistortion)
     attitude_sigma: AttitudeSigma = field(default_factory=AttitudeSigma)
+    rows: RowTiming | None = None
+    sweep: RowSweep | None = None
     source: str = ""
     confirmed_by: str = ""
     origins: tuple[Origin, ...] = ()
@@ -297,8 +305,10 @@ class Camera(CameraResponse):
             (pixel, line); nan for directions at or behind the image plane, or so far from the boresight that
             the distortion model does not hold.
         """
-        ideal = self._gnomonic(np.asarray(directions, dtype=np.float64))
-        return np.asarray(self.center_pixel_line + self.distortion.distort(ideal) @ self.pixel_from_mm.T)
+        vectors = np.asarray(directions, dtype=np.float64)
+        if self.sweep is None:
+            return self._project_at_rest(vectors)
+        return self.sweep.project(vectors, self._project_at_rest, self._jacobian_at_rest)
 
     def project_jacobian(self, directions: ArrayLike) -> FloatArray:
         """Return d(pixel, line)/d(direction), (..., 2, 3), at vectors (..., 3) of any length.
@@ -306,6 +316,15 @@ class Camera(CameraResponse):
         Elements are nan where `project` is.
         """
         vectors = np.asarray(directions, dtype=np.float64)
+        if self.sweep is None:
+            return self._jacobian_at_rest(vectors)
+        return self.sweep.project_jacobian(vectors, self.project(vectors), self._jacobian_at_rest)
+
+    def _project_at_rest(self, vectors: FloatArray) -> FloatArray:
+        ideal = self._gnomonic(vectors)
+        return np.asarray(self.center_pixel_line + self.distortion.distort(ideal) @ self.pixel_from_mm.T)
+
+    def _jacobian_at_rest(self, vectors: FloatArray) -> FloatArray:
         ideal = self._gnomonic(vectors)
         depth = np.where(np.isnan(ideal[..., 0]), np.nan, vectors @ self.boresight)
         slope = np.zeros((*ideal.shape[:-1], 2, 3))
@@ -341,10 +360,22 @@ class Camera(CameraResponse):
 
         Points outside the reach of the distortion model become nan.
         """
-        return unit(self._rays(self._ideal(pixel_line)) @ self.focal_from_camera)
+        points = np.asarray(pixel_line, dtype=np.float64)
+        if self.sweep is None:
+            return self._unproject_at_rest(points)
+        return self.sweep.unproject(points, self._unproject_at_rest)
 
     def unproject_jacobian(self, pixel_line: ArrayLike) -> FloatArray:
         """Return d(unit vector)/d(pixel, line), (..., 3, 2), at points (..., 2); nan as in `unproject`."""
+        points = np.asarray(pixel_line, dtype=np.float64)
+        if self.sweep is None:
+            return self._rays_jacobian_at_rest(points)
+        return self.sweep.unproject_jacobian(points, self._unproject_at_rest, self._rays_jacobian_at_rest)
+
+    def _unproject_at_rest(self, pixel_line: FloatArray) -> FloatArray:
+        return unit(self._rays(self._ideal(pixel_line)) @ self.focal_from_camera)
+
+    def _rays_jacobian_at_rest(self, pixel_line: FloatArray) -> FloatArray:
         ideal = self._ideal(pixel_line)
         rays = self._rays(ideal)
         length = np.linalg.norm(rays, axis=-1)[..., None, None]
@@ -374,7 +405,10 @@ class Camera(CameraResponse):
 
     def _corners(self) -> FloatArray:
         right, bottom = self.n_pixel - 0.5, self.n_line - 0.5
-        return np.array([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+        corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+        if self.rows is not None and self.rows.detector_line is not None and self.sweep is None:
+            corners[:, 1] = self.rows.detector_line  # all that a scanner has of the sky until it moves
+        return corners
 
 
 # ---- From a place on the detector to the sky around it.

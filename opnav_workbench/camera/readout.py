@@ -6,6 +6,7 @@ import numpy as np
 
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.priors import AttitudeSigma, PsfPrior
+from opnav_workbench.camera.rows import RowTiming
 from opnav_workbench.errors import CameraError
 
 __all__ = ["read_out"]
@@ -58,8 +59,14 @@ def read_out(
         )
     together = float(np.sqrt(step.prod()))
     psf, sigma = camera.psf, camera.attitude_sigma
+    rows = camera.rows
+    if rows is not None:
+        line = rows.detector_line
+        there = None if line is None else float((line - start[1] + 0.5) / step[1] - 0.5)
+        rows = RowTiming(rows.line_time_s * float(step[1]), there)
     return replace(
         camera,
+        rows=rows,
         n_pixel=int(count[0]),
         n_line=int(count[1]),
         center_pixel_line=(camera.center_pixel_line - start + 0.5) / step - 0.5,

@@ -104,7 +104,8 @@ def _powers(coefficients: Any) -> dict[str, float]:
 def _detector(camera: Mapping[str, Any]) -> Any:
     limits = camera["exposure_limits"]
     exposures = {} if limits is None else {"exposure_min_s": limits.min_s, "exposure_max_s": limits.max_s}
-    return plain_values({name: camera[name] for name in DETECTOR} | exposures)
+    rows = {} if camera["rows"] is None else {"rows": asdict(camera["rows"])}
+    return plain_values({name: camera[name] for name in DETECTOR} | exposures | rows)
 
 
 def _psf(camera: Mapping[str, Any]) -> dict[str, Any]:
