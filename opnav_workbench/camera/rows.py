@@ -89,11 +89,11 @@ class RowSweep:
     detector_line: float | None
     time_s: FloatArray
     turn_rad: FloatArray
-    _spline: CubicSpline = field(init=False, repr=False, default=None)
+    _spline: CubicSpline = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        freeze_arrays(self)
         object.__setattr__(self, "_spline", CubicSpline(self.time_s, self.turn_rad))
+        freeze_arrays(self)
 
     def turns(self, line: FloatArray) -> FloatArray:
         """Return ``camera(line's time) from camera(0)``, (..., 3, 3), at lines (...,)."""
@@ -173,7 +173,7 @@ class RowSweep:
     def unproject(self, points: FloatArray, unproject: Mapping) -> FloatArray:
         """Return directions (..., 3) at mid-picture of points (..., 2)."""
         seen = unproject(self.on_detector(points))
-        return np.einsum("...ji,...j->...i", self.turns(points[..., 1]), seen)
+        return np.asarray(np.einsum("...ji,...j->...i", self.turns(points[..., 1]), seen))
 
     def unproject_jacobian(self, points: FloatArray, unproject: Mapping, jacobian: Mapping) -> FloatArray:
         """Return d(direction at mid-picture)/d(pixel, line) (..., 3, 2)."""

@@ -111,6 +111,8 @@ def _against_clock(context: Context, keywords: KeywordMap, et: float) -> str | N
     stated = keywords.value(picture.header, "utc") or keywords.value(picture.header, "et")
     tolerance += time_tolerance_s(stated) + COMMAND_TO_TELEMETRY_S
     tolerance += 0.5 * float(np.nan_to_num(picture.exposure_s))
+    rows = context.camera.rows
+    tolerance += 0.0 if rows is None else 0.5 * rows.span_s(context.camera.n_line)
     if abs(off) <= tolerance:
         return ""
     return (

@@ -15,9 +15,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.camera import RowSweep, row_sweep
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
 from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionError
 from opnav_workbench.geometry import radec_from_unit
+from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc, knows_frame
 from opnav_workbench.kernels.dsk_files import shape_file_of
 from opnav_workbench.kernels.loading import LoadedKernels
@@ -50,6 +52,7 @@ __all__ = [
     "with_inputs_added",
     "with_lost_field",
     "with_scene",
+    "with_sweep",
     "with_target",
     "with_wide_stars",
 ]
@@ -103,6 +106,8 @@ class Inputs:
         What a search of the whole sky gave, where one was needed.
     contradictions
         Which facts of the header contradict each other or the kernels, and what is used (`contradictions`).
+    sweep
+        How the camera turned while the lines of a rolling shutter or line scanner were exposed.
     """
 
     et: float
@@ -117,6 +122,7 @@ class Inputs:
     lost: LostField | None = None
     contradictions: tuple[str, ...] = ()
     shape_units: MappingProxyType[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    sweep: RowSweep | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
@@ -196,9 +202,10 @@ def collect_inputs(
         attitude, origin = _attitude(context, source.attitude, et)
     else:
         attitude, origin = lost.camera_from_j2000, "none"
+    sweep, unswept = _sweep(context, et)
     inputs = Inputs(
         et=et,
-        utc=time.utc,
+        utc=text_from_et(et) if _to_middle_line_s(context) else time.utc,
         observer=_observer(context, et),
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
@@ -209,8 +216,11 @@ def collect_inputs(
             *context.picture.contradictions,
             *time.contradictions,
             *attitude_contradiction(context, et),
+            *unswept,
         ),
+        sweep=sweep,
     )
+    context = with_sweep(context, sweep)
     return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
 
 
@@ -293,7 +303,7 @@ def mid_exposure_et(context: Context) -> float:
     """Mid-exposure time from the header's ET, UTC or clock reading, in this order."""
     picture = context.picture
     if picture.et is not None:
-        return picture.et
+        return picture.et + _to_middle_line_s(context)
     if KernelSet.active() is not None and picture.utc is not None:
         return et_from_utc(picture.utc)
     if KernelSet.active() is not None and picture.sclk is not None:
@@ -302,6 +312,14 @@ def mid_exposure_et(context: Context) -> float:
         f"{picture.name}: the header gives no time but a clock reading ({picture.sclk}); "
         "give kernels with an LSK and the SCLK of this spacecraft (--kernels)."
     )
+
+
+def _to_middle_line_s(context: Context) -> float:
+    """Return from the middle of the first line's exposure, where the header tells its start, to that of the middle line."""
+    rows, keywords = context.camera.rows, context.picture.keywords
+    if rows is None or keywords is None or keywords.time_reference != "start":
+        return 0.0
+    return 0.5 * rows.span_s(context.camera.n_line)
 
 
 def _observer(context: Context, et: float) -> Observer:
@@ -330,6 +348,31 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
     return np.asarray(geometry.camera_from_j2000), "header"
+
+
+def _sweep(context: Context, et: float) -> tuple[RowSweep | None, tuple[str, ...]]:
+    """Return how the camera turns while its lines are exposed, by the kernels, and what is wrong with a picture without."""
+    camera = context.camera
+    if camera.rows is None:
+        return None, ()
+    span = f"while its lines are exposed ({camera.rows.span_s(camera.n_line):.4g} s)"
+
+    def attitude(time_s: float) -> FloatArray:
+        return camera_attitude(camera.frame, et + time_s)
+
+    try:
+        return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude), ()
+    except KernelError as error:
+        if camera.rows.scans:
+            raise KernelError(
+                f"{context.picture.name} is a line scan, and the camera's motion {span} is not known: {error}"
+            ) from error
+        return None, (f"the camera's motion {span} is not known, and taken as none: {error}",)
+
+
+def with_sweep(context: Context, sweep: RowSweep | None) -> Context:
+    """Return the context with a camera whose lines have their own times."""
+    return context if sweep is None else replace(context, camera=replace(context.camera, sweep=sweep))
 
 
 def _is_oriented(kernels: LoadedKernels, frame: str) -> bool:
@@ -405,11 +448,12 @@ def inputs_dict(inputs: Inputs) -> dict[str, Any]:
         **({} if inputs.lost is None else {"lost": _columns(inputs.lost)}),
         **({"contradictions": inputs.contradictions} if inputs.contradictions else {}),
         **({"shape_units": dict(inputs.shape_units)} if inputs.shape_units else {}),
+        **({"sweep": _columns(inputs.sweep)} if inputs.sweep else {}),
     }
 
 
 def _columns(instance: Any) -> dict[str, Any]:
-    return {field.name: getattr(instance, field.name) for field in fields(instance)}
+    return {field.name: getattr(instance, field.name) for field in fields(instance) if field.init}
 
 
 def inputs_from(data: Mapping[str, Any]) -> Inputs:
@@ -427,6 +471,7 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
         lost=_lost_field(data.get("lost")),
         contradictions=tuple(data.get("contradictions", ())),
         shape_units=MappingProxyType(dict(data.get("shape_units", {}))),
+        sweep=None if data.get("sweep") is None else _rebuild(RowSweep, data["sweep"]),
     )
 
 

@@ -24,6 +24,7 @@ from opnav_workbench.session.inputs import (
     NoAttitudeError,
     NoAttitudeKernelError,
     collect_inputs,
+    with_sweep,
 )
 from opnav_workbench.session.star_field import star_detections
 from opnav_workbench.stars import StarFlag
@@ -66,7 +67,7 @@ def open_inputs(
         As `inputs.collect_inputs`; where the stars do not tell the attitude, either, why not.
     """
     try:
-        return context, collect_inputs(context, source, catalog)
+        inputs = collect_inputs(context, source, catalog)
     except (NoAttitudeError, NoAttitudeKernelError) as silent:
         catalog = catalog or open_catalog(source.catalog)
         answer = _searched(context, catalog)
@@ -74,7 +75,8 @@ def open_inputs(
             raise type(silent)(f"{silent} {_why_not(context, answer)}") from silent
         context, said = _with_focal_length(context, answer)
         lost = LostField(answer.camera_from_j2000, f"no a priori attitude: {answer.message}{said}")
-        return context, collect_inputs(context, source, catalog, lost)
+        inputs = collect_inputs(context, source, catalog, lost)
+    return with_sweep(context, inputs.sweep), inputs
 
 
 def lost_field(

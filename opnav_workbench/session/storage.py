@@ -30,7 +30,14 @@ from opnav_workbench.session.history import (
     read_journal_file,
     stored_entry,
 )
-from opnav_workbench.session.inputs import Inputs, InputSource, inputs_dict, inputs_from, with_inputs_added
+from opnav_workbench.session.inputs import (
+    Inputs,
+    InputSource,
+    inputs_dict,
+    inputs_from,
+    with_inputs_added,
+    with_sweep,
+)
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.version import __version__
 
@@ -188,6 +195,7 @@ def load_session(folder: Path, image: str | Path | None) -> LoadedSession:
         inputs = inputs_from(data["inputs"])
         for added in tail.inputs:
             inputs = with_inputs_added(inputs, added)
+        context = with_sweep(context, inputs.sweep)
         return LoadedSession(session, context, source, inputs, stored + tail.entries, tail)
     except (AttributeError, KeyError, TypeError, ValueError, OSError, CatalogError, KernelError) as error:
         raise SessionError(f"{path} is damaged ({error!r}); process the picture again.") from error

@@ -352,7 +352,9 @@ def _card(card: tuple[str, CardValue, str], known: Mapping[str, Any], missing: f
 def _keyword_cards(record: FlightRecord) -> Iterator[Card]:
     """Yield time, exposure, pointing and trajectory under the mission's own keywords."""
     names = KeywordMap(**record.mission.keywords)
-    stamp = record.et - (0.5 * record.exposure_s if names.time_reference == "start" else 0.0)
+    rows = record.camera.rows
+    lasts_s = record.exposure_s + (0.0 if rows is None else rows.span_s(record.camera.n_line))
+    stamp = record.et - (0.5 * lasts_s if names.time_reference == "start" else 0.0)
     single = (
         (names.exposure_s, record.exposure_s / names.exposure_scale),
         (names.et, stamp),

@@ -6,13 +6,14 @@ wrong; `OpenedScenario.inputs` collects what one picture is made of.
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.camera import Camera
+from opnav_workbench.camera import Camera, RowSweep, row_sweep
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog
 from opnav_workbench.geometry import apparent_direction, radec_from_unit
 from opnav_workbench.kernels import body_id, camera_attitude, et_from_utc
@@ -26,6 +27,7 @@ from opnav_workbench.simulation.attitude_path import (
     AttitudePath,
     kernel_path,
     moving_path,
+    sky_turn,
 )
 from opnav_workbench.simulation.detector_properties import detector_values
 from opnav_workbench.simulation.flight_fits import dark_columns_of
@@ -156,6 +158,9 @@ class OpenedScenario:
         et, seed = self._mid_exposure_et(picture), picture_seed(scenario.seed, entry.name)
         predicted = predicted_attitude(scenario.attitude.predicted, camera, et)
         path = self._attitude_path(camera, predicted, et, entry.exposure_s, seed)
+        if camera.rows is not None:
+            with self.scenario.naming(("attitude", "motion")):
+                camera = replace(camera, sweep=self._sweep(camera, predicted, et, seed))
         return PictureInputs(
             name=entry.name,
             camera=camera,
@@ -217,6 +222,21 @@ class OpenedScenario:
         ):
             path = kernel_path(camera, et, exposure_s, motion=moving, seed=seed)
             return path.turned(true @ camera_attitude(camera.frame, et).T)
+
+    def _sweep(self, camera: Camera, predicted: FloatArray, et: float, seed: int) -> RowSweep:
+        """Return how the camera truly turns from line to line."""
+        assert camera.rows is not None
+        plan, folder = self.scenario.attitude, self.scenario.folder
+        true = true_attitude(plan.actual, predicted, camera, et, seed, folder)
+        motion, by_kernels = plan.motion.camera_motion(), plan.motion.from_kernels
+        with flown_kernels(plan.actual, folder) if by_kernels else nullcontext():
+            turned = true @ camera_attitude(camera.frame, et).T if by_kernels else np.eye(3)
+
+            def attitude(time_s: float) -> FloatArray:
+                there = turned @ camera_attitude(camera.frame, et + time_s) if by_kernels else true
+                return np.asarray(sky_turn(camera, motion.offsets(time_s, seed)) @ there)
+
+            return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude)
 
     def _stars(self, camera: Camera, attitude: FloatArray, et: float) -> StarTable:
         ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))

@@ -68,11 +68,15 @@ def test_jacobians_are_those_of_differences(timing, motion):
     points = np.random.default_rng(2).uniform(0.0, 1023.0, (20, 2))
     vectors = camera.unproject(points)
     steps = 1e-7 * np.eye(3)
-    by_steps = np.stack([camera.project(vectors + s) - camera.project(vectors - s) for s in steps], axis=-1) / 2e-7
+    by_steps = (
+        np.stack([camera.project(vectors + s) - camera.project(vectors - s) for s in steps], axis=-1) / 2e-7
+    )
     scale = np.abs(by_steps).max()
     np.testing.assert_allclose(camera.project_jacobian(vectors) / scale, by_steps / scale, atol=1e-6)
     ahead = 0.01 * np.eye(2)
-    by_steps = np.stack([camera.unproject(points + s) - camera.unproject(points - s) for s in ahead], axis=-1) / 0.02
+    by_steps = (
+        np.stack([camera.unproject(points + s) - camera.unproject(points - s) for s in ahead], axis=-1) / 0.02
+    )
     np.testing.assert_allclose(camera.unproject_jacobian(points), by_steps, atol=2e-11)
 
 
