@@ -82,6 +82,8 @@ class RowSweep:
         Ascending, from `middle_line`'s.
     turn_rad : (k, 3) array
         Rotation vectors of ``camera(t) from camera(0)``, camera frame; before and after them the turn goes on evenly.
+    follows
+        The body whose motion is in the turn besides the camera's (`opnav_workbench.scene.following`); empty: none's.
     """
 
     line_time_s: float
@@ -89,6 +91,7 @@ class RowSweep:
     detector_line: float | None
     time_s: FloatArray
     turn_rad: FloatArray
+    follows: str = ""
     _spline: CubicSpline = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

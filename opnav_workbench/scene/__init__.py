@@ -7,6 +7,8 @@ Enter by `observer_from_kernels` (or `observer_from_header`), `body_target`, `pr
     The spacecraft as observer; bodies and stars as targets.
 ``prediction``
     Places of stars and bodies on the detector.
+``following``
+    Bodies that move while the lines of a picture are exposed.
 ``body_geometry``
     One body at an epoch: where it is, how it is lit, how the camera sees it.
 ``epoch_report``
@@ -15,6 +17,7 @@ Enter by `observer_from_kernels` (or `observer_from_header`), `body_target`, `pr
 
 from opnav_workbench.scene.body_geometry import BodyGeometry
 from opnav_workbench.scene.epoch_report import CameraPointing, GeometryReport, geometry_report
+from opnav_workbench.scene.following import following
 from opnav_workbench.scene.prediction import (
     BodyPrediction,
     StarPrediction,
@@ -41,6 +44,7 @@ __all__ = [
     "apparent_stars",
     "body_target",
     "camera_magnitudes",
+    "following",
     "geometry_report",
     "observer_from_header",
     "observer_from_kernels",

@@ -25,6 +25,7 @@ from opnav_workbench.geometry import (
     tangent_basis,
 )
 from opnav_workbench.photometry import instrument_magnitude
+from opnav_workbench.scene.following import following
 from opnav_workbench.scene.states import Observer
 from opnav_workbench.targets import TargetState
 
@@ -212,6 +213,7 @@ def predict_body(
     target: TargetState, observer: Observer, camera: Camera, camera_from_j2000: FloatArray
 ) -> BodyPrediction:
     """Predict a body's center, size, phase and limb on the detector."""
+    camera = following(camera, target, observer.velocity_km_s, camera_from_j2000)
     range_km = float(np.linalg.norm(target.position_km))
     direction = apparent_direction(target.position_km / range_km, observer.velocity_km_s)
     pixel_line = camera.project((camera_from_j2000 @ direction)[None])[0]

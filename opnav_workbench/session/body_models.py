@@ -34,6 +34,7 @@ from opnav_workbench.render import (
     ShapeModel,
     law_from_mapping,
 )
+from opnav_workbench.scene import following
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
@@ -220,11 +221,13 @@ def body_picture(
         body_model(context, inputs, name) if name in wanted else _scenery(context, inputs, name)
         for name in scene
     ]
-    picture = _picture(context, inputs, state, tuple(model for model in models if model is not None))
+    looked_for = inputs.targets[wanted[0]]
+    drawn = tuple(model for model in models if model is not None)
+    picture = _picture(context, inputs, state, drawn, looked_for)
     moved = [_model_where_found(picture, state, model, wanted) for model in picture.models]
     if all(new is old for new, old in zip(moved, picture.models, strict=True)):
         return picture
-    return _picture(context, inputs, state, tuple(moved))
+    return _picture(context, inputs, state, tuple(moved), looked_for)
 
 
 def _scenery(context: Context, inputs: Inputs, name: str) -> BodyModel | None:
@@ -236,16 +239,21 @@ def _scenery(context: Context, inputs: Inputs, name: str) -> BodyModel | None:
 
 
 def _picture(
-    context: Context, inputs: Inputs, state: SessionState, models: tuple[BodyModel, ...]
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    models: tuple[BodyModel, ...],
+    looked_for: TargetState,
 ) -> BodyPicture:
     signal, noise = _above_sky(context)
+    attitude = best_attitude(inputs, state)
     return BodyPicture(
         signal_dn=signal,
         noise_dn=noise,
         bad=context.bad,
         saturated=context.picture.saturated,
-        camera=context.camera,
-        camera_from_j2000=best_attitude(inputs, state),
+        camera=following(context.camera, looked_for, inputs.observer.velocity_km_s, attitude),
+        camera_from_j2000=attitude,
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         models=models,
         psf=picture_psf(context, state),

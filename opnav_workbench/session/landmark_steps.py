@@ -30,6 +30,7 @@ from opnav_workbench.landmarks import (
     predicted_again,
 )
 from opnav_workbench.observables import Observable, observe
+from opnav_workbench.scene import following
 from opnav_workbench.session.body_models import body_picture, scene_names
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
@@ -146,7 +147,8 @@ def _judged(context: Context, inputs: Inputs, state: SessionState) -> SessionSta
     for solution in state.landmarks:
         body = solution.centers.body
         target = inputs.targets[body]
-        view = (target, context.camera, best_attitude(inputs, state), inputs.observer.velocity_km_s)
+        attitude, velocity = best_attitude(inputs, state), inputs.observer.velocity_km_s
+        view = (target, following(context.camera, target, velocity, attitude), attitude, velocity)
         landmarks = posed(solution.centers, *view)
         decisions = {
             identity: state.landmark_decisions[landmark_name(body, identity)]
@@ -265,15 +267,14 @@ def _observable(
     name = landmark_name(body.name, str(centers.id[row]))
     place = body.position_km + centers.place_km[row] @ body.body_from_j2000
     point = TargetState(name, place, velocity_km_s=body.velocity_km_s)
-    a_priori = posed(
-        centers, body, context.camera, inputs.a_priori_camera_from_j2000, inputs.observer.velocity_km_s
-    )
+    camera = following(context.camera, body, inputs.observer.velocity_km_s, best_attitude(inputs, state))
+    a_priori = posed(centers, body, camera, inputs.a_priori_camera_from_j2000, inputs.observer.velocity_km_s)
     x, y, z = centers.place_km[row]
     said = f"on {body.name} at {x:.6f}, {y:.6f}, {z:.6f} km, body-fixed"
     return observe(
         point,
         BodyCenter(name, METHOD, "ok", centers.observed_px[row], covariance, messages=(said,)),
-        context.camera,
+        camera,
         best_attitude(inputs, state),
         attitude_covariance(context, state),
         observer_velocity_km_s=inputs.observer.velocity_km_s,

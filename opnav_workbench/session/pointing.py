@@ -15,7 +15,7 @@ from opnav_workbench.bodies import BodyCenter, JointCenters
 from opnav_workbench.constants import ARCSEC_PER_RAD, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable, center_cross, observe
-from opnav_workbench.scene import predict_body
+from opnav_workbench.scene import following, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.state import (
@@ -123,7 +123,7 @@ def _observable(context: Context, inputs: Inputs, state: SessionState, center: B
     return observe(
         target,
         center,
-        context.camera,
+        following(context.camera, target, inputs.observer.velocity_km_s, best_attitude(inputs, state)),
         best_attitude(inputs, state),
         attitude_covariance(context, state),
         observer_velocity_km_s=inputs.observer.velocity_km_s,

@@ -24,7 +24,7 @@ from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.protocol import Psf, add_sources
 from opnav_workbench.psf.trailed import TrailedPsf
 from opnav_workbench.render import BodyModel, Rendering, render_bodies
-from opnav_workbench.scene import Observer, StarPrediction, predict_stars
+from opnav_workbench.scene import Observer, StarPrediction, following, predict_stars
 from opnav_workbench.simulation.attitude_path import AttitudePath
 from opnav_workbench.simulation.detector import Exposure, expose
 from opnav_workbench.simulation.detector_properties import Level
@@ -327,6 +327,10 @@ def _switched(stars: StarTable, effects: ApparentPlaceEffects) -> StarTable:
 
 
 def _bodies(inputs: PictureInputs, optics: Camera, observer: Observer) -> Rendering:
+    """Draw the bodies; where lines have times of their own, as the camera sees the nearest one move."""
+    if inputs.bodies:
+        nearest = min((model.target for model in inputs.bodies), key=lambda target: target.range_km)
+        optics = following(optics, nearest, observer.velocity_km_s, inputs.path.middle)
     return render_bodies(
         inputs.bodies,
         optics,

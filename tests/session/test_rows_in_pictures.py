@@ -39,7 +39,11 @@ class Case:
     rows: dict
 
 
-def make_case(folder: Path, name: str) -> Case:
+def make_case(folder: Path, name: str, flyby: list | None = None) -> Case:
+    """Write mission, kernels and picture.
+
+    `flyby`: states of a body with respect to the spacecraft, as a scenario of kernels has them.
+    """
     rows, rate, direction = CASES[name]
     generic = kernels_meta_dir() / "generic"
     content = yaml.safe_load((generic / "cameras/cubesat.yaml").read_text())
@@ -63,10 +67,23 @@ def make_case(folder: Path, name: str) -> Case:
             "twist_deg": 30.0, "scan": {"rate_deg_s": float(rate), "direction": direction},
         }
     ]  # fmt: skip
+    if flyby:
+        plan["bodies"].append({"name": "ROCK", "id": 2999999, "source": "invented", "radii_km": [40, 40, 40]})
+        plan["trajectories"].append(
+            {
+                "kind": "states",
+                "target": "ROCK",
+                "center": plan["spacecraft"]["name"],
+                "source": "invented",
+                "rows": flyby,
+            }
+        )
     (folder / "kernels.yaml").write_text(json.dumps(plan, default=lambda time: time.isoformat()))
     shutil.copy(generic / "manifest.yaml", folder)
     metakernel = make_kernels(folder / "kernels.yaml", folder / "kernels")
+    targets = ["ROCK"] if flyby else []
     scenario = {
+        "bodies": [{"name": n, "law": {"law": "lunar_lambert", "lunar_weight": 0.5}, "albedo": 0.3} for n in targets],
         "mission": str(folder / "mission.yaml"), "kernels": str(metakernel), "catalog": "bundled",
         "magnitude_limit": 10.5, "seed": 5,
         "attitude": {
@@ -74,7 +91,7 @@ def make_case(folder: Path, name: str) -> Case:
             "motion": {"from_kernels": True},
         },
         "pictures": [
-            {"name": name, "utc": "2030-01-01T00:00:07", "camera": "rows", "exposure_s": EXPOSURE_S, "targets": []}
+            {"name": name, "utc": "2030-01-01T00:00:07", "camera": "rows", "exposure_s": EXPOSURE_S, "targets": targets}
         ],
     }  # fmt: skip
     (folder / "pictures.yaml").write_text(yaml.safe_dump(scenario))
@@ -164,3 +181,68 @@ def test_without_the_motion_a_frame_is_partial_and_a_scan_refused(case):
     session = ImageSession.open(case.picture, case.mission, attitude="header")
     words = "the camera's motion while its lines are exposed (0.511 s) is not known, and taken as none"
     assert words in str(session.inputs.contradictions)
+
+
+# ---- A body that passes.
+
+MIDDLE_UTC = "2030-01-01T00:00:07"
+PLACE_PX, RANGE_KM, SPEED_KM_S = (150.0, 90.0), 5000.0, 8.0
+
+
+def make_flyby(folder: Path, name: str) -> Case:
+    """A body of 73 px that flies across by some 20 px a second, far from the line whose time is the picture's."""
+    first = make_case(folder / "first", name)
+    with KernelSet(first.kernels):
+        session = ImageSession.open(first.picture, first.mission)
+        toward = session.inputs.a_priori_camera_from_j2000.T @ session.context.camera.unproject(PLACE_PX)
+        across = session.inputs.a_priori_camera_from_j2000.T @ np.array([0.6, 0.8, 0.0])
+    rows = []
+    for minute in (-1, 0, 1, 2):
+        place = RANGE_KM * toward + SPEED_KM_S * (60.0 * minute - 7.0) * across
+        time = f"2030-01-01T00:{minute:02d}:00" if minute >= 0 else "2029-12-31T23:59:00"
+        rows.append([time, *place.tolist(), *(SPEED_KM_S * across).tolist()])
+    return make_case(folder / "flyby", name, rows)
+
+
+def center_by_spice(case: Case, turned: np.ndarray, et: float) -> np.ndarray:
+    """Return where the body's center falls, body and CK asked at each line's own time."""
+    rest = replace(Camera.from_yaml(case.mission.parent / "cameras/rows.yaml"), rows=None)
+
+    def place(line: float) -> np.ndarray:
+        time = et + (line - 0.5 * (SIZE - 1)) * case.rows["line_time_s"]
+        seen, _ = spiceypy.spkezr("2999999", time, "J2000", "CN+S", "-999")
+        return rest.project(turned @ np.array(spiceypy.pxform("J2000", rest.frame, time)) @ seen[:3])
+
+    def off(line: float) -> float:
+        return place(line)[1] - case.rows.get("detector_line", line)
+
+    with KernelSet(case.kernels):
+        line = brentq(off, -20.0, SIZE + 20.0, xtol=1e-9)
+        return np.array([place(line)[0], line])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_a_body_is_found_where_it_was_at_its_lines_time(name, tmp_path):
+    case = make_flyby(tmp_path, name)
+    truth = read_truth(case.picture)
+    mounted = truth.camera_from_j2000 @ truth.predicted_camera_from_j2000.T
+    by_spice = center_by_spice(case, mounted, truth.et)
+    np.testing.assert_allclose(truth.bodies["ROCK"], by_spice, atol=0.01)
+    with KernelSet(case.kernels):
+        session = ImageSession.open(case.picture, case.mission)
+        session.predict()
+        session.find_stars()
+        session.repoint()
+        session.find_body("ROCK")
+        session.observables()
+        (body,) = json.loads(session.to_json())["bodies"]
+        at_middle = session.context.camera.project(
+            session.camera_from_j2000 @ session.predict_body("ROCK").direction
+        )
+    assert np.hypot(*(at_middle - by_spice)) > 1.0  # as the stars move, without its own motion
+    assert body["status"] == "ok"
+    error = np.subtract(body["observed"], by_spice)
+    assert np.sqrt(error @ np.linalg.solve(body["covariance_px2"], error)) < 4.0
+    assert np.hypot(*error) < 0.3
+    assert np.hypot(*np.subtract(body["predicted"], by_spice)) < 0.3
