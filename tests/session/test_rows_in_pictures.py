@@ -24,6 +24,7 @@ from opnav_workbench.simulation import load_picture_scenario, read_truth, simula
 SIZE, EXPOSURE_S = 512, 0.02
 ROLLING = {"line_time_s": -1e-3}
 SCANNER = {"line_time_s": 0.02, "detector_line": 255.5}
+DARK = 1e-4  # of a body that does not saturate where stars are seen
 PIXEL_DEG = np.degrees(5.5e-3 / 25.0)
 SHIFT_PX, TWIST_DEG = (6.0, -4.0), 0.1
 CASES = {"rolling": (ROLLING, 0.25, [0.6, 0.8]), "scanner": (SCANNER, 50.0 * PIXEL_DEG, [0.0, 1.0])}
@@ -83,7 +84,7 @@ def make_case(folder: Path, name: str, flyby: list | None = None) -> Case:
     metakernel = make_kernels(folder / "kernels.yaml", folder / "kernels")
     targets = ["ROCK"] if flyby else []
     scenario = {
-        "bodies": [{"name": n, "law": {"law": "lunar_lambert", "lunar_weight": 0.5}, "albedo": 0.3} for n in targets],
+        "bodies": [{"name": n, "law": {"law": "lunar_lambert", "lunar_weight": 0.5}, "albedo": DARK} for n in targets],
         "mission": str(folder / "mission.yaml"), "kernels": str(metakernel), "catalog": "bundled",
         "magnitude_limit": 10.5, "seed": 5,
         "attitude": {
@@ -185,7 +186,7 @@ def test_without_the_motion_a_frame_is_partial_and_a_scan_refused(case):
 
 # ---- A body that passes.
 
-MIDDLE_UTC = "2030-01-01T00:00:07"
+MIDDLE_S = 76.184  # past 00:00:00 TDB, in which states are written: 00:00:07 UTC
 PLACE_PX, RANGE_KM, SPEED_KM_S = (150.0, 90.0), 5000.0, 8.0
 
 
@@ -197,8 +198,8 @@ def make_flyby(folder: Path, name: str) -> Case:
         toward = session.inputs.a_priori_camera_from_j2000.T @ session.context.camera.unproject(PLACE_PX)
         across = session.inputs.a_priori_camera_from_j2000.T @ np.array([0.6, 0.8, 0.0])
     rows = []
-    for minute in (-1, 0, 1, 2):
-        place = RANGE_KM * toward + SPEED_KM_S * (60.0 * minute - 7.0) * across
+    for minute in (-1, 0, 1, 2, 3):
+        place = RANGE_KM * toward + SPEED_KM_S * (60.0 * minute - MIDDLE_S) * across
         time = f"2030-01-01T00:{minute:02d}:00" if minute >= 0 else "2029-12-31T23:59:00"
         rows.append([time, *place.tolist(), *(SPEED_KM_S * across).tolist()])
     return make_case(folder / "flyby", name, rows)
