@@ -55,4 +55,5 @@ def _least_turns(start: FloatArray, ends: FloatArray) -> FloatArray:
     axis = np.cross(start, ends)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, ends @ start)
-    return axis * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0.0)[:, None]
+    scale = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0.0)
+    return np.asarray(axis * scale[:, None])
