@@ -24,6 +24,7 @@ __all__ = [
     "body_gm_km3_s2",
     "body_id",
     "body_name",
+    "body_periodic_terms",
     "body_radii_km",
     "state",
     "sub_observer_point",
@@ -101,6 +102,24 @@ def body_radii_km(body: str | int) -> FloatArray:
             f"BODY{number}_RADII holds {values.tolist()}, not three positive km; load a correct PCK."
         )
     return readonly(values, (3,), "radii")
+
+
+def body_periodic_terms(body: str | int) -> dict[str, int]:
+    """Return how many periodic terms the loaded PCKs give pole and prime meridian of a body, by the variable's name.
+
+    A kernel that replaces the rotation must replace these, too: SPICE adds them to whatever pole it finds.
+
+    Raises
+    ------
+    KernelError
+        The body is unknown.
+    """
+    number, found = body_id(body), {}
+    with spice_call(SpiceRequest(f"periodic terms of {body}", bodies=(body,)), needs_kernels=True):
+        for item in ("NUT_PREC_RA", "NUT_PREC_DEC", "NUT_PREC_PM"):
+            if spiceypy.bodfnd(number, item):
+                found[f"BODY{number}_{item}"] = int(spiceypy.bodvcd(number, item, MOST_PERIODIC_TERMS)[0])
+    return found
 
 
 def body_gm_km3_s2(body: str | int) -> float:
@@ -202,6 +221,7 @@ def body_frame(body: str | int) -> str:
 
 # ---- Points on a body's reference ellipsoid: below the observer and below the Sun.
 
+MOST_PERIODIC_TERMS = 100  # what SPICE's own readers take
 METHOD = "INTERCEPT/ELLIPSOID"  # on the line to the body's center: what stands in the middle of its disk
 
 

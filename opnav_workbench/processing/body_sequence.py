@@ -7,7 +7,7 @@ Files   BODY.tpc       PCK with radii, pole and prime meridian: it corrects kern
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,14 @@ from opnav_workbench.estimation.body import (
     solve_body_from_pictures,
 )
 from opnav_workbench.files import make_folder, write_json, write_text
-from opnav_workbench.kernels import KernelSet, body_attitude, body_gm_km3_s2, body_id, state
+from opnav_workbench.kernels import (
+    KernelSet,
+    body_attitude,
+    body_gm_km3_s2,
+    body_id,
+    body_periodic_terms,
+    state,
+)
 from opnav_workbench.processing.automatic import LANDMARKS_FROM_PX, open_picture, solve_stars
 from opnav_workbench.processing.model import OpenedProcessing, Processing
 from opnav_workbench.session import ImageSession
@@ -46,12 +53,15 @@ class BodyFromPictures:
     ----------
     left_out : tuple of (str, str)
         Picture and reason.
+    periodic_terms : mapping of str to int
+        Of the believed rotation, which the written PCK takes out.
     """
 
     body: str
     body_id: int
     solution: BodySolution
     left_out: tuple[tuple[str, str], ...]
+    periodic_terms: Mapping[str, int] = field(default_factory=dict)
 
 
 def knowledge_of(opened: OpenedProcessing, body: str, given: Mapping[str, float | None]) -> BodyKnowledge:
@@ -64,7 +74,7 @@ def knowledge_of(opened: OpenedProcessing, body: str, given: Mapping[str, float 
     """
     surface = opened.mission.target_surfaces.get(body)
     said = {} if surface is None else {"size_sigma": surface.size_sigma, "axes_sigma": surface.axes_sigma}
-    known = {field.name for field in fields(BodyKnowledge)}
+    known = {one.name for one in fields(BodyKnowledge)}
     values = {**said, **{name: value for name, value in given.items() if value is not None}}
     return BodyKnowledge(
         **{name: value for name, value in values.items() if name in known and value is not None}
@@ -133,7 +143,7 @@ def solve_body_of(
             passes=passes,
             say=say,
         )
-        found = BodyFromPictures(body, body_id(body), solution, tuple(left_out))
+        found = BodyFromPictures(body, body_id(body), solution, tuple(left_out), body_periodic_terms(body))
     if out is not None:
         write_body(found, out)
     return found
@@ -214,7 +224,7 @@ def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, Path, Pa
     folder = make_folder(out)
     stem = found.body.replace(" ", "_")
     pck, lines, report = (folder / f"{stem}{suffix}" for suffix in (".tpc", ".yaml", ".json"))
-    found.solution.write_pck(pck, found.body_id)
+    found.solution.write_pck(pck, found.body_id, found.periodic_terms)
     size, axes = (float(f"{value:.3g}") for value in found.solution.figure_sigmas)
     write_text(
         lines, yaml.safe_dump({"target_surfaces": {found.body: {"size_sigma": size, "axes_sigma": axes}}})

@@ -23,6 +23,7 @@ from opnav_workbench.estimation.body import (
 )
 from opnav_workbench.estimation.body.design import outline_rows
 from opnav_workbench.geometry import rotation_from_vector, tangent_basis, unit, vector_from_rotation
+from opnav_workbench.kernels import KernelSet, body_periodic_terms
 from opnav_workbench.landmarks.prediction import landmark_places
 from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.render import BodyModel, FigureUncertainty
@@ -300,6 +301,26 @@ def test_the_pck_gives_spice_the_body_that_was_solved(solved, tmp_path):
         for et in (EPOCH - 2e5, EPOCH, EPOCH + 2e5):
             turned = spiceypy.pxform("J2000", "IAU_BENNU", et) - solution.rotation.body_from_j2000(et)
             assert np.abs(turned).max() < 1e-10
+    finally:
+        spiceypy.kclear()
+
+
+def test_the_pck_takes_out_periodic_terms_of_another(solved, tmp_path):
+    """SPICE adds the old kernel's librations to the new pole, unless the new one says that there are none."""
+    solution, old = solved[2], tmp_path / "old.tpc"
+    number = f"BODY{BENNU_ID}"
+    old.write_text(
+        f"KPL/PCK\n\\begindata\n{number}_POLE_RA = (10 0 0)\n{number}_POLE_DEC = (20 0 0)\n{number}_PM = (0 1 0)\n"
+        f"{number}_NUT_PREC_ANGLES = (30 0)\n{number}_NUT_PREC_RA = (5)\n\\begintext\n"
+    )
+    with KernelSet(old):
+        terms = body_periodic_terms(BENNU_ID)
+    assert terms == {f"{number}_NUT_PREC_RA": 1}
+    new = solution.write_pck(tmp_path / "new.tpc", BENNU_ID, terms)
+    try:
+        spiceypy.furnsh([str(old), str(new)])
+        turned = spiceypy.pxform("J2000", "IAU_BENNU", EPOCH) - solution.rotation.body_from_j2000(EPOCH)
+        assert np.abs(turned).max() < 1e-10
     finally:
         spiceypy.kclear()
 

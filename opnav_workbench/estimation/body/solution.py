@@ -9,9 +9,10 @@ may explain outlines nearly as well, so the batch begins at several and the like
 Reference: Tapley, Schutz & Born (2004), Statistical Orbit Determination, section 4.3.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
@@ -54,6 +55,7 @@ FEWEST_TO_JUDGE = 6  # outlines: what one of fewer says nobody can contradict
 LEAST_FREEDOM = 1e-3  # of an outline's variance: what is left of one that alone determines something
 MIDDLE_OF_FIVE = 4.351  # the median of chi-squared with five degrees of freedom
 SECOND_BEST = 9.0  # of chi-squared: a solution elsewhere that is no less likely than 3 sigma
+NO_TERMS: Mapping[str, int] = MappingProxyType({})
 FIGURE_LIMITS = 1e-5, 0.9
 
 
@@ -216,8 +218,13 @@ class BodySolution:
         size, axes = self.figure_sigmas
         return replace(figure, size_sigma=size, axes_sigma=axes)
 
-    def write_pck(self, path: str | Path, body_id: int) -> Path:
+    def write_pck(self, path: str | Path, body_id: int, periodic_terms: Mapping[str, int] = NO_TERMS) -> Path:
         """Write radii, pole and prime meridian as a PCK text kernel, to be loaded after those that it corrects.
+
+        Parameters
+        ----------
+        periodic_terms : mapping of str to int, optional
+            Of the kernels before (`opnav_workbench.kernels.body_periodic_terms`): the solved rotation has none.
 
         Raises
         ------
@@ -237,6 +244,7 @@ class BodySolution:
             "the kernels that it corrects."
         )
         comment = "\n\n".join((title, *self.words))
+        values |= {name: (0.0,) * count for name, count in periodic_terms.items()}
         write_text_kernel(path, "PCK", values, comment)
         return Path(path)
 
