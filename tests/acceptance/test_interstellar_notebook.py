@@ -5,6 +5,7 @@ trajectory in the mean of six pictures, position 0.35 au off at 47.1 au.
 """
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +13,16 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
+sys.path.insert(0, str(Path(__file__).parent))
+from warm_notebooks import execute
+
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "interstellar_navigation.ipynb"
 # 99.9 % of sound fixes: three degrees of freedom.
 MOST_SIGMAS = 4.03
 
 
 def _run(folder: Path, **parameters: Any) -> dict[str, Any]:
-    import papermill
-
-    papermill.execute_notebook(
-        NOTEBOOK,
-        folder / "out.ipynb",
-        parameters={"out": str(folder / "run"), **parameters},
-        progress_bar=False,
-        request_save_on_cell_execute=False,
-    )
+    execute(NOTEBOOK, folder / "out.ipynb", {"out": str(folder / "run"), **parameters})
     return json.loads((folder / "run" / "result.json").read_text())
 
 

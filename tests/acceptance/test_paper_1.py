@@ -4,11 +4,15 @@ Each notebook is executed once, in one test, whichever way tests are spread over
 """
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.table import Table
+
+sys.path.insert(0, str(Path(__file__).parent))
+from warm_notebooks import execute
 
 PAPER = Path(__file__).parents[2] / "notebooks" / "paper"
 NOTEBOOKS = ("01_geometry_and_kernels", "02_simulated_images", "03_star_centers")
@@ -17,15 +21,11 @@ NOTEBOOKS = ("01_geometry_and_kernels", "02_simulated_images", "03_star_centers"
 def executed(name: str, folder: Path, **parameters: object) -> Path:
     """Run a notebook in the fast setting; return the folder of its tables."""
     out = folder / "out"
-    import papermill
-
-    papermill.execute_notebook(
+    execute(
         PAPER / f"{name}.ipynb",
         folder / "executed.ipynb",
-        parameters={"out": str(out), "fast": True, **parameters},
-        cwd=str(folder),
-        progress_bar=False,
-        request_save_on_cell_execute=False,
+        {"out": str(out), "fast": True, **parameters},
+        folder,
     )
     return out
 

@@ -1,6 +1,7 @@
 """The paper reproduced, part 2: repointing, target centers, observables. Each notebook is executed once."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,9 @@ import pytest
 from astropy.table import QTable, Table
 
 from opnav_workbench.rehearsal.comparison import center_errors, sky_per_pixel
+
+sys.path.insert(0, str(Path(__file__).parent))
+from warm_notebooks import execute
 
 pytestmark = pytest.mark.slow
 
@@ -18,16 +22,7 @@ NOTEBOOKS = ("04_repointing", "05_target_centers", "06_observables")
 def executed(name: str, folder: Path) -> Path:
     """Run a notebook; return the folder of its tables."""
     out = folder / "out"
-    import papermill
-
-    papermill.execute_notebook(
-        PAPER / f"{name}.ipynb",
-        folder / "executed.ipynb",
-        parameters={"out": str(out), "fast": True},
-        cwd=str(folder),
-        progress_bar=False,
-        request_save_on_cell_execute=False,
-    )
+    execute(PAPER / f"{name}.ipynb", folder / "executed.ipynb", {"out": str(out), "fast": True}, folder)
     return out
 
 

@@ -2,10 +2,14 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import nbformat
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from warm_notebooks import execute
 
 TEACHING = Path(__file__).parents[2] / "notebooks/teaching"
 LESSONS = sorted(path.stem for path in TEACHING.glob("*.ipynb"))
@@ -267,15 +271,7 @@ def three_students(lesson):
 def run(notebook, folder, **parameters):
     source, executed = folder / "lesson.ipynb", folder / "executed.ipynb"
     nbformat.write(notebook, source)
-    import papermill
-
-    papermill.execute_notebook(
-        source,
-        executed,
-        parameters={"out": str(folder / "out"), **parameters},
-        progress_bar=False,
-        request_save_on_cell_execute=False,
-    )
+    execute(source, executed, {"out": str(folder / "out"), **parameters})
     return nbformat.read(executed, as_version=4)
 
 
