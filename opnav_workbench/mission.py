@@ -6,6 +6,7 @@ at all.
 """
 
 import difflib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -14,11 +15,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, TypeAdapter
+from pydantic import AfterValidator, Field, PositiveFloat, TypeAdapter
 
 from opnav_workbench.camera import Camera, read_out
 from opnav_workbench.errors import CameraError, MissionError
-from opnav_workbench.image.header import KeywordMap, header_matches
+from opnav_workbench.image.header import KeywordMap, header_matches, header_number
 from opnav_workbench.paths import is_file, is_folder
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import Photometry, TargetState
@@ -51,6 +52,10 @@ class Readout(StrictModel):
         Where the window begins on the detector, counted from `first_is`.
     n_pixel, n_line
         Size of the picture.
+    line_time
+        Time from a line to the next one, of a rolling shutter or line scanner; `rows` of its camera file tell the direction.
+    line_time_scale
+        Its unit, s: 0.001 of milliseconds.
 
     A word that the header does not have says that the whole detector was read, pixel by pixel: a picture of another size is
     then refused.
@@ -63,9 +68,11 @@ class Readout(StrictModel):
     n_pixel: Keyword | None = None
     n_line: Keyword | None = None
     first_is: Literal[0, 1] = 0
+    line_time: Keyword | None = None
+    line_time_scale: PositiveFloat = 1.0
 
-    def told(self, header: Mapping[str, Any]) -> dict[str, tuple[int, int] | None]:
-        """Return binning, first pixel and line, and size, as a picture's header says them: `read_out` takes them.
+    def told(self, header: Mapping[str, Any]) -> dict[str, Any]:
+        """Return binning, first pixel and line, size and line time, as a picture's header says them, for `read_out`.
 
         Raises
         ------
@@ -80,7 +87,10 @@ class Readout(StrictModel):
         ]
         told = [w for w in (self.n_pixel, self.n_line) if w is not None and w in header]
         size = (_whole(header, told[0]), _whole(header, told[1])) if len(told) == 2 else None
-        return {"binning": steps, "first": (starts[0], starts[1]), "size": size}
+        readout: dict[str, Any] = {"binning": steps, "first": (starts[0], starts[1]), "size": size}
+        if self.line_time is not None and self.line_time in header:
+            readout["line_time_s"] = _seconds(header, self.line_time) * self.line_time_scale
+        return readout
 
     def _factor(self, header: Mapping[str, Any], word: str) -> int:
         if word not in header:
@@ -89,6 +99,14 @@ class Readout(StrictModel):
             if header_matches(header.get(word), value):
                 return factor
         return _whole(header, word)
+
+
+def _seconds(header: Mapping[str, Any], word: str) -> float:
+    """A positive number of a header, without its unit."""
+    number = header_number(str(header[word]).split("<")[0])
+    if number is None or not 0.0 < number < math.inf:
+        raise CameraError(f"{word} = {header[word]!r} in the header is no time from a line to the next one.")
+    return number
 
 
 def _whole(header: Mapping[str, Any], word: str) -> int:
@@ -358,6 +376,7 @@ def _read_out(camera: Camera, readout: Mapping[str, Any] | None) -> Camera:
             binning=(binning[0], binning[1]),
             first=(first[0], first[1]),
             size=None if size is None else (int(size[0]), int(size[1])),
+            line_time_s=readout.get("line_time_s"),
         )
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise CameraError(f"{camera.name}: {dict(readout)} is no readout ({error!r}).") from error

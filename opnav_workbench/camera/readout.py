@@ -18,6 +18,7 @@ def read_out(
     binning: tuple[int, int] = (1, 1),
     first: tuple[int, int] = (0, 0),
     size: tuple[int, int] | None = None,
+    line_time_s: float | None = None,
 ) -> Camera:
     """Return the camera as its pictures of a window and a binning show the sky.
 
@@ -28,7 +29,9 @@ def read_out(
     first
         Pixel and line of the detector, counted from 0, at which the window begins.
     size
-        Pixels and lines of the picture; without, to the detector's end.
+        Pixels and lines of the picture; without, to the detector's end. A scan may have any number of lines.
+    line_time_s
+        From a line of the picture to the next one, of a camera with `rows`; without, its file's times the binning.
 
     Raises
     ------
@@ -43,9 +46,20 @@ def read_out(
     >>> half.n_pixel, half.center_pixel_line.tolist()
     (512, [255.5, 255.5])
     """
-    if binning == (1, 1) and first == (0, 0) and size in (None, (camera.n_pixel, camera.n_line)):
+    if line_time_s is not None and camera.rows is None:
+        raise CameraError(
+            f"{camera.name}: its file has no rows, but a header tells the time from line to line."
+        )
+    if (
+        line_time_s is None
+        and binning == (1, 1)
+        and first == (0, 0)
+        and size in (None, (camera.n_pixel, camera.n_line))
+    ):
         return camera
     detector, step, start = (np.array(v) for v in ((camera.n_pixel, camera.n_line), binning, first))
+    if camera.rows is not None and camera.rows.scans and size is not None:
+        detector[1] = max(detector[1], start[1] + step[1] * size[1])
     count = (detector - start) // np.maximum(step, 1) if size is None else np.array(size)
     if not (
         (step >= 1).all()
@@ -63,7 +77,8 @@ def read_out(
     if rows is not None:
         line = rows.detector_line
         there = None if line is None else float((line - start[1] + 0.5) / step[1] - 0.5)
-        rows = RowTiming(rows.line_time_s * float(step[1]), there)
+        each_s = rows.line_time_s * float(step[1])
+        rows = RowTiming(each_s if line_time_s is None else float(np.copysign(line_time_s, each_s)), there)
     return replace(
         camera,
         rows=rows,

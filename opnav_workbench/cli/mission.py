@@ -117,6 +117,10 @@ def new(
     size: Annotated[
         str | None, typer.Option(help="Pixels and lines, such as 1024x1024.", show_default=False)
     ] = None,
+    line_time_s: Annotated[
+        float | None,
+        typer.Option(help="Rolling shutter: from line to line, s; below 0: last first.", show_default=False),
+    ] = None,
     catalog: Annotated[str, typer.Option(help="Star catalog of the whole sky.")] = "bundled",
     out: Annotated[Path | None, typer.Option(help="Folder; default: the name.", show_default=False)] = None,
     compare: Annotated[bool, typer.Option(help="Simulate a picture to compare.")] = True,
@@ -131,7 +135,7 @@ def new(
       opnav mission new probe --ik probe_cam.ti --image first_light.fit
       opnav mission new cubesat --fov-deg 20 --image night.fits
     """
-    numbers = Numbers(focal_mm, pixel_um, fov_deg, _size(size))
+    numbers = Numbers(focal_mm, pixel_um, fov_deg, _size(size), line_time_s)
     folder = Path(name) if out is None else out
     wanted = Wanted(
         name, folder, image, tuple(ik or ()), kernels, instrument, numbers, target, catalog, compare

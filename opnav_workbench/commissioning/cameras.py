@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from opnav_workbench.camera import AttitudeSigma, Camera, NoDistortion, Origin
+from opnav_workbench.camera import AttitudeSigma, Camera, NoDistortion, Origin, RowTiming
 from opnav_workbench.constants import RAD_PER_DEG
 from opnav_workbench.errors import CameraError, MissionError, OpNavError
 from opnav_workbench.kernels import KernelSet, instrument_ids, instrument_values
 
-__all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers"]
+__all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers", "with_rows"]
 
 SHOWN = 8  # instruments named in an error
 POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
@@ -27,6 +27,9 @@ class Numbers:
     pixel_um: float | None = None
     fov_deg: float | None = None  # from edge to edge along pixel
     size: tuple[int, int] | None = None  # pixels, lines
+    line_time_s: float | None = (
+        None  # of a rolling shutter, from a line to the next; negative: the last comes first
+    )
 
     def size_with(self, shape: tuple[int, int] | None) -> tuple[int, int] | None:
         """Return pixels and lines: the size told, else that of a picture's shape."""
@@ -138,6 +141,15 @@ def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, num
         origins=origins,
     )
     return _with_pointing(camera)
+
+
+def with_rows(camera: Camera, line_time_s: float | None) -> Camera:
+    """The camera with a rolling shutter, where a person knows of one."""
+    if line_time_s is None:
+        return camera
+    rows = RowTiming(line_time_s)
+    known = Origin("rows", "known", f"{line_time_s:g} s from line to line, as given")
+    return replace(camera, rows=rows, origins=(*camera.origins, known))
 
 
 def _with_pointing(camera: Camera) -> Camera:

@@ -13,7 +13,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera, Origin, PsfPrior
 from opnav_workbench.catalog import open_catalog
-from opnav_workbench.commissioning.cameras import Numbers, camera_of_kernels, camera_of_numbers
+from opnav_workbench.commissioning.cameras import Numbers, camera_of_kernels, camera_of_numbers, with_rows
 from opnav_workbench.commissioning.files import (
     Craft,
     Place,
@@ -203,6 +203,7 @@ def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
         camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers)
     else:
         camera = camera_of_numbers(wanted.name, -(INVENTED * 1000 + 100), shape, wanted.numbers)
+    camera = with_rows(camera, wanted.numbers.line_time_s)
     return replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
 
 

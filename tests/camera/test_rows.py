@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from opnav_workbench.camera import Camera, RowTiming, read_out, row_sweep
 from opnav_workbench.errors import CameraError
+from opnav_workbench.mission import load_mission
 from opnav_workbench.resources import kernels_meta_dir
 
 FILE = kernels_meta_dir() / "new_horizons/cameras/lorri_1x1.yaml"
@@ -105,3 +107,30 @@ def test_a_camera_file_says_when_lines_are_exposed(tmp_path):
     (tmp_path / "scan.yaml").write_text(re.sub("line_time_s: .*", "line_time_s: 0", text))
     with pytest.raises(CameraError, match="line_time_s is 0"):
         Camera.from_yaml(tmp_path / "scan.yaml")
+
+
+def test_a_header_tells_lines_and_line_time(tmp_path):
+    """One camera file for scans of any length and rate."""
+    replace(Camera.from_yaml(FILE), rows=RowTiming(-4e-3, 511.0)).to_yaml(tmp_path / "scan.yaml")
+    readout = {
+        "n_pixel": "LINE_SAMPLES",
+        "n_line": "LINES",
+        "line_time": "LINE_TIME",
+        "line_time_scale": 1e-3,
+    }
+    mission = {
+        "name": "scans", "spacecraft": {"name": "PROBE", "id": -999}, "clock_id": -999, "bus_frame": "PROBE_BUS",
+        "reference_body": "SUN", "cameras": [{"file": "scan.yaml", "match": {}, "readout": readout}],
+        "keywords": {"exposure_s": "EXPTIME"},
+    }  # fmt: skip
+    (tmp_path / "mission.yaml").write_text(yaml.safe_dump(mission))
+    scans = load_mission(tmp_path / "mission.yaml")
+    header = {"LINES": 5000, "LINE_SAMPLES": 1024, "LINE_TIME": "2.5 <ms>"}
+    camera = scans.camera_for(header)
+    assert camera.n_line == 5000
+    assert camera.rows == RowTiming(-2.5e-3, 511.0)
+    assert scans.camera_as_read("scan", scans.readout_told(header)).rows == camera.rows
+    with pytest.raises(
+        CameraError, match=r"LINE_TIME = 'none' in the header is no time from a line to the next one"
+    ):
+        scans.camera_for(header | {"LINE_TIME": "none"})

@@ -2,26 +2,33 @@
 
 import json
 import shutil
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
 
-from opnav_workbench.camera import Camera
+from opnav_workbench.camera import Camera, RowTiming
 from opnav_workbench.cli import app
 from opnav_workbench.commissioning.header_words import header_words
 from opnav_workbench.commissioning.orientation import eight_cameras, orientation_by_limb
 from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.kernels import KernelSet, packaged_leap_seconds
+from opnav_workbench.mission import load_mission
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import Observer
 from opnav_workbench.session import ImageSession
 from opnav_workbench.simulation import load_picture_scenario, simulate
 from opnav_workbench.simulation.truth import read_truth
 from opnav_workbench.targets import TargetState
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from hostile import answer
 
 IK = r"""KPL/IK
 \begindata
@@ -175,3 +182,16 @@ def test_attitude_from_the_header_needs_no_frame_in_the_kernels(demo_truths):
         for attitude in ("header", "auto"):
             session = ImageSession.open(demo_truths[0].picture, "new_horizons", attitude=attitude)
             assert session.inputs.attitude_source == "header"
+
+
+@pytest.mark.slow
+def test_a_new_mission_may_have_a_rolling_shutter(tmp_path):
+    out = tmp_path / "m"
+    told = answer(f"mission new probe --fov-deg 10 --size 64x64 --line-time-s -0.001 --out {out}".split())
+    assert told[0] == 0, told
+    assert load_mission(out).camera_named("camera").rows == RowTiming(-0.001)
+    refused = answer(
+        f"mission new probe --fov-deg 10 --size 64x64 --line-time-s 0 --out {tmp_path / 'n'}".split()
+    )
+    assert refused[0] == 2
+    assert refused[2].startswith("error: line_time_s is 0")
