@@ -32,7 +32,7 @@ __all__ = [
 
 STARS_ON_DETECTOR = 30  # brightest stars that vote, as many as this on an area as large as the detector's
 VOTING_STARS = 900  # but no more than this in all
-VOTING_DETECTIONS = 90  # brightest detections: stars must be found among more cosmic rays than stars
+VOTING_DETECTIONS = 150  # brightest detections: stars must be found among more cosmic rays than stars
 PAIR_BUDGET = 1_500_000  # pairs of pairs looked at; fewer detections vote where there would be more
 KEPT_HYPOTHESES = 150
 MAGNITUDE_TOLERANCE = 2.0  # a star may be off by this through color or variability, not more
@@ -51,8 +51,8 @@ def vote_for_rotations(
     kept: int = KEPT_HYPOTHESES,
 ) -> FloatArray:
     """Return the rotations (h, 3, 3) with most votes, best first, at most `kept`; given detections alone vote."""
-    stars, brightest = _voters(star_field, limits)
-    detections = brightest if detections is None else detections
+    stars, likeliest = _voters(star_field, limits)
+    detections = likeliest if detections is None else detections
     allowed = _allowed_pairs(star_field, limits, stars, detections)
     star_pairs, detection_pairs = _pairs_of_pairs(star_field, stars, detections, allowed)
     rotation = pair_rotations(star_field, star_pairs, detection_pairs)
@@ -69,7 +69,7 @@ def vote_for_rotations(
 
 
 def _voters(star_field: StarField, limits: SearchLimits) -> tuple[IntArray, IntArray]:
-    """Brightest stars that can be on the detector, and brightest detections, those that may be stars first."""
+    """Brightest stars that can be on the detector, and brightest detections of those that may be one of them."""
     reach = star_field.half_diagonal_px + limits.max_shift_px
     plane = star_field.plane(star_field.stars)
     near = np.hypot(*plane.T) <= reach
@@ -84,8 +84,11 @@ def _voters(star_field: StarField, limits: SearchLimits) -> tuple[IntArray, IntA
     count = min(int(STARS_ON_DETECTOR * share), VOTING_STARS)
     stars = np.flatnonzero(near)
     stars = stars[np.argsort(star_field.magnitude[stars], kind="stable")[:count]]
-    detections = np.lexsort((star_field.detected_mag, star_field.sharper_than_star))[:VOTING_DETECTIONS]
-    return stars, detections
+    detections = np.lexsort((star_field.detected_mag, star_field.sharper_than_star))
+    if len(detections) > VOTING_DETECTIONS:  # what no star can be, by place and brightness, has no vote
+        possible = _allowed_pairs(star_field, limits, stars, detections).any(axis=0)
+        detections = detections[possible] if possible.any() else detections
+    return stars, detections[:VOTING_DETECTIONS]
 
 
 def _allowed_pairs(
