@@ -31,6 +31,7 @@ from opnav_workbench.stars import (
     fit_stars,
     fit_wings,
     gaussian_template,
+    strange_images,
 )
 
 __all__ = [
@@ -50,6 +51,10 @@ INITIAL_METHODS: tuple[InitialMethod, ...] = get_args(InitialMethod)
 FITTED_METHODS = ("least_squares", "psf_fit")  # neighbors are fitted together
 FinalMethod = Literal["least_squares", "psf_fit", "matched_filter", "cross_correlation"]
 FINAL_METHODS: tuple[FinalMethod, ...] = get_args(FinalMethod)
+FIELD_STARS = 3  # whose first centers tell where the field lies
+STRAY_PX = 1.5  # a first center farther off the field than this may be that of a hit beside the star
+MOST_TEMPLATES = 4  # stars tried as a template, brightest first
+TEMPLATE_ANSWER = 0.85  # of the other stars' SNR with a Gaussian that a template must give them
 TEMPLATE_SNR = 50.0  # a template's own noise must not matter beside that of the stars it finds
 
 
@@ -191,16 +196,32 @@ def _with_neighbors(places: FloatArray, rows: IntArray, reach_px: float) -> IntA
 def _coarse(
     context: Context, match: FieldMatch, expected: FloatArray, prior: ShapePrior, options: StarFitOptions
 ) -> StarCenters:
-    return correlate(
-        context.signal_dn,
-        context.noise_dn,
-        context.not_stars,
-        expected,
-        _template(context, match, prior, options),
-        search_radius_px=options.radius_px,
-        method=options.coarse,
-        saturated=context.picture.saturated,
-    )
+    """First centers: the brightest within reach, but where the field as a whole lies for stars that have one there."""
+    template = _template(context, match, prior, options)
+
+    def found(places: FloatArray, radius_px: float) -> StarCenters:
+        return correlate(
+            context.signal_dn,
+            context.noise_dn,
+            context.not_stars,
+            places,
+            template,
+            search_radius_px=radius_px,
+            method=options.coarse,
+            saturated=context.picture.saturated,
+        )
+
+    first = found(expected, options.radius_px)
+    offset = np.where(first.usable[:, None], first.pixel_line - expected, np.nan)
+    if np.count_nonzero(first.usable) < FIELD_STARS:
+        return first
+    middle = np.nanmedian(offset, axis=0)
+    strays = np.flatnonzero(np.hypot(*(offset - middle).T) > STRAY_PX)
+    if len(strays) == 0:
+        return first
+    near = found(expected[strays] + middle, STRAY_PX)
+    seen = near.usable & (near.snr >= context.settings.min_snr)
+    return centers_with_rows(first, len(first), strays[seen], center_rows(near, np.flatnonzero(seen)))
 
 
 def _psf_fit(context: Context, start: FloatArray) -> StarCenters:
@@ -238,13 +259,35 @@ def _template(
     if options.template is None:
         clean &= centers.snr > TEMPLATE_SNR
     radius = default_box_px(prior.sigma_px) / 2.0
-    for best in sorted(np.flatnonzero(clean), key=lambda star: -centers.snr[star]):
+    for best in sorted(np.flatnonzero(clean), key=lambda star: -centers.snr[star])[:MOST_TEMPLATES]:
         try:
-            return extract_template(context.signal_dn, context.not_stars, centers.pixel_line[best], radius)
+            template = extract_template(
+                context.signal_dn, context.not_stars, centers.pixel_line[best], radius
+            )
         except CenterfindingError:  # pixels around it are masked
             if options.template is not None:
                 raise
+            continue
+        others = np.setdiff1d(np.flatnonzero(clean), [best])
+        if options.template is not None or _is_like(context, template, center_rows(centers, others), match):
+            return template
     return gaussian
+
+
+def _is_like(context: Context, template: StarTemplate, others: StarCenters, match: FieldMatch) -> bool:
+    """Tell whether stars that a Gaussian found answer to a star's image as well: a hit beside it is in no other."""
+    if len(others) == 0:
+        return True
+    again = correlate(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        others.pixel_line,
+        template,
+        search_radius_px=match.radius_px,
+        saturated=context.picture.saturated,
+    )
+    return bool(np.nanmedian(again.snr / others.snr) >= TEMPLATE_ANSWER)
 
 
 # -- rows of centers -----------------------------------------------------------------------------------------------
@@ -346,6 +389,7 @@ def star_statuses(
     saturated, flanks = _has(flags, StarFlag.SATURATED), _has(flags, StarFlag.FLANKS)
     # Of a saturated star a part of the light is known: it may be brighter than measured.
     fainter = np.where(saturated, 0.0, magnitude_error)
+    strange = strange_images(centers) & ~saturated
     unlike = np.maximum(fainter, -magnitude_error) > settings.max_magnitude_error
     rules: tuple[StatusRule, ...] = (
         (~match.visible, "off_detector", lambda _: "outside the detector with the pointing found"),
@@ -356,6 +400,11 @@ def star_statuses(
         (far, "not_detected", lambda _: f"nothing within {radius_px:.1f} px of its expected place"),
         (_has(flags, NOT_CONVERGED), "rejected", lambda _: "the fit did not converge"),
         (_has(flags, StarFlag.COSMIC_RAY), "rejected", lambda _: "sharper than a star can be: a cosmic ray"),
+        (
+            strange,
+            "rejected",
+            lambda _: "its image is not that of the other stars: a cosmic ray on it, or taken for it",
+        ),
         (blended, "blended", lambda _: f"another star within {blend_px:.1f} px"),
         (unlike, "rejected", lambda i: f"{magnitude_error[i]:+.1f} mag off its catalog brightness"),
     )

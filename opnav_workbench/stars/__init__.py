@@ -57,7 +57,12 @@ from opnav_workbench.stars.evidence import Identification
 from opnav_workbench.stars.flags import StarFlag, describe_flags
 from opnav_workbench.stars.identification import identify, identify_marked, identify_sky
 from opnav_workbench.stars.least_squares import default_box_px, fit_gaussian, fit_psf
-from opnav_workbench.stars.psf_consensus import estimate_psf_error, fit_stars, shape_from_stars
+from opnav_workbench.stars.psf_consensus import (
+    estimate_psf_error,
+    fit_stars,
+    shape_from_stars,
+    strange_images,
+)
 from opnav_workbench.stars.results import NoiseModel, PsfShape, ShapePrior, StarCenters, StarImages
 from opnav_workbench.stars.saturated import WingCenters, fit_wings
 
@@ -91,4 +96,5 @@ __all__ = [
     "identify_marked",
     "identify_sky",
     "shape_from_stars",
+    "strange_images",
 ]

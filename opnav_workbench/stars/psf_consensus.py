@@ -30,7 +30,7 @@ from opnav_workbench.stars.least_squares import (
 from opnav_workbench.stars.picture_fit import misfit_factor
 from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
-__all__ = ["estimate_psf_error", "fit_stars", "shape_from_stars"]
+__all__ = ["estimate_psf_error", "fit_stars", "shape_from_stars", "strange_images"]
 
 WELL_EXPOSED_SNR = 30.0  # from here a star's shape is known to a few percent
 MIN_SIGMA_LOG_SCALE = 0.03  # width and ellipticity differ between stars by at least this: field, color, smear
@@ -172,6 +172,9 @@ def fit_stars(
 # ---- Who teaches the PSF beyond a Gaussian, and whether there is anything to learn.
 
 TEACHING_SNR = 15.0
+STRANGE_MISFIT = 3.0  # times what is usual: no star of the same PSF
+STRANGE_SHARE = 0.4  # of the light, left over by a fit: less may be a neighbor's wing
+MIN_ALIKE = 2  # stars without a hit that tell what is usual
 MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest say it all
 MIN_BLIND_TEACHERS = 8  # where no misfit is seen: fewer would learn noise, at a third more of their own error
 UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
@@ -182,10 +185,25 @@ MISFIT_IN_SIGMAS = 5.0  # of the pooled chi-squared of all teachers
 
 
 def _teachers(centers: StarCenters) -> IntArray:
-    """Return the rows of the brightest well-exposed stars."""
-    rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR))
+    """Return the rows of the brightest well-exposed stars, without those that fit far worse than the others."""
+    rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR) & ~strange_images(centers))
     brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
     return np.sort(brightest)
+
+
+def strange_images(centers: StarCenters) -> BoolArray:
+    """Tell which fits (n,) leave far more of the light over than those of the picture's other stars.
+
+    A PSF that is no Gaussian leaves about the same part of its light over in all stars; a hit beside one star, or taken
+    for it, does not.
+    """
+    good = well_exposed(centers, TEACHING_SNR)
+    whole = good & ((centers.flags & int(StarFlag.HIT)) == 0)
+    if np.count_nonzero(whole) < MIN_ALIKE:
+        return np.zeros(len(centers), bool)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        left = np.sqrt(np.maximum(centers.chi2_reduced - 1.0, 0.0) * centers.degrees_of_freedom) / centers.snr
+        return np.asarray(left > np.maximum(STRANGE_MISFIT * np.median(left[whole]), STRANGE_SHARE))
 
 
 def _common_shape(psf: ShapePrior) -> ShapePrior:

@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.stars import NoiseModel, ShapePrior, StarFlag, fit_gaussian, fit_psf, flux_at_snr
+from opnav_workbench.psf import GaussianPsf, add_sources
+from opnav_workbench.stars import (
+    NoiseModel,
+    ShapePrior,
+    StarFlag,
+    fit_gaussian,
+    fit_psf,
+    fit_stars,
+    flux_at_snr,
+    strange_images,
+)
 
 NOISE_DN = 3.0
 NOISE = NoiseModel(NOISE_DN, 15.0)
@@ -131,3 +140,21 @@ def test_pixels_of_bad_quality_have_no_say(star_mosaic, unit_gaussian):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     error = (one.pixel_line - truth)[one.usable]
     assert 0.95 < np.sqrt(np.mean((error / one.sigma_px[one.usable]) ** 2)) < 1.05
+
+
+def test_tracks_taken_for_stars_do_not_spoil_the_others():
+    """Four stars of an undersampled picture; two fits begin on a cosmic ray's track: the two others keep their centers."""
+    rng = np.random.default_rng(8)
+    psf, places = GaussianPsf(0.42, 0.42), np.array([[20.3, 20.1], [60.7, 22.4], [22.2, 61.6], [58.1, 60.9]])
+    image = np.zeros((80, 80))
+    add_sources(image, psf, places, np.full(4, 600.0))
+    image += rng.normal(0.0, 1.3, image.shape)
+    start = places.copy()
+    for star, track in ((0, [(22, 19), (23, 18), (23, 17), (24, 16)]), (1, [(63, 23), (64, 23), (65, 24)])):
+        for pixel, line in track:
+            image[line, pixel] += 830.0
+        start[star] = track[1]
+    centers, _ = fit_stars(image, 1.3, None, start, ShapePrior.round_psf(0.4))
+    assert np.abs(centers.pixel_line[2:] - places[2:]).max() < 0.05
+    assert strange_images(centers)[:2].all()
+    assert not strange_images(centers)[2:].any()
