@@ -187,6 +187,11 @@ MISFIT_IN_SIGMAS = 5.0  # of the pooled chi-squared of all teachers
 def _teachers(centers: StarCenters) -> IntArray:
     """Return the rows of the brightest well-exposed stars, without those that fit far worse than the others."""
     rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR) & ~strange_images(centers))
+    whole = rows[(centers.flags[rows] & int(StarFlag.HIT)) == 0]
+    if (
+        MIN_ALIKE <= len(whole) and len(rows) < MIN_BLIND_TEACHERS
+    ):  # of few, a track taken for a star would be heard
+        rows = whole
     brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
     return np.sort(brightest)
 
@@ -203,7 +208,7 @@ def strange_images(centers: StarCenters) -> BoolArray:
         return np.zeros(len(centers), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
         left = np.sqrt(np.maximum(centers.chi2_reduced - 1.0, 0.0) * centers.degrees_of_freedom) / centers.snr
-        return np.asarray(left > np.maximum(STRANGE_MISFIT * np.median(left[whole]), STRANGE_SHARE))
+        return np.asarray(left > np.maximum(STRANGE_MISFIT * np.quantile(left[whole], 0.25), STRANGE_SHARE))
 
 
 def _common_shape(psf: ShapePrior) -> ShapePrior:
