@@ -189,7 +189,7 @@ def _teachers(centers: StarCenters) -> IntArray:
     rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR) & ~strange_images(centers))
     whole = rows[(centers.flags[rows] & int(StarFlag.HIT)) == 0]
     if (
-        MIN_ALIKE <= len(whole) and len(rows) < MIN_BLIND_TEACHERS
+        len(whole) >= MIN_ALIKE and len(rows) < MIN_BLIND_TEACHERS
     ):  # of few, a track taken for a star would be heard
         rows = whole
     brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
