@@ -1,11 +1,15 @@
 """Centers of disks on surfaces, laws, figures and PSFs that the model does not have, beside a truth drawn without it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, run
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, find_disk
+from opnav_workbench.bodies.disk.limb_light import PLANES
+from opnav_workbench.bodies.disk.measurement import likelier, measure_disk
 from opnav_workbench.render import FigureUncertainty
 
 
@@ -90,3 +94,28 @@ def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):
     assert center.status == "ok", center.messages
     assert center.flags & BodyFlag.OCCULTED
     assert np.abs(center.pixel_line - place).max() < 0.05
+
+
+def test_slopes_of_a_surface_shine_beyond_its_terminator(body_stage):
+    """What a surface may differ by is not in proportion to a model's light, which the terminator ends."""
+    body = body_stage.body(90.0, 80.0, (500.3, 480.7))
+    disk = measure_disk(body_stage.picture(body_stage.light(body), [body]), "BODY", "disk", None, None)
+    tables = disk.fit.made.light.tables
+    light, relief = tables[..., 0], tables[..., PLANES.index("relief")]
+    inside = light > 0.3
+    assert np.abs(relief[inside] / light[inside] - 1.0).max() < 0.25
+    dark = (light < 1e-3) & (relief > 0.02)
+    assert np.mean(dark.any(axis=1)) > 0.1  # of a turn
+    assert relief[:, -1].max() < 1e-2  # not in the sky
+
+
+def test_fits_that_lie_apart_are_compared_over_the_same_pixels():
+    """A strip beside the limb is explained as easily as the limb: by its own measure a wrong fit may look better."""
+    trial = make_trial(draw(701, 3, "small"))
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    shape = disk.fit.shape
+    away = replace(disk.fit, shape=replace(shape, center_px=shape.center_px + np.array([7.0, 0.0])))
+    smaller = replace(disk.fit, shape=replace(shape, log_size=shape.log_size - 0.2))
+    for wrong in (away, smaller):
+        assert likelier(disk.pixels, disk.fit, wrong) is disk.fit
+        assert likelier(disk.pixels, wrong, disk.fit) is disk.fit

@@ -127,6 +127,8 @@ STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
 TABLES = len(PLANES)
+# Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
+ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), slice(-3, -1), -1
 MOVING = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]  # columns of what moves with the limb
 
 
@@ -204,9 +206,9 @@ class DiskFit:
         Tables that the solution rests on, and what they were made with.
     prior
         Of the albedo and the limb, as the data speak for it.
-    columns : (p + 1 + k + 2, n) array
-        At the pixels, relative: derivatives with respect to what is shared, to the place of the limb, to the albedo, and
-        the shading that goes with the two strains of the outline.
+    columns : (p + 1 + k + 3, n) array
+        At the pixels, relative: derivatives with respect to what is shared, to the place of the limb, to the albedo, the
+        shading that goes with the two strains of the outline, and the light of slopes that face the Sun.
     piece_albedo : (j,) array
         Of each piece of limb, relative.
     reach_px : (float, float)
@@ -279,7 +281,7 @@ class DiskFit:
     def _beyond_tables_dn(self) -> FloatArray:
         beyond = self.solution.theta - self.tabulated
         changing = [*SHARES, *SHADING, *STRAY, Unknown.BLUR]
-        shaded = beyond[FIGURE[1:]] @ self.columns[-2:] + beyond[changing] @ self.columns[changing]
+        shaded = beyond[FIGURE[1:]] @ self.columns[SHADED] + beyond[changing] @ self.columns[changing]
         return np.asarray(self.brightness_dn * shaded)
 
     def model_dn(self) -> FloatArray:
@@ -293,7 +295,7 @@ class DiskFit:
         part = place - below
         for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
             nodes = self.solution.nodes[index, :-1]
-            model += weight * np.einsum("nk,kn->n", nodes, self.columns[SHARED + 1 : -2])
+            model += weight * np.einsum("nk,kn->n", nodes, self.columns[ALBEDO])
         return np.asarray(model)
 
     @property
@@ -329,21 +331,23 @@ def disk_columns(
     grown = shape.log_size - made.shape.log_size + strain[0] * np.cos(wave) + strain[1] * np.sin(wave)
     depth = near.depth_px + inside * np.expm1(-grown)
     tables = made.light.at(near.angle_rad, depth)
-    m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading = tables[:TABLES]
+    m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
     size = -slope * (near.limb_px + inside)
     away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
     columns = [
         m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
         *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
     ]  # fmt: skip
-    return near, np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin])])
+    return near, np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin, relief])])
 
 
 def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) -> FloatArray:
     """Return `DiskFit.columns` (p, ...), DN, of a limb that is as bright as `lit_dn` (...)."""
     out = columns.copy()
     out[MOVING] *= lit_dn
-    out[[*SHARES, *SHADING, *STRAY, -2, -1]] *= brightness_dn
+    out[[*SHARES, *SHADING, *STRAY]] *= brightness_dn
+    out[SHADED] *= brightness_dn
+    out[RELIEF] *= lit_dn
     return out
 
 
@@ -651,7 +655,7 @@ class _Fitter:
         whole, data, means = self._cells(near, columns)
         lit = self.brightness * self.piece_albedo[:, None]
         means = columns_dn(means, self.brightness, lit)
-        shaded, parts = means[-2:], means[SHARED + 1 : -2]
+        shaded, parts = means[SHADED], means[ALBEDO]
         known = np.array(
             [shape.log_size, *shape.strain[:2], *made.shape.law, *made.strain[2:], made.shape.blur_px2]
         )
@@ -667,7 +671,7 @@ class _Fitter:
         return LimbSystem(
             data=data,
             variance=np.where(usable, self.doubt / np.where(usable, whole, 1.0), np.inf),
-            light=np.where(usable, np.maximum(light, 0.0), 0.0),
+            light=np.where(usable, np.maximum(np.maximum(light, means[RELIEF]), 0.0), 0.0),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
             prior_mean=problem.prior_mean(shape.center_px),

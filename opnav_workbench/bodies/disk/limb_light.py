@@ -39,6 +39,7 @@ __all__ = ["PLANES", "LimbLight", "limb_light", "own_share"]
 PLANES = (
     "light", "by_depth", "by_angle", "blur", "wings", "halo",
     "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz",
+    "relief",
 )  # fmt: skip
 LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
 
@@ -57,6 +58,7 @@ COSINE_STEP = 1e-3
 # In squares of a step: how much wider light becomes that fills a cell, is looked up linearly in depth, or is given to the
 # cells as a cubic spline. The tables are made sharper by as much.
 CELL_VARIANCE, LINEAR_VARIANCE, SPLINE_VARIANCE = 1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0
+RELIEF = 0.2  # sine of the slopes that terrain has
 MOST_SHARPENED = 1.5  # logarithm, of a spectrum
 WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
 
@@ -69,11 +71,12 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    tables : (t, n, 13 + k) array
+    tables : (t, n, 14 + k) array
         First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
         axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
         shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
-        plane, xx = -yy and xy. Then the light of each hat function of the albedo; their sum is the light.
+        plane, xx = -yy and xy; and the light of slopes that face the Sun, `RELIEF`. Then the light of each hat function
+        of the albedo; their sum is the light.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
     fine
@@ -229,9 +232,26 @@ def _light_changes(
     for lean in _leans(picture, body, center_px, met.point, normal):
         change = by_mu0 * np.einsum("in,in->n", sun, lean) + by_mu * np.einsum("in,in->n", camera, lean)
         rows += [scale * change]
+    rows.append(_of_relief(body, mu0, mu, law, lit, light))
     out = np.zeros((len(rows), rays.shape[1]))
     out[:, met.ray] = np.stack(rows)
     return out
+
+
+def _of_relief(
+    body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray, lit: BoolArray, light: FloatArray
+) -> FloatArray:
+    """Return the light (n,) of slopes that face the Sun: what a surface may differ by from its model.
+
+    Near the terminator that is not in proportion to the model's own light: rims shine where it has none.
+    """
+    even = _law_value(body, mu0, mu, law)
+    total = float(np.sum(even, where=lit))
+    if not total > 0.0:
+        return light
+    facing = np.where(mu > 0.0, _law_value(body, np.hypot(np.maximum(mu0, 0.0), RELIEF), mu, law), 0.0)
+    share = np.clip(1.0 + mu0 / RELIEF, 0.0, 1.0)
+    return np.asarray(facing * share * (float(light.sum()) / total))
 
 
 def _toward(place: FloatArray, point: FloatArray) -> FloatArray:

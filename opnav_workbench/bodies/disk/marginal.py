@@ -104,7 +104,7 @@ class LimbSystem:
     data, variance : (j, c) arrays
         Infinite variance without pixels.
     light : (j, c) array
-        Of the model, DN; what `FieldPrior.grain` is relative to.
+        What `FieldPrior.grain` is relative to, DN: the light of slopes that face the Sun.
     shared : (p, j, c) array
         X.
     own : (q, j, c) array

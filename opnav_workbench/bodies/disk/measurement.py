@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.fit import DiskFit, DiskPixels, Unknown, fit_disk
+from opnav_workbench.bodies.disk.fit import RELIEF, DiskFit, DiskPixels, Unknown, disk_columns, fit_disk
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
@@ -33,6 +33,7 @@ __all__ = [
     "MeasuredDisk",
     "alike",
     "crossing_covariance",
+    "likelier",
     "measure_disk",
     "same_center",
     "sigmas_apart",
@@ -263,9 +264,44 @@ def _from_crossings(
         other = fit_disk(picture, name, place, pixels)
     except CenterfindingError:
         return fit, crossing
-    if other.solution.log_likelihood < fit.solution.log_likelihood:
+    if likelier(pixels, fit, other) is fit:
         return fit, crossing
     return other, read_crossings(picture, other)
+
+
+MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a crater's rim may do
+SCATTERS = np.geomspace(1e-3, 1.0, 25)  # of a surface about its model, relative
+
+
+def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
+    """Return the fit that explains the pixels of all of them best.
+
+    The likelihood that a fit rests on is that of its own strip. Strips of outlines that lie apart hold other pixels, and
+    a strip beside the limb is easily explained; so each is asked for all strips, every pixel by itself, with the scatter
+    that suits it best.
+    """
+    strips = np.zeros(pixels.use.shape, dtype=bool)
+    for fit in fits:
+        strips[fit.pixels.line, fit.pixels.pixel] = True
+    return min(fits, key=lambda fit: _cost(pixels, fit, strips & pixels.use))
+
+
+def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
+    """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
+    reach = fit.outline.diameter_px, float(np.hypot(*wanted.shape))
+    near, columns = disk_columns(fit.made, fit.shape, wanted.shape, reach)
+    kept = wanted[near.line, near.pixel]
+    here = near.line[kept], near.pixel[kept]
+    model = replace(fit, pixels=near, columns=columns).model_dn()[kept]
+    light = fit.brightness_dn * columns[RELIEF][kept]
+    noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
+    away, wide = (pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise
+
+    def cost(scatter: float) -> float:
+        whole = 1.0 + scatter**2 * wide
+        return float(np.sum(np.minimum(away / whole, MOST_SIGMAS**2) + np.log(whole)))
+
+    return min(cost(scatter) for scatter in SCATTERS)
 
 
 # ---- What a background or a converter may have done to the picture of a large or bright body.

@@ -11,8 +11,10 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.disk.fit import (
+    ALBEDO,
     CENTER,
     FIGURE,
+    SHADED,
     SHADING,
     SHARED,
     SHARES,
@@ -152,7 +154,5 @@ def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray
     angle = piece_angles(len(fit.piece_albedo))
     lit = fit.brightness_dn * np.interp(near.angle_rad, angle, fit.piece_albedo, period=TURN)
     dn = columns_dn(columns, fit.brightness_dn, lit)
-    dn[FIGURE[1:]] += dn[-2:]
-    return (near.line, near.pixel), np.concatenate(
-        [light[None], dn[SHARED][None], dn[COMMON], dn[SHARED + 1 : -2]]
-    )
+    dn[FIGURE[1:]] += dn[SHADED]
+    return (near.line, near.pixel), np.concatenate([light[None], dn[SHARED][None], dn[COMMON], dn[ALBEDO]])
