@@ -389,7 +389,8 @@ def star_statuses(
     saturated, flanks = _has(flags, StarFlag.SATURATED), _has(flags, StarFlag.FLANKS)
     # Of a saturated star a part of the light is known: it may be brighter than measured.
     fainter = np.where(saturated, 0.0, magnitude_error)
-    strange = strange_images(centers) & ~saturated
+    fitted = options.final in FITTED_METHODS  # a correlation leaves what it leaves: it fits no PSF
+    strange = fitted & strange_images(centers) & ~saturated
     unlike = np.maximum(fainter, -magnitude_error) > settings.max_magnitude_error
     rules: tuple[StatusRule, ...] = (
         (~match.visible, "off_detector", lambda _: "outside the detector with the pointing found"),

@@ -149,8 +149,8 @@ def test_ctrl_c_shows_what_was_finished(demo_truths, tmp_path, monkeypatch, caps
     files = [demo_truths[0].picture, demo_truths[1].picture]
     solve = process_command.process_images
 
-    def interrupted(images, how, out, say, done):
-        solve(images[:1], how, out, say, done)
+    def interrupted(images, how, out, say, done, **more):
+        solve(images[:1], how, out, say, done, **more)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(process_command, "process_images", interrupted)
