@@ -28,7 +28,7 @@ from opnav_workbench.bodies import (
     find_unresolved,
     find_unresolved_body,
 )
-from opnav_workbench.bodies.picture import sized_target
+from opnav_workbench.bodies.picture import BodyPicture, sized_target
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError
 from opnav_workbench.scene import BodyPrediction, predict_body
@@ -105,14 +105,25 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
     if method == "limb_scan":
         return find_limb_scan(picture, name, scans=scan_numbers(state, request), **options)
     if method == "ellipse":
-        return find_ellipse(picture, name, **options)
-    if method == "cross_correlation":
+        center = _found_ellipse(picture, name, options)
+    elif method == "cross_correlation":
         center = find_cross_correlation(picture, name, **options)
     else:
         center = find_least_squares(picture, name, solve_range=request.solve_range, **options)
     # A body with a map of its albedo has a truer model than the likelihood's.
     known = has_albedo_map(context, name)
     return center if known else confirmed_center(picture, center, **options)
+
+
+def _found_ellipse(picture: BodyPicture, name: str, options: dict[str, Any]) -> BodyCenter:
+    """Find a limb; where nothing like it stands out, look where the likelihood of the pixels has the disk."""
+    center = find_ellipse(picture, name, **options)
+    if center.status != "not_detected" or options["circle"] is not None:
+        return center
+    disk = find_disk(picture, name, **options)
+    if disk.pixel_line is None or not disk.diameter_px > 0.0:
+        return center
+    return find_ellipse(picture, name, circle=Circle(disk.pixel_line, 0.5 * disk.diameter_px))
 
 
 def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:
