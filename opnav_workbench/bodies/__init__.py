@@ -48,7 +48,8 @@ which suits a body.
 """
 
 from opnav_workbench.bodies.cross_correlation import find_cross_correlation
-from opnav_workbench.bodies.disk.centerfinder import find_disk
+from opnav_workbench.bodies.disk.centerfinder import find_disk, judged_disk
+from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
 from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
 from opnav_workbench.bodies.ellipse.point_fits import horizon_position
 from opnav_workbench.bodies.judgement import confirmed_center
@@ -95,6 +96,7 @@ __all__ = [
     "JointCenters",
     "LimbEllipse",
     "LimbScans",
+    "MeasuredDisk",
     "ModelFit",
     "Outline",
     "SecondReading",
@@ -114,6 +116,8 @@ __all__ = [
     "find_unresolved",
     "find_unresolved_body",
     "horizon_position",
+    "judged_disk",
+    "measure_disk",
     "model_picture",
     "picture_from_circle",
     "stated_psf_sigma",

@@ -11,6 +11,7 @@ from rich.markup import escape
 from opnav_workbench.cli.processing_options import processing_options
 from opnav_workbench.cli.terminal import folding_table, named_progress, shown
 from opnav_workbench.constants import DAY_S
+from opnav_workbench.geometry import wrapped
 from opnav_workbench.processing.body_sequence import BodyFromPictures, solve_body_of
 
 __all__ = ["body_app"]
@@ -117,7 +118,7 @@ def _rows(found: BodyFromPictures) -> list[tuple[str, ...]]:
         for k, axis in enumerate("abc")
     ]
     deg_day = np.degrees(1.0) * DAY_S
-    turned = (after.meridian_rad - before.meridian_rad + np.pi) % (2.0 * np.pi) - np.pi
+    turned = float(wrapped(after.meridian_rad - before.meridian_rad))
     rows += [
         ("pole RA, deg", *np.degrees([before.pole_ra_rad, after.pole_ra_rad, angle[0]])),
         ("pole Dec, deg", *np.degrees([before.pole_dec_rad, after.pole_dec_rad, angle[1]])),

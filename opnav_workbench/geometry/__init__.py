@@ -39,6 +39,7 @@ from opnav_workbench.geometry.rotations import (
     angle_between,
     camera_from_j2000,
     checked_rotation,
+    least_turn,
     matrix_from_quaternion,
     pointing_angle_arrays,
     pointing_angles,
@@ -50,6 +51,7 @@ from opnav_workbench.geometry.rotations import (
     unit,
     unit_from_radec,
     vector_from_rotation,
+    wrapped,
 )
 from opnav_workbench.geometry.spacemotion import et_from_jyear, jyear_from_et, propagate, propagate_covariance
 
@@ -65,6 +67,7 @@ __all__ = [
     "et_from_jyear",
     "geometric_direction",
     "jyear_from_et",
+    "least_turn",
     "limb_cone",
     "limb_on_surface",
     "limb_points",
@@ -83,4 +86,5 @@ __all__ = [
     "unit",
     "unit_from_radec",
     "vector_from_rotation",
+    "wrapped",
 ]

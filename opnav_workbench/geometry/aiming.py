@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.geometry.rotations import camera_from_j2000, radec_from_unit, rotation_from_vector, unit
+from opnav_workbench.geometry.rotations import (
+    camera_from_j2000,
+    radec_from_unit,
+    rotation_from_vector,
+    unit,
+    wrapped,
+)
 
 __all__ = ["aim", "turn_about_boresight", "turn_across"]
 
@@ -76,7 +82,7 @@ def _boresight_dec(
     reach = np.cos(dec_rad)
     half = np.arctan2(np.sqrt(np.maximum(0.0, (reach - across) * (reach + across))), np.sin(dec_rad))
     middle = np.arctan2(b, a)
-    roots = np.stack(np.broadcast_arrays(*(_wrapped(middle + side * half) for side in (-1.0, 1.0))))
+    roots = np.stack(np.broadcast_arrays(*(wrapped(middle + side * half) for side in (-1.0, 1.0))))
     first = np.abs(roots[0] - dec_rad) <= np.abs(roots[1] - dec_rad)
     best = np.where(first, roots[0], roots[1])
     held = (reach > across - ROUNDING) & (np.abs(best) <= math.pi / 2 + ROUNDING)
@@ -93,11 +99,6 @@ def _refuse(held: FloatArray, dec_rad: FloatArray, twist_rad: FloatArray) -> Non
         f"declination {math.degrees(dec.flat[worst]):.4f} deg cannot be held at that offset with twist "
         f"{math.degrees(twist.flat[worst]):.4f} deg: too close to the pole; change offset or twist"
     )
-
-
-def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    """Bring angles into [-pi, pi], with the digits of ``math.remainder``."""
-    return np.asarray(angle_rad - math.tau * np.rint(angle_rad / math.tau))
 
 
 def turn_across(angles_rad: ArrayLike, focal_from_camera: ArrayLike) -> FloatArray:

@@ -5,6 +5,8 @@ Focal axes  rows of ``focal_from_camera``: increasing pixel, increasing line, bo
             A camera that shows the sky mirrored has focal axes of determinant -1; nothing else changes.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -15,6 +17,7 @@ __all__ = [
     "angle_between",
     "camera_from_j2000",
     "checked_rotation",
+    "least_turn",
     "matrix_from_quaternion",
     "pointing_angle_arrays",
     "pointing_angles",
@@ -26,6 +29,7 @@ __all__ = [
     "unit",
     "unit_from_radec",
     "vector_from_rotation",
+    "wrapped",
 ]
 
 
@@ -132,6 +136,33 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, float), np.asarray(b, float)
     sine = np.linalg.norm(np.cross(a, b), axis=-1)
     return np.asarray(np.arctan2(sine, np.sum(a * b, axis=-1)))
+
+
+def least_turn(start: ArrayLike, end: ArrayLike) -> FloatArray:
+    """Return the shortest rotation vectors (..., 3) that take unit vectors (..., 3) to others; 0 where they are opposite.
+
+    Examples
+    --------
+    >>> least_turn([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]).round(6)
+    array([0.      , 0.      , 1.570796])
+    """
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, np.sum(start * end, axis=-1, keepdims=True))
+    return np.asarray(axis * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0.0))
+
+
+def wrapped(angle_rad: ArrayLike) -> FloatArray:
+    """Bring angles into [-pi, pi], with the digits of ``math.remainder``.
+
+    Examples
+    --------
+    >>> float(wrapped(7.0)) == math.remainder(7.0, math.tau)  # with ``import math``
+    True
+    """
+    angle = np.asarray(angle_rad, float)
+    return np.asarray(angle - math.tau * np.rint(angle / math.tau))
 
 
 def camera_from_j2000(

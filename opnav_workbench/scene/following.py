@@ -11,9 +11,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import apparent_direction, rotation_from_vector, unit, vector_from_rotation
+from opnav_workbench.geometry import (
+    apparent_direction,
+    least_turn,
+    rotation_from_vector,
+    unit,
+    vector_from_rotation,
+)
 from opnav_workbench.targets import TargetState
 
 __all__ = ["following"]
@@ -44,16 +49,7 @@ def following(
     if np.linalg.norm(directions[-1] - directions[0]) < STILL_PX * camera.pixel_scale_rad:
         return camera
     middle = np.asarray(apparent_direction(unit(target.position_km), observer_velocity_km_s))
-    moved = rotation_from_vector(_least_turns(middle, directions))
+    moved = rotation_from_vector(least_turn(middle, directions))
     attitude = np.asarray(camera_from_j2000, dtype=np.float64)
     turns = rotation_from_vector(sweep.turn_rad) @ attitude @ moved @ attitude.T
     return replace(camera, sweep=replace(sweep, turn_rad=vector_from_rotation(turns), follows=target.name))
-
-
-def _least_turns(start: FloatArray, ends: FloatArray) -> FloatArray:
-    """Return the shortest rotation vectors (n, 3) that take a unit vector to others (n, 3)."""
-    axis = np.cross(start, ends)
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, ends @ start)
-    scale = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0.0)
-    return np.asarray(axis * scale[:, None])

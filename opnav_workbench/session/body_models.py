@@ -65,9 +65,7 @@ MAX_POINT_DIAMETER_PX = 3.0
 SHAPE_AXES_SIGMA = 0.02
 MAPPED_ALBEDO_SIGMA = 0.05
 STATED_LAW_SIGMA = 0.3  # of a law that the mission states: one of a kind of bodies
-OTHER_SIZE = (
-    10.0  # times as large as its radii: meters are a thousand; first guesses of radii were 3 times off
-)
+OTHER_SIZE = 10.0  # times its radii: meters are a thousand; first guesses of radii were 3 times off
 MAX_AXES_SIGMA = 0.9  # of a body ten times as long as wide; an axis cannot vanish
 
 

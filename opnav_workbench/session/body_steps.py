@@ -17,6 +17,7 @@ from opnav_workbench.bodies import (
     BodyCenter,
     Circle,
     JointCenters,
+    MeasuredDisk,
     choose_method,
     confirmed_center,
     find_cross_correlation,
@@ -27,6 +28,8 @@ from opnav_workbench.bodies import (
     find_limb_scan,
     find_unresolved,
     find_unresolved_body,
+    judged_disk,
+    measure_disk,
 )
 from opnav_workbench.bodies.picture import BodyPicture, sized_target
 from opnav_workbench.bodies.subarray import search_radius
@@ -104,26 +107,30 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
         return center
     if method == "limb_scan":
         return find_limb_scan(picture, name, scans=scan_numbers(state, request), **options)
+    disk: MeasuredDisk | BodyCenter | None = None
     if method == "ellipse":
-        center = _found_ellipse(picture, name, options)
+        center, disk = _found_ellipse(picture, name, options)
     elif method == "cross_correlation":
         center = find_cross_correlation(picture, name, **options)
     else:
         center = find_least_squares(picture, name, solve_range=request.solve_range, **options)
     # A body with a map of its albedo has a truer model than the likelihood's.
     known = has_albedo_map(context, name)
-    return center if known else confirmed_center(picture, center, **options)
+    return center if known else confirmed_center(picture, center, **options, disk=disk)
 
 
-def _found_ellipse(picture: BodyPicture, name: str, options: dict[str, Any]) -> BodyCenter:
-    """Find a limb; where nothing like it stands out, look where the likelihood of the pixels has the disk."""
+def _found_ellipse(
+    picture: BodyPicture, name: str, options: dict[str, Any]
+) -> tuple[BodyCenter, MeasuredDisk | BodyCenter | None]:
+    """Find a limb; where nothing like it stands out, look where the likelihood of the pixels has the disk, given too."""
     center = find_ellipse(picture, name, **options)
     if center.status != "not_detected" or options["circle"] is not None:
-        return center
-    disk = find_disk(picture, name, **options)
-    if disk.pixel_line is None or not disk.diameter_px > 0.0:
-        return center
-    return find_ellipse(picture, name, circle=Circle(disk.pixel_line, 0.5 * disk.diameter_px))
+        return center, None
+    disk = measure_disk(picture, name, center.method, options["circle"], options["search_radius_px"])
+    place = disk if isinstance(disk, BodyCenter) else judged_disk(disk)
+    if place.pixel_line is None or not place.diameter_px > 0.0:
+        return center, disk
+    return find_ellipse(picture, name, circle=Circle(place.pixel_line, 0.5 * place.diameter_px)), disk
 
 
 def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:

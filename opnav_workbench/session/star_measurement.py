@@ -198,20 +198,7 @@ def _coarse(
 ) -> StarCenters:
     """First centers: the brightest within reach, but where the field as a whole lies for stars that have one there."""
     template = _template(context, match, prior, options)
-
-    def found(places: FloatArray, radius_px: float) -> StarCenters:
-        return correlate(
-            context.signal_dn,
-            context.noise_dn,
-            context.not_stars,
-            places,
-            template,
-            search_radius_px=radius_px,
-            method=options.coarse,
-            saturated=context.picture.saturated,
-        )
-
-    first = found(expected, options.radius_px)
+    first = _correlated(context, expected, template, options.radius_px, options.coarse)
     offset = np.where(first.usable[:, None], first.pixel_line - expected, np.nan)
     if np.count_nonzero(first.usable) < FIELD_STARS:
         return first
@@ -219,9 +206,28 @@ def _coarse(
     strays = np.flatnonzero(np.hypot(*(offset - middle).T) > STRAY_PX)
     if len(strays) == 0:
         return first
-    near = found(expected[strays] + middle, STRAY_PX)
+    near = _correlated(context, expected[strays] + middle, template, STRAY_PX, options.coarse)
     seen = near.usable & (near.snr >= context.settings.min_snr)
     return centers_with_rows(first, len(first), strays[seen], center_rows(near, np.flatnonzero(seen)))
+
+
+def _correlated(
+    context: Context,
+    places: FloatArray,
+    template: StarTemplate,
+    radius_px: float,
+    method: InitialMethod = "matched_filter",
+) -> StarCenters:
+    return correlate(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        places,
+        template,
+        search_radius_px=radius_px,
+        method=method,
+        saturated=context.picture.saturated,
+    )
 
 
 def _psf_fit(context: Context, start: FloatArray) -> StarCenters:
@@ -246,15 +252,7 @@ def _template(
         chosen = np.arange(len(match.visible)) == options.template
     if options.coarse == "cross_correlation" or not chosen.any():
         return gaussian
-    centers = correlate(
-        context.signal_dn,
-        context.noise_dn,
-        context.not_stars,
-        match.expected_px[chosen],
-        gaussian,
-        search_radius_px=match.radius_px,
-        saturated=context.picture.saturated,
-    )
+    centers = _correlated(context, match.expected_px[chosen], gaussian, match.radius_px)
     clean = centers.usable & (centers.flags == 0)
     if options.template is None:
         clean &= centers.snr > TEMPLATE_SNR
@@ -278,15 +276,7 @@ def _is_like(context: Context, template: StarTemplate, others: StarCenters, matc
     """Tell whether stars that a Gaussian found answer to a star's image as well: a hit beside it is in no other."""
     if len(others) == 0:
         return True
-    again = correlate(
-        context.signal_dn,
-        context.noise_dn,
-        context.not_stars,
-        others.pixel_line,
-        template,
-        search_radius_px=match.radius_px,
-        saturated=context.picture.saturated,
-    )
+    again = _correlated(context, others.pixel_line, template, match.radius_px)
     return bool(np.nanmedian(again.snr / others.snr) >= TEMPLATE_ANSWER)
 
 

@@ -188,10 +188,8 @@ def _teachers(centers: StarCenters) -> IntArray:
     """Return the rows of the brightest well-exposed stars, without those that fit far worse than the others."""
     rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR) & ~strange_images(centers))
     whole = rows[(centers.flags[rows] & int(StarFlag.HIT)) == 0]
-    if (
-        len(whole) >= MIN_ALIKE and len(rows) < MIN_BLIND_TEACHERS
-    ):  # of few, a track taken for a star would be heard
-        rows = whole
+    if len(whole) >= MIN_ALIKE and len(rows) < MIN_BLIND_TEACHERS:
+        rows = whole  # among few, a track taken for a star would be heard
     brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
     return np.sort(brightest)
 

@@ -227,31 +227,26 @@ def _light_changes(
     mixed = _of_mixture(mu0, mu, share + law[0])
     changes = [(_seeliger(mu0, mu) - 1.0) / mixed, np.log(np.maximum(mu0, DARKEST) * np.maximum(mu, DARKEST))]
     rows = [light, *(light * (change - float(change @ plain) / total) for change in changes)]
-    by_mu0, by_mu = _slopes(body, mu0, mu, law)
-    scale = np.where(lit, light / np.maximum(_law_value(body, mu0, mu, law), 1e-9), 0.0)
+    value = _law_value(body, mu0, mu, law)
+    by_mu0, by_mu = _slopes(body, mu0, mu, law, value)
+    scale = np.where(lit, light / np.maximum(value, 1e-9), 0.0)
     for lean in _leans(picture, body, center_px, met.point, normal):
         change = by_mu0 * np.einsum("in,in->n", sun, lean) + by_mu * np.einsum("in,in->n", camera, lean)
         rows += [scale * change]
-    rows.append(_of_relief(body, mu0, mu, law, lit, light))
+    even = float(np.sum(value, where=lit))
+    rows.append(_of_relief(body, mu0, mu, law) * (float(light.sum()) / even) if even > 0.0 else light)
     out = np.zeros((len(rows), rays.shape[1]))
     out[:, met.ray] = np.stack(rows)
     return out
 
 
-def _of_relief(
-    body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray, lit: BoolArray, light: FloatArray
-) -> FloatArray:
-    """Return the light (n,) of slopes that face the Sun: what a surface may differ by from its model.
+def _of_relief(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
+    """Return a law (n,) on slopes that face the Sun: what a surface may differ by from its model.
 
     Near the terminator that is not in proportion to the model's own light: rims shine where it has none.
     """
-    even = _law_value(body, mu0, mu, law)
-    total = float(np.sum(even, where=lit))
-    if not total > 0.0:
-        return light
     facing = np.where(mu > 0.0, _law_value(body, np.hypot(np.maximum(mu0, 0.0), RELIEF), mu, law), 0.0)
-    share = np.clip(1.0 + mu0 / RELIEF, 0.0, 1.0)
-    return np.asarray(facing * share * (float(light.sum()) / total))
+    return np.asarray(facing * np.clip(1.0 + mu0 / RELIEF, 0.0, 1.0))
 
 
 def _toward(place: FloatArray, point: FloatArray) -> FloatArray:
@@ -318,10 +313,9 @@ def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArra
 
 
 def _slopes(
-    body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray
+    body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray, here: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the changes (n,) of a law with both cosines."""
-    here = _law_value(body, mu0, mu, law)
+    """Return the changes (n,) with both cosines of a law that has the values `here`."""
     by_mu0 = (_law_value(body, mu0 + COSINE_STEP, mu, law) - here) / COSINE_STEP
     by_mu = (_law_value(body, mu0, mu + COSINE_STEP, law) - here) / COSINE_STEP
     return by_mu0, by_mu

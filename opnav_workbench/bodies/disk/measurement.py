@@ -288,18 +288,23 @@ def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
 
 def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
     """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
-    reach = fit.outline.diameter_px, float(np.hypot(*wanted.shape))
+    line, pixel = np.nonzero(wanted)
+    away = np.hypot(pixel - fit.center_px[0], line - fit.center_px[1])
+    reach = (
+        fit.outline.diameter_px,
+        max(float(away.max(initial=0.0) - fit.outline.radius_px.min()), 0.0) + 1.0,
+    )
     near, columns = disk_columns(fit.made, fit.shape, wanted.shape, reach)
     kept = wanted[near.line, near.pixel]
     here = near.line[kept], near.pixel[kept]
     model = replace(fit, pixels=near, columns=columns).model_dn()[kept]
     light = fit.brightness_dn * columns[RELIEF][kept]
     noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
-    away, wide = (pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise
+    square, wide = (pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise
 
     def cost(scatter: float) -> float:
         whole = 1.0 + scatter**2 * wide
-        return float(np.sum(np.minimum(away / whole, MOST_SIGMAS**2) + np.log(whole)))
+        return float(np.sum(np.minimum(square / whole, MOST_SIGMAS**2) + np.log(whole)))
 
     return min(cost(scatter) for scatter in SCATTERS)
 

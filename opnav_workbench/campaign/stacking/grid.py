@@ -23,7 +23,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.campaign.stacking.pictures import StackPicture
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.geometry import apparent_direction, geometric_direction, rotation_from_vector
+from opnav_workbench.geometry import apparent_direction, geometric_direction, least_turn, rotation_from_vector
 
 __all__ = ["Follow", "Grid", "cubic_weights", "resample", "resampling_rows", "target_direction"]
 
@@ -109,12 +109,7 @@ class Grid:
     def _turn(self, picture: StackPicture) -> FloatArray:
         """Smallest rotation that carries the target's direction at the stack's epoch to that in the picture."""
         assert self.target is not None
-        there = target_direction(picture)
-        axis = np.cross(self.target, there)
-        sine = float(np.linalg.norm(axis))
-        if sine == 0.0:
-            return np.eye(3)
-        return rotation_from_vector(axis / sine * np.arctan2(sine, float(self.target @ there)))
+        return rotation_from_vector(least_turn(self.target, target_direction(picture)))
 
 
 def target_direction(picture: StackPicture) -> FloatArray:

@@ -29,7 +29,13 @@ from opnav_workbench.estimation.body.knowledge import (
 )
 from opnav_workbench.estimation.body.rotation import BodyRotation
 from opnav_workbench.estimation.body.sightings import BodySighting, LandmarkReading, OutlineReading
-from opnav_workbench.geometry import apparent_direction, limb_on_surface, rotation_from_vector, unit
+from opnav_workbench.geometry import (
+    apparent_direction,
+    least_turn,
+    limb_on_surface,
+    rotation_from_vector,
+    unit,
+)
 from opnav_workbench.landmarks import LandmarkPartials, landmark_partials
 from opnav_workbench.landmarks.prediction import landmark_places
 from opnav_workbench.targets import TargetState
@@ -207,11 +213,8 @@ def _turned_onto(
     along = float(seen @ expected)
     if not along > 0.0:
         raise EstimationError(f"{sighting.image}: its body would stand behind the camera.")
-    across = np.cross(expected, seen)
-    sine = float(np.linalg.norm(across))
-    turn = across * (np.arctan2(sine, along) / sine) if sine > 0.0 else across
     step_px = camera.project_jacobian(seen[None])[0] @ (seen - expected / along)
-    return rotation_from_vector(turn) @ believed, np.asarray(step_px)
+    return rotation_from_vector(least_turn(expected, seen)) @ believed, np.asarray(step_px)
 
 
 def _gathered(reading: OutlineReading, predicted: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -34,6 +34,7 @@ from opnav_workbench.estimation.body.rotation import BodyRotation
 from opnav_workbench.estimation.body.sightings import BodySighting
 from opnav_workbench.estimation.body.words import observability_words
 from opnav_workbench.estimation.state_transition import Transition, straight_line
+from opnav_workbench.geometry import wrapped
 from opnav_workbench.kernels.making.pool_variables import pck_assignments
 from opnav_workbench.kernels.text_kernels import write_text_kernel
 from opnav_workbench.render import BodyModel, FigureUncertainty
@@ -55,6 +56,7 @@ FEWEST_TO_JUDGE = 6  # outlines: what one of fewer says nobody can contradict
 LEAST_FREEDOM = 1e-3  # of an outline's variance: what is left of one that alone determines something
 MIDDLE_OF_FIVE = 4.351  # the median of chi-squared with five degrees of freedom
 SECOND_BEST = 9.0  # of chi-squared: a solution elsewhere that is no less likely than 3 sigma
+CHART_STEPS = 6
 NO_TERMS: Mapping[str, int] = MappingProxyType({})
 FIGURE_LIMITS = 1e-5, 0.9
 
@@ -678,21 +680,15 @@ def _turn_between(first: BodyRotation, second: BodyRotation) -> FloatArray:
     if first == second:
         return np.zeros(4)
     step = np.zeros(4)
-    for _ in range(
-        6
-    ):  # the step is a chart of rotations: exact for a pole that stays, else within its second order
+    # The step is a chart of rotations: exact for a pole that stays, else within its second order.
+    for _ in range(CHART_STEPS):
         here = first.turned(step)
-        jacobian = first.turned(step).angles_jacobian()
         away = np.array([
-            _wrapped(second.pole_ra_rad - here.pole_ra_rad), second.pole_dec_rad - here.pole_dec_rad,
-            _wrapped(second.meridian_rad - here.meridian_rad), second.rate_rad_s - here.rate_rad_s,
+            wrapped(second.pole_ra_rad - here.pole_ra_rad), second.pole_dec_rad - here.pole_dec_rad,
+            wrapped(second.meridian_rad - here.meridian_rad), second.rate_rad_s - here.rate_rad_s,
         ])  # fmt: skip
-        step = step + np.linalg.solve(jacobian, away)
+        step = step + np.linalg.solve(here.angles_jacobian(), away)
     return step
-
-
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def _scaled_factor(normal: FloatArray) -> tuple[tuple[FloatArray, bool], FloatArray]:

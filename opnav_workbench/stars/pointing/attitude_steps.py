@@ -16,7 +16,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import rotation_from_vector
+from opnav_workbench.geometry import least_turn, rotation_from_vector
 
 __all__ = ["POINTING_MODELS", "EulerAngles", "ImagePlane", "PointingModel", "StepModel"]
 
@@ -113,10 +113,7 @@ class ImagePlane:
         boresight = self.camera.boresight
         turned = rotation_from_vector(self.handedness * step[2] * boresight)
         target = self.camera.unproject((self.center_px + step[:2])[None])[0]
-        axis = np.cross(boresight, target)
-        sine, cosine = float(np.linalg.norm(axis)), float(boresight @ target)
-        stretch = np.arctan2(sine, cosine) / sine if sine > 0.0 else 1.0
-        return np.asarray(rotation_from_vector(stretch * axis) @ turned)
+        return np.asarray(rotation_from_vector(least_turn(boresight, target)) @ turned)
 
 
 POINTING_MODELS: dict[str, type[EulerAngles] | type[ImagePlane]] = {
