@@ -84,22 +84,19 @@ class SkyIndex:
     def places(self, ra_rad: float, dec_rad: float, radius_rad: float) -> IntArray:
         """Return the places in the sky's order of every star within `radius_rad` of a direction, and of a few beyond it."""
         reach = radius_rad + GUARD_RAD
-        first, last = _declination_band(np.array([dec_rad - reach, dec_rad + reach])).astype(int).tolist()
-        spans = ra_spans(ra_rad, dec_rad, reach)
+        first, last = _band_of(dec_rad - reach), _band_of(dec_rad + reach)
+        spans = sorted(ra_spans(ra_rad, dec_rad, reach))
         if spans == [(0.0, 1.0)]:
-            return self._between([(float(first), float(last + 1))])
-        return self._between([(band + a, band + b) for band in range(first, last + 1) for a, b in spans])
+            return self._between([float(first), float(last + 1)])
+        return self._between([band + edge for band in range(first, last + 1) for span in spans for edge in span])
 
-    def _between(self, key_ranges: list[tuple[float, float]]) -> IntArray:
-        lows, highs = zip(*key_ranges, strict=True)
-        starts = self._keys.searchsorted(lows, side="left").tolist()
-        stops = self._keys.searchsorted(highs, side="right").tolist()
-        parts, end = [np.empty(0, np.int64)], 0
-        # In ascending order; ranges that meet at a key may both hold the star that stands on it.
-        for start, stop in sorted(zip(starts, stops, strict=True)):
-            parts.append(np.arange(max(start, end), stop))
-            end = max(stop, end)
-        return np.concatenate(parts)
+    def _between(self, edges: list[float]) -> IntArray:
+        """Places of the keys in half-open ranges: their edges one after the other, in ascending order."""
+        stars = self._keys.searchsorted(edges).tolist()
+        parts = [
+            np.arange(start, stop) for start, stop in zip(stars[::2], stars[1::2], strict=True) if stop > start
+        ]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, np.int64)
 
 
 def ra_spans(ra_rad: float, dec_rad: float, radius_rad: float) -> list[tuple[float, float]]:
@@ -129,6 +126,12 @@ def sort_keys(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
     """Return band number plus fraction of a turn in right ascension (n,): the order of a `SkyIndex`."""
     turns = np.minimum((ra_rad / TURN_RAD) % 1.0, BELOW_ONE)
     return np.asarray(_declination_band(dec_rad) + turns)
+
+
+def _band_of(dec_rad: float) -> int:
+    """`_declination_band` of one star: arrays of one number take ten times as long."""
+    band = math.floor((min(max(dec_rad, -0.5 * math.pi), 0.5 * math.pi) + 0.5 * math.pi) / BAND_RAD)
+    return min(band, int(LAST_BAND))
 
 
 def _declination_band(dec_rad: FloatArray) -> FloatArray:
@@ -220,7 +223,7 @@ class SkyOfMany:
             self._keep()
         if self._vectors is None:
             return Candidates(rows, unit_from_radec(self._stars[0][rows], self._stars[1][rows]))
-        return Candidates(rows, np.take(self._vectors, places, axis=0))
+        return Candidates(rows, self._vectors.take(places, axis=0))
 
     def _keep(self) -> None:
         ra, dec, mag = self._stars
@@ -236,12 +239,14 @@ class SkyOfMany:
             rows = np.sort(found.rows)
             rows = rows[np.argsort(self._stars[2][rows], kind="stable")]
         else:
-            rows = self._by_rank[np.sort(self._rank[found.rows])]
+            ranks = self._rank[found.rows]
+            ranks.sort()
+            rows = self._by_rank[ranks]
         return Candidates(rows, np.empty((0, 3)))
 
 
 def _picked(values: FloatArray, rows: IntArray) -> FloatArray:
-    return np.asarray(values[rows])
+    return values[rows]
 
 
 class ArrayStore:
@@ -370,7 +375,7 @@ class StoredCatalog(Catalog):
         ra, dec = math.atan2(y, x), math.atan2(z, math.hypot(x, y))
         found = self._store.near(ra, dec, reach)
         wanted = region if et_s is None else Cone(region.center, reach)
-        found = found.take(np.flatnonzero(wanted.contains(found.directions)))
+        found = found.take(wanted.contains(found.directions).nonzero()[0])
         if mag_limit < math.inf:
             found = found.take(self._store.mag(found) <= mag_limit)
         if exclude_flags:

@@ -59,11 +59,13 @@ def test_a_cone_in_ucac4_zones_is_twenty_times_faster_than_a_python_reader(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("radius_deg", "most"), [(1.0, 6.0), (5.0, 2.5), (20.0, 2.0), (60.0, 2.0)])
+@pytest.mark.parametrize(
+    ("radius_deg", "most"), [(0.3, 2.5), (1.0, 2.3), (5.0, 2.0), (20.0, 2.0), (60.0, 2.0)]
+)
 def test_cones_against_a_tree_of_the_same_stars(tmp_path, fastest, radius_deg, most):
     """Places and magnitudes of a cone's stars, brightest first, against the bare rows of a KD-tree, in any order.
 
-    At small radii a cone is its fixed cost: 0.15 ms.
+    At small radii both are fixed costs, 0.023 and 0.013 ms: twice the tree's, and a margin for a loaded machine.
     """
     rng = np.random.default_rng(18)
     ra, dec = rng.uniform(0.0, 360.0, SKY_STARS), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, SKY_STARS)))
