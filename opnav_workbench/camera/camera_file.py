@@ -33,6 +33,7 @@ from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrio
 from opnav_workbench.camera.rows import RowTiming
 from opnav_workbench.errors import CameraError
 from opnav_workbench.photometry import Bandpass, ColorResponse
+from opnav_workbench.psf import EffectivePsf
 from opnav_workbench.psf.schema import AnyPsf
 from opnav_workbench.yaml_file import Pair, StrictModel, Vector3, read_model
 
@@ -301,9 +302,12 @@ class _Photometry(StrictModel):
 
 
 class _Psf(StrictModel):
+    """``effective`` names the file that `EffectivePsf.save` wrote: what pictures say of light within a pixel."""
+
     sigma_px: PositiveFloat
     sigma_sigma_px: PositiveFloat
     model: AnyPsf | None = None
+    effective: str | None = None
 
 
 class _Attitude(StrictModel):
@@ -362,6 +366,9 @@ class CameraFile(StrictModel):
             "distortion": optics.distortion.build(optics.focal_length_mm, matrix),
             "psf": PsfPrior(self.psf.sigma_px, self.psf.sigma_sigma_px),
             "psf_shape": None if self.psf.model is None else self.psf.model.build(folder),
+            "effective_psf": None
+            if self.psf.effective is None
+            else EffectivePsf.load(folder / self.psf.effective),
             "bandpass": None if photometry.bandpass is None else photometry.bandpass.build(),
             "color_response": None if photometry.color is None else photometry.color.build(),
             "attitude_sigma": AttitudeSigma(self.attitude_sigma.cross_px, self.attitude_sigma.twist_deg),

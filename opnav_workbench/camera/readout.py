@@ -88,5 +88,6 @@ def read_out(
         pixel_from_mm=camera.pixel_from_mm / step[:, None],
         psf=PsfPrior(psf.sigma_px / together, psf.sigma_sigma_px / together),
         psf_shape=camera.psf_shape if together == 1.0 else None,
+        effective_psf=camera.effective_psf if together == 1.0 else None,
         attitude_sigma=AttitudeSigma(sigma.cross_px / together, sigma.twist_deg),
     )

@@ -24,7 +24,7 @@ from opnav_workbench.photometry import (
     synthetic_magnitude,
     zero_point_mag,
 )
-from opnav_workbench.psf import GaussianPsf, Psf
+from opnav_workbench.psf import EffectivePsf, GaussianPsf, Psf
 
 __all__ = ["UNKNOWN_COLOR", "CameraResponse"]
 
@@ -51,6 +51,9 @@ class CameraResponse:
         Width of the point spread function before pixel integration, as it is known beforehand.
     psf_shape
         The point spread function of simulated pictures, where more than its width is known.
+    effective_psf
+        What the stars of the camera's pictures say of the light's distribution within a pixel, with its covariance: the fits
+        of stars in undersampled pictures begin with it.
     bits
         Bits of the analog-digital converter.
     gain_e_per_dn, read_noise_dn
@@ -87,6 +90,7 @@ class CameraResponse:
     name: str
     psf: PsfPrior = field(default_factory=PsfPrior)
     psf_shape: Psf | None = None
+    effective_psf: EffectivePsf | None = None
     bits: int | None = None
     gain_e_per_dn: float | None = None
     read_noise_dn: float | None = None

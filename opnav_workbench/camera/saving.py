@@ -110,6 +110,8 @@ def _detector(camera: Mapping[str, Any]) -> Any:
 
 def _psf(camera: Mapping[str, Any]) -> dict[str, Any]:
     width, shape = asdict(camera["psf"]), camera["psf_shape"]
+    if camera["effective_psf"] is not None:
+        raise CameraError(f"{camera['name']}: an effective PSF cannot be written into a camera file.")
     if shape is None:
         return width
     if not isinstance(shape, GaussianPsf):

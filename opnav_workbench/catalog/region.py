@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.geometry import angle_between, unit_from_radec
+from opnav_workbench.geometry import angle_between
 
 __all__ = ["Cone", "Region", "polygon_region"]
 

@@ -88,13 +88,17 @@ class SkyIndex:
         spans = sorted(ra_spans(ra_rad, dec_rad, reach))
         if spans == [(0.0, 1.0)]:
             return self._between([float(first), float(last + 1)])
-        return self._between([band + edge for band in range(first, last + 1) for span in spans for edge in span])
+        return self._between(
+            [band + edge for band in range(first, last + 1) for span in spans for edge in span]
+        )
 
     def _between(self, edges: list[float]) -> IntArray:
         """Places of the keys in half-open ranges: their edges one after the other, in ascending order."""
         stars = self._keys.searchsorted(edges).tolist()
         parts = [
-            np.arange(start, stop) for start, stop in zip(stars[::2], stars[1::2], strict=True) if stop > start
+            np.arange(start, stop)
+            for start, stop in zip(stars[::2], stars[1::2], strict=True)
+            if stop > start
         ]
         return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, np.int64)
 

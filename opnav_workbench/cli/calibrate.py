@@ -16,12 +16,14 @@ from rich.table import Table
 
 from opnav_workbench import report
 from opnav_workbench.calibration import (
+    MAX_EFFECTIVE_SIGMA_PX,
     CameraCalibration,
     Edit,
     PsfCalibration,
     StarPictures,
     calibrate_camera,
     camera_edits,
+    learn_effective_psf,
     solvable,
     stack_psf,
     with_distortion,
@@ -38,8 +40,9 @@ from opnav_workbench.processing.star_pictures import (
     psf_pictures,
     solve_star_pictures,
     star_pictures,
+    teaching_pictures,
 )
-from opnav_workbench.psf import GaussianPsf
+from opnav_workbench.psf import EffectivePsf, GaussianPsf
 from opnav_workbench.version import __version__
 from opnav_workbench.yaml_nodes import compose, plain_value, yaml_text
 
@@ -117,10 +120,22 @@ def _picture_report(stars: StarPictures, result: CameraCalibration, index: int) 
 
 
 def psf_json(
-    result: PsfCalibration, names: Sequence[str], failed: Sequence[tuple[str, str]]
+    result: PsfCalibration,
+    effective: EffectivePsf | None,
+    names: Sequence[str],
+    failed: Sequence[tuple[str, str]],
 ) -> dict[str, Any]:
     """Return the report of a PSF calibration."""
+    learned = None
+    if effective is not None:
+        learned = {
+            "n_stars": effective.n_stars,
+            "n_pictures": len(effective.pictures),
+            "sigma_px": effective.sigma_px,
+            "scatter": effective.scatter,
+        }
     return {
+        "effective": learned,
         "version": __version__,
         "n_stars": result.n_stars,
         "oversampling": result.psf.oversampling,
@@ -155,6 +170,7 @@ ISOLATION_SIGMAS, ISOLATION_PX = (
     8.0,
     5.0,
 )  # a neighbor nearer than this (pixels, and sigmas of the PSF) spoils a star
+TEACHING_SNR = 15.0  # fainter stars say little of light within a pixel
 DEFAULT_TERMS: dict[type, tuple[str, ...]] = {
     OwenDistortion: ("e2_per_mm2", "e5_per_mm", "e6_per_mm"),
     BrownDistortion: ("k1", "k2", "p1", "p2"),
@@ -223,7 +239,10 @@ def psf(
       opnav calibrate psf lor_*.fit -m new_horizons --catalog npz:tycho2.npz --out calibration
 
     Writes OUT/<camera>_psf.npz, OUT/<camera>.yaml, a copy of the camera's file that uses it, and a report as JSON and PNG.
-    Stars need not be in the catalog; pictures whose stars have another shape are left out and named.
+    Stars need not be in the catalog; pictures whose stars have another shape are left out and named. Of an undersampled
+    camera (sigma below 0.6 px) it writes OUT/<camera>_effective_psf.npz, too: what the stars say of light within a pixel,
+    with its covariance, which every later fit of stars with that camera file begins with. Called again with the new
+    camera file and more pictures, it adds these.
     """
     opened = processing_of({**given, "targets": NO_TARGETS}).opened()
     solved = _solved_pictures(images, opened, least_stars=1)
@@ -231,7 +250,22 @@ def psf(
     isolation = max(ISOLATION_PX, ISOLATION_SIGMAS * context.camera.psf.sigma_px)
     pictures = psf_pictures(solved.sessions, min_snr, isolation)
     result = stack_psf(pictures, context.camera_psf, oversampling=oversampling)
-    _write_psf(opened, context.camera, solved, result, out)
+    effective = _effective_psf(solved, result, isolation)
+    _write_psf(opened, context.camera, solved, result, effective, out)
+
+
+def _effective_psf(
+    solved: SolvedPictures, result: PsfCalibration, isolation_px: float
+) -> EffectivePsf | None:
+    """What the pictures say of light within a pixel; None where every star of the camera shows that itself."""
+    context = solved.sessions[0].context
+    if not float(np.mean(result.psf.sigma_px)) < MAX_EFFECTIVE_SIGMA_PX:
+        return context.camera.effective_psf
+    used = [
+        session for session, kept in zip(solved.sessions, result.used_pictures, strict=True) if bool(kept)
+    ]
+    pictures = teaching_pictures(used, TEACHING_SNR, isolation_px)
+    return learn_effective_psf(pictures, context.camera_psf, context.camera.effective_psf)
 
 
 def _solved_pictures(images: Sequence[Path], opened: OpenedProcessing, **options: Any) -> SolvedPictures:
@@ -279,7 +313,12 @@ def _write_camera(
 
 
 def _write_psf(
-    opened: OpenedProcessing, start: Camera, solved: SolvedPictures, result: PsfCalibration, out: Path
+    opened: OpenedProcessing,
+    start: Camera,
+    solved: SolvedPictures,
+    result: PsfCalibration,
+    effective: EffectivePsf | None,
+    out: Path,
 ) -> None:
     source = opened.mission.camera_file(start)
     target = make_folder(out) / source.name
@@ -290,9 +329,16 @@ def _write_psf(
     heading = (
         f"PSF of {result.n_stars} stars of {int(result.used_pictures.sum())} frames; before: {source.name}"
     )
-    write_camera_file(source, target, {("psf", "model"): edit}, heading)
+    edits: dict[tuple[str, ...], Edit] = {("psf", "model"): edit}
+    files = [target, template]
+    if effective is not None:
+        files.append(target.with_name(f"{source.stem}_effective_psf.npz"))
+        effective.save(files[-1])
+        words = f"{effective.n_stars} stars of {len(effective.pictures)} frames"
+        edits["psf", "effective"] = Edit(files[-1].name, words)
+    write_camera_file(source, target, edits, heading)
     values_file = target.with_name(f"{source.stem}_psf.json")
-    write_json(values_file, psf_json(result, names, solved.failed))
+    write_json(values_file, psf_json(result, effective, names, solved.failed))
     picture = target.with_name(f"{source.stem}_psf.png")
     sigma = start.psf.sigma_px
     report.write_png(
@@ -303,15 +349,18 @@ def _write_psf(
         f"{result.n_stars} stars, {result.psf.oversampling} cells a pixel; reduced chi-squared of a star (median) "
         f"{median[0]:.2f} with one Gaussian, {median[1]:.2f} with the PSF"
     )
-    _print_files(Console(), words, result.messages, (target, template, values_file, picture))
+    _print_files(Console(), words, result.messages, (*files, values_file, picture))
 
 
 def _copy_psf(source: Path, target: Path) -> None:
-    """A template beside the old file goes beside the new one."""
-    model = (plain_value(compose(yaml_text(source))).get("psf") or {}).get("model") or {}
-    if isinstance(model, dict) and model.get("file") and source.parent.resolve() != target.parent.resolve():
-        with atomic_path(target.parent / model["file"]) as temporary:
-            shutil.copyfile(source.parent / model["file"], temporary)
+    """The files of a PSF beside the old file go beside the new one."""
+    told = plain_value(compose(yaml_text(source))).get("psf") or {}
+    model = told.get("model") or {}
+    names = [model.get("file") if isinstance(model, dict) else None, told.get("effective")]
+    if source.parent.resolve() != target.parent.resolve():
+        for name in filter(None, names):
+            with atomic_path(target.parent / name) as temporary:
+                shutil.copyfile(source.parent / name, temporary)
 
 
 def _print_files(console: Console, words: str, messages: Sequence[str], files: Sequence[Path]) -> None:

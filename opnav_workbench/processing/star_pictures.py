@@ -6,19 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray
-from opnav_workbench.calibration import MIN_STARS, PsfPicture, StarPictures
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.calibration import MIN_STARS, PsfPicture, StarPictures, TeachingPicture
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.processing.automatic import open_picture, solve_stars
 from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.session import ImageSession
-from opnav_workbench.stars import Detections, StarFlag, detect
+from opnav_workbench.stars import Detections, ExpectedPlaces, StarFlag, detect
 
-__all__ = ["SolvedPictures", "psf_pictures", "solve_star_pictures", "star_pictures"]
+__all__ = ["SolvedPictures", "psf_pictures", "solve_star_pictures", "star_pictures", "teaching_pictures"]
 
 PictureProgress = Callable[[str, str], None]
 
 NEIGHBOR_PART = 0.05  # a neighbor of less light than this does not show in a stack of many stars
+SAME_STAR_PX = 1.0  # of a detection and a fit: they err by parts of a pixel, and crowded stars are left out
 UNFIT_FLAGS = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFlag.BAD_PIXELS
 
 
@@ -146,3 +147,43 @@ def _bright_and_isolated(found: Detections, min_snr: float, isolation_px: float)
     np.fill_diagonal(near, val=False)
     crowded = (near & (found.flux_dn[None] > NEIGHBOR_PART * found.flux_dn[:, None])).any(axis=1)
     return np.asarray(clean & ~crowded)
+
+
+def teaching_pictures(
+    sessions: Sequence[ImageSession], min_snr: float, isolation_px: float
+) -> tuple[TeachingPicture, ...]:
+    """Return solved pictures with their bright stars, as `psf_pictures`, and where the catalog has those that it knows."""
+    pictures = []
+    for session, picture in zip(sessions, psf_pictures(sessions, min_snr, isolation_px), strict=True):
+        context = session.context
+        pictures.append(
+            TeachingPicture(
+                sha256=context.picture.sha256,
+                signal_dn=context.signal_dn,
+                noise_dn=context.noise_dn,
+                bad=context.not_stars,
+                saturated=context.picture.saturated,
+                pixel_line=picture.pixel_line,
+                places=_places(session, picture.pixel_line),
+                noise_model=context.noise_model,
+            )
+        )
+    return tuple(pictures)
+
+
+def _places(session: ImageSession, pixel_line: FloatArray) -> ExpectedPlaces:
+    """Return where the catalog has the stars that were seen at (n, 2): not known of those that are not in use."""
+    stars, centers = session.state.a_priori, session.state.centers
+    assert stars is not None
+    assert centers is not None
+    used = session.state.mask("used")
+    place, sigma = np.array(pixel_line), np.full(len(pixel_line), np.inf)
+    if not used.any() or not len(place):
+        return ExpectedPlaces(place, sigma)
+    apart = np.hypot(*(pixel_line[:, None] - centers.pixel_line[used][None]).transpose(2, 0, 1))
+    nearest = apart.argmin(axis=1)
+    known = apart.min(axis=1) < SAME_STAR_PX
+    predicted = stars.places(session.context.camera, session.camera_from_j2000)[used]
+    scatter = np.sqrt(0.5 * np.trace(stars.covariance_px2[used], axis1=1, axis2=2))
+    place[known], sigma[known] = predicted[nearest[known]], scatter[nearest[known]]
+    return ExpectedPlaces(place, sigma)

@@ -5,6 +5,8 @@ them can do.
 
 ``correction``
     What an elliptical Gaussian leaves of a real PSF, with its covariance.
+``effective``
+    The effective PSF of a camera as many pictures taught it, kept between pictures.
 ``empirical``
     A template taken from bright stars.
 ``gaussian``
@@ -21,7 +23,8 @@ them can do.
     Smeared by motion during the exposure.
 """
 
-from opnav_workbench.psf.correction import PsfCorrection
+from opnav_workbench.psf.correction import PsfCorrection, PsfEvidence
+from opnav_workbench.psf.effective import EffectivePsf
 from opnav_workbench.psf.empirical import EmpiricalPsf
 from opnav_workbench.psf.gaussian import FieldPsf, GaussianPsf, GridShape, PolynomialShape
 from opnav_workbench.psf.integrals import (
@@ -39,6 +42,7 @@ from opnav_workbench.psf.tabulated import MoffatPsf
 from opnav_workbench.psf.trailed import TrailedPsf
 
 __all__ = [
+    "EffectivePsf",
     "EmpiricalPsf",
     "FieldPsf",
     "GaussianPsf",
@@ -48,6 +52,7 @@ __all__ = [
     "PolynomialShape",
     "Psf",
     "PsfCorrection",
+    "PsfEvidence",
     "PsfGradient",
     "TrailedPsf",
     "add_boxes",

@@ -8,6 +8,7 @@ beyond adding it up: edges less sensitive, charge that spreads. The modes are th
 Reference: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, chapters 2 and 8.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -16,7 +17,15 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 
-__all__ = ["PsfCorrection", "mode_layers", "mode_shares", "phases_of_a_pixel"]
+__all__ = [
+    "PRIOR_AMPLITUDES",
+    "PsfCorrection",
+    "PsfEvidence",
+    "layout_of_modes",
+    "mode_layers",
+    "mode_shares",
+    "phases_of_a_pixel",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +47,9 @@ LAYERS = (
     _Layer(2.5, 5, 3.5, 4.0, 0.1, 1.5),  # wings
     _Layer(0.6, 6, 1.0, 1.5, 0.2, 2.0, integrated=False),  # pixels
 )
+# Of the layers' modes. Simulated disks, obstructed Airy patterns and Moffat profiles have half of it; the fine layer's was
+# raised until stars of real frames, which fall at other phases in each, repeat nearly within their sigmas.
+PRIOR_AMPLITUDES = (0.5, 0.6, 0.5, 0.2)
 LEAST_VARIANCE = 1e-4  # of a layer's largest mode: weaker ones change no pixel that anybody could measure
 PHASES = 8  # along each axis of a pixel
 PEAK_DENSITY = 1.0 / (2.0 * np.pi)  # of a Gaussian, per sigma^2
@@ -64,6 +76,16 @@ def mode_layers() -> IntArray:
     return layers
 
 
+def layout_of_modes() -> FloatArray:
+    """Return numbers that change when the modes would: a row for each layer."""
+    return np.array(
+        [
+            [*(float(getattr(layer, name)) for name in layer.__slots__), float(len(_modes(layer)))]
+            for layer in LAYERS
+        ]
+    )
+
+
 def phases_of_a_pixel() -> FloatArray:
     """Return places (64, 2) all over a pixel, about its middle."""
     phase = (np.arange(PHASES) + 0.5) / PHASES - 0.5
@@ -83,6 +105,32 @@ def mode_shares(sigma_px: float, center: FloatArray, first: FloatArray, size: in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PsfEvidence:
+    """What stars say of the amplitudes of the modes, the prior not counted.
+
+    Attributes
+    ----------
+    matrix : (k, k) array
+        Information.
+    right : (k,) array
+        Information times the amplitudes that explain the stars best.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @classmethod
+    def total(cls, parts: Sequence["PsfEvidence"]) -> "PsfEvidence":
+        """Return what several say together; nothing, if none."""
+        count = len(mode_layers())
+        matrix = sum((part.matrix for part in parts), start=np.zeros((count, count)))
+        return cls(matrix, sum((part.right for part in parts), start=np.zeros(count)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PsfCorrection:
     """A correction as it was learned, with its covariance.
 
@@ -94,11 +142,17 @@ class PsfCorrection:
         Of the modes.
     root : (k, r) array
         Root of their covariance: amplitudes scatter by `root` times standard normal numbers.
+    evidence
+        What the stars of this picture alone say of it; None where none taught it.
+    n_stars
+        How many these are.
     """
 
     sigma_px: float
     amplitudes: FloatArray
     root: FloatArray
+    evidence: PsfEvidence | None = None
+    n_stars: int = 0
     _coefficients: tuple[FloatArray, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

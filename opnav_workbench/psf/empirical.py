@@ -195,6 +195,8 @@ def _spline_values(coefficients: FloatArray) -> FloatArray:
 
 # ---- A PSF given as an oversampled template, such as one extracted from bright stars.
 
+SUM_ROUNDING = 1e-12  # of thousands of samples
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EmpiricalPsf(TablePsf):
@@ -229,7 +231,10 @@ class EmpiricalPsf(TablePsf):
     def __post_init__(self) -> None:
         table = PixelTable.from_cells(self.samples, self.oversampling)
         samples = np.array(self.samples, dtype=np.float64)
-        object.__setattr__(self, "samples", readonly(samples / samples.sum()))
+        total = samples.sum()
+        if abs(total - 1.0) > SUM_ROUNDING:  # a template that was saved comes back with the same bits
+            samples = samples / total
+        object.__setattr__(self, "samples", readonly(samples))
         object.__setattr__(self, "_table", table)
 
     @classmethod

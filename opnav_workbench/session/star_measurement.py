@@ -115,6 +115,7 @@ def fit_all(
         saturated=context.picture.saturated,
         noise_model=context.noise_model,
         places=ExpectedPlaces(match.expected_px, place_sigma_px),
+        kept=context.camera.effective_psf,
     )
     return with_flanks(context, centers, start, psf), psf
 

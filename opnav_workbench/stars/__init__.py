@@ -59,6 +59,7 @@ from opnav_workbench.stars.identification import identify, identify_marked, iden
 from opnav_workbench.stars.least_squares import default_box_px, fit_gaussian, fit_psf
 from opnav_workbench.stars.psf_consensus import (
     estimate_psf_error,
+    evidence_of_stars,
     fit_stars,
     shape_from_stars,
     strange_images,
@@ -85,6 +86,7 @@ __all__ = [
     "describe_flags",
     "detect",
     "estimate_psf_error",
+    "evidence_of_stars",
     "extract_template",
     "fit_gaussian",
     "fit_psf",

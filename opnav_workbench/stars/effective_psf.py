@@ -19,17 +19,19 @@ from typing import Self
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.psf import PsfCorrection, box_integrals
-from opnav_workbench.psf.correction import mode_layers, mode_shares, phases_of_a_pixel
+from opnav_workbench.psf import PsfCorrection, PsfEvidence, box_integrals
+from opnav_workbench.psf.correction import (
+    PRIOR_AMPLITUDES,
+    mode_layers,
+    mode_shares,
+    phases_of_a_pixel,
+)
 from opnav_workbench.stars.boxes import Pixels, box_corners, cut_at
 from opnav_workbench.stars.group_fit import FitSettings
 from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
-__all__ = ["ExpectedPlaces", "learn_correction"]
+__all__ = ["ExpectedPlaces", "learn_correction", "prior_correction"]
 
-# Of the layers' modes. Simulated disks, obstructed Airy patterns and Moffat profiles have half of it; the fine layer's was
-# raised until stars of real frames, which fall at other phases in each, repeat nearly within their sigmas.
-PRIOR_AMPLITUDES = (0.5, 0.6, 0.5, 0.2)
 PRIOR_COUNT = 8.0  # modes that this is worth beside the layer's own
 PASSES = (
     6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
@@ -115,6 +117,7 @@ def learn_correction(
     psf: ShapePrior,
     settings: FitSettings,
     places: ExpectedPlaces | None = None,
+    kept: PsfEvidence | None = None,
 ) -> PsfCorrection:
     """Return what the stars `rows` say of the PSF beyond the Gaussian `psf`, by whose sigmas their shapes may differ.
 
@@ -128,23 +131,38 @@ def learn_correction(
         Of that fit: size of the boxes, noise.
     places
         Where the catalog has the same stars, where that is known.
+    kept
+        What other pictures say of the same PSF; their Gaussian is `psf`, too.
     """
     known = np.column_stack([stars.flux_dn, stars.pixel_line, stars.background_dn])[rows]
     places = None if places is None else places.take(rows)
     usual = _usual_modes(psf, settings.size)
     layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
     correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
+    if kept is not None:
+        correction = prior_correction(psf.sigma_px, kept)
     for step in range(PASSES):
-        normal = _normal_equations(pixels, known, psf, correction, usual, settings, step > 0)
+        learned = step > 0 or kept is not None
+        normal = _normal_equations(pixels, known, psf, correction, usual, settings, learned)
         if places is not None:
             normal = normal.with_places(known[:, 1:3], places, judged=step >= JUDGED_FROM)
         matrix, right = normal.reduced()
-        inner, inner_right, back = _without_places(matrix, right, len(layers))
-        amplitudes, root, variance = _modes_with_variances(inner, inner_right, variance)
+        own_matrix, own_right, back = _without_places(matrix, right, len(layers))
+        own = PsfEvidence(own_matrix, own_right)
+        known_of_it = own if kept is None else PsfEvidence.total([own, kept])
+        amplitudes, root, variance = _modes_with_variances(known_of_it, variance)
         shared = np.concatenate([amplitudes, back(amplitudes)])
-        correction = PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root)
+        correction = PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root, own, len(rows))
         known = known + _limited(normal.own_steps(shared))
     return correction
+
+
+def prior_correction(sigma_px: float, kept: PsfEvidence) -> PsfCorrection:
+    """Return the correction that other pictures teach, with its covariance."""
+    variance = np.square(PRIOR_AMPLITUDES)
+    for _ in range(PASSES):
+        amplitudes, root, variance = _modes_with_variances(kept, variance)
+    return PsfCorrection(sigma_px, amplitudes, root)
 
 
 def _usual_modes(psf: ShapePrior, size: int) -> FloatArray:
@@ -263,15 +281,15 @@ class _Back:
 
 
 def _modes_with_variances(
-    matrix: FloatArray, right: FloatArray, variance: FloatArray
+    known: PsfEvidence, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Amplitudes (k,), root (k, k) of their covariance, and the variance of each layer that explains them."""
     layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
     for _ in range(VARIANCE_STEPS):
         sigma = np.sqrt(variance)[layers]
-        value, vector = np.linalg.eigh(sigma[:, None] * matrix * sigma)
+        value, vector = np.linalg.eigh(sigma[:, None] * known.matrix * sigma)
         root = sigma[:, None] * vector / np.sqrt(1.0 + np.maximum(value, 0.0))
-        amplitudes = root @ (root.T @ right)
+        amplitudes = root @ (root.T @ known.right)
         square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
         variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
     return amplitudes, root, variance

@@ -9,7 +9,8 @@ Where it does not, or where the picture is so undersampled that no star could te
 Reference: the scatter between stars follows DerSimonian & Laird (1986), doi:10.1016/0197-2456(86)90046-2, with medians.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,10 +18,11 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
-from opnav_workbench.psf import shape_from_ellipse
-from opnav_workbench.stars.boxes import check_image
-from opnav_workbench.stars.effective_psf import ExpectedPlaces, learn_correction
+from opnav_workbench.psf import EffectivePsf, PsfEvidence, shape_from_ellipse
+from opnav_workbench.stars.boxes import Pixels, check_image
+from opnav_workbench.stars.effective_psf import ExpectedPlaces, learn_correction, prior_correction
 from opnav_workbench.stars.flags import StarFlag
+from opnav_workbench.stars.group_fit import FitSettings
 from opnav_workbench.stars.least_squares import (
     SEARCH_RADIUS_PX,
     checked_settings,
@@ -30,7 +32,7 @@ from opnav_workbench.stars.least_squares import (
 from opnav_workbench.stars.picture_fit import misfit_factor
 from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
-__all__ = ["estimate_psf_error", "fit_stars", "shape_from_stars", "strange_images"]
+__all__ = ["estimate_psf_error", "evidence_of_stars", "fit_stars", "shape_from_stars", "strange_images"]
 
 WELL_EXPOSED_SNR = 30.0  # from here a star's shape is known to a few percent
 MIN_SIGMA_LOG_SCALE = 0.03  # width and ellipticity differ between stars by at least this: field, color, smear
@@ -121,6 +123,7 @@ def fit_stars(
     joint: bool = True,
     mask_hits: bool = True,
     places: ExpectedPlaces | None = None,
+    kept: EffectivePsf | None = None,
 ) -> tuple[StarCenters, ShapePrior]:
     """Fit all stars of a frame with `prior`, then with the PSF that its well-exposed stars agree on.
 
@@ -131,6 +134,9 @@ def fit_stars(
         As in `fit_gaussian`; a correction to the prior is learned anew.
     places
         Where the catalog has the stars: it helps to learn the PSF of an undersampled frame.
+    kept
+        The effective PSF that other pictures of the camera taught; the stars of this one add to it. Where it does not
+        describe them, it is not used.
 
     Returns
     -------
@@ -152,21 +158,105 @@ def fit_stars(
             search_radius_px=search_radius_px, joint=joint, mask_hits=mask_hits,
         )  # fmt: skip
 
-    prior = replace(prior, correction=None)
-    first = fit(prior, 0.0)
-    consensus = shape_from_stars(first, prior)
-    centers = fit(consensus, estimate_psf_error(first))
-    teachers = _teachers(centers)
-    if not _gaussian_may_fail(centers, consensus, teachers):
-        return centers, consensus
     size = default_box_px(prior.sigma_px) if box_px is None else box_px
-    settings = checked_settings(size, background, noise_model, 0.0, search_radius_px)
-    shape = _common_shape(consensus)
+    frame = _Frame(
+        fit,
+        check_image(image_dn, noise_dn, bad, saturated),
+        checked_settings(size, background, noise_model, 0.0, search_radius_px),
+        places,
+    )
+    if kept is None:
+        return frame.alone(prior)
+    together = frame.with_others(kept)
+    if not _misfit(together[0], _teachers(together[0])):
+        return together
+    alone = frame.alone(prior)
+    return alone if _describes_better(alone[0], together[0]) else together
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """One frame's stars, and the two ways to their PSF."""
+
+    fit: Callable[[ShapePrior, float], StarCenters]
+    pixels: Pixels
+    settings: FitSettings
+    places: ExpectedPlaces | None
+
+    def alone(self, prior: ShapePrior) -> tuple[StarCenters, ShapePrior]:
+        """Fit with what these stars say themselves: a Gaussian, and what it leaves where that may matter."""
+        prior = replace(prior, correction=None)
+        first = self.fit(prior, 0.0)
+        consensus = shape_from_stars(first, prior)
+        centers = self.fit(consensus, estimate_psf_error(first))
+        teachers = _teachers(centers)
+        if not _gaussian_may_fail(centers, consensus, teachers):
+            return centers, consensus
+        return self._taught(_common_shape(consensus), teachers, centers, None)
+
+    def with_others(self, kept: EffectivePsf) -> tuple[StarCenters, ShapePrior]:
+        """Fit with what other pictures' stars say, and these add to it."""
+        evidence = kept.for_a_picture()
+        shape = _shared_shape(kept.log_scale, kept.ellipticity, evidence)
+        centers = self.fit(shape, 0.0)
+        teachers = _teachers(centers)
+        if len(teachers) >= MIN_TEACHERS:
+            return self._taught(shape, teachers, centers, evidence)
+        return self._with_error(shape, centers), shape
+
+    def _taught(
+        self, shape: ShapePrior, teachers: IntArray, before: StarCenters, kept: PsfEvidence | None
+    ) -> tuple[StarCenters, ShapePrior]:
+        correction = learn_correction(self.pixels, before, teachers, shape, self.settings, self.places, kept)
+        learned = replace(shape, correction=correction)
+        return self._with_error(learned, self.fit(learned, 0.0)), learned
+
+    def _with_error(self, psf: ShapePrior, centers: StarCenters) -> StarCenters:
+        psf_error = estimate_psf_error(centers)
+        return self.fit(psf, psf_error) if psf_error > 0.0 else centers
+
+
+def evidence_of_stars(
+    image_dn: ArrayLike,
+    noise_dn: ArrayLike,
+    bad: ArrayLike | None,
+    start_pixel_line: ArrayLike,
+    log_scale: float,
+    ellipticity: FloatArray,
+    *,
+    saturated: ArrayLike | None = None,
+    noise_model: NoiseModel | None = None,
+    places: ExpectedPlaces | None = None,
+    kept: PsfEvidence | None = None,
+) -> tuple[PsfEvidence, int] | None:
+    """Return what the stars of a frame say of the PSF beyond a given Gaussian, and how many they are.
+
+    Parameters
+    ----------
+    image_dn, noise_dn, bad, start_pixel_line, saturated, noise_model, places
+        As in `fit_stars`.
+    log_scale, ellipticity
+        Of the Gaussian: ln(sigma/px), and (e1, e2).
+    kept
+        What is known of the correction: the frame's stars are fitted with it. It is not part of what is returned.
+
+    Returns
+    -------
+    (PsfEvidence, int) or None
+        None where there are too few good stars.
+    """
+    shape = _shared_shape(log_scale, ellipticity, kept)
+    centers = fit_gaussian(
+        image_dn, noise_dn, bad, start_pixel_line, shape, saturated=saturated, noise_model=noise_model
+    )
+    teachers = _teachers(centers)
+    if len(teachers) < MIN_TEACHERS:
+        return None
+    settings = checked_settings(default_box_px(shape.sigma_px), "level", noise_model, 0.0, SEARCH_RADIUS_PX)
     pixels = check_image(image_dn, noise_dn, bad, saturated)
-    learned = replace(shape, correction=learn_correction(pixels, centers, teachers, shape, settings, places))
-    centers = fit(learned, 0.0)
-    psf_error = estimate_psf_error(centers)
-    return (fit(learned, psf_error) if psf_error > 0.0 else centers), learned
+    correction = learn_correction(pixels, centers, teachers, shape, settings, places, kept)
+    assert correction.evidence is not None
+    return correction.evidence, len(teachers)
 
 
 # ---- Who teaches the PSF beyond a Gaussian, and whether there is anything to learn.
@@ -216,14 +306,35 @@ def _common_shape(psf: ShapePrior) -> ShapePrior:
     return replace(psf, sigma_log_scale=COMMON_SHAPE_SIGMA, sigma_ellipticity=COMMON_SHAPE_SIGMA)
 
 
+def _shared_shape(log_scale: float, ellipticity: FloatArray, evidence: PsfEvidence | None) -> ShapePrior:
+    correction = None if evidence is None else prior_correction(float(np.exp(log_scale)), evidence)
+    return ShapePrior(log_scale, COMMON_SHAPE_SIGMA, ellipticity, COMMON_SHAPE_SIGMA, correction)
+
+
 def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray) -> bool:
     """Tell whether a Gaussian may not describe the stars: it visibly does not, or nobody could see it."""
     if len(teachers) < MIN_TEACHERS:
         return False
+    blind = psf.sigma_px < UNDERSAMPLED_SIGMA_PX and len(teachers) >= MIN_BLIND_TEACHERS
+    return blind or _misfit(centers, teachers)
+
+
+def _describes_better(one: StarCenters, other: StarCenters) -> bool:
+    """Tell whether one PSF leaves less of the well-exposed stars' light over than the other, by more than chance."""
+    good = well_exposed(one, TEACHING_SNR) & well_exposed(other, TEACHING_SNR)
+    if not good.any():
+        return False
+    gain = (other.chi2_reduced - one.chi2_reduced)[good] * np.sqrt(one.degrees_of_freedom[good] / 2.0)
+    return bool(float(np.median(gain)) * np.sqrt(np.count_nonzero(good)) > MISFIT_IN_SIGMAS)
+
+
+def _misfit(centers: StarCenters, teachers: IntArray) -> bool:
+    """Tell whether the PSF of a fit visibly does not describe well-exposed stars."""
+    if len(teachers) == 0:
+        return False
     chi2, freedom = centers.chi2_reduced[teachers], centers.degrees_of_freedom[teachers]
     excess = float(np.median((chi2 - 1.0) * np.sqrt(freedom / 2.0))) * np.sqrt(len(teachers))
-    blind = psf.sigma_px < UNDERSAMPLED_SIGMA_PX and len(teachers) >= MIN_BLIND_TEACHERS
-    return blind or excess > MISFIT_IN_SIGMAS
+    return bool(excess > MISFIT_IN_SIGMAS)
 
 
 def _combine_parameter(

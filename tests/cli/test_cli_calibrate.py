@@ -129,6 +129,9 @@ def test_psf_of_real_frames_explains_their_stars(data_dir, tmp_path):
     camera = Camera.from_yaml(tmp_path / "lorri_4x4.yaml")
     assert isinstance(camera.psf_shape, EmpiricalPsf)
     assert camera.psf_shape.samples.shape == EmpiricalPsf.load(tmp_path / "lorri_4x4_psf.npz").samples.shape
+    assert camera.effective_psf is not None
+    assert len(camera.effective_psf.pictures) == report["effective"]["n_pictures"] == 3
+    assert camera.effective_psf.n_stars == report["effective"]["n_stars"] > 100
 
 
 @pytest.mark.slow

@@ -10,13 +10,17 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.signal import fftconvolve
 from scipy.special import j1
 
-from opnav_workbench.psf.correction import PsfCorrection, mode_layers
+from opnav_workbench.calibration import TeachingPicture, learn_effective_psf
+from opnav_workbench.errors import CameraError
+from opnav_workbench.psf import EffectivePsf, PsfEvidence
+from opnav_workbench.psf.correction import PRIOR_AMPLITUDES, PsfCorrection, mode_layers
 from opnav_workbench.stars import ExpectedPlaces, NoiseModel, ShapePrior, fit_stars
 
 FINE, HALF = 40, 8  # samples a pixel; pixels on each side
 READ_NOISE_DN, GAIN = 1.1, 22.0
 NOISE = NoiseModel(READ_NOISE_DN, GAIN)
 BOX, SIDE = 9, 256
+MANY = 9  # stars, of which the median is no star's own
 
 
 def gaussian(x, y, sigma):
@@ -103,8 +107,11 @@ def frame(shares, n, snr, rng):
     return image, center, *bound(shares, center, flux)
 
 
-def errors(shares, sigma, n, frames, snr, place_sigma=None, prior_off=1.1):
-    """Errors, own sigmas, bounds and SNR (4, m, 2) of all usable stars; a common shift of a frame's stars is taken out."""
+def errors(shares, sigma, n, frames, snr, place_sigma=None, prior_off=1.1, kept=None):
+    """Errors, own sigmas, bounds and SNR (4, m, 2) of all usable stars; a common shift of all stars is taken out.
+
+    What a PSF's center is, is a convention: of many stars that of each frame, of a few that of all frames.
+    """
     rows = []
     for seed in range(frames):
         rng = np.random.default_rng([seed, n])
@@ -115,11 +122,27 @@ def errors(shares, sigma, n, frames, snr, place_sigma=None, prior_off=1.1):
             places = ExpectedPlaces(known, np.full(n, place_sigma))
         prior = ShapePrior.round_psf(prior_off * sigma)
         start = center + rng.uniform(-0.5, 0.5, center.shape)
-        fit, _ = fit_stars(image, READ_NOISE_DN, None, start, prior, noise_model=NOISE, places=places)
+        fit, _ = fit_stars(
+            image, READ_NOISE_DN, None, start, prior, noise_model=NOISE, places=places, kept=kept
+        )
         error = fit.pixel_line - center
-        columns = error - np.median(error, axis=0), fit.sigma_px, least, np.column_stack([ratio, ratio])
-        rows.append(np.stack(columns)[:, fit.usable])
-    return np.concatenate(rows, axis=1)
+        error -= np.median(error, axis=0) if n >= MANY else 0.0
+        rows.append(np.stack([error, fit.sigma_px, least, np.column_stack([ratio, ratio])])[:, fit.usable])
+    found = np.concatenate(rows, axis=1)
+    found[0] -= np.median(found[0], axis=0)
+    return found
+
+
+def teaching_picture(shares, seed, place_sigma=0.02, n=40, snr=(8, 400)):
+    """A picture of n stars of known places, for a calibration."""
+    rng = np.random.default_rng([seed, n, 7])
+    image, center, *_ = frame(shares, n, snr, rng)
+    places = ExpectedPlaces(
+        center + rng.normal(0.0, place_sigma, center.shape), np.full(len(center), place_sigma)
+    )
+    noise, none = np.full(image.shape, READ_NOISE_DN), np.zeros(image.shape, bool)
+    start = center + rng.uniform(-0.5, 0.5, center.shape)
+    return TeachingPicture(f"picture {seed}", image, noise, none, none, start, places, NOISE)
 
 
 def rms(values):
@@ -179,3 +202,101 @@ def test_well_sampled_gaussians_are_fitted_as_ever():
     image, center, *_ = frame(shares, 16, (30, 100), rng)
     _, psf = fit_stars(image, READ_NOISE_DN, None, center, ShapePrior.round_psf(1.0), noise_model=NOISE)
     assert psf.correction is None
+
+
+@pytest.fixture(scope="module")
+def taught():
+    """What six pictures of 40 stars teach of a camera with coma, and its shares."""
+    shares = pixel_shares(coma, 0.3)
+    pictures = [teaching_picture(shares, seed) for seed in range(6)]
+    return shares, pictures, learn_effective_psf(pictures, ShapePrior.round_psf(0.33))
+
+
+@pytest.mark.slow
+def test_few_stars_are_near_the_bound_with_what_other_pictures_taught(taught):
+    shares, _, kept = taught
+    error, own, least, _ = errors(shares, 0.3, 4, 12, (12, 150), kept=kept)
+    alone = errors(shares, 0.3, 4, 12, (12, 150))
+    assert rms(error / least) < 1.25  # without: 3
+    assert 0.75 < rms(error / own) < 1.15
+    assert rms(error / least) < 0.6 * rms(alone[0] / alone[2])
+
+
+@pytest.mark.slow
+def test_the_psf_of_another_camera_is_not_taken(taught):
+    """Where the stars contradict what was taught, they are fitted as without it."""
+    shares = pixel_shares(gaussian, 0.55)
+    error, *_ = errors(shares, 0.55, 20, 2, (30, 100), kept=taught[2])
+    alone, *_ = errors(shares, 0.55, 20, 2, (30, 100))
+    np.testing.assert_array_equal(error, alone)
+
+
+@pytest.mark.slow
+def test_what_was_taught_is_kept_in_a_file_and_no_picture_counts_twice(taught, tmp_path):
+    _, pictures, kept = taught
+    kept.save(tmp_path / "psf.npz")
+    again = EffectivePsf.load(tmp_path / "psf.npz")
+    np.testing.assert_array_equal(again.evidence.matrix, kept.evidence.matrix)
+    assert (again.pictures, again.n_stars, again.scatter) == (kept.pictures, kept.n_stars, kept.scatter)
+    same = learn_effective_psf(pictures[:2], ShapePrior.round_psf(0.33), again)
+    np.testing.assert_array_equal(same.evidence.right, kept.evidence.right)
+    more = learn_effective_psf(
+        [*pictures[:2], teaching_picture(taught[0], 99)], ShapePrior.round_psf(0.33), again
+    )
+    assert more.pictures == (*kept.pictures, "picture 99")
+    assert np.trace(more.evidence.matrix) > np.trace(kept.evidence.matrix)
+
+
+def evidence_of(truth, count, scatter, rng):
+    """Evidence of pictures whose modes scatter about one truth, each known to a twentieth of its prior."""
+    prior = np.asarray(PRIOR_AMPLITUDES)[mode_layers()]
+    matrix = np.diag((0.05 * prior) ** -2.0)
+    told = {}
+    for number in range(count):
+        own = truth + scatter * prior * rng.normal(size=len(prior))
+        seen = own + 0.05 * prior * rng.normal(size=len(prior))
+        told[str(number)] = PsfEvidence(matrix, matrix @ seen), 10
+    return told
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.05, 0.2])
+def test_how_far_pictures_differ_is_learned(scatter):
+    rng = np.random.default_rng(4)
+    truth = np.asarray(PRIOR_AMPLITUDES)[mode_layers()] * rng.normal(size=len(mode_layers()))
+    found = EffectivePsf.of_pictures(-1.0, np.zeros(2), evidence_of(truth, 12, scatter, rng))
+    assert found.scatter == pytest.approx(scatter, abs=0.02)
+    known = found.for_a_picture()
+    np.testing.assert_allclose(
+        np.linalg.solve(known.matrix, known.right),
+        np.linalg.solve(found.evidence.matrix, found.evidence.right),
+    )
+    assert np.trace(known.matrix) <= np.trace(found.evidence.matrix)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"no archive", "is no npz file"),
+        (None, "cannot be read"),
+        ({"samples": np.ones(3)}, "holds no effective PSF"),
+        ({"layout": np.ones((4, 9))}, "of other modes"),
+        ({"right": np.full(len(mode_layers()), np.nan)}, "is damaged"),
+        ({"format_version": np.array(99)}, "99"),
+    ],
+)
+def test_files_that_are_no_effective_psf(tmp_path, content, said):
+    path = tmp_path / "psf.npz"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None and "samples" in content:
+        np.savez(path, **content)
+    elif content is not None:
+        count = len(mode_layers())
+        EffectivePsf(-1.0, np.zeros(2), PsfEvidence(np.eye(count), np.zeros(count)), 0.0, ("a",), 3).save(
+            path
+        )
+        with np.load(path) as file:
+            whole = dict(file)
+        np.savez(path, **(whole | content))
+    with pytest.raises(CameraError, match=said):
+        EffectivePsf.load(path)
