@@ -164,9 +164,11 @@ def test_template_goes_with_the_camera_file(data_dir, tmp_path):
     )
     mission = load_mission("new_horizons")
     shutil.copytree(mission.path.parent, tmp_path / "mission")
-    for name in ("lorri_4x4.yaml", "lorri_4x4_psf.npz"):
+    for name in ("lorri_4x4.yaml", "lorri_4x4_psf.npz", "lorri_4x4_effective_psf.npz"):
         shutil.copy(tmp_path / "psf" / name, tmp_path / "mission" / "cameras" / name)
     options = ("-m", tmp_path / "mission", "--catalog", catalog, "--solve", "focal_length_mm")
     answer = invoke("camera", *frames, *options, "--out", tmp_path / "new")
     assert answer.exit_code == 0, answer.output
-    assert isinstance(Camera.from_yaml(tmp_path / "new" / "lorri_4x4.yaml").psf_shape, EmpiricalPsf)
+    camera = Camera.from_yaml(tmp_path / "new" / "lorri_4x4.yaml")
+    assert isinstance(camera.psf_shape, EmpiricalPsf)
+    assert camera.effective_psf is not None
