@@ -18,18 +18,22 @@ from opnav_workbench import report
 from opnav_workbench.cli.process import Reporter
 from opnav_workbench.cli.processing_options import processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, picture_progress, plain_table, shown
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import write_json, write_text
 from opnav_workbench.headless.rehearsal_run import package_processing, process_package
 from opnav_workbench.processing import Processing
+from opnav_workbench.processing.model import shape_file
 from opnav_workbench.rehearsal.making import new_rehearsal
+from opnav_workbench.rehearsal.orbit.scoring import OrbitScore
+from opnav_workbench.rehearsal.orbit.solution import OrbitSolution, solve_orbit_rehearsal
 from opnav_workbench.rehearsal.package import OrtPackage, open_rehearsal
 from opnav_workbench.rehearsal.results import picture_results
 from opnav_workbench.rehearsal.scenario import load_ort_scenario, ort_scenario_names
 from opnav_workbench.rehearsal.score import OrtScore, score_rehearsal
 from opnav_workbench.rehearsal.sealed_truth import log_path, logged_delivery, reveal
 from opnav_workbench.rehearsal.solution import SOLUTION_FILE, OrtSolution, solve_rehearsal
-from opnav_workbench.rehearsal.truth_checks import TruthCheck
+from opnav_workbench.rehearsal.truth_checks import SolutionScore, TruthCheck
 
 __all__ = ["new", "ort", "solve"]
 
@@ -79,6 +83,43 @@ def print_solution(console: Console, solution: OrtSolution) -> None:
         console.print(f"left out: {shown(words)}", highlight=False, soft_wrap=True, style="dim")
 
 
+def print_orbit_solution(console: Console, solution: OrbitSolution) -> None:
+    """Print corrections of orbit, body and map, the predicted place, and what tells each picture's attitude."""
+    table = plain_table("Estimated, true minus believed", ("quantity",), ("value", "sigma", "before", "unit"))
+    numbers = (solution.correction, solution.sigma, solution.sigma_before)
+    for label, *values, unit in zip(solution.labels, *numbers, solution.units, strict=True):
+        table.add_row(label, *(_number(n) for n in _shown_angles(values, unit)), SHOWN_UNITS.get(unit, unit))
+    moved = solution.place_km - solution.place_before_km
+    covariances = (solution.place_covariance_km2, solution.place_covariance_before_km2)
+    sigmas = [np.sqrt(np.diag(covariance)) for covariance in covariances]
+    for row in zip("xyz", moved, *sigmas, strict=True):
+        table.add_row(f"place at {solution.predict_utc[:16]} {row[0]}", *(_number(n) for n in row[1:]), "km")
+    console.print(table)
+    told = plain_table("Attitudes", ("picture", "told by"), ("landmarks",))
+    for name, one in solution.attitudes.items():
+        told.add_row(shown(name), str(one["source"]), str(one["n_landmarks"]))
+    console.print(told)
+    console.print(
+        f"chi-squared {solution.chi2:.1f} for {solution.degrees_of_freedom} degrees of freedom, probability "
+        f"{solution.probability:.2g}",
+        highlight=False,
+    )
+    for words in (*solution.words, *solution.messages):
+        console.print(f"[yellow]note[/] {shown(words)}", highlight=False, soft_wrap=True)
+    for words in solution.left_out:
+        console.print(f"left out: {shown(words)}", highlight=False, soft_wrap=True, style="dim")
+
+
+SHOWN_UNITS = {"rad": "deg", "rad/s": "deg/day", "of it": "%"}
+
+
+def _shown_angles(values: list[float], unit: str) -> list[float]:
+    """Return numbers in the units that people read."""
+    degree = float(np.degrees(1.0))
+    scale = {"rad": degree, "rad/s": degree * DAY_S, "of it": 100.0}.get(unit, 1.0)
+    return [scale * value for value in values]
+
+
 def _history_table(solution: OrtSolution) -> Table:
     """Return the flyby after each picture: solved minus predicted, each with its sigma."""
     names = ("pictures", "B·T km", "σ", "B·R km", "σ", "arrival s", "σ")
@@ -99,7 +140,7 @@ def print_score(console: Console, score: OrtScore) -> None:
         table = plain_table(
             "Solution against truth", ("quantity",), ("solved", "true", "error", "sigma", "error / σ", "unit")
         )
-        for check in (score.solution.b_plane, score.solution.arrival, *score.solution.parameters):
+        for check in _checks(score.solution):
             _add_check_rows(table, check)
         console.print(table)
     points = plain_table("Points", ("section",), ("points", "of"))
@@ -123,6 +164,12 @@ def print_score(console: Console, score: OrtScore) -> None:
     )
 
 
+def _checks(solution: SolutionScore | OrbitScore) -> tuple[TruthCheck, ...]:
+    if isinstance(solution, OrbitScore):
+        return (solution.prediction, *solution.parameters)
+    return (solution.b_plane, solution.arrival, *solution.parameters)
+
+
 def _add_check_rows(table: Table, check: TruthCheck) -> None:
     style = STYLES.get(check.verdict, WRONG)
     rows = zip(
@@ -137,7 +184,8 @@ def _add_check_rows(table: Table, check: TruthCheck) -> None:
     )
     for label, *numbers, sigmas, unit in rows:
         name = f"{check.name.replace('_', ' ')} {label}".strip()
-        table.add_row(name, *(_number(n) for n in numbers), f"[{style}]{sigmas:+.2f}[/]", unit)
+        cells = (_number(n) for n in _shown_angles(numbers, unit))
+        table.add_row(name, *cells, f"[{style}]{sigmas:+.2f}[/]", SHOWN_UNITS.get(unit, unit))
 
 
 def _number(value: float) -> str:
@@ -176,7 +224,8 @@ def score(
     names = [picture.name for picture in package.pictures]
     path = solutions / SOLUTION_FILE
     picture_results(names, solutions)  # what cannot be read must not cost the seal
-    solution = OrtSolution.read(path) if path.is_file() else None
+    kind = OrtSolution if package.orbit is None else OrbitSolution
+    solution = kind.read(path) if path.is_file() else None
     key_file = key or package.key_path
     with logged_delivery(key_file, package.name, solutions, names, path) as delivery:
         truth = reveal(package, key_file)
@@ -241,11 +290,17 @@ def solve(
     package = open_rehearsal(folder)
     if not only_estimate:
         _process_pictures(package, with_options(package_processing(package), given), out, jobs, again)
-    solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma, history=True)
-    solution.write(out / SOLUTION_FILE)
-    write_text(out / SOLUTION_PAGE_FILE, report.solution_page(solution, package.title))
     console = Console(soft_wrap=False)
-    print_solution(console, solution)
+    if package.orbit is not None:
+        in_orbit = solve_orbit_rehearsal(package, out)
+        in_orbit.write(out / SOLUTION_FILE)
+        write_text(out / SOLUTION_PAGE_FILE, report.orbit_solution_page(in_orbit, package.title))
+        print_orbit_solution(console, in_orbit)
+    else:
+        solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma, history=True)
+        solution.write(out / SOLUTION_FILE)
+        write_text(out / SOLUTION_PAGE_FILE, report.solution_page(solution, package.title))
+        print_solution(console, solution)
     console.print(
         f"Solution in {shown(str(out / SOLUTION_FILE))}, to look at in {SOLUTION_PAGE_FILE}",
         highlight=False,
@@ -291,6 +346,13 @@ def new(
         int | None,
         typer.Option("--jobs", "-j", min=1, help="Processes; default: all cores.", show_default=False),
     ] = None,
+    shape: Annotated[
+        str | None,
+        typer.Option(
+            help="In orbit: a shape model in place of the made surface, in km unless told (bennu.obj:m).",
+            show_default=False,
+        ),
+    ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the ready scenarios.")] = False,
 ) -> None:
     """Make the package of a rehearsal: pictures, predicted kernels, a briefing, and the truth under seal.
@@ -298,6 +360,8 @@ def new(
     [bold]Example[/]
 
       opnav ort new new_horizons/pluto_final_approach --out ort_1
+
+      opnav ort new osiris_rex/bennu_orbit --out ort_2 --shape bennu.obj:m
 
     The team gets the folder ort_1 (start with ort_1/briefing.html).
     The director keeps ort_1.key, which alone opens the truth.
@@ -310,10 +374,14 @@ def new(
             )
         console.print(_scenario_table())
         return
+    content = load_ort_scenario(scenario)
+    if shape is not None:
+        named = shape_file(shape)
+        content = content.with_shape(named.path, named.unit)
     with picture_progress() as progress:
         task = progress.add_task("opening kernels and catalog", total=None)
         package = new_rehearsal(
-            scenario,
+            content,
             out,
             seed=seed,
             jobs=jobs or os.cpu_count() or 1,

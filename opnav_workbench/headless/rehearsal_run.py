@@ -12,10 +12,18 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_value, make_folder, sha256_of, text_of
 from opnav_workbench.processes import in_processes
 from opnav_workbench.processing import OpenedProcessing, Outcome, Processing, process_image
+from opnav_workbench.processing.carrying import may_take_pointing
+from opnav_workbench.processing.pictures import with_carried
 from opnav_workbench.rehearsal.package import OrtPackage
-from opnav_workbench.session import RESULT_FILE
+from opnav_workbench.session import RESULT_FILE, Settings
 
 __all__ = ["package_processing", "process_package"]
+
+CARRY_WITHIN_S = 60.0  # pairs in orbit: a long exposure for its stars, and a short one for the surface
+
+CARRY_WITHIN_S = 60.0  # pairs in orbit: a long exposure for its stars, and a short one for the surface
+# A surface that fills a picture has thousands of detections and no star: the attitude is known, the sky is not searched.
+NO_WIDE_SEARCH: dict[str, float | int] = {"wider_shift_px": 0.0, "widest_shift_px": 0.0, "lost_detections": 0}
 
 OutcomeCallback = Callable[[Outcome], None]
 
@@ -57,20 +65,36 @@ def process_package(
     if jobs < 1:
         raise SessionError(f"{jobs} jobs; give 1 or more.")
     folder = make_folder(out)
+    options = how or package_processing(package)
     paths = [picture.path for picture in package.pictures]
     kept = (
         {}
         if again
         else {path: outcome for path in paths if (outcome := _earlier_outcome(path, folder)) is not None}
     )
+    settings = Settings.from_dict(dict(options.settings))
+
+    def told(outcome: Outcome) -> None:
+        if not may_take_pointing(outcome.result, settings):  # else when its neighbors are done too
+            done(outcome)
+
     for outcome in kept.values():
-        done(outcome)
+        told(outcome)
     left = [path for path in paths if path not in kept]
-    opening = partial(_opened, how or package_processing(package))
+    opening = partial(_opened, options)
     work = partial(_process_picture, out=folder)
-    made = in_processes(left, jobs, opening, work, done)
+    made = in_processes(left, jobs, opening, work, told)
     found = kept | dict(zip(left, made, strict=True))
-    return tuple(found[path] for path in paths)
+    outcomes = tuple(found[path] for path in paths)
+    waiting = [outcome for outcome in outcomes if may_take_pointing(outcome.result, settings)]
+    if not waiting:
+        return outcomes
+    with _opened(options) as opened:
+        outcomes = with_carried(outcomes, opened)
+    for path, outcome in zip(paths, outcomes, strict=True):
+        if may_take_pointing(found[path].result, settings):
+            done(outcome)
+    return outcomes
 
 
 def _earlier_outcome(path: Path, out: Path) -> Outcome | None:
@@ -97,9 +121,17 @@ def _process_picture(opened: OpenedProcessing, path: Path, out: Path) -> Outcome
 
 def package_processing(package: OrtPackage) -> Processing:
     """Return how the pictures of a package are processed, if nobody says otherwise."""
-    return Processing(
+    how = Processing(
         mission=package.mission,
         kernels=str(package.metakernel),
         catalog=package.catalog,
         targets=package.targets,
+    )
+    if package.orbit is None:
+        return how
+    body = package.orbit.body
+    return how.changed(
+        shapes={body: str(package.maps["shape"])},
+        landmarks={body: str(package.maps["maplets"])},
+        settings={"carry_within_s": CARRY_WITHIN_S, **NO_WIDE_SEARCH},
     )

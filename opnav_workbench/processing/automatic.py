@@ -139,6 +139,8 @@ def _target_steps(
     session: ImageSession, opened: OpenedProcessing, targets: Sequence[str]
 ) -> Iterator[tuple[str, Callable[[], object]]]:
     for name in _largest_first(session, opened, targets):
+        if _fills_picture(session, opened, name):
+            continue
         yield f"finding {name}", lambda name=name: _find_target(session, opened, name)  # type: ignore[misc]
     for name in _with_landmarks(session, opened, targets):
         yield f"finding landmarks of {name}", lambda name=name: _find_landmarks(session, opened, name)  # type: ignore[misc]
@@ -150,6 +152,14 @@ def _with_landmarks(session: ImageSession, opened: OpenedProcessing, targets: Se
     known = opened.mission.target_surfaces
     named = [n for n in targets if n in opened.how.landmarks or (n in known and known[n].maplets is not None)]
     return [n for n in named if session.predict_body(n).diameter_px > LANDMARKS_FROM_PX]
+
+
+def _fills_picture(session: ImageSession, opened: OpenedProcessing, name: str) -> bool:
+    """Whether a body is wider than the picture and has maplets: its landmarks tell more than what shows of its limb."""
+    camera = session.context.camera
+    if not _with_landmarks(session, opened, [name]):
+        return False
+    return session.predict_body(name).diameter_px > max(camera.n_pixel, camera.n_line)
 
 
 def _find_landmarks(session: ImageSession, opened: OpenedProcessing, name: str) -> None:

@@ -187,15 +187,17 @@ def process_images(
                 waiting.append(image)  # told when its neighbors are done too
             else:
                 done(outcome)
-        carried = _with_carried(outcomes, opened, say)
+        carried = with_carried(outcomes, opened, say)
         for outcome in carried:
             if outcome.image in waiting:
                 done(outcome)
     return carried
 
 
-def _with_carried(
-    outcomes: Sequence[Outcome], opened: OpenedProcessing, say: Callable[[str, str], None]
+def with_carried(
+    outcomes: Sequence[Outcome],
+    opened: OpenedProcessing,
+    say: Callable[[str, str], None] = lambda _name, _words: None,
 ) -> tuple[Outcome, ...]:
     """Return the outcomes after pictures without stars have taken their neighbors' pointing, where that is asked for."""
     folders = [outcome.folder for outcome in outcomes if outcome.folder is not None]

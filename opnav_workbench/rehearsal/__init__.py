@@ -28,6 +28,8 @@ Operational readiness tests (ORT) go `new_rehearsal` -> `open_rehearsal` -> `sol
     What a team made of the pictures, and the observables that count.
 ``solution``
     The team's estimate of states and flyby, and its file.
+``orbit``
+    In orbit: the team's map of the body, its estimate from landmarks, and how both are scored.
 ``truth_checks``
     What was delivered held against the truth: quantities, stars, pictures, the solution.
 ``score``

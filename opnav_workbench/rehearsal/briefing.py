@@ -15,7 +15,13 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.files import write_text
 from opnav_workbench.kernels import et_from_utc
 from opnav_workbench.mission import Mission
-from opnav_workbench.rehearsal.package import BRIEFING_FILE, BRIEFING_PAGE_FILE, OrtContent, PictureContent
+from opnav_workbench.rehearsal.package import (
+    BRIEFING_FILE,
+    BRIEFING_PAGE_FILE,
+    BPlaneContent,
+    OrtContent,
+    PictureContent,
+)
 from opnav_workbench.scene.states import body_target
 
 __all__ = ["BriefingSection", "as_html", "as_markdown", "write_briefing"]
@@ -123,12 +129,24 @@ def _html_row(cells: Sequence[str], tag: str) -> str:
 
 # ---- The briefing of a rehearsal: what the team is told, as text and as a page, from the same few sections.
 
+NEAR_KM = 1e4  # distances are told in km below
 POSSIBLE = (
     "Ephemerides: the target system's or the spacecraft's own may be wrong, and with it B-plane point and time of flight.",
     "Attitudes may be off by far more than the camera's a priori error.",
     "A surface may have an albedo that nobody knows; the mission file holds a uniform one.",
     "The camera's focal length or distortion may have changed since its calibration.",
     "Images may be lost or damaged, and a storm of cosmic rays may have hit the detector.",
+)
+POSSIBLE_IN_ORBIT = (
+    "The spacecraft's place and velocity relative to the body may be wrong.",
+    "The body's pole, prime meridian and spin may be wrong, and so may the map: its size, heights and places.",
+    "The body may fill a picture so that it shows no star, or be saturated in one that shows stars.",
+)
+DELIVER_IN_ORBIT = (
+    "For each picture: its pointing (of stars, carried, or of landmarks) with covariance, and the stars and landmarks used.",
+    "Place and velocity of the spacecraft, pole, prime meridian and spin of the body, size of the map, with covariance.",
+    "Where the spacecraft will be at the time of the prediction, with covariance.",
+    "A list of pictures that were not used, and why; anything seen that was not predicted.",
 )
 DELIVER = (
     "For each picture: camera pointing with covariance, the stars used, the centers of all targets with covariance.",
@@ -162,23 +180,46 @@ def briefing_sections(
     """Return the parts of the briefing, in order; `cameras` by picture."""
     return (
         BriefingSection("Situation", (content.description,)),
-        _flyby_section(content),
+        _orbit_section(content) if content.b_plane is None else _flyby_section(content, content.b_plane),
         _picture_section(content, mission, cameras),
         _parameter_section(content),
-        BriefingSection("What may be different from the prediction", items=POSSIBLE),
+        BriefingSection(
+            "What may be different from the prediction",
+            items=POSSIBLE if content.orbit is None else (*POSSIBLE_IN_ORBIT, *POSSIBLE[1:]),
+        ),
         BriefingSection(
             "Deliver",
             (
                 f"By {_shown(content.due_utc)} UTC, from the pictures and the predicted kernels of this package alone.",
             ),
-            (*DELIVER, *content.deliver),
+            (*(DELIVER if content.orbit is None else DELIVER_IN_ORBIT), *content.deliver),
         ),
         _file_section(content),
     )
 
 
-def _flyby_section(content: OrtContent) -> BriefingSection:
-    plane = content.b_plane
+def _orbit_section(content: OrtContent) -> BriefingSection:
+    orbit = content.orbit
+    assert orbit is not None  # a rehearsal is of a flyby or in orbit
+    rows = (
+        ("Body", f"{orbit.body}, GM {orbit.gm_km3_s2:.5g} km^3/s^2"),
+        (
+            "Distance from its center",
+            f"{orbit.distance_km:,.2f} km at the epoch, {_shown(content.epoch_utc)} UTC",
+        ),
+        (
+            "Pole, prime meridian (1 sigma)",
+            f"{orbit.pole_sigma_deg:g} deg, {orbit.meridian_sigma_deg:g} deg at the epoch",
+        ),
+        ("Spin rate (1 sigma)", f"{orbit.spin_sigma:g} of it"),
+        ("Size of the map along each axis (1 sigma)", f"{orbit.map_sigma:g} of it"),
+        ("Map", f"{orbit.maplets} (landmarks), {orbit.shape} (shape): opnav landmarks show {orbit.maplets}"),
+        ("Prediction asked for", f"place relative to {orbit.body} at {_shown(orbit.predict_utc)} UTC"),
+    )
+    return BriefingSection("Orbit and body as believed", head=("Quantity", "Value"), rows=rows)
+
+
+def _flyby_section(content: OrtContent, plane: BPlaneContent) -> BriefingSection:
     rows = (
         ("Body", plane.body),
         ("Closest approach", f"{_shown(plane.closest_utc)} UTC, {plane.closest_km:,.0f} km from its center"),
@@ -225,7 +266,11 @@ def _targets(picture: PictureContent, mission: Mission, camera: Camera) -> Itera
         if target.sun_position_km is not None:
             cosine = -target.direction @ target.sun_position_km / np.linalg.norm(target.sun_position_km)
             phase = f", {np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))):.0f}°"
-        yield f"{name} {target.range_km / 1e6:.2f} million km{size}{phase}"
+        yield f"{name} {_distance(target.range_km)}{size}{phase}"
+
+
+def _distance(range_km: float) -> str:
+    return f"{range_km / 1e6:.2f} million km" if range_km >= NEAR_KM else f"{range_km:,.2f} km"
 
 
 def _parameter_section(content: OrtContent) -> BriefingSection:
@@ -251,9 +296,15 @@ def _file_section(content: OrtContent) -> BriefingSection:
         "hold the predicted attitude and trajectory, as the kernels do. ort.yaml has the checksums of all files; the truth "
         "is sealed."
     )
+    orbit = content.orbit
+    maps = (
+        ""
+        if orbit is None
+        else f"--landmarks {orbit.body}:{orbit.maplets} --shapes {orbit.body}:{orbit.shape} "
+    )
     process = (
         f"opnav process pictures/*.fit --mission {mission} --kernels {content.kernels} --catalog {content.catalog} "
-        f"--targets {','.join(content.targets)} --out ../run"
+        f"--targets {','.join(content.targets)} {maps}--out ../run"
     )
     commands = (process, "opnav ort solve . --out ../run")
     return BriefingSection("Files and tools", (words,), commands=commands)

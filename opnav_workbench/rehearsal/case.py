@@ -1,24 +1,33 @@
 """The case of one rehearsal: every perturbation as the seed draws it, in the parameters that the team estimates.
 
 Each kind has random numbers of its own, by its name, so that one perturbation more or less changes no other. Straight
-lines carry an offset from the epoch to the pictures, as they carry the estimate back: the truth is what the solution's
-own model can say. What the Sun's tide would make of an offset is a share GM t^2 / 2 r^3 of it: at Pluto some millionths in a
-month, at Bennu half a percent in a week.
+lines (in orbit, two-body motion) carry an offset from the epoch to the pictures, as they carry the estimate back: the truth
+is what the solution's own model can say. What the Sun's tide would make of an offset is a share GM t^2 / 2 r^3 of it: at
+Pluto some millionths in a month, at Bennu half a percent in a week.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.constants import SUN_ID
 from opnav_workbench.errors import MissionError
-from opnav_workbench.estimation import BPlane, b_plane, b_plane_partials
+from opnav_workbench.estimation import BPlane, b_plane, b_plane_partials, kepler, straight_line
+from opnav_workbench.estimation.body import BodyRotation
 from opnav_workbench.geometry import unit
-from opnav_workbench.kernels import body_gm_km3_s2, et_from_utc, state
+from opnav_workbench.kernels import body_attitude, body_gm_km3_s2, et_from_utc, state
 from opnav_workbench.mission import Mission
-from opnav_workbench.rehearsal.scenario import Distribution, OrtPerturbations, OrtScenario
+from opnav_workbench.rehearsal.scenario import (
+    BodyError,
+    Distribution,
+    OrtEntry,
+    OrtPerturbations,
+    OrtScenario,
+)
 from opnav_workbench.simulation.randomness import seed_of_name
 
 __all__ = ["OrtCase", "OrtGeometry", "draw_case", "geometry_at_epoch", "perturbation_random"]
@@ -73,6 +82,15 @@ class OrtCase:
         Camera faults: relative, px.
     missing, truncated, gaps, storm
         Pictures that do not arrive, arrive in part, have data gaps, have a storm.
+    body_step : (4,) array
+        From the believed rotation of the body in orbit to the true one: pole east and north, phase (rad), rate (rad/s), as
+        `opnav_workbench.estimation.body.BodyRotation.turned` takes it.
+    map_log : (3,) array
+        Logarithms of the size of the team's map over the true surface, along the body's axes.
+    terrain_seed
+        Of a made surface, and of what is wrong with the map.
+    orbit : ((6,) array, float), optional
+        Predicted state relative to the body at the epoch and its GM, about which offsets grow.
     """
 
     seed: int
@@ -87,13 +105,17 @@ class OrtCase:
     gaps: tuple[str, ...] = ()
     storm: tuple[str, ...] = ()
     storm_rate_per_cm2_s: float = 0.0
+    body_step: FloatArray = field(default_factory=lambda: np.zeros(4))
+    map_log: FloatArray = field(default_factory=lambda: np.zeros(3))
+    terrain_seed: int = 0
+    orbit: tuple[FloatArray, float] | None = None
 
     def offset(self, mover: str, later_s: float) -> FloatArray:
         """Return the offset (6,), km and km/s, of ``target`` or ``spacecraft`` so long after the epoch."""
         none = np.zeros(3)
-        velocity = self.offsets.get(f"{mover}_velocity", none)
-        position = self.offsets.get(f"{mover}_position", none) + later_s * velocity
-        return np.concatenate([position, velocity])
+        parts = [self.offsets.get(f"{mover}_{quantity}", none) for quantity in ("position", "velocity")]
+        transition = straight_line if self.orbit is None else kepler(*self.orbit)
+        return np.asarray(transition(0.0, later_s) @ np.concatenate(parts))
 
     def relative_state_error(self) -> FloatArray:
         """Return how the spacecraft's state relative to the target is off at the epoch (6,)."""
@@ -123,16 +145,17 @@ def geometry_at_epoch(scenario: OrtScenario, mission: Mission) -> OrtGeometry:
         There is no flyby of the body.
     """
     epoch = et_from_utc(scenario.epoch_utc)
-    found = state(mission.spacecraft_id, epoch, scenario.b_plane)
+    found = state(mission.spacecraft_id, epoch, scenario.center)
     moved = scenario.perturbations.target_barycenter
-    sun = state(SUN_ID, epoch, scenario.b_plane if moved is None else moved.body)
+    sun = state(SUN_ID, epoch, scenario.center if moved is None else moved.body)
     geometry = OrtGeometry(
         epoch_et=epoch,
         relative_state=np.concatenate([found.position_km, found.velocity_km_s]),
-        gm_km3_s2=body_gm_km3_s2(scenario.b_plane),
+        gm_km3_s2=body_gm_km3_s2(scenario.center),
         sunward=unit(sun.position_km),
     )
-    geometry.flyby()
+    if scenario.orbit is None:
+        geometry.flyby()
     return geometry
 
 
@@ -161,8 +184,8 @@ def draw_case(scenario: OrtScenario, geometry: OrtGeometry, seed: int) -> OrtCas
     return OrtCase(
         seed=seed,
         offsets=_draw_offsets(p, geometry, seed),
-        target=scenario.b_plane if p.target_barycenter is None else p.target_barycenter.body,
-        shifts_px=_draw_attitudes(p, names, seed),
+        target=scenario.center if p.target_barycenter is None else p.target_barycenter.body,
+        shifts_px=_draw_attitudes(p, scenario.sequence(), seed),
         albedo_seeds=_draw_albedo_seeds(p, seed),
         focal_length=0.0 if camera is None else draw_amount(camera.focal_length, rng),
         corner_px=0.0 if camera is None else draw_amount(camera.corner_px, rng),
@@ -173,7 +196,21 @@ def draw_case(scenario: OrtScenario, geometry: OrtGeometry, seed: int) -> OrtCas
         storm_rate_per_cm2_s=0.0
         if storm is None
         else draw_amount(storm.rate_per_cm2_s, perturbation_random(seed, "storm")),
+        **({} if scenario.orbit is None else _draw_body(p, scenario.orbit.body, geometry, seed)),
     )
+
+
+def _draw_body(p: OrtPerturbations, body: str, geometry: OrtGeometry, seed: int) -> dict[str, Any]:
+    """Return what is wrong with the believed body in orbit about it, and what its offsets grow about."""
+    wrong, rng = p.body or BodyError(), perturbation_random(seed, "body")
+    rate = BodyRotation.from_attitudes(lambda et: body_attitude(body, et), geometry.epoch_et).rate_rad_s
+    degrees = [draw_amount(amount, rng) for amount in (*wrong.pole_deg, wrong.meridian_deg)]
+    return {
+        "body_step": np.array([*np.radians(degrees), draw_amount(wrong.spin, rng) * rate]),
+        "map_log": np.log1p(_draw_vector(wrong.map_scale, rng)),
+        "terrain_seed": int(perturbation_random(seed, "terrain").integers(2**31)),
+        "orbit": (geometry.relative_state, geometry.gm_km3_s2),
+    }
 
 
 def draw_amount(amount: Distribution, rng: np.random.Generator) -> float:
@@ -256,17 +293,20 @@ def _b_plane_displacement(p: OrtPerturbations, geometry: OrtGeometry, seed: int)
 
 
 def _draw_attitudes(
-    p: OrtPerturbations, names: Sequence[str], seed: int
+    p: OrtPerturbations, pictures: Sequence[OrtEntry], seed: int
 ) -> dict[str, tuple[float, float, float]]:
     if p.attitude is None:
         return {}
-    found = {}
-    for name in names:
-        rng = perturbation_random(seed, f"attitude/{name}" if p.attitude.every_picture else "attitude")
+    found, first, last = {}, "", -np.inf
+    for picture in pictures:  # in the order of their times
+        now = datetime.fromisoformat(picture.time).timestamp()
+        first = picture.name if not first or now - last > p.attitude.held_s else first
+        last = now
+        rng = perturbation_random(seed, f"attitude/{first}" if p.attitude.every_picture else "attitude")
         angle = rng.uniform(0.0, 2.0 * np.pi)
         length = draw_amount(p.attitude.shift_px, rng)
         twist = draw_amount(p.attitude.twist_deg, rng)
-        found[name] = (float(length * np.cos(angle)), float(length * np.sin(angle)), twist)
+        found[picture.name] = (float(length * np.cos(angle)), float(length * np.sin(angle)), twist)
     return found
 
 

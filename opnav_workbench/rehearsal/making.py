@@ -40,11 +40,14 @@ from opnav_workbench.kernels.text_kernels import metakernel_assignments
 from opnav_workbench.mission import Mission, load_mission, mission_names
 from opnav_workbench.rehearsal.briefing import write_briefing
 from opnav_workbench.rehearsal.case import OrtCase, OrtGeometry, draw_case, geometry_at_epoch
+from opnav_workbench.rehearsal.orbit.team_map import maplets_name, shape_name, write_team_map
 from opnav_workbench.rehearsal.package import (
+    MAP_FOLDER,
     PACKAGE_FORMAT,
     PICTURE_FOLDER,
     SEALED_FILE,
     BPlaneContent,
+    OrbitContent,
     OrtContent,
     OrtPackage,
     PictureContent,
@@ -61,9 +64,9 @@ from opnav_workbench.rehearsal.pictures import (
     remove_missing,
     truncate_pictures,
 )
-from opnav_workbench.rehearsal.scenario import OrtEntry, OrtScenario, load_ort_scenario
+from opnav_workbench.rehearsal.scenario import OrbitTask, OrtEntry, OrtScenario, load_ort_scenario
 from opnav_workbench.rehearsal.sealed_truth import SealedTruth, seal, write_key
-from opnav_workbench.rehearsal.truth_content import sealed_values
+from opnav_workbench.rehearsal.truth_content import predicted_utc, sealed_values
 from opnav_workbench.scene import body_target, observer_from_kernels
 from opnav_workbench.simulation import Truth
 
@@ -327,9 +330,14 @@ class _PackageMaker:
             case = draw_case(self.scenario, geometry, self.seed)
             content = self._content(mission, named, metakernel, geometry, case)
             write_briefing(self.folder, content, mission, cameras)
+            if self.scenario.orbit is not None:
+                self.progress(0, total, "the map")
+                places = write_team_map(self.scenario, self.scenario.orbit, case, self.folder / MAP_FOLDER)
         truths = self._pictures(case, geometry, metakernel, total)
         with KernelSet(metakernel):
             values = sealed_values(self.scenario, case, geometry, truths, cameras, mission.spacecraft_id)
+        if self.scenario.orbit is not None:
+            values["orbit"] |= {"places_km": places}
         return self._seal(content, values)
 
     def _pictures(
@@ -365,7 +373,8 @@ class _PackageMaker:
             kernels=metakernel.relative_to(self.folder).as_posix(),
             epoch_utc=utc_from_et(geometry.epoch_et),
             parameters=s.parameters,
-            b_plane=_flyby_content(s.b_plane, geometry),
+            b_plane=None if s.b_plane is None else _flyby_content(s.b_plane, geometry),
+            orbit=None if s.orbit is None else _orbit_content(s.orbit, geometry, predicted_utc(s)),
             due_utc=(last + timedelta(hours=s.due_hours)).isoformat(timespec="seconds"),
             deliver=s.deliver,
             pictures=tuple(
@@ -402,6 +411,18 @@ def _cameras(scenario: OrtScenario, mission: Mission) -> dict[str, Camera]:
     sequence = scenario.sequence()
     read = {name: mission.camera_named(name) for name in dict.fromkeys(p.camera for p in sequence)}
     return {picture.name: read[picture.camera] for picture in sequence}
+
+
+def _orbit_content(orbit: OrbitTask, geometry: OrtGeometry, predict_utc: str) -> OrbitContent:
+    return OrbitContent(
+        body=orbit.body,
+        gm_km3_s2=geometry.gm_km3_s2,
+        distance_km=float(np.linalg.norm(geometry.relative_state[:3])),
+        maplets=f"{MAP_FOLDER}/{maplets_name(orbit.body)}",
+        shape=f"{MAP_FOLDER}/{shape_name(orbit.body)}",
+        predict_utc=predict_utc,
+        **orbit.model_dump(include={"pole_sigma_deg", "meridian_sigma_deg", "spin_sigma", "map_sigma"}),
+    )
 
 
 def _flyby_content(body: str, geometry: OrtGeometry) -> BPlaneContent:

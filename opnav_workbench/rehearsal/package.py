@@ -4,6 +4,7 @@ DIR/ort.yaml        mission, sequence, what to estimate and how well it is known
 DIR/briefing.md     the same for people, and briefing.html
 DIR/pictures/       flight-like pictures; headers hold what was predicted
 DIR/kernels/        the predicted kernels and their metakernel
+DIR/maps/           in orbit, the team's map of the body: maplets and a shape
 DIR/truth.sealed    what was true, encrypted
 DIR.key             opens it; stays with the director
 
@@ -31,6 +32,7 @@ from opnav_workbench.yaml_file import StrictModel, read_model
 __all__ = [
     "PACKAGE_FORMAT",
     "BPlaneContent",
+    "OrbitContent",
     "OrtContent",
     "OrtPackage",
     "OrtPicture",
@@ -62,6 +64,21 @@ class BPlaneContent(StrictModel):
     b_dot_r_km: float
     time_of_flight_s: float  # linearised, from the epoch
     v_infinity_km_s: float
+
+
+class OrbitContent(StrictModel):
+    """The body in orbit about it: its map, and how well body and map are known; sigmas at the epoch."""
+
+    body: str
+    gm_km3_s2: float
+    distance_km: float  # of the spacecraft at the epoch, as predicted
+    maplets: str
+    shape: str
+    pole_sigma_deg: PositiveFloat
+    meridian_sigma_deg: PositiveFloat
+    spin_sigma: PositiveFloat
+    map_sigma: PositiveFloat
+    predict_utc: str  # when the spacecraft's place is asked for
 
 
 class PictureContent(StrictModel):
@@ -98,7 +115,8 @@ class OrtContent(StrictModel):
     kernels: str
     epoch_utc: str
     parameters: dict[str, StatedSigma]
-    b_plane: BPlaneContent
+    b_plane: BPlaneContent | None = None
+    orbit: OrbitContent | None = None  # in place of a flyby
     due_utc: str
     deliver: tuple[str, ...]
     pictures: tuple[PictureContent, ...]
@@ -114,7 +132,12 @@ PACKAGE_FILE_HEAD = """\
 
 def public_digest(content: dict[str, Any]) -> str:
     """Return the SHA-256 of what the file tells, without the seal itself."""
-    told = {name: value for name, value in plain_values(content).items() if name not in SEAL_FIELDS}
+    told = {
+        name: value
+        for name, value in plain_values(content).items()
+        if name not in SEAL_FIELDS
+        and (name != "orbit" or value is not None)  # of packages older than the field
+    }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 
@@ -151,6 +174,7 @@ def read_content(folder: Path) -> OrtContent:
 BRIEFING_FILE = "briefing.md"
 BRIEFING_PAGE_FILE = "briefing.html"
 PICTURE_FOLDER = "pictures"
+MAP_FOLDER = "maps"
 SEALED_FILE = "truth.sealed"
 KEY_SUFFIX = ".key"
 MOST_NAMED = 5  # altered files that a message names
@@ -204,7 +228,11 @@ class OrtPackage:
     epoch_utc
         Of the corrected states.
     b_plane
-        Body, its GM, the pole, and the flyby as predicted.
+        Body, its GM, the pole, and the flyby as predicted; None in orbit.
+    orbit
+        The body in orbit about it, its map, and how well both are known; None of a flyby.
+    maps : mapping of str to Path
+        Of an orbit: ``maplets`` and ``shape``.
     sha256
         Of every file, by its path in the folder.
     commitment
@@ -225,7 +253,9 @@ class OrtPackage:
     pictures: tuple[OrtPicture, ...]
     parameters: Mapping[str, APrioriSigma]
     epoch_utc: str
-    b_plane: BPlaneContent
+    b_plane: BPlaneContent | None
+    orbit: OrbitContent | None
+    maps: Mapping[str, Path]
     due_utc: str
     sha256: Mapping[str, str] = field(repr=False)
     sealed: Path
@@ -303,12 +333,16 @@ def _package(home: Path, content: OrtContent) -> OrtPackage:
         "parameters",
         "epoch_utc",
         "b_plane",
+        "orbit",
     )
+    orbit = content.orbit
+    maps = {} if orbit is None else {"maplets": orbit.maplets, "shape": orbit.shape}
     return OrtPackage(
         folder=home,
         mission=content.mission if known else str(inside(home, content.mission)),
         metakernel=inside(home, content.kernels),
         pictures=pictures,
+        maps={name: inside(home, file) for name, file in maps.items()},
         due_utc=content.due_utc,
         sha256=content.sha256,
         sealed=inside(home, content.sealed_truth.file),

@@ -19,8 +19,10 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.distortion import DirectDistortion, Distortion
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
+from opnav_workbench.estimation.body import BodyRotation
 from opnav_workbench.files import make_folder
-from opnav_workbench.kernels import KernelSet, et_from_utc, state
+from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.kernels import KernelSet, body_attitude, et_from_utc, state
 from opnav_workbench.processes import in_processes
 from opnav_workbench.rehearsal.case import OrtCase, perturbation_random
 from opnav_workbench.rehearsal.scenario import OrtEntry, OrtScenario
@@ -164,21 +166,34 @@ def _drawn_bodies(scenario: OrtScenario) -> list[BodyAppearance]:
 
 
 def _true_appearance(body: BodyAppearance, scenario: OrtScenario, case: OrtCase) -> BodyAppearance:
+    if body.terrain is not None:
+        body = body.model_copy(
+            update={"terrain": body.terrain.model_copy(update={"seed": case.terrain_seed})}
+        )
     seeds = {name.upper(): seed for name, seed in case.albedo_seeds.items()}
     unknown = scenario.perturbations.albedo
     if unknown is None or body.name.upper() not in seeds:
         return body
-    mottled = Mottled(map="mottled", dark=unknown.dark, bright=unknown.bright, seed=seeds[body.name.upper()])
+    mottled = Mottled(
+        map="mottled",
+        dark=unknown.dark,
+        bright=unknown.bright,
+        seed=seeds[body.name.upper()],
+        **unknown.model_dump(include={"features", "smallest_deg", "largest_deg"}, exclude_none=True),
+    )
     return body.model_copy(update={"albedo": mottled})
 
 
 def _picture_entry(picture: OrtEntry, scenario: OrtScenario) -> PictureEntry:
+    targets = scenario.targets if picture.targets is None else picture.targets
+    if scenario.orbit is not None:  # it is near: there is no picture without it
+        targets = tuple(dict.fromkeys((*targets, scenario.orbit.body)))
     return PictureEntry(
         name=picture.name,
         utc=picture.utc,
         camera=picture.camera,
         exposure_s=picture.exposure_s,
-        targets=scenario.targets if picture.targets is None else picture.targets,
+        targets=targets,
     )
 
 
@@ -228,10 +243,21 @@ def _true_places(opened: OpenedScenario, picture: ScenarioPicture, batch: Pictur
     light_time_s = float(np.linalg.norm(seen.position_km)) / SPEED_OF_LIGHT_KM_S
     moved = case.offset("target", et - light_time_s - batch.epoch_et)[:3]
     bodies = (BodyOffset(name=case.target, offset_km=tuple(moved.tolist())),) if moved.any() else ()
+    if batch.scenario.orbit is not None:
+        turned = _turned_rad(batch.scenario.orbit.body, case, batch.epoch_et, et - light_time_s)
+        bodies = (*bodies, BodyOffset(name=batch.scenario.orbit.body, turned_rad=turned))
     spacecraft = SpacecraftOffset(
         position_km=tuple(craft[:3].tolist()), velocity_km_s=tuple(craft[3:].tolist())
     )
     return Perturbations(bodies=bodies, spacecraft=spacecraft)
+
+
+def _turned_rad(body: str, case: OrtCase, epoch_et: float, et: float) -> tuple[float, float, float]:
+    """Return how the body is turned from its believed orientation at a time, about its own axes."""
+    believed = BodyRotation.from_attitudes(lambda t: body_attitude(body, t), epoch_et)
+    true = believed.turned(case.body_step).body_from_j2000(et)
+    x, y, z = vector_from_rotation(true @ body_attitude(body, et).T).tolist()
+    return x, y, z
 
 
 def _true_detector(scenario: OrtScenario, case: OrtCase, name: str) -> DetectorEffects:

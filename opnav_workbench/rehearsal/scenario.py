@@ -11,6 +11,7 @@ albedo, camera, lost images, cosmic rays. Ready ones stand in ``kernels_meta/<mi
 from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from os import PathLike
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -27,13 +28,20 @@ from pydantic import (
 
 from opnav_workbench.errors import EstimationError, MissionError
 from opnav_workbench.estimation.parameters import parse_groups
+from opnav_workbench.paths import is_file
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario import require_short_series
-from opnav_workbench.simulation.scenario_file import BodyAppearance, ScenarioFile, require_distinct
+from opnav_workbench.simulation.scenario_file import (
+    BodyAppearance,
+    ScenarioFile,
+    ShapeFile,
+    require_distinct,
+)
 from opnav_workbench.yaml_file import Also, FileStem, StrictModel, Utc, check_model
 
 __all__ = [
     "Distribution",
+    "OrbitTask",
     "OrtEntry",
     "OrtPerturbations",
     "OrtScenario",
@@ -113,6 +121,16 @@ class AttitudePerturbation(StrictModel):
     shift_px: Amount = NOTHING  # length, in a direction that the seed draws
     twist_deg: Amount = NOTHING
     every_picture: bool = True  # an error of its own for each picture; else one for all
+    held_s: NonNegativeFloat = 0.0  # pictures that follow one another within this share their error
+
+
+class BodyError(StrictModel):
+    """True against believed orientation of the body in orbit about it, and the team's map against its true surface."""
+
+    pole_deg: tuple[Amount, Amount] = (NOTHING, NOTHING)  # toward east and north
+    meridian_deg: Amount = NOTHING  # at the epoch
+    spin: Amount = NOTHING  # of the rate, as a part of it
+    map_scale: Three = (NOTHING,) * 3  # the map is too large by this part along each axis
 
 
 class AlbedoError(StrictModel):
@@ -121,6 +139,9 @@ class AlbedoError(StrictModel):
     bodies: Annotated[tuple[str, ...], Field(min_length=1)]
     dark: Annotated[float, Field(ge=0.0, le=2.0)] = 0.2
     bright: Annotated[float, Field(gt=0.0, le=2.0)] = 0.8
+    features: PositiveInt | None = None  # number and sizes of patches; None: those of a mottled map
+    smallest_deg: PositiveFloat | None = None
+    largest_deg: PositiveFloat | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -170,6 +191,7 @@ class OrtPerturbations(StrictModel):
     time_of_flight_s: Amount = NOTHING  # positive: the spacecraft arrives later than predicted
     attitude: AttitudePerturbation | None = None
     albedo: AlbedoError | None = None
+    body: BodyError | None = None
     camera: CameraFault | None = None
     lost_images: LostImages | None = None
     data_gaps: DataGaps | None = None
@@ -249,6 +271,36 @@ class OrtEntry(StrictModel):
         )
 
 
+class OrbitTask(StrictModel):
+    """A rehearsal in orbit: the map of the body that the team gets, and how well body and map are known.
+
+    The map is made of the true surface: smoothed, stretched, its landmarks' places scattered.
+    """
+
+    body: Annotated[str, Field(min_length=1)]
+    spacing_km: PositiveFloat  # between landmarks, at least
+    sample_km: PositiveFloat  # between samples of a maplet
+    samples: Annotated[int, Field(ge=15, le=201)] = 41  # along a side of a maplet, odd
+    detail_km: PositiveFloat  # what is finer is not in the map
+    place_sigma_km: PositiveFloat  # of each landmark's place, each axis
+    pole_sigma_deg: PositiveFloat
+    meridian_sigma_deg: PositiveFloat  # at the epoch
+    spin_sigma: PositiveFloat  # of the rate, as a part of it
+    map_sigma: PositiveFloat  # of the map's size along each axis, as a part of it
+    predict_hours: PositiveFloat = 24.0  # after the last picture, for when the spacecraft's place is asked
+
+    @model_validator(mode="after")
+    def _odd(self) -> Self:
+        if self.samples % 2 == 0:
+            raise ValueError(
+                f"samples {self.samples} is even; a maplet has a middle sample, give an odd number"
+            )
+        return self
+
+
+ORBIT_PARAMETERS = ("spacecraft_position", "spacecraft_velocity")
+
+
 class OrtScenario(ScenarioFile):
     """A whole rehearsal; see the files in ``kernels_meta/<mission>/rehearsals``."""
 
@@ -262,7 +314,8 @@ class OrtScenario(ScenarioFile):
     catalog: str = "bundled"
     magnitude_limit: float = 30.0  # of catalog stars
     targets: Annotated[tuple[str, ...], Field(min_length=1)]
-    b_plane: str  # body whose B-plane the flyby is told in
+    b_plane: str | None = None  # body whose B-plane the flyby is told in
+    orbit: OrbitTask | None = None  # in place of a flyby
     parameters: Annotated[dict[str, Sigma], Field(min_length=1)]  # to estimate, with a priori sigmas
     epoch: Utc | None = None  # of the corrected states; None: the last picture
     due_hours: PositiveFloat = 24.0  # after the last picture is received
@@ -289,6 +342,32 @@ class OrtScenario(ScenarioFile):
     def _pictures_once(cls, pictures: tuple[OrtEntry, ...]) -> tuple[OrtEntry, ...]:
         require_distinct([picture.name for entry in pictures for picture in entry.expanded()])
         return pictures
+
+    @model_validator(mode="after")
+    def _flyby_or_orbit(self) -> Self:
+        if (self.b_plane is None) == (self.orbit is None):
+            raise ValueError("give b_plane (of a flyby) or orbit, one of them")
+        p = self.perturbations
+        if self.orbit is None:
+            if p.body is not None:
+                raise ValueError("perturbations.body goes with orbit: a flyby's team does not solve for it")
+            return self
+        if set(self.parameters) != set(ORBIT_PARAMETERS) or any(
+            isinstance(sigma, tuple) for sigma in self.parameters.values()
+        ):
+            raise ValueError(
+                f"parameters: with orbit give {' and '.join(ORBIT_PARAMETERS)}, one sigma each for all axes"
+            )
+        if p.target_barycenter is not None or p.b_plane_target is not None or _given((p.time_of_flight_s,)):
+            raise ValueError(
+                "target_barycenter, b_plane_target and time_of_flight_s go with a flyby, not with orbit"
+            )
+        return self
+
+    @property
+    def center(self) -> str:
+        """Body that the spacecraft's state is told from."""
+        return self.orbit.body if self.orbit is not None else str(self.b_plane)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -339,6 +418,26 @@ class OrtScenario(ScenarioFile):
             self.WHAT,
             MissionError,
         ).at_path(self.path)
+
+    def with_shape(self, file: Path, unit: str = "km") -> "OrtScenario":
+        """Return a scenario in orbit with the surface of a shape model in place of a made one.
+
+        Raises
+        ------
+        MissionError
+            It is no scenario in orbit, or there is no such file.
+        """
+        if self.orbit is None:
+            raise MissionError("a shape goes with a rehearsal in orbit, such as osiris_rex/bennu_orbit.")
+        if not is_file(file):
+            raise MissionError(f"shape of {self.orbit.body}: there is no file {file}.")
+        found = check_model({"file": str(file.absolute()), "unit": unit}, ShapeFile, "shape", MissionError)
+        body = self.orbit.body.upper()
+        bodies = tuple(
+            one if one.name.upper() != body else one.model_copy(update={"shape": found, "terrain": None})
+            for one in self.bodies
+        )
+        return self.model_copy(update={"bodies": bodies}).at_path(self.path)
 
     def _fewer(self, kept: tuple[OrtEntry, ...]) -> dict[str, Any]:
         content = self.perturbations.model_dump()

@@ -12,9 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import chdtrc
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
+from opnav_workbench.errors import SessionError
 from opnav_workbench.files import plain_values
 from opnav_workbench.mission import load_mission
+from opnav_workbench.rehearsal.orbit.scoring import OrbitScore, pictures_in_orbit, score_orbit
+from opnav_workbench.rehearsal.orbit.solution import OrbitSolution
 from opnav_workbench.rehearsal.results import PictureResult, picture_results
 from opnav_workbench.rehearsal.sealed_truth import Delivery
 from opnav_workbench.rehearsal.solution import OrtSolution
@@ -46,6 +50,8 @@ SECTIONS = {
     "estimate": 20.0,
     "B-plane": 20.0,
 }
+# In orbit, in place of centers and B-plane.
+ORBIT_SECTIONS = {"landmarks": 20.0, "prediction": 20.0}
 # Claimed sigma over the one that the pictures support, in the worst direction.
 OVERCONFIDENT, BOLD = 0.5, 0.25
 TIMID = 3.0  # the same, the other way: a solution that hides behind its sigmas
@@ -71,6 +77,14 @@ RULE = (
     f"more than {WRONG_SIGMAS:g} sigma off, the claimed sigmas are less than {BOLD:g} of what the pictures support, no "
     "solution is delivered, or a file was changed after the truth was opened."
 )
+
+RULE_IN_ORBIT = (
+    "In orbit landmarks stand in place of centers and the prediction in place of the B-plane. A picture without stars is "
+    "solved where four landmarks or more, or a neighbor's stars, tell its pointing; stars are asked for where eight or more "
+    "show. Landmarks 20 (share of the surface's pictures with four or more, at most one in a hundred of them false, their "
+    "errors at most twice their sigmas in the mean); prediction 20 (the spacecraft's place at the time asked for within "
+    f"{GOOD_SIGMAS:g} sigma; sharper than before). The rest is as of a flyby: "
+) + RULE
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +121,11 @@ class Grade:
 
 
 def grade_rehearsal(
-    pictures: Sequence[PictureScore], solution: SolutionScore | None, altered: Sequence[str]
+    pictures: Sequence[PictureScore],
+    solution: SolutionScore | OrbitScore | None,
+    altered: Sequence[str],
+    *,
+    in_orbit: bool = False,
 ) -> Grade:
     """Grade a rehearsal by `RULE`.
 
@@ -122,8 +140,8 @@ def grade_rehearsal(
         _picture_section(pictures),
         _pointing_section(pictures),
         _star_section(pictures),
-        _center_section(pictures),
-        *_solution_sections(solution),
+        _landmark_section(pictures) if in_orbit else _center_section(pictures),
+        *_solution_sections(solution, "prediction" if in_orbit else "B-plane"),
     )
     faults = (*_picture_faults(pictures), *_solution_faults(solution), *_altered(altered))
     points = sum(section.earned for section in sections)
@@ -134,7 +152,8 @@ def grade_rehearsal(
 
 def _share_section(name: str, good: Sequence[bool], losses: Sequence[str]) -> GradeSection:
     share = float(np.mean(good)) if len(good) else 0.0
-    return GradeSection(name, SECTIONS[name] * share, SECTIONS[name], tuple(losses))
+    possible = (SECTIONS | ORBIT_SECTIONS)[name]
+    return GradeSection(name, possible * share, possible, tuple(losses))
 
 
 def _picture_section(pictures: Sequence[PictureScore]) -> GradeSection:
@@ -159,7 +178,9 @@ def _pointing_section(pictures: Sequence[PictureScore]) -> GradeSection:
 
 
 def _star_section(pictures: Sequence[PictureScore]) -> GradeSection:
-    usable = _usable(pictures)
+    usable = [p for p in _usable(pictures) if p.stars_asked]
+    if not usable and _usable(pictures):
+        return GradeSection("stars", SECTIONS["stars"], SECTIONS["stars"])  # nothing was asked
     losses = [
         f"{p.name}: {p.stars.found} found, {len(p.stars.missed)} missed, {len(p.stars.false)} false"
         for p in usable
@@ -181,10 +202,23 @@ def _center_section(pictures: Sequence[PictureScore]) -> GradeSection:
     return _share_section("centers", counted, losses)
 
 
-def _solution_sections(solution: SolutionScore | None) -> tuple[GradeSection, GradeSection]:
+def _landmark_section(pictures: Sequence[PictureScore]) -> GradeSection:
+    asked = [p for p in _usable(pictures) if p.landmarks is not None and p.landmarks.asked]
+    good = [p.landmarks is not None and p.landmarks.good for p in asked]
+    losses = [
+        f"{p.name}: {p.landmarks.accepted} landmarks, {p.landmarks.false} false, errors {p.landmarks.rms_sigmas:.1f} sigma"
+        for p, fine in zip(asked, good, strict=True)
+        if p.landmarks is not None and not fine
+    ]
+    return _share_section("landmarks", good, losses)
+
+
+def _solution_sections(
+    solution: SolutionScore | OrbitScore | None, last: str
+) -> tuple[GradeSection, GradeSection]:
     if solution is None:
         nothing = ("no solution delivered",)
-        return _share_section("estimate", [], nothing), _share_section("B-plane", [], nothing)
+        return _share_section("estimate", [], nothing), _share_section(last, [], nothing)
     least, largest = solution.sigma_ratio
     checks = [(c.verdict == "good", _off(c)) for c in solution.parameters]
     fit = solution.solution.probability
@@ -192,11 +226,27 @@ def _solution_sections(solution: SolutionScore | None) -> tuple[GradeSection, Gr
     believable = bool(least >= OVERCONFIDENT and largest <= TIMID)
     words = f"claimed sigmas are {least:.2g} to {largest:.2g} times what the pictures support"
     checks.append((believable, solution.remark or words))
-    before = np.diag(solution.solution.b_plane_covariance_before)
-    sharper = bool(np.prod(np.diag(solution.solution.b_plane_covariance) / before) < 1.0)
-    flight = [(c.verdict == "good", _off(c)) for c in (solution.b_plane, solution.arrival)]
-    flight.append((sharper, "B-plane no sharper than before"))
-    return _listed_section("estimate", checks), _listed_section("B-plane", flight)
+    after, before = (np.diag(matrix) for matrix in _sharpened(solution))
+    sharper = bool(np.prod(after / before) < 1.0)
+    flight = [(c.verdict == "good", _off(c)) for c in _asked_of(solution)]
+    flight.append((sharper, f"{last} no sharper than before"))
+    return _listed_section("estimate", checks), _listed_section(last, flight)
+
+
+def _asked_of(solution: SolutionScore | OrbitScore) -> tuple[TruthCheck, ...]:
+    """Return what the parameters are for: flyby, or place at a later time."""
+    return (
+        (solution.b_plane, solution.arrival)
+        if isinstance(solution, SolutionScore)
+        else (solution.prediction,)
+    )
+
+
+def _sharpened(solution: SolutionScore | OrbitScore) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance of that, after and before."""
+    if isinstance(solution, SolutionScore):
+        return solution.solution.b_plane_covariance, solution.solution.b_plane_covariance_before
+    return solution.solution.place_covariance_km2, solution.solution.place_covariance_before_km2
 
 
 def _listed_section(name: str, checks: Sequence[tuple[bool, str]]) -> GradeSection:
@@ -237,12 +287,12 @@ def center_scatter(pictures: Sequence[PictureScore]) -> tuple[float, float]:
     return float(np.sqrt(squares.mean())), float(chdtrc(len(squares), squares.sum()))
 
 
-def _solution_faults(solution: SolutionScore | None) -> list[GradeCap]:
+def _solution_faults(solution: SolutionScore | OrbitScore | None) -> list[GradeCap]:
     if solution is None:
         return [GradeCap("F", "no solution delivered")]
     faults = [
         GradeCap("F" if c.verdict == "wrong" else "C", _off(c))
-        for c in (*solution.parameters, solution.b_plane, solution.arrival)
+        for c in (*solution.parameters, *_asked_of(solution))
         if c.verdict != "good"
     ]
     least, largest = solution.sigma_ratio
@@ -287,7 +337,7 @@ class OrtScore:
     title: str
     perturbed: tuple[str, ...]
     pictures: tuple[PictureScore, ...]
-    solution: SolutionScore | None
+    solution: SolutionScore | OrbitScore | None
     grade: Grade
     delivery: Delivery | None
     center_scatter: tuple[float, float]
@@ -304,11 +354,11 @@ def score_rehearsal(
     package: "OrtPackage",
     truth: "OrtTruth",
     results: str | Path,
-    solution: OrtSolution | None,
+    solution: OrtSolution | OrbitSolution | None,
     *,
     delivery: Delivery | None = None,
 ) -> OrtScore:
-    """Hold what a team delivered against the truth, and grade it by `RULE`.
+    """Hold what a team delivered against the truth, and grade it by `RULE` (in orbit by `RULE_IN_ORBIT`).
 
     Parameters
     ----------
@@ -327,12 +377,24 @@ def score_rehearsal(
     mission = load_mission(package.mission)
     cameras = {c.name: c for c in (Camera.from_yaml(choice.file) for choice in mission.cameras)}
     reported = picture_results((p.name for p in package.pictures), results)
-    disk_sigma_px = 0.0 if solution is None else solution.disk_sigma_px
+    flyby = solution if isinstance(solution, OrtSolution) else None
+    disk_sigma_px = 0.0 if flyby is None else flyby.disk_sigma_px
     pictures = tuple(
         _score_one_picture(package, truth, picture, found, cameras, disk_sigma_px)
         for picture, found in zip(package.pictures, reported, strict=True)
     )
-    scored = None if solution is None else score_solution(package, truth, results, solution)
+    in_orbit = package.orbit is not None
+    if solution is not None and in_orbit == (flyby is not None):
+        raise SessionError(
+            f"{package.name}: the solution is of a rehearsal of another kind, a flyby or an orbit."
+        )
+    scored: SolutionScore | OrbitScore | None = None
+    if in_orbit:
+        orbit = solution if not isinstance(solution, OrtSolution) else None
+        pictures = pictures_in_orbit(package, truth, reported, pictures, orbit)
+        scored = None if orbit is None else score_orbit(package, truth, results, orbit)
+    elif flyby is not None:
+        scored = score_solution(package, truth, results, flyby)
     altered = () if delivery is None else delivery.altered
     return OrtScore(
         package=package.name,
@@ -340,9 +402,10 @@ def score_rehearsal(
         perturbed=tuple(truth.words),
         pictures=pictures,
         solution=scored,
-        grade=grade_rehearsal(pictures, scored, altered),
+        grade=grade_rehearsal(pictures, scored, altered, in_orbit=in_orbit),
         delivery=delivery,
         center_scatter=center_scatter(pictures),
+        rule=RULE_IN_ORBIT if in_orbit else RULE,
     )
 
 

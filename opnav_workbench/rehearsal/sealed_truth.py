@@ -15,7 +15,7 @@ import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -111,6 +111,10 @@ class OrtTruth:
         What was perturbed, for people.
     scenario
         As it was read.
+    orbit
+        Of a rehearsal in orbit: ``body_step`` (4,) and ``map_log`` (3,), what makes rotation and map right,
+        ``predicted_place_km`` (3,), where the spacecraft truly is at the time of the prediction, and ``places_km``, where
+        the landmarks truly are (body-fixed), by name. Empty of a flyby.
     """
 
     parameters: Mapping[str, FloatArray]
@@ -125,6 +129,7 @@ class OrtTruth:
     words: tuple[str, ...]
     seed: int
     scenario: Mapping[str, Any]
+    orbit: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -246,6 +251,7 @@ def _truth_of_values(values: Mapping[str, Any], package: OrtPackage) -> OrtTruth
         words=tuple(values["words"]),
         seed=int(values["seed"]),
         scenario=values["scenario"],
+        orbit=values.get("orbit", {}),
     )
 
 

@@ -129,7 +129,7 @@ def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
         **{name: float(content[name]) for name in NUMBER_FIELDS},
     }
     for name, shape in ARRAY_SHAPES.items():
-        fields[name] = _checked_array(
+        fields[name] = checked_array(
             name, content[name], tuple(n if size == "n" else int(size) for size in shape)
         )
     for name in OPTIONAL_FIELDS:
@@ -146,7 +146,7 @@ def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
     return fields
 
 
-def _checked_array(name: str, value: Any, shape: tuple[int, ...]) -> Any:
+def checked_array(name: str, value: Any, shape: tuple[int, ...]) -> Any:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; expected {shape}")
@@ -160,7 +160,7 @@ def _checked_array(name: str, value: Any, shape: tuple[int, ...]) -> Any:
 def _cutoff_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
     shapes = {"b_plane": (3,), "covariance": (3, 3)}
     told = {"picture": str(row["picture"]), "et": float(row["et"]), "pictures": int(row["pictures"])}
-    return told | {name: _checked_array(name, row[name], shape) for name, shape in shapes.items()}
+    return told | {name: checked_array(name, row[name], shape) for name, shape in shapes.items()}
 
 
 def _residual_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -225,6 +225,8 @@ def predicted_flyby(package: "OrtPackage") -> PredictedFlyby:
     EstimationError
         There is no flyby.
     """
+    if package.b_plane is None:
+        raise EstimationError(f"{package.name} is a rehearsal in orbit: it has no flyby.")
     body = package.b_plane.body
     spacecraft = load_mission(package.mission).spacecraft_id
     with KernelSet(package.metakernel):

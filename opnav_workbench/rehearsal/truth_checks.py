@@ -37,10 +37,12 @@ if TYPE_CHECKING:
 __all__ = [
     "GOOD_SIGMAS",
     "WRONG_SIGMAS",
+    "LandmarkScore",
     "PictureScore",
     "SolutionScore",
     "TruthCheck",
     "check_against_truth",
+    "check_attitude",
     "score_picture",
     "score_solution",
     "score_stars",
@@ -223,6 +225,9 @@ def _is_false_star(row: Mapping[str, Any], place: FloatArray, index: Mapping[str
 
 # ---- One picture of a rehearsal against its truth.
 
+FEWEST_LANDMARKS, MOST_FALSE_LANDMARKS = 4, 0.01
+LANDMARK_SIGMAS = 2.0  # rms of their errors: more, and the sigmas are far too small
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CenterScore:
@@ -248,6 +253,33 @@ class CenterScore:
     verdict: str
 
 
+@dataclass(frozen=True, slots=True)
+class LandmarkScore:
+    """The landmarks of a picture in orbit.
+
+    Attributes
+    ----------
+    asked
+        Whether the picture was taken for the surface.
+    accepted, false
+        How many the team accepted, and how many of them are not where they truly are.
+    rms_sigmas, rms_px
+        Of the errors of the others, each coordinate; nan without.
+    """
+
+    asked: bool
+    accepted: int = 0
+    false: int = 0
+    rms_sigmas: float = float("nan")
+    rms_px: float = float("nan")
+
+    @property
+    def good(self) -> bool:
+        """Whether there are enough, hardly one is false, and their sigmas hold."""
+        few_false = self.false <= MOST_FALSE_LANDMARKS * self.accepted
+        return self.accepted >= FEWEST_LANDMARKS and few_false and self.rms_sigmas <= LANDMARK_SIGMAS
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureScore:
     """A picture.
@@ -261,6 +293,10 @@ class PictureScore:
     verdict : {"good", "not solved", "lost, named", "claimed though lost", "not reported"}
     messages
         Of the team.
+    landmarks
+        In orbit.
+    stars_asked
+        Whether it shows stars that the team should have found.
     """
 
     name: str
@@ -273,6 +309,8 @@ class PictureScore:
     centers: tuple[CenterScore, ...]
     stars: StarScore
     messages: tuple[str, ...]
+    landmarks: LandmarkScore | None = None
+    stars_asked: bool = True
 
 
 def score_picture(
@@ -304,7 +342,7 @@ def score_picture(
     centers: tuple[CenterScore, ...] = ()
     stars = StarScore()
     if truth is not None and camera is not None and not lost:
-        pointing = _pointing_check(reported.result, truth, camera) if reported.solved else None
+        pointing = check_attitude(reported.result["pointing"], truth, camera) if reported.solved else None
         centers = _center_scores(reported, truth, targets, disk_sigma_px)
         stars = score_stars(reported.result, truth)
     return PictureScore(
@@ -339,12 +377,18 @@ def _is_claimed(body: Mapping[str, Any]) -> bool:
     return body.get("status") == "ok" and body.get("observed") is not None
 
 
-def _pointing_check(result: Mapping[str, Any], truth: Truth, camera: Camera) -> TruthCheck:
-    """Return the attitude's check: values as the sky's shift on the detector, sigmas of the rotation itself."""
-    rows = compare(truth, {"pointing": result["pointing"]}, camera)
-    solved = matrix_from_quaternion(np.asarray(result["pointing"]["quaternion_camera_from_j2000"], float))
+def check_attitude(pointing: Mapping[str, Any], truth: Truth, camera: Camera) -> TruthCheck:
+    """Return a pointing's check: values as the sky's shift on the detector, sigmas of the rotation itself.
+
+    Parameters
+    ----------
+    pointing
+        ``quaternion_camera_from_j2000`` and ``covariance_rad2``.
+    """
+    rows = compare(truth, {"pointing": pointing}, camera)
+    solved = matrix_from_quaternion(np.asarray(pointing["quaternion_camera_from_j2000"], float))
     rotation = vector_from_rotation(solved @ truth.camera_from_j2000.T)
-    whole = check_against_truth("", (), (), rotation, np.zeros(3), result["pointing"]["covariance_rad2"])
+    whole = check_against_truth("", (), (), rotation, np.zeros(3), pointing["covariance_rad2"])
     names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
     solved_values, true, error, sigma = (
         np.array([getattr(row, name) for row in rows]) for name in ("solved", "truth", "error", "sigma")

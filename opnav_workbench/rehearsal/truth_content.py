@@ -4,20 +4,22 @@ It is told as plain values to seal, and in words for the moment of the reveal.
 """
 
 from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.kernels import state
+from opnav_workbench.constants import DAY_S
+from opnav_workbench.kernels import et_from_utc, state
 from opnav_workbench.rehearsal.case import OrtCase, OrtGeometry
 from opnav_workbench.rehearsal.comparison import boresight_shift
 from opnav_workbench.rehearsal.scenario import OrtScenario
 from opnav_workbench.rehearsal.sealed_truth import picture_truth_values
 from opnav_workbench.simulation import Truth
 
-__all__ = ["sealed_values"]
+__all__ = ["predicted_utc", "sealed_values"]
 
 
 # ---- What was perturbed, in words, for the moment of the reveal.
@@ -31,7 +33,9 @@ def perturbation_words(
     truths: Mapping[str, Truth],
 ) -> list[str]:
     """Return a line for each perturbation; `values` are the sealed ones so far."""
-    lines = [*_state_words(case, geometry), *_flyby_words(scenario, values["b_plane"])]
+    lines = [*_state_words(case, geometry), *_body_words(case)]
+    if values["b_plane"]:
+        lines += _flyby_words(scenario, values["b_plane"])
     lines += [
         *_attitude_words(scenario, values["attitude_errors"]),
         *_light_words(case),
@@ -49,6 +53,18 @@ def _state_words(case: OrtCase, geometry: OrtGeometry) -> Iterator[str]:
         vector = ", ".join(f"{scale * x:+.4g}" for x in offset)
         toward = f"; {sunward:+.4g} {unit} of it toward the Sun" if mover == "target" else ""
         yield f"{quantity.capitalize()} of {who}: {size:.4g} {unit} off the predicted ({vector} J2000{toward})."
+
+
+def _body_words(case: OrtCase) -> Iterator[str]:
+    if case.body_step.any():
+        tilt, phase = np.degrees(np.hypot(*case.body_step[:2])), np.degrees(case.body_step[2])
+        yield (
+            f"Orientation of {case.target}: pole {tilt:.3f} deg off, prime meridian {phase:+.3f} deg, spin "
+            f"{np.degrees(case.body_step[3]) * DAY_S:+.3g} deg/day."
+        )
+    if case.map_log.any():
+        sizes = ", ".join(f"{np.expm1(x):+.2%}" for x in case.map_log)
+        yield f"Map of {case.target}: too large by {sizes} along its axes, smoothed, its landmarks' places scattered."
 
 
 def _flyby_words(scenario: OrtScenario, flyby: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
@@ -121,7 +137,7 @@ def sealed_values(
         "parameters": {name: case.offsets.get(name, np.zeros(3)) for name in scenario.parameters},
         "predicted_state_km": geometry.relative_state,
         "relative_state_km": geometry.relative_state + case.relative_state_error(),
-        "b_plane": _flyby_values(case, geometry),
+        "b_plane": {} if scenario.orbit is not None else _flyby_values(case, geometry),
         "states_km": {
             name: _true_state(truth.et, scenario, case, geometry, spacecraft)
             for name, truth in truths.items()
@@ -130,6 +146,8 @@ def sealed_values(
         "attitude_errors": errors,
         "camera_errors": _camera_errors(case),
     }
+    if scenario.orbit is not None:
+        values["orbit"] = _orbit_values(scenario, case, geometry, spacecraft)
     return {
         **values,
         "words": perturbation_words(scenario, case, geometry, values, truths),
@@ -149,10 +167,29 @@ def _flyby_values(case: OrtCase, geometry: OrtGeometry) -> dict[str, dict[str, f
     }
 
 
+def predicted_utc(scenario: OrtScenario) -> str:
+    """Return when the spacecraft's place in orbit is asked for."""
+    assert scenario.orbit is not None
+    last = datetime.fromisoformat(scenario.sequence()[-1].time)
+    return (last + timedelta(hours=scenario.orbit.predict_hours)).isoformat(timespec="seconds")
+
+
+def _orbit_values(
+    scenario: OrtScenario, case: OrtCase, geometry: OrtGeometry, spacecraft: int
+) -> dict[str, Any]:
+    """Return what is true of the body and of the orbit; the landmarks' true places come from the map."""
+    et = et_from_utc(predicted_utc(scenario))
+    return {
+        "body_step": case.body_step,
+        "map_log": -case.map_log,  # what makes the team's map right
+        "predicted_place_km": _true_state(et, scenario, case, geometry, spacecraft)[:3],
+    }
+
+
 def _true_state(
     et: float, scenario: OrtScenario, case: OrtCase, geometry: OrtGeometry, spacecraft: int
 ) -> FloatArray:
-    seen, later_s = state(spacecraft, et, scenario.b_plane), et - geometry.epoch_et
+    seen, later_s = state(spacecraft, et, scenario.center), et - geometry.epoch_et
     predicted = np.concatenate([seen.position_km, seen.velocity_km_s])
     return np.asarray(predicted + case.offset("spacecraft", later_s) - case.offset("target", later_s))
 

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from opnav_workbench.report.limb_scans import scan_figure, scan_png, write_scans
     from opnav_workbench.report.pages import night_causes, night_pages
     from opnav_workbench.report.planning import field_chart, timeline_figure, write_plan_page
-    from opnav_workbench.report.rehearsal import score_page, solution_page
+    from opnav_workbench.report.rehearsal import orbit_solution_page, score_page, solution_page
     from opnav_workbench.report.star_chart import write_star_chart
     from opnav_workbench.report.summary import summary_figure, summary_png, write_summary
 
@@ -76,6 +76,7 @@ __all__ = [
     "methods_png",
     "night_causes",
     "night_pages",
+    "orbit_solution_page",
     "png_bytes",
     "psf_figure",
     "scan_figure",
@@ -114,6 +115,7 @@ _HOMES = {
     "psf_figure": "calibration",
     "scan_figure": "limb_scans",
     "scan_png": "limb_scans",
+    "orbit_solution_page": "rehearsal",
     "score_page": "rehearsal",
     "solution_page": "rehearsal",
     "stack_figure": "campaign",

@@ -18,9 +18,10 @@ from matplotlib.figure import Figure
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.constants import DAY_S
 from opnav_workbench.estimation import error_ellipse
-from opnav_workbench.rehearsal.score import OrtScore
+from opnav_workbench.rehearsal.orbit.solution import OrbitSolution
+from opnav_workbench.rehearsal.score import RULE, OrtScore
 from opnav_workbench.rehearsal.solution import OrtSolution
-from opnav_workbench.rehearsal.truth_checks import PictureScore
+from opnav_workbench.rehearsal.truth_checks import PictureScore, SolutionScore
 from opnav_workbench.report.drawing import (
     BLUE,
     ORANGE,
@@ -34,7 +35,7 @@ from opnav_workbench.report.drawing import (
 from opnav_workbench.report.pages import render_template
 from opnav_workbench.templating import png_url
 
-__all__ = ["score_page", "solution_page"]
+__all__ = ["orbit_solution_page", "score_page", "solution_page"]
 
 
 # ---- Figures of a rehearsal.
@@ -289,10 +290,10 @@ def score_page(score: OrtScore) -> str:
     """Return the report of a scored rehearsal as HTML without a reference to the network."""
     found = score.solution
     figures = {"errors": _on_both_grounds(lambda dark: center_error_figure(score.pictures, dark=dark))}
-    if found is not None:
+    if isinstance(found, SolutionScore):
         figures |= _solution_figures(found.solution, found.b_plane_true)
     return render_template(
-        "ort_page.html",
+        "ort_page.html" if score.rule == RULE else "ort_orbit_page.html",
         score=score,
         solution=None if found is None else found.solution,
         figures=figures,
@@ -307,6 +308,17 @@ def solution_page(solution: OrtSolution, title: str = "") -> str:
         score=None,
         solution=solution,
         figures=_solution_figures(solution, None),
+        heading=f"Solution of {title or solution.package}",
+    )
+
+
+def orbit_solution_page(solution: OrbitSolution, title: str = "") -> str:
+    """Return the same of a rehearsal in orbit."""
+    return render_template(
+        "ort_orbit_page.html",
+        score=None,
+        solution=solution,
+        figures={},
         heading=f"Solution of {title or solution.package}",
     )
 

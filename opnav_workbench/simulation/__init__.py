@@ -32,6 +32,8 @@ shows.
     Picture scenarios, their parts, and variations of them.
 ``surfaces``
     Surfaces of bodies for the renderer; mottled maps from a seed.
+``terrain``
+    Shapes from a seed: hills, a ridge and boulders on an ellipsoid.
 ``true_state``
     Predicted and true attitude; where spacecraft and bodies truly are.
 ``opened_scenario``

@@ -119,6 +119,9 @@ class BodyOffset(StrictModel):
     name: Annotated[str, Field(min_length=1)]
     offset_km: Vector3 = ZERO3  # J2000
     toward_sun_km: float = 0.0  # along the line from the body to the Sun
+    turned_rad: Vector3 = (
+        ZERO3  # rotation vector about the body's axes, from the kernels' orientation to the true one
+    )
 
 
 class SpacecraftOffset(StrictModel):

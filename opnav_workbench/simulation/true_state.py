@@ -136,7 +136,7 @@ def true_target(name: str, spacecraft: int, et: float, truth: Perturbations) -> 
     KernelError
         A body is unknown or not covered by the active kernels.
     """
-    known = body_target(name, spacecraft, et)
+    known = _turned(body_target(name, spacecraft, et), truth.bodies)
     body = body_offset_km(name, et, truth.bodies)
     moved = known.position_km + body - np.array(truth.spacecraft.position_km)
     if not (body.any() or any(truth.spacecraft.position_km)):
@@ -145,6 +145,17 @@ def true_target(name: str, spacecraft: int, et: float, truth: Perturbations) -> 
     moved = moved - later_s * state(name, et, SOLAR_SYSTEM_BARYCENTER_ID).velocity_km_s
     sun = None if known.sun_position_km is None else known.sun_position_km - body
     return replace(known, position_km=moved, sun_position_km=sun)
+
+
+def _turned(target: TargetState, offsets: tuple[BodyOffset, ...]) -> TargetState:
+    """Return a body as it is truly oriented."""
+    if target.body_from_j2000 is None:
+        return target
+    turn = target.body_from_j2000
+    for offset in offsets:
+        if any(offset.turned_rad) and body_id(offset.name) == body_id(target.name):
+            turn = rotation_from_vector(np.array(offset.turned_rad)) @ turn
+    return target if turn is target.body_from_j2000 else replace(target, body_from_j2000=turn)
 
 
 def body_offset_km(name: str, et: float, offsets: tuple[BodyOffset, ...]) -> FloatArray:

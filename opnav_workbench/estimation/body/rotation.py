@@ -112,6 +112,26 @@ class BodyRotation:
         matrix = spun @ self.body_from_j2000(self.epoch_et) @ tilt.T
         return self._of(matrix, self.rate_rad_s + float(step[3]), self.epoch_et)
 
+    def step_to(self, other: "BodyRotation") -> FloatArray:
+        """Return the step (4,) with which `turned` leads to another rotation.
+
+        Examples
+        --------
+        >>> rotation, step = BodyRotation(0.3, 0.9, 1.0, 1e-4, 0.0), np.array([2e-3, -1e-3, 4e-3, 1e-8])
+        >>> bool(np.allclose(rotation.step_to(rotation.turned(step)), step, atol=1e-12))
+        True
+        """
+        there = other.at_epoch(self.epoch_et)
+        axis, cosine = np.cross(self.pole, there.pole), float(self.pole @ there.pole)
+        sine = float(np.linalg.norm(axis))
+        turn = axis * (np.arctan2(sine, cosine) / sine) if sine > 0.0 else np.zeros(3)
+        toward = np.cross(turn, self.pole)
+        east, north = tangent_basis(self.pole_ra_rad, self.pole_dec_rad)
+        tilt = rotation_from_vector(turn)
+        spun = there.body_from_j2000(self.epoch_et) @ tilt @ self.body_from_j2000(self.epoch_et).T
+        phase = -float(vector_from_rotation(spun)[2])
+        return np.array([toward @ east, toward @ north, phase, there.rate_rad_s - self.rate_rad_s])
+
     def partials(self, et: float) -> FloatArray:
         """Return how the attitude at a time turns with the step of `turned`, (3, 4).
 

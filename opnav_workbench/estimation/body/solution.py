@@ -16,6 +16,7 @@ from types import MappingProxyType
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.special import chdtrc
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.errors import EstimationError
@@ -196,6 +197,12 @@ class BodySolution:
         axes = max(float(np.trace(whole)) / 3.0 - size, 0.0)
         low, high = FIGURE_LIMITS
         return float(np.clip(np.sqrt(size), low, high)), float(np.clip(np.sqrt(axes), low, high))
+
+    @property
+    def probability(self) -> float:
+        """Of a chi-squared as large or larger by chance; nan without degrees of freedom."""
+        freedom = self.degrees_of_freedom
+        return float(chdtrc(freedom, self.chi2)) if freedom > 0 else float("nan")
 
     def model(
         self, model: BodyModel, sighting: BodySighting, transition: Transition = straight_line
