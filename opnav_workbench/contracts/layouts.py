@@ -332,7 +332,7 @@ class Provenance(Layout):
     image_notes: list[str] = Field(default=[], description="What the reader said of the picture.")
     contradictions: list[str] = Field(
         default=[],
-        description="Which facts of the header contradict each other, or the kernels, or cannot be.",
+        description="Which facts of the header contradict each other, the kernels or the stars, or cannot be.",
     )
     settings: SettingsEntry | None = Field(  # type: ignore[valid-type]  # made of the dataclass
         default=None, description="Limits of searches and other thresholds."

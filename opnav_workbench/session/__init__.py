@@ -19,6 +19,8 @@ function of that name, keeps the state it makes, and writes the journal.
     Thresholds of a session.
 ``contradictions``
     What the header says against the kernels: clock, trajectory, attitude.
+``orientation``
+    How a picture lies against what was expected: turned by a quarter, mirrored, or far off.
 ``star_field``
     Which detection is which star: by pattern, by two marked stars, by hand.
 ``star_measurement``

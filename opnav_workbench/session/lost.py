@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import CatalogError, SessionError
@@ -26,6 +25,7 @@ from opnav_workbench.session.inputs import (
     collect_inputs,
     with_sweep,
 )
+from opnav_workbench.session.orientation import CAMERA_FILE, mirrored_words
 from opnav_workbench.session.star_field import star_detections
 from opnav_workbench.stars import StarFlag
 from opnav_workbench.stars.lost_in_space import (
@@ -34,7 +34,6 @@ from opnav_workbench.stars.lost_in_space import (
     is_index_at_hand,
     is_index_made_soon,
     no_patterns,
-    right_handed_axes,
     solve_lost,
 )
 
@@ -44,13 +43,6 @@ FOCAL_PX = (
     1.0  # what another focal length may move a star at the picture's edge, and a camera file still be right
 )
 FOCAL_SIGMAS = 3.0
-MIRRORS = {
-    0: "along line",
-    180: "along pixel",
-    90: "with pixel and line exchanged",
-    270: "with pixel and line exchanged",
-}
-QUARTER_TOLERANCE_DEG = 5.0  # an a priori twist is better than this where it is one
 
 
 def open_inputs(
@@ -140,9 +132,6 @@ def _field_of(context: Context, inputs: Inputs, answer: LostAnswer | None) -> Lo
     return LostField(answer.camera_from_j2000, answer.message)
 
 
-CAMERA_FILE = "correct the axes in the camera file, or take the one that describes this picture (--mission)"
-
-
 def _searched(context: Context, catalog: Catalog) -> LostAnswer | None:
     """Search the whole sky, if detections enough may be stars, and the detector is no strip."""
     detections = star_detections(context)
@@ -186,22 +175,3 @@ def _with_focal_length(context: Context, answer: LostAnswer) -> tuple[Context, s
         "the camera file's: calibrate the camera"
     )
     return replace(context, camera=camera, settings=settings), said
-
-
-# ---- How a picture is mirrored against what was expected.
-
-
-def mirrored_words(camera: Camera, a_priori: FloatArray, mirrored: FloatArray) -> str:
-    """Return along what a picture is mirrored, by the attitude it should have (camera from J2000)."""
-    axes = right_handed_axes(camera)
-    between = axes @ mirrored @ a_priori.T @ axes.T
-    twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
-    near = between[2, 2] > np.cos(max(10.0 * camera.half_diagonal_rad, np.radians(5.0)))
-    return (near and MIRRORS.get(_quarter(twist))) or "(along line, or along pixel and turned by 180 deg)"
-
-
-def _quarter(twist_rad: float) -> int:
-    """Return the nearest quarter turn, deg; -1 where it is none."""
-    turn = float(np.degrees(twist_rad)) % 360.0
-    nearest = round(turn / 90.0) * 90
-    return nearest % 360 if abs(turn - nearest) <= QUARTER_TOLERANCE_DEG else -1

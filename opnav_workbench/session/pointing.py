@@ -18,10 +18,13 @@ from opnav_workbench.observables import Observable, center_cross, observe
 from opnav_workbench.scene import following, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.orientation import far_words, turned_words
 from opnav_workbench.session.state import (
     ACCEPTED,
     BY_HAND,
+    LOST,
     MARKED,
+    ORIENTATION_TOPIC,
     SessionState,
     StarStatus,
     has_center,
@@ -90,6 +93,8 @@ def pointing_doubt(state: SessionState) -> str:
         return "the pointing is not solved from stars"
     if not field_is_sure(state):
         return "the star field is not identified for sure"
+    if ORIENTATION_TOPIC in state.notes:
+        return "the picture is turned against its a priori attitude"
     return "the header contradicts itself or the kernels" if state.contradictions else ""
 
 
@@ -176,7 +181,7 @@ def repoint(
         solved = _solved(context, inputs, solved, usable, model, start)
     else:
         none = f"no usable star among {len(candidates)} candidates; the a priori pointing stands."
-        solved = solved.replace(pointing=None).with_notes("pointing", none)
+        solved = solved.replace(pointing=None).with_notes("pointing", none).with_notes(ORIENTATION_TOPIC)
     # Predictions and O-C rest on the pointing: those already computed follow it.
     return with_renewed_observables(context, inputs, solved)
 
@@ -214,7 +219,21 @@ def _solved(
         )
     )
     widened = _widened(context, inputs, solution)
-    return state.replace(pointing=widened, status=status).with_notes("pointing", *widened.messages)
+    solved = state.replace(pointing=widened, status=status).with_notes("pointing", *widened.messages)
+    return _against_a_priori(context, inputs, solved)
+
+
+def _against_a_priori(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
+    """Say where the a priori attitude and the stars cannot both be right: whether the picture is turned, or only far."""
+    assert state.pointing is not None
+    if inputs.told_by_stars:  # it is of these very stars
+        return state
+    camera, pointing, source = context.camera, state.pointing, inputs.attitude_source
+    turned = turned_words(camera, pointing, source)
+    state = state.with_notes(ORIENTATION_TOPIC, *filter(None, [turned]))
+    said = state.star_field is not None and state.star_field.search == LOST
+    far = "" if turned or said else far_words(camera, inputs.a_priori_camera_from_j2000, pointing, source)
+    return state.with_notes("pointing", *pointing.messages, *filter(None, [far]))
 
 
 def _widened(context: Context, inputs: Inputs, solution: PointingSolution) -> PointingSolution:

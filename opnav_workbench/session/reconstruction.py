@@ -159,7 +159,7 @@ def _reason(result: Mapping[str, Any], without_twist: bool) -> str:
         return f"no pointing solved ({messages[0]})" if messages else "no pointing solved"
     contradictions = (result.get("provenance") or {}).get("contradictions")
     if contradictions:
-        return f"its header contradicts itself or the kernels ({contradictions[0]})"
+        return f"its header contradicts itself, the kernels or the stars ({contradictions[0]})"
     if not pointing.get("twist_solved", True) and not without_twist:
         return "its stars do not determine the twist (--without-twist takes it with the a priori twist)"
     return ""

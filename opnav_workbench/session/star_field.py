@@ -7,7 +7,7 @@ solved pointing says where each star is.  What the analyst says goes before all 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -28,11 +28,13 @@ from opnav_workbench.scene import (
 from opnav_workbench.session.body_models import MAX_POINT_DIAMETER_PX
 from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
 from opnav_workbench.session.inputs import Inputs, LostField
+from opnav_workbench.session.orientation import CAMERA_FILE, MIRRORS, nearest_quarter_deg
 from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.session.state import (
     BY_HAND,
     LOST,
     MARKED,
+    ORIENTATION_TOPIC,
     FieldFound,
     FieldMatch,
     SessionState,
@@ -112,6 +114,9 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and not inputs.told_by_stars:
         return _from_sky_search(context, inputs, state, detections, inputs.lost)
     if near.confidence < MIN_CONFIDENCE:
+        mirrored = "" if inputs.told_by_stars else _mirrored_pattern(context, inputs, state, detections)
+        if mirrored:
+            return _unidentified(state, mirrored, remedy=CAMERA_FILE)
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
     found = found_field(inputs, near, "a priori")
     messages = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
@@ -176,6 +181,20 @@ def _from_sky_search(
     message = f"{_wrong_attitude(context, inputs, attitude)} ({answer.message})"
     stars = stars_around(context, inputs, catalog, attitude)
     return _expected_stars(context, stars, attitude, found, settings.search_radius_px, message, anew=True)
+
+
+def _mirrored_pattern(context: Context, inputs: Inputs, state: SessionState, detections: Detections) -> str:
+    """Tell whether the picture's mirror image, however turned, is the field of the a priori pointing; empty if not."""
+    assert state.a_priori is not None
+    flipped = detections.pixel_line * [1.0, -1.0] + [0.0, context.camera.n_line - 1.0]
+    answer = _matched_pattern(
+        context, inputs, state, replace(detections, pixel_line=flipped), state.a_priori,
+        context.settings.max_shift_px, 180.0,
+    )  # fmt: skip
+    quarter = nearest_quarter_deg(answer.twist_rad)
+    if not answer.sure or quarter is None:
+        return ""
+    return f"the picture is mirrored {MIRRORS[quarter]} ({answer.message})"
 
 
 def _wrong_attitude(context: Context, inputs: Inputs, attitude: FloatArray) -> str:
@@ -313,13 +332,17 @@ def _search_limits(context: Context, inputs: Inputs) -> str:
     return f"; nor is it within {shift:g} px and {twist:g} deg"
 
 
-def _unidentified(state: SessionState, why: str, searched: str = "") -> FieldMatch:
+DEEPER_OR_WIDER = (
+    "take a deeper catalog (opnav catalog fetch tycho2; --catalog), search the whole sky (--attitude none), widen the "
+    "search (max_shift_px), or mark two stars (two_star_pointing)"
+)
+
+
+def _unidentified(
+    state: SessionState, why: str, searched: str = "", remedy: str = DEEPER_OR_WIDER
+) -> FieldMatch:
     count = 0 if state.a_priori is None else len(state.a_priori)
-    message = (
-        f"the star field is not identified: {why}{searched}. The a priori pointing stands; take a deeper catalog "
-        "(opnav catalog fetch tycho2; --catalog), search the whole sky (--attitude none), widen the search "
-        "(max_shift_px), or mark two stars (two_star_pointing)."
-    )
+    message = f"the star field is not identified: {why}{searched}. The a priori pointing stands; {remedy}."
     return FieldMatch(None, None, np.full((count, 2), np.nan), np.zeros(count, dtype=bool), 0.0, (message,))
 
 
@@ -357,7 +380,8 @@ def _with_new_field(context: Context, inputs: Inputs, state: SessionState, found
         star_methods=MappingProxyType({}),
     )
     status = with_decisions(fresh, fresh.found_status)
-    return fresh.replace(status=status).with_notes("stars").with_notes("pointing")
+    without = fresh.replace(status=status).with_notes("stars").with_notes("pointing")
+    return without.with_notes(ORIENTATION_TOPIC)
 
 
 def _marked_identification(

@@ -27,6 +27,7 @@ __all__ = [
     "LOST",
     "MARKED",
     "MEASURED_STATUSES",
+    "ORIENTATION_TOPIC",
     "REJECTED",
     "BodyRequest",
     "FieldFound",
@@ -48,6 +49,7 @@ __all__ = [
 
 
 HEADER_TOPIC = "header"  # of the notes that say what contradicts itself
+ORIENTATION_TOPIC = "orientation"  # of those that say that the stars contradict the a priori attitude
 EXAMPLE_NAMES = 3  # names that a message gives as examples
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
@@ -236,8 +238,8 @@ class SessionState:
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Which facts of the header contradict each other or the kernels, and what is used."""
-        return self.notes.get(HEADER_TOPIC, ())
+        """Which facts of the header contradict each other, the kernels or the stars, and what is used."""
+        return (*self.notes.get(HEADER_TOPIC, ()), *self.notes.get(ORIENTATION_TOPIC, ()))
 
     @property
     def messages(self) -> tuple[str, ...]:

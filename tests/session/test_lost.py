@@ -44,7 +44,7 @@ def sky(demo_truths, tmp_path_factory):
 def paint(demo_truths, tmp_path, sky):
     """Write the stars of the patch into the demo picture, as a camera sees them that may be another."""
 
-    def write(turn_deg=(0.0, 0.0, 0.0), focal=1.0, flip=1, attitude="wrong"):
+    def write(turn_deg=(0.0, 0.0, 0.0), focal=1.0, laid=lambda image: image, attitude="wrong"):
         rng = np.random.default_rng(5)
         told = demo_truths[0].camera_from_j2000
         true = rotation_from_vector(CAMERA.focal_from_camera.T @ np.radians(turn_deg)) @ told
@@ -62,7 +62,7 @@ def paint(demo_truths, tmp_path, sky):
             image += flux * np.exp(-0.5 * square / sigma**2) / (2.0 * np.pi * sigma**2)
         path = shutil.copy(demo_truths[0].picture, tmp_path / "lost.fit")
         with fits.open(path, mode="update") as hdus:
-            hdus[0].data[:] = image[::flip]
+            hdus[0].data[:] = laid(image)
             if attitude == "silent":
                 for key in ATTITUDE_KEYS:
                     del hdus[0].header[key]
@@ -129,8 +129,58 @@ def test_what_the_sky_told_is_kept(paint, sky, tmp_path):
     assert resumed.inputs.lost.message == session.inputs.lost.message
 
 
+@pytest.mark.slow(keep=["rot90"])
+@pytest.mark.parametrize(
+    ("laid", "deg"),
+    [(np.rot90, 90), (lambda image: np.rot90(image, 2), 180), (lambda image: np.rot90(image, 3), 270)],
+)
+def test_turned_picture_is_partial(paint, sky, laid, deg):
+    path, _, n_stars = paint(laid=laid)
+    session = solved(ImageSession.open(path, MISSION, catalog=sky[0]))
+    result = session.result()
+    assert result["pointing"]["n_stars"] >= 0.7 * n_stars  # they fit as well as any
+    assert result["status"] == "partial"
+    (line,) = result["provenance"]["contradictions"]
+    assert line in result["messages"]
+    assert f"turned by {deg} deg against the attitude of the header" in line
+    # An attitude that was wrong is left out: then nothing speaks against the stars.
+    alone = solved(ImageSession.open(path, MISSION, catalog=sky[0], attitude="none"))
+    assert alone.result()["status"] == "ok"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 60.0), (0.01, 0.01, 88.0), (0.0, 0.0, 0.6)])
+def test_attitude_that_is_only_wrong_is_told(paint, sky, turn_deg):
+    path, true, _ = paint(turn_deg)
+    session = solved(ImageSession.open(path, MISSION, catalog=sky[0]))
+    result = session.result()
+    assert result["status"] == "ok"
+    assert error_px(session, true) < 0.3
+    told = [m for m in result["messages"] if "off the attitude of the header" in m]
+    assert len(told) == (1 if turn_deg[2] > 1.0 else 0)
+
+
+@pytest.mark.slow(keep=["transpose"])
+@pytest.mark.parametrize(
+    ("laid", "along"),
+    [
+        (np.fliplr, "along pixel"),
+        (np.flipud, "along line"),
+        (np.transpose, "with pixel and line exchanged"),
+    ],
+)
+def test_mirrored_picture_is_named_without_a_search_of_the_sky(paint, sky, laid, along):
+    path, _, _ = paint(laid=laid)
+    session = ImageSession.open(path, MISSION, catalog=sky[0], settings=Settings(lost_detections=0))
+    session.predict()
+    session.find_stars()
+    (message,) = session.result()["messages"]
+    assert f"the picture is mirrored {along}" in message
+    assert "correct the axes in the camera file" in message
+
+
 def test_mirrored_picture_is_named(paint, sky):
-    path, _, _ = paint(flip=-1)
+    path, _, _ = paint(laid=np.flipud)
     session = ImageSession.open(path, MISSION, catalog=sky[0])
     session.predict()
     session.find_stars()
@@ -140,7 +190,7 @@ def test_mirrored_picture_is_named(paint, sky):
 
 @pytest.mark.slow
 def test_mirrored_picture_without_attitude(paint, sky):
-    path, _, _ = paint(flip=-1, attitude="silent")
+    path, _, _ = paint(laid=np.flipud, attitude="silent")
     with pytest.raises(OpNavError, match="mirrored \\(along line, or along pixel and turned by 180 deg\\)"):
         ImageSession.open(path, MISSION, catalog=sky[0])
 
