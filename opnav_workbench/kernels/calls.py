@@ -243,7 +243,8 @@ def unlisted_explanation(error: spiceypy.SpiceyError, request: SpiceRequest) -> 
     """Return what failed, why and what helps, without the loaded kernels and the final stop; lock held."""
     short = (getattr(error, "short", "") or "").removeprefix("SPICE(").removesuffix(")")
     detail = _detail(error)
-    message = FAILURE_MESSAGES.get(short, UNKNOWN_FAILURE)
+    # A number that is none may stand in a clock reading, or in any line of a text kernel.
+    message = _BAD_TEXT if "text kernel" in detail else FAILURE_MESSAGES.get(short, UNKNOWN_FAILURE)
     cause, remedy = message.cause, message.remedy
     with contextlib.suppress(spiceypy.SpiceyError):  # a look that fails must not hide the failure
         cause, remedy = _diagnosed(message.diagnosis, detail, request) or (cause, remedy)

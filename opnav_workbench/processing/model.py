@@ -14,13 +14,15 @@ from typing import Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from opnav_workbench.catalog import Catalog, open_catalog
+from opnav_workbench.catalog import Catalog, open_catalog, read_star_list
 from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.kernels.shape_files import SHAPE_FORMATS, UNIT_KM, ShapeFile
+from opnav_workbench.landmarks import Maplets
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.paths import exists, is_file
 from opnav_workbench.session import BODY_METHODS, Settings
+from opnav_workbench.session.body_models import shape_model
 from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.decisions import Decisions, load_decisions
 from opnav_workbench.session.inputs import AttitudeSource
@@ -90,6 +92,8 @@ def named_shapes(shapes: str) -> dict[str, str]:
         if not body.strip() or not file.strip():
             raise ValueError(f"{part!r} is no shape of a body; write BODY:FILE, or BODY:FILE:m")
         named[body.strip()] = file.strip()
+    if shapes.strip() and not named:
+        raise ValueError(f"{shapes!r} names no file; write BODY:FILE")
     return named
 
 
@@ -389,20 +393,50 @@ class Processing(BaseModel):
         """
         if (kept := _KEPT.get(self.plain.model_dump_json())) is not None:
             return kept
+        self._check_files()
+        mission = load_mission(self.mission)
+        decisions = load_decisions(self.decisions) if self.decisions else Decisions()
+        if not decisions.images:  # which may name targets of their own
+            self._check_bodies(mission)
+        return OpenedProcessing(
+            how=self.plain,
+            mission=mission,
+            catalog=open_catalog(self.catalog),
+            decisions=decisions,
+        )
+
+    def _check_files(self) -> None:
+        """Refuse files of bodies that are not there or cannot be read: only a body that is drawn would tell."""
         for body, file in self.shape_files.items():
             if not is_file(file.path):
                 raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
+            shape_model(file.path.resolve(), file.unit)
         for body, maplets in self.landmarks.items():
             if not Path(maplets).is_file():
                 raise SessionError(
                     f"maplets of {body}: no file {maplets}; make one with opnav landmarks make."
                 )
-        return OpenedProcessing(
-            how=self.plain,
-            mission=load_mission(self.mission),
-            catalog=open_catalog(self.catalog),
-            decisions=load_decisions(self.decisions) if self.decisions else Decisions(),
+            Maplets.read(maplets)
+
+    def _check_bodies(self, mission: Mission) -> None:
+        """Refuse files of bodies that nobody looks for: they would be left without a word."""
+        stars = (
+            [] if self.target_stars is None else [str(name) for name in read_star_list(self.target_stars).id]
         )
+        wanted = {*(mission.default_targets if self.targets is None else self.targets), *stars}
+        for option, bodies, known in (
+            (
+                "shapes",
+                self.shapes,
+                {*wanted, *mission.default_targets},
+            ),  # others of the scene hide and shade
+            ("landmarks", self.landmarks, wanted),
+        ):
+            if unknown := [body for body in bodies if body not in known]:
+                raise SessionError(
+                    f"{option} of {', '.join(unknown)}: no such target; targets are "
+                    f"{', '.join(sorted(known)) or NO_TARGETS}: name it in --targets too, written alike."
+                )
 
 
 def allowed_values(field: str) -> tuple[str, ...]:

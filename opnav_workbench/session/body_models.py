@@ -51,6 +51,7 @@ __all__ = [
     "has_scattering_law",
     "picture_psf",
     "scene_names",
+    "shape_model",
 ]
 
 
@@ -128,8 +129,8 @@ def _scattering_law(context: Context, name: str, surface: TargetSurface) -> Scat
 
 def _shape_of_target(inputs: Inputs, name: str, surface: TargetSurface) -> ShapeModel | None:
     if name in inputs.shapes:
-        return _shape_model(inputs.shapes[name], inputs.shape_units.get(name, "km"))
-    return None if surface.shape is None else _shape_model(surface.shape, surface.shape_unit)
+        return shape_model(inputs.shapes[name], inputs.shape_units.get(name, "km"))
+    return None if surface.shape is None else shape_model(surface.shape, surface.shape_unit)
 
 
 def _check_size(name: str, shape: ShapeModel, known_km: FloatArray | None) -> None:
@@ -164,7 +165,8 @@ def _turned_at_random(figure: FigureUncertainty, radii_km: FloatArray) -> Figure
 
 
 @lru_cache(maxsize=8)
-def _shape_model(path: Path, unit: str) -> ShapeModel:
+def shape_model(path: Path, unit: str) -> ShapeModel:
+    """Read a shape model; the same again, as long as it is one of the last few."""
     return ShapeModel.from_file(path, unit)
 
 

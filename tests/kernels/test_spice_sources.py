@@ -139,6 +139,17 @@ def test_reading_a_metakernel_leaves_the_pool_alone(tmp_path, toy):
         assert spiceypy.ktotal("ALL") == len(toy.files)
 
 
+@pytest.mark.parametrize("value", ["NaN", "inf", "abc", "1.2.3"])
+def test_a_word_in_the_place_of_a_number_is_told_with_its_line(tmp_path, value):
+    path = tmp_path / "camera.ti"
+    path.write_text(f"KPL/IK\n\\begindata\nINS-98301_FOCAL_LENGTH = {value}\n\\begintext\n")
+    with (
+        pytest.raises(KernelError, match=r"malformed.*line 3 .*camera\.ti.*correct that line"),
+        KernelSet(path),
+    ):
+        pass
+
+
 def test_a_malformed_metakernel_is_one_clear_line(tmp_path):
     meta = tmp_path / "m.tm"
     meta.write_text("KPL/MK\n\\begindata\nKERNELS_TO_LOAD ( 'a.tf' )\nKERNELS_TO_LOAD = 'b.tf'\n")

@@ -1,5 +1,7 @@
 """Shapes given by one option, and stars of a list that are targets without being named."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -88,3 +90,31 @@ def test_an_unknown_target_star_lists_those_that_are_known(demo_truths, stars):
     session.predict()
     with pytest.raises(OpNavError, match=r"target stars of stars\.yaml are NEAR ONE, FAR OFF\."):
         session.add_target("NEAR TWO")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"shapes": "NOWHERE:cube.plt:m"}, "shapes of NOWHERE: no such target; targets are CHARON, PLUTO"),
+        ({"shapes": "CHARON:none.obj"}, "shape of CHARON: no file"),
+        (
+            {"shapes": "CHARON:empty.obj", "targets": "PLUTO"},
+            "empty.obj",
+        ),  # in the scene without being a target
+        ({"landmarks": "PLUTO:empty.npz", "targets": "PLUTO"}, "no npz file"),
+        ({"landmarks": "PLUTO:none.npz"}, "no file"),
+    ],
+)
+def test_files_of_bodies_that_would_not_be_used_are_refused(cube, monkeypatch, options, said):
+    monkeypatch.chdir(cube.parent)
+    for name in ("empty.obj", "empty.npz"):
+        cube.with_name(name).write_bytes(b"")
+    with pytest.raises(OpNavError, match=re.escape(said)):
+        Processing(mission="new_horizons", catalog=DEMO_CATALOG, **options).opened()
+
+
+def test_shapes_are_taken_for_targets_and_for_the_scene(cube):
+    shapes = {"PLUTO": f"{cube}:m", "CHARON": f"{cube}:m"}
+    assert Processing(mission="new_horizons", catalog=DEMO_CATALOG, shapes=shapes, targets="none").opened()
+    with pytest.raises(SessionError, match=r"landmarks.*names no file"):
+        Processing.checked({"mission": "new_horizons", "landmarks": ","})

@@ -129,7 +129,7 @@ def test_what_the_sky_told_is_kept(paint, sky, tmp_path):
     assert resumed.inputs.lost.message == session.inputs.lost.message
 
 
-@pytest.mark.slow(keep=["rot90"])
+@pytest.mark.slow(keep=["rot90-90"])
 @pytest.mark.parametrize(
     ("laid", "deg"),
     [(np.rot90, 90), (lambda image: np.rot90(image, 2), 180), (lambda image: np.rot90(image, 3), 270)],
@@ -160,7 +160,7 @@ def test_attitude_that_is_only_wrong_is_told(paint, sky, turn_deg):
     assert len(told) == (1 if turn_deg[2] > 1.0 else 0)
 
 
-@pytest.mark.slow(keep=["transpose"])
+@pytest.mark.slow(keep=["transpose-with pixel and line exchanged"])
 @pytest.mark.parametrize(
     ("laid", "along"),
     [
