@@ -52,6 +52,7 @@ functions below only, one thread at a time, and every failure is one `KernelErro
 
 from opnav_workbench.kernels.calls import toolkit_version
 from opnav_workbench.kernels.cameras import (
+    attitude_gaps,
     camera_attitude,
     camera_rate,
     ck_structure,
@@ -125,6 +126,7 @@ __all__ = [
     "SpkSegment",
     "State",
     "SurfacePoint",
+    "attitude_gaps",
     "body_attitude",
     "body_frame",
     "body_gm_km3_s2",

@@ -8,15 +8,17 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import numpy as np
 import spiceypy
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, loaded_text, spice_call
-from opnav_workbench.kernels.coverage import CK_FRAME
+from opnav_workbench.kernels.coverage import CK_FRAME, ck_structures, frame_number, gaps_within, windows_of
 
 __all__ = [
+    "attitude_gaps",
     "camera_attitude",
     "camera_rate",
     "ck_structure",
@@ -50,6 +52,24 @@ def camera_attitude(frame: str, et: float) -> FloatArray:
     """
     with spice_call(SpiceRequest(f"attitude of {frame}", et, frame=frame), needs_kernels=True):
         return readonly(spiceypy.pxform("J2000", frame, et), (3, 3), "camera_from_j2000")
+
+
+def attitude_gaps(frame: str, begin_et: float, end_et: float) -> FloatArray:
+    """Return when, between two times, the loaded CKs know no attitude of a frame: (m, 2), TDB s past J2000.
+
+    Interpolation between attitudes on both sides does not notice such a gap.
+
+    Raises
+    ------
+    KernelError
+        The frame is unknown, or a clock is not loaded.
+    """
+    with spice_call(SpiceRequest(f"attitudes of {frame}", begin_et, frame=frame), needs_kernels=True):
+        gaps = [
+            gaps_within(windows_of("CK", structure).intervals_et, begin_et, end_et)
+            for structure in ck_structures(frame_number(frame))
+        ]
+    return np.concatenate([np.empty((0, 2)), *gaps])
 
 
 def rotation(frame: str, other: str, et: float) -> FloatArray:

@@ -26,6 +26,7 @@ __all__ = [
     "covered_share",
     "frame_number",
     "gaps_between",
+    "gaps_within",
     "held_bodies",
     "loaded_windows",
     "merged_windows",
@@ -179,6 +180,19 @@ def gaps_between(windows: FloatArray) -> FloatArray:
     array([[1., 3.]])
     """
     return np.column_stack([windows[:-1, 1], windows[1:, 0]]) if len(windows) > 1 else NO_WINDOWS
+
+
+def gaps_within(windows: FloatArray, begin: float, end: float) -> FloatArray:
+    """Return which parts (m, 2) of a stretch of time no window (k, 2) of some disjoint ones in order covers.
+
+    Examples
+    --------
+    >>> gaps_within(np.array([[0.0, 1.0], [3.0, 4.0]]), 0.5, 5.0)
+    array([[1., 3.],
+           [4., 5.]])
+    """
+    edges = np.concatenate([[begin], np.clip(windows, begin, end).ravel(), [end]]).reshape(-1, 2)
+    return edges[edges[:, 1] > edges[:, 0]]
 
 
 def overlaps_of(windows: Sequence[FloatArray]) -> FloatArray:

@@ -15,12 +15,19 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.camera import RowSweep, row_sweep
+from opnav_workbench.camera import Camera, RowSweep, row_sweep
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
 from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionError
 from opnav_workbench.geometry import radec_from_unit
 from opnav_workbench.geometry.times import text_from_et
-from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_sclk, et_from_utc, knows_frame
+from opnav_workbench.kernels import (
+    KernelSet,
+    attitude_gaps,
+    camera_attitude,
+    et_from_sclk,
+    et_from_utc,
+    knows_frame,
+)
 from opnav_workbench.kernels.dsk_files import shape_file_of
 from opnav_workbench.kernels.loading import LoadedKernels
 from opnav_workbench.kernels.shape_files import ShapeFile
@@ -361,13 +368,29 @@ def _sweep(context: Context, et: float) -> tuple[RowSweep | None, tuple[str, ...
         return camera_attitude(camera.frame, et + time_s)
 
     try:
-        return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude), ()
+        sweep = row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude)
+        return sweep, _bridged(camera, et)
     except KernelError as error:
         if camera.rows.scans:
             raise KernelError(
                 f"{context.picture.name} is a line scan, and the camera's motion {span} is not known: {error}"
             ) from error
         return None, (f"the camera's motion {span} is not known, and taken as none: {error}",)
+
+
+def _bridged(camera: Camera, et: float) -> tuple[str, ...]:
+    """Return how much of a picture's motion is interpolated across gaps of the CK; a gap within one line is none."""
+    assert camera.rows is not None
+    half_s = 0.5 * camera.rows.span_s(camera.n_line)
+    gaps_s = np.diff(attitude_gaps(camera.frame, et - half_s, et + half_s), axis=1)
+    unknown_s = float(gaps_s[gaps_s > abs(camera.rows.line_time_s)].sum())
+    if unknown_s == 0.0:
+        return ()
+    said = (
+        f"for {unknown_s:.3g} of the {2.0 * half_s:.4g} s in which the lines are exposed no loaded CK knows the attitude; "
+        "it is interpolated there: load a CK without the gap"
+    )
+    return (said,)
 
 
 def with_sweep(context: Context, sweep: RowSweep | None) -> Context:

@@ -16,6 +16,7 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.kernels.making.make import make_kernels
+from opnav_workbench.kernels.writing import write_ck
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import apparent_stars
 from opnav_workbench.session import ImageSession, Settings
@@ -183,6 +184,46 @@ def test_without_the_motion_a_frame_is_partial_and_a_scan_refused(case):
     session = ImageSession.open(case.picture, case.mission, attitude="header")
     words = "the camera's motion while its lines are exposed (0.511 s) is not known, and taken as none"
     assert words in str(session.inputs.contradictions)
+
+
+def with_gap(case: Case, et: float, gap: tuple[float, float], to: Path) -> KernelSet:
+    """Return the kernels with a CK that knows nothing in a part of the exposure; s from its middle."""
+    others = [p for p in case.kernels.parent.iterdir() if p.suffix not in (".bc", ".tm")]
+    half_s = 0.55 * SIZE * abs(case.rows["line_time_s"])
+    times = et + np.concatenate([np.linspace(-half_s, gap[0], 9), np.linspace(gap[1], half_s, 9)])
+    with KernelSet(case.kernels):
+        structure = int(spiceypy.ckobj(str(next(case.kernels.parent.glob("*.bc"))))[0])
+        frame = str(spiceypy.frmnam(spiceypy.ccifrm(3, structure)[0]))
+        matrices = np.array([spiceypy.pxform("J2000", frame, time) for time in times])
+        write_ck(to / "gap.bc", structure, structure // 1000, times, matrices, interval_starts=[9])
+    return KernelSet([*others, to / "gap.bc"])
+
+
+@pytest.mark.slow
+def test_a_gap_of_the_ck_while_lines_are_exposed_is_told(case, tmp_path):
+    span_s = SIZE * abs(case.rows["line_time_s"])
+    with KernelSet(case.kernels):
+        et = ImageSession.open(case.picture, case.mission).inputs.et
+    # Between two of the attitudes that the motion is first interpolated from: nothing else would notice.
+    with with_gap(case, et, (0.07 * span_s, 0.115 * span_s), tmp_path):
+        session = ImageSession.open(case.picture, case.mission)
+    (said,) = session.inputs.contradictions
+    assert said.startswith(f"for {0.045 * span_s:.3g} of the ")
+    assert session.context.camera.sweep is not None
+    # Within a line there is nothing that it could have spoiled.
+    line_s = abs(case.rows["line_time_s"])
+    with with_gap(case, et, (0.08 * span_s, 0.08 * span_s + 0.9 * line_s), tmp_path):
+        assert ImageSession.open(case.picture, case.mission).inputs.contradictions == ()
+    # In the middle the a priori attitude itself is missing.
+    with with_gap(case, et, (-0.1 * span_s, 0.1 * span_s), tmp_path):
+        if "detector_line" in case.rows:
+            with pytest.raises(
+                KernelError, match=r"outside the loaded CKs .* load a CK that covers [^ ]+ UTC\. Loaded"
+            ):
+                ImageSession.open(case.picture, case.mission)
+        else:
+            said = str(ImageSession.open(case.picture, case.mission).inputs.contradictions)
+            assert "is not known, and taken as none" in said
 
 
 # ---- A body that passes.
