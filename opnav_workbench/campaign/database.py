@@ -24,7 +24,7 @@ import sqlalchemy as sa
 from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.campaign.schema import APPLICATION_ID, SCHEMA_VERSION, metadata, tables
 from opnav_workbench.errors import SessionError
-from opnav_workbench.paths import exists
+from opnav_workbench.paths import exists, regular_size
 
 __all__ = ["ARCHIVE_FILE", "ArchiveDamaged", "Database"]
 
@@ -215,6 +215,7 @@ def _check_file(path: Path, create: bool) -> None:
             raise SessionError(f"cannot make the folder of {path}: {error.strerror or error}.") from error
         return
     try:
+        regular_size(path)  # a pipe would block
         with path.open("rb") as stream:
             head = stream.read(len(SQLITE_MAGIC))
     except OSError as error:

@@ -21,13 +21,10 @@ band                (n,) or scalar text; absent: ``V``; V is made of it (see `jo
 Every optional array but ``id`` may be a scalar that holds for all stars. Other arrays are left alone.
 """
 
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +41,7 @@ from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
 from opnav_workbench.catalog.star_table import EPOCHS_JYEAR, StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.paths import regular_size
+from opnav_workbench.npz_file import NpzDamage, read_npz
 from opnav_workbench.yaml_file import StrictModel, read_model
 
 __all__ = ["open_npz", "read_star_list"]
@@ -73,10 +70,6 @@ RANGES = {
     "sigma_mas": (0.0, 1e8, "a sigma is not negative, nor a day's motion of the sky"),
     "epoch_jyear": (*EPOCHS_JYEAR, "give Julian years such as 2016.0"),
 }
-LARGEST_BYTES = 1 << 32  # thirty million stars with all columns
-# What zipfile, zlib and numpy's reader raise on damage; the last where a header claims more than memory.
-DAMAGE = (EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, OverflowError, LookupError, TypeError, SyntaxError,
-          tokenize.TokenError, MemoryError)  # fmt: skip
 NpzColumns = Mapping[str, NDArray[Any]]
 
 
@@ -111,38 +104,13 @@ def open_npz(path: str | Path) -> IndexedCatalog:
 
 def _load(file: Path) -> dict[str, NDArray[Any]]:
     try:
-        regular_size(file)
-        with file.open("rb") as stream:  # numpy leaves a file open that turns out to be no archive
-            return _arrays(file, stream)
+        return read_npz(file, {*REQUIRED, *OPTIONAL, "id", "band"})
     except FileNotFoundError as error:
         raise CatalogError(f"star catalog {file} does not exist; check the path after npz:.") from error
     except OSError as error:
         raise CatalogError(f"cannot read {file}: {error.strerror or error}; give an npz file.") from error
-
-
-def _arrays(file: Path, stream: BinaryIO) -> dict[str, NDArray[Any]]:
-    try:
-        archive = np.load(stream, allow_pickle=False)
-    except (ValueError, *DAMAGE) as error:
-        raise CatalogError(f"{file} is not a whole npz file; write it with numpy.savez.") from error
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise CatalogError(f"{file} holds a single array, not an npz archive; write it with numpy.savez.")
-    known = {*REQUIRED, *OPTIONAL, "id", "band"}
-    with archive:
-        members: list[zipfile.ZipInfo] = [] if archive.zip is None else archive.zip.infolist()
-        size = sum(member.file_size for member in members)
-        if size > LARGEST_BYTES:
-            raise CatalogError(
-                f"{file.name} unpacks to {size} bytes, more than {LARGEST_BYTES}; split the catalog."
-            )
-        try:
-            return {name: archive[name] for name in archive.files if name in known}
-        except ValueError as error:
-            raise CatalogError(
-                f"{file.name} holds Python objects ({error}); store numbers, and text as numpy strings."
-            ) from error
-        except DAMAGE as error:
-            raise CatalogError(f"{file.name} is damaged ({error}); write or copy it again.") from error
+    except NpzDamage as error:
+        raise CatalogError(f"star catalog {file}: {error}; write it with numpy.savez.") from error
 
 
 def _checked_columns(data: NpzColumns, name: str) -> dict[str, NDArray[Any]]:

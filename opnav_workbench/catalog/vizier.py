@@ -7,7 +7,6 @@ A cone is answered from disk where one was fetched that contains it, to at least
 import json
 import math
 import re
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from opnav_workbench.constants import FASTEST_STAR_RAD_YR
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.geometry import angle_between, jyear_from_et, radec_from_unit, unit_from_radec
+from opnav_workbench.npz_file import read_npz
 from opnav_workbench.parts import install_command
 from opnav_workbench.resources import cache_root
 
@@ -38,7 +38,7 @@ TIMEOUT_S = 120.0
 REASON_CHARS = 120  # of what went wrong in the network, in a message
 CONE_MEMBER = "__cone__"
 # What reading a damaged file may raise; it counts as none, and its cone will be fetched again.
-DAMAGED_FILE_ERRORS = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError)
+DAMAGED_FILE_ERRORS = (OSError, ValueError, KeyError, TypeError)
 
 AskService = Callable[[VizierTable, "FetchedCone"], Table]
 
@@ -247,18 +247,15 @@ def _write(path: Path, cone: FetchedCone, rows: Mapping[str, NDArray[Any]]) -> N
 
 def _cone_of(path: Path) -> FetchedCone | None:
     try:
-        # numpy leaves a file open that turns out to be no archive
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
-            return FetchedCone(**json.loads(str(content[CONE_MEMBER])))
+        content = read_npz(path, {CONE_MEMBER})
+        return FetchedCone(**json.loads(str(content[CONE_MEMBER])))
     except DAMAGED_FILE_ERRORS:
         return None
 
 
 def _rows_of(path: Path) -> dict[str, NDArray[Any]] | None:
     try:
-        # numpy leaves a file open that turns out to be no archive
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as content:
-            return {_column_name(k): content[k] for k in content.files if k != CONE_MEMBER}
+        return {_column_name(k): column for k, column in read_npz(path).items() if k != CONE_MEMBER}
     except DAMAGED_FILE_ERRORS:
         return None
 

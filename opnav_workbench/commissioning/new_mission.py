@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
@@ -193,7 +194,9 @@ def _silent(_words: str) -> None:
 
 def _looked_at(image: Path) -> tuple[tuple[int, int], Header]:
     """Shape and header of a picture, before any mission is known."""
-    _, stored = read_stored(image, file_bytes(image), KeywordMap())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # told where the picture is opened with its mission
+        _, stored = read_stored(image, file_bytes(image), KeywordMap())
     lines, pixels = stored.image.shape[-2:]
     return (int(lines), int(pixels)), Header(stored.header)
 

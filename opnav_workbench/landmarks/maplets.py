@@ -10,7 +10,6 @@ The file is a NumPy archive (``.npz``) without pickle: the arrays of `Maplets`, 
 and ``source``.
 """
 
-import zipfile
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -23,6 +22,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.format_versions import FORMAT_KEY, PRESENT_VERSION, as_of_today
+from opnav_workbench.npz_file import NpzDamage, read_npz
 
 __all__ = ["Maplets"]
 
@@ -180,17 +180,12 @@ class Maplets:
         """
         advice = "make one with opnav landmarks make"
         try:
-            with Path(path).open("rb") as stream:
-                if not zipfile.is_zipfile(stream):  # of which numpy would say that it may be a pickle
-                    raise MissionError(f"maplets {path} cannot be read (it is no npz file); {advice}.")
-                stream.seek(0)
-                with np.load(stream, allow_pickle=False) as archive:
-                    content = {name: archive[name] for name in archive.files}
+            content = read_npz(path)
         except OSError as error:
             raise MissionError(
                 f"maplets {path} cannot be read: {error.strerror or error}; {advice}."
             ) from error
-        except (ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        except NpzDamage as error:
             raise MissionError(f"maplets {path} cannot be read ({error}); {advice}.") from error
         missing = [name for name in ("kind", "body", *ARRAYS) if name not in content]
         if missing or str(content["kind"]) != KIND:

@@ -391,7 +391,7 @@ class Processing(BaseModel):
         OpNavError
             One of them is not what it should be: refused at once, as it would fail for every picture.
         """
-        if (kept := _KEPT.get(self.plain.model_dump_json())) is not None:
+        if (kept := _KEPT.get(repr(self.plain))) is not None:
             return kept
         self._check_files()
         mission = load_mission(self.mission)
@@ -412,7 +412,7 @@ class Processing(BaseModel):
                 raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
             shape_model(file.path.resolve(), file.unit)
         for body, maplets in self.landmarks.items():
-            if not Path(maplets).is_file():
+            if not is_file(maplets):
                 raise SessionError(
                     f"maplets of {body}: no file {maplets}; make one with opnav landmarks make."
                 )
@@ -465,7 +465,8 @@ class OpenedProcessing:
         return Settings.from_dict(self.how.settings)
 
 
-_KEPT: dict[str, OpenedProcessing] = {}  # of a process that pictures are copied from
+# Of a process that pictures are copied from, by what `repr` says: JSON has no words for a path that is no UTF-8.
+_KEPT: dict[str, OpenedProcessing] = {}
 
 
 def keep_opened(how: Processing) -> OpenedProcessing:
@@ -478,7 +479,7 @@ def keep_opened(how: Processing) -> OpenedProcessing:
     OpNavError
         As `Processing.opened`; a kernel is missing or damaged.
     """
-    opened = _KEPT[how.plain.model_dump_json()] = how.opened()
+    opened = _KEPT[repr(how.plain)] = how.opened()
     if how.kernels:
         for kernel in KernelSet(how.kernels).kernels():
             _ = kernel.sha256  # known as long as the file is the same

@@ -21,6 +21,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, readonly
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import atomic_path
+from opnav_workbench.npz_file import read_npz
 from opnav_workbench.psf.protocol import Psf
 from opnav_workbench.psf.tabulated import PixelTable, TablePsf, bspline_weights
 
@@ -247,8 +248,8 @@ class EmpiricalPsf(TablePsf):
             The file cannot be read or holds no template.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return cls(file["samples"], int(file["oversampling"]))
+            file = read_npz(path, {"samples", "oversampling"})
+            return cls(file["samples"], int(file["oversampling"]))
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise CameraError(
                 f"PSF template {path} cannot be read: {error}; give an npz file with samples and oversampling."

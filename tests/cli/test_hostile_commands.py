@@ -269,7 +269,7 @@ def test_a_date_that_is_none_selects_nothing_by_mistake(tmp_path):
 def test_maplets_that_are_none_are_no_pickles_to_be_trusted(tmp_path):
     (tmp_path / "a.npz").write_bytes(b"anything")
     _, _, err = answer(["landmarks", "show", str(tmp_path / "a.npz")])
-    assert "no npz file" in err
+    assert "not a whole npz file" in err
     assert "pickle" not in err
 
 

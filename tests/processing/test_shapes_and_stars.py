@@ -101,7 +101,7 @@ def test_an_unknown_target_star_lists_those_that_are_known(demo_truths, stars):
             {"shapes": "CHARON:empty.obj", "targets": "PLUTO"},
             "empty.obj",
         ),  # in the scene without being a target
-        ({"landmarks": "PLUTO:empty.npz", "targets": "PLUTO"}, "no npz file"),
+        ({"landmarks": "PLUTO:empty.npz", "targets": "PLUTO"}, "not a whole npz file"),
         ({"landmarks": "PLUTO:none.npz"}, "no file"),
     ],
 )
