@@ -8,7 +8,7 @@ import os
 import stat
 from pathlib import Path
 
-__all__ = ["exists", "is_file", "is_folder", "regular_size"]
+__all__ = ["exists", "is_file", "is_folder", "is_text", "regular_size"]
 
 
 def is_file(path: str | os.PathLike[str]) -> bool:
@@ -30,6 +30,17 @@ def is_folder(path: str | os.PathLike[str]) -> bool:
 def exists(path: str | os.PathLike[str]) -> bool:
     """Tell whether anything stands there."""
     return os.path.exists(path)  # noqa: PTH110
+
+
+def is_text(path: str | os.PathLike[str]) -> bool:
+    r"""Tell whether a path can be written down: all its bytes are UTF-8.
+
+    Examples
+    --------
+    >>> is_text("run/\u00e9"), is_text("run/\udc97")
+    (True, False)
+    """
+    return not any("\ud800" <= letter <= "\udfff" for letter in os.fspath(path))
 
 
 def regular_size(path: str | os.PathLike[str]) -> int:

@@ -27,7 +27,7 @@ from opnav_workbench.campaign.schema import BODIES, IMAGES, POINTINGS, PROVENANC
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import digest, files_named, read_json, text_of
 from opnav_workbench.format_versions import as_of_today, unstamped
-from opnav_workbench.paths import exists, is_file, is_folder
+from opnav_workbench.paths import exists, is_file, is_folder, is_text
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
 
 __all__ = [
@@ -199,6 +199,10 @@ def read_run(folder: str | Path) -> RunRows:
         A file is missing or damaged, or they do not belong together.
     """
     place = Path(folder).resolve()
+    if not is_text(place):
+        raise SessionError(
+            f"the path {place} has bytes that are no UTF-8, which an archive cannot keep; rename it"
+        )
     for left in reversed(range(READINGS)):
         before = _moment(place)
         try:

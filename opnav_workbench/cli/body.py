@@ -6,7 +6,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.markup import escape
 
 from opnav_workbench.cli.processing_options import processing_options
 from opnav_workbench.cli.terminal import folding_table, named_progress, shown
@@ -103,7 +102,7 @@ def _print(found: BodyFromPictures, out: Path) -> None:
         highlight=False,
     )
     for words in (*found.solution.words, *found.solution.messages):
-        console.print(f"[yellow]{escape(words)}[/]", highlight=False)
+        console.print(f"[yellow]{shown(words)}[/]", highlight=False)
     for name, reason in found.left_out:
         console.print(f"[yellow]left out[/] {shown(name)}: {shown(reason)}", highlight=False)
     console.print(f"[bold]{shown(str(out))}[/]: PCK, lines of the mission file, JSON", highlight=False)

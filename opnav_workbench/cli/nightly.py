@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -26,7 +25,7 @@ from rich.progress import (
 
 from opnav_workbench import report
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
-from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals
+from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, shown
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec, load_night
@@ -173,7 +172,7 @@ def nightly(
 
 def _pool(console: Console, scheduler: str | None, jobs: int | None, *, warm: bool) -> NightPool:
     def notice(words: str) -> None:
-        console.print(escape(words), highlight=False)
+        console.print(shown(words), highlight=False)
 
     if scheduler:
         return ClusterPool(scheduler, notice)
@@ -206,7 +205,7 @@ def _notify(console: Console, command: str, summary: Path) -> None:
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         ended = f"{type(error).__name__}: {error}"
     if ended != "0":
-        console.print(f"[yellow]note[/] --notify {escape(command)}: {escape(ended)}", highlight=False)
+        console.print(f"[yellow]note[/] --notify {shown(command)}: {shown(ended)}", highlight=False)
 
 
 def _watch(
@@ -287,9 +286,9 @@ def _print_why(console: Console, plan: NightPlan, wanted: str) -> None:
         close = difflib.get_close_matches(wanted, names, n=3) or names[:3]
         raise SessionError(f"no picture {wanted} in this night; there are {', '.join(close)}, ...")
     for picture in found:
-        console.print(f"{escape(picture.name)}: {STATE_WORDS[picture.state]}", highlight=False)
+        console.print(f"{shown(picture.name)}: {STATE_WORDS[picture.state]}", highlight=False)
         for reason in picture.why:
-            console.print(f"  {escape(reason)}", highlight=False)
+            console.print(f"  {shown(reason)}", highlight=False)
 
 
 def _run_plan(
@@ -304,7 +303,7 @@ def _run_plan(
         TimeRemainingColumn(),
     )
     night, status = Night(plan), 0
-    heartbeat = None if console.is_terminal else lambda words: console.print(escape(words), highlight=False)
+    heartbeat = None if console.is_terminal else lambda words: console.print(shown(words), highlight=False)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pictures", total=len(plan.todo))
 
@@ -313,7 +312,7 @@ def _run_plan(
             watch.said(verdict)
             if verdict.fault:
                 console.print(
-                    f"[bold red]failed:[/] {escape(f'{verdict.name}: {verdict.reason}')}", highlight=False
+                    f"[bold red]failed:[/] {shown(f'{verdict.name}: {verdict.reason}')}", highlight=False
                 )
 
         with ended_by_signals() as pass_over:
@@ -343,13 +342,13 @@ def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> N
         row, count = cause.rows[0], len(cause.rows)
         others = f" and {count - 1} more like it" if count > 1 else ""
         said = f"{row['name']} ({row['status']}){others}: {cause.reason}"
-        console.print(f"[yellow]needs an analyst[/] {escape(said)}", highlight=False)
+        console.print(f"[yellow]needs an analyst[/] {shown(said)}", highlight=False)
     if len(causes) > SHOWN:
         console.print(f"... and {len(causes) - SHOWN} more reasons, on the page.", highlight=False)
     for note in summary["notes"]:
-        console.print(f"[yellow]note[/] {escape(note)}", highlight=False)
+        console.print(f"[yellow]note[/] {shown(note)}", highlight=False)
     for reason in summary["not_archived"]:
-        console.print(f"[yellow]not in the archive[/] {escape(reason)}", highlight=False)
-    console.print(f"Page: {escape(str(out / SUMMARY_PAGE))}", highlight=False)
+        console.print(f"[yellow]not in the archive[/] {shown(reason)}", highlight=False)
+    console.print(f"Page: {shown(str(out / SUMMARY_PAGE))}", highlight=False)
     if causes:
-        console.print(f"Next: opnav lab --queue {escape(str(out))}", highlight=False)
+        console.print(f"Next: opnav lab --queue {shown(str(out))}", highlight=False)
