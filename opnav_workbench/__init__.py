@@ -85,6 +85,8 @@ this list to its top; a package imports what stands below it.
     FITS headers looked at before a library believes them.
 ``format_versions``
     What a file's `format_version` promises; files of older versions read.
+``npz_file``
+    Npz files of others: whole, of arrays alone, of bounded size.
 ``parts``
     Parts of the installation that not everybody needs, and the command that brings one.
 ``yaml_nodes``
