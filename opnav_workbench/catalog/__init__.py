@@ -29,6 +29,8 @@ Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigma
     Binary zone files, and what UCAC2 and UCAC4 have in common.
 ``bundled``
     Hipparcos merged with Gaia DR3, from two data packages.
+``gaia_archive``
+    Gaia DR3 of the whole sky to a magnitude, asked of a TAP service in pieces.
 ``hipparcos``
     The new reduction of Hipparcos: hip2.dat.
 ``tycho2``

@@ -1,7 +1,7 @@
 """Whole catalogs fetched once over the network, and kept as records of our own: ``fetched:NAME``.
 
-The files of a catalog's archive are fetched one by one; what is there stays for the next attempt, after a cut or in
-another process. Each is read to its end before it counts (its own checksum is in it). Once all are there, they are
+The files of a catalog's archive, or its answers for pieces of the sky, are fetched one by one; what is there stays for the
+next attempt, after a cut or in another process. Each is checked to be whole before it counts. Once all are there, they are
 converted (`cache`), to a magnitude limit if one is given, and removed. The catalog ``bundled`` adds by itself what was
 fetched.
 """
@@ -12,10 +12,13 @@ import shutil
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
-from opnav_workbench.catalog import tycho2
-from opnav_workbench.catalog.cache import Progress, Records, cache_path, cached_stars
+from opnav_workbench.catalog import gaia_archive, tycho2
+from opnav_workbench.catalog.cache import CachedStars, Progress, Records, cache_path, cached_stars
 from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.star_store import StoredCatalog
 from opnav_workbench.downloads import download
@@ -32,33 +35,66 @@ NO_LIMIT = 99.0  # magnitude in the name of a file that holds all
 class WholeSky:
     """An archive that holds a whole catalog."""
 
-    url: str  # of the folder
-    files: tuple[str, ...]
+    url: str  # of the folder, or of the service
+    files: Callable[
+        [float | None], tuple[tuple[str, str], ...]
+    ]  # to a magnitude: names, addresses behind the url
+    check: Callable[[Path], None]  # that a file is whole
     records: Callable[[Path, Progress | None], Records]  # of a folder with these files
     open: Callable[[str, Path, Mapping[str, object]], Catalog]
     rule: int
     says: str
 
 
-def _stored(name: str, path: Path, identity: Mapping[str, object]) -> StoredCatalog:
+Stored = Callable[[str, CachedStars, Mapping[str, Any]], StoredCatalog]
+
+
+def _stored(stored: Stored, name: str, path: Path, identity: Mapping[str, object]) -> StoredCatalog:
     def gone() -> Records:
         raise CatalogError(f"{path} is damaged; run: opnav catalog fetch {name}.")
 
     stars = cached_stars(path, identity, gone)
     limit = identity["mag_limit"]
     facts = {"mag_limit": None if limit == NO_LIMIT else limit, "cache": str(path)}
-    return tycho2.stored_tycho2(f"fetched:{name}", stars, facts)
+    return stored(f"fetched:{name}", stars, facts)
+
+
+def _tycho2_files(_mag_limit: float | None) -> tuple[tuple[str, str], ...]:
+    names = (*(f"{name}.gz" for name in tycho2.PARTS), f"{tycho2.SUPPLEMENT_FILE}.gz")
+    return tuple((name, f"/{name}") for name in names)
+
+
+def _check_packed(path: Path) -> None:
+    """Read a packed file to its end: its checksum stands there."""
+    try:
+        with gzip.open(path) as stream:
+            while stream.read(1 << 20):
+                pass
+    except (OSError, EOFError, zlib.error) as error:
+        raise DownloadError(
+            f"{path.name.removesuffix('.part')} came damaged ({error}); fetch it again."
+        ) from error
 
 
 WHOLE_SKY: Mapping[str, WholeSky] = {
     "tycho2": WholeSky(
         url="https://cdsarc.cds.unistra.fr/ftp/I/259/",
-        files=(*(f"{name}.gz" for name in tycho2.PARTS), f"{tycho2.SUPPLEMENT_FILE}.gz"),
+        files=_tycho2_files,
+        check=_check_packed,
         records=tycho2.folder_records,
-        open=_stored,
+        open=partial(_stored, tycho2.stored_tycho2),
         rule=tycho2.RULE,
         says="2.5 million stars to magnitude 12",
-    )
+    ),
+    "gaia": WholeSky(
+        url=gaia_archive.ARCHIVE,
+        files=gaia_archive.archive_files,
+        check=gaia_archive.check_piece,
+        records=gaia_archive.piece_records,
+        open=partial(_stored, gaia_archive.stored_gaia),
+        rule=gaia_archive.RULE,
+        says="Gaia DR3 to a magnitude (--mag-limit, at most 15)",
+    ),
 }
 STEM = "fetched-{name}-mag{limit:.2f}"
 LIMIT = re.compile(r"-mag(\d+\.\d+)$")
@@ -77,16 +113,16 @@ def fetch_whole_sky(
     name
         One of `WHOLE_SKY`.
     mag_limit
-        Fainter stars are left out; None: all.
+        Fainter stars are left out; None: all, where the catalog may be had whole.
     url
-        Another folder of the web that holds the same files.
+        Another folder of the web that holds the same files, or another service that answers the same questions.
     tell : callable
         Told what is done, and the fraction of it.
 
     Raises
     ------
     CatalogError
-        The catalog is unknown, or a file of it is damaged.
+        The catalog is unknown, or a file of it is damaged, or the limit is none of its.
     DownloadError
         A file cannot be had; those that were had are kept.
     """
@@ -95,12 +131,13 @@ def fetch_whole_sky(
         raise CatalogError(
             f"the whole sky of {name!r} cannot be fetched; fetch {', '.join(WHOLE_SKY)}, or a cone (--cone)."
         )
-    folder = cache_root() / "catalogs" / f"fetching-{name}"
-    for number, file in enumerate(source.files):
-        tell(f"fetching {file}", number / len(source.files))
-        if not (folder / file).is_file():
-            download(f"{(url or source.url).rstrip('/')}/{file}", folder / file, check=_check_whole)
     limit = NO_LIMIT if mag_limit is None else float(mag_limit)
+    files = source.files(mag_limit)
+    folder = _fetching(name, files)
+    for number, (file, address) in enumerate(files):
+        tell(f"fetching {file}", number / len(files))
+        if not (folder / file).is_file():
+            download((url or source.url).rstrip("/") + address, folder / file, check=source.check)
 
     def build() -> Records:
         records = source.records(folder, lambda done: tell(f"reading {name}", done))
@@ -115,6 +152,13 @@ def fetch_whole_sky(
         raise CatalogError(f"cannot write {path}; free some space or set OPNAV_CACHE, and fetch again.")
     shutil.rmtree(folder, ignore_errors=True)
     return open_fetched(name)
+
+
+def _fetching(name: str, files: tuple[tuple[str, str], ...]) -> Path:
+    """Return the folder where files wait for the others: those of other addresses (another limit) in another."""
+    plain = all(address == f"/{file}" for file, address in files)
+    mark = "" if plain else "-" + sha256(repr(files).encode()).hexdigest()[:12]
+    return cache_root() / "catalogs" / f"fetching-{name}{mark}"
 
 
 def open_fetched(name: str) -> Catalog:
@@ -159,15 +203,3 @@ def _path(name: str, limit: float) -> Path:
 
 def _identity(name: str, source: WholeSky, limit: float) -> dict[str, object]:
     return {"fetched": name, "mag_limit": limit, "rule": source.rule}
-
-
-def _check_whole(path: Path) -> None:
-    """Read a packed file to its end: its checksum stands there."""
-    try:
-        with gzip.open(path) as stream:
-            while stream.read(1 << 20):
-                pass
-    except (OSError, EOFError, zlib.error) as error:
-        raise DownloadError(
-            f"{path.name.removesuffix('.part')} came damaged ({error}); fetch it again."
-        ) from error

@@ -90,7 +90,8 @@ def build(spec: SpecArgument) -> None:
 @catalog_app.command()
 def fetch(
     name: Annotated[
-        str, typer.Argument(help="tycho2, the whole sky; or a VizieR catalog: gaia-dr3, tycho2, ucac4, hip2.")
+        str,
+        typer.Argument(help="The whole sky: tycho2, gaia; a cone of VizieR: gaia-dr3, tycho2, ucac4, hip2."),
     ],
     cone: Annotated[
         tuple[float, float, float] | None,
@@ -101,7 +102,11 @@ def fetch(
     ] = None,
     url: Annotated[
         str | None,
-        typer.Option("--from", help="Another web folder with the whole sky's files.", show_default=False),
+        typer.Option(
+            "--from",
+            help="Another web folder with the whole sky's files, or TAP service.",
+            show_default=False,
+        ),
     ] = None,
 ) -> None:
     """Fetch the whole sky of a catalog once, part of bundled from then on; or a cone, which vizier:NAME serves offline.
@@ -111,6 +116,8 @@ def fetch(
     [bold]Example[/]
 
       opnav catalog fetch tycho2 --mag-limit 12
+
+      opnav catalog fetch gaia --mag-limit 13
 
       opnav catalog fetch gaia-dr3 --cone 217.39 -62.68 0.5 --mag 16
     """
