@@ -63,10 +63,9 @@ def archive_files(mag_limit: float | None) -> tuple[tuple[str, str], ...]:
     """
     low, high = MAG_LIMITS
     if mag_limit is None or not low <= mag_limit <= high:
-        given = "no limit" if mag_limit is None else f"{mag_limit:g}"
         raise CatalogError(
-            f"Gaia has 1.8 billion stars, of which {given} was asked for: give --mag-limit, {low:g} to {high:g} (13: about "
-            "7 million stars), or fetch a cone (opnav catalog fetch gaia-dr3 --cone)."
+            f"of Gaia's 1.8 billion stars a machine keeps those to a magnitude: give --mag-limit, {low:g} to {high:g} "
+            "(13: about 7 million stars), or fetch a cone (opnav catalog fetch gaia-dr3 --cone)."
         )
     return tuple((f"gaia-{piece:03d}.vot", f"?{_question(piece, mag_limit)}") for piece in range(N_PIECES))
 
