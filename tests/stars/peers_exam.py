@@ -10,6 +10,8 @@ its own process and children.
 """
 
 import importlib
+import logging
+import math
 import resource
 import shutil
 import subprocess
@@ -34,9 +36,10 @@ def say(*words):
 
 
 def row(what, ours, peers):
+    """Print our figure, then those of peers; what is callable is only asked for then."""
     say(f"{what:46s} ours {ours}")
     for name, found in peers.items():
-        say(f"{'':46s} {name} {found}")
+        say(f"{'':46s} {name} {found() if callable(found) else found}")
 
 
 def timed(call):
@@ -122,7 +125,7 @@ def beside_peers(rng, vectors, mag, index):
     ]
     solved = [timed(lambda field=field: solve_ours(index, field)) for field in fields]
     verdicts = [verdict(field, answer) for field, (answer, _) in zip(fields, solved, strict=True)]
-    peers = {"solve-field": solve_field(fields), "cedar-solve": cedar_solve(fields)}
+    peers = {"solve-field": lambda: solve_field(fields), "cedar-solve": lambda: cedar_solve(fields)}
     what = f"lost in space, {PEER_WIDTH_DEG:g} deg, {PEER_STARS} stars, {PEER_RAYS} rays"
     row(what, tally(verdicts, [seconds for _, seconds in solved]), peers)
 
@@ -182,6 +185,9 @@ def cedar_solve(fields):
     tetra3 = module("tetra3", "cedar-solve")
     if isinstance(tetra3, str):
         return tetra3
+    if not hasattr(np, "math"):
+        np.math = math  # cedar-solve 0.5 asks numpy for it, as numpy 1 had it
+    logging.getLogger("tetra3").setLevel(logging.ERROR)
     solver = tetra3.Tetra3("default_database")
     verdicts, seconds = [], []
     for field in fields:
