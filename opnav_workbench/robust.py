@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 from scipy.special import chdtrc, ndtri
 
 __all__ = ["equal_sigmas", "moment_excess"]
@@ -43,7 +43,7 @@ def moment_excess(surplus: Callable[[float], float], tolerance: float, upper: fl
         return 0.0
     while surplus(upper) > 0.0:
         upper *= 2.0
-    return float(brentq(surplus, 0.0, upper, xtol=tolerance))
+    return float(scipy.optimize.brentq(surplus, 0.0, upper, xtol=tolerance))
 
 
 def equal_sigmas(square: float, freedom: int) -> float:

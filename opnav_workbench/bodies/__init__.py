@@ -47,41 +47,89 @@ which suits a body.
     Limb method: brightness along lines that radiate across the limb.
 """
 
-from opnav_workbench.bodies.cross_correlation import find_cross_correlation
-from opnav_workbench.bodies.disk.centerfinder import find_disk, judged_disk
-from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
-from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
-from opnav_workbench.bodies.ellipse.point_fits import horizon_position
-from opnav_workbench.bodies.judgement import confirmed_center
-from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
-from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
-from opnav_workbench.bodies.method import choose_method
-from opnav_workbench.bodies.picture import (
-    MEASURED_PSF_SIGMA,
-    BodyPicture,
-    Circle,
-    displaced_model,
-    model_picture,
-    picture_from_circle,
-    stated_psf_sigma,
-)
-from opnav_workbench.bodies.results import (
-    BODY_STATUSES,
-    BodyCenter,
-    BodyFlag,
-    BodyResiduals,
-    DiskReading,
-    FreeEllipse,
-    JointCenters,
-    LimbEllipse,
-    LimbScans,
-    ModelFit,
-    SecondReading,
-    describe_body_flags,
-)
-from opnav_workbench.bodies.silhouette import Outline, body_outline
-from opnav_workbench.bodies.subarray import SubArray, choose_subarray
-from opnav_workbench.bodies.unresolved import find_unresolved, find_unresolved_body
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.bodies.cross_correlation import find_cross_correlation
+    from opnav_workbench.bodies.disk.centerfinder import find_disk, judged_disk
+    from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
+    from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
+    from opnav_workbench.bodies.ellipse.point_fits import horizon_position
+    from opnav_workbench.bodies.judgement import confirmed_center
+    from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
+    from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
+    from opnav_workbench.bodies.method import choose_method
+    from opnav_workbench.bodies.picture import (
+        MEASURED_PSF_SIGMA,
+        BodyPicture,
+        Circle,
+        displaced_model,
+        model_picture,
+        picture_from_circle,
+        stated_psf_sigma,
+    )
+    from opnav_workbench.bodies.results import (
+        BODY_STATUSES,
+        BodyCenter,
+        BodyFlag,
+        BodyResiduals,
+        DiskReading,
+        FreeEllipse,
+        JointCenters,
+        LimbEllipse,
+        LimbScans,
+        ModelFit,
+        SecondReading,
+        describe_body_flags,
+    )
+    from opnav_workbench.bodies.silhouette import Outline, body_outline
+    from opnav_workbench.bodies.subarray import SubArray, choose_subarray
+    from opnav_workbench.bodies.unresolved import find_unresolved, find_unresolved_body
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "find_cross_correlation": "cross_correlation",
+            "find_disk": "disk.centerfinder",
+            "judged_disk": "disk.centerfinder",
+            "MeasuredDisk": "disk.measurement",
+            "measure_disk": "disk.measurement",
+            "find_ellipse": "ellipse.centerfinder",
+            "horizon_position": "ellipse.point_fits",
+            "confirmed_center": "judgement",
+            "find_jointly": "least_squares",
+            "find_least_squares": "least_squares",
+            "find_limb_scan": "limb_scan.centerfinder",
+            "choose_method": "method",
+            "MEASURED_PSF_SIGMA": "picture",
+            "BodyPicture": "picture",
+            "Circle": "picture",
+            "displaced_model": "picture",
+            "model_picture": "picture",
+            "picture_from_circle": "picture",
+            "stated_psf_sigma": "picture",
+            "BODY_STATUSES": "results",
+            "BodyCenter": "results",
+            "BodyFlag": "results",
+            "BodyResiduals": "results",
+            "DiskReading": "results",
+            "FreeEllipse": "results",
+            "JointCenters": "results",
+            "LimbEllipse": "results",
+            "LimbScans": "results",
+            "ModelFit": "results",
+            "SecondReading": "results",
+            "describe_body_flags": "results",
+            "Outline": "silhouette",
+            "body_outline": "silhouette",
+            "SubArray": "subarray",
+            "choose_subarray": "subarray",
+            "find_unresolved": "unresolved",
+            "find_unresolved_body": "unresolved",
+        },
+    )
 
 __all__ = [
     "BODY_STATUSES",

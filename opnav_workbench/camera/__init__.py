@@ -30,28 +30,62 @@ Enter by `Camera`: `Camera.from_yaml` for a camera file, `Camera.from_ik` for a 
     Cameras from the ``INS<id>_*`` variables of SPICE instrument kernels.
 """
 
-from opnav_workbench.camera.distortion import (
-    BrownDistortion,
-    Distortion,
-    ForwardSipDistortion,
-    LegendreDistortion,
-    NoDistortion,
-    OwenDistortion,
-    SipDistortion,
-)
-from opnav_workbench.camera.lens_models import (
-    CahvorDistortion,
-    FisheyeDistortion,
-    RadialDistortion,
-    RationalDistortion,
-    TaylorDistortion,
-)
-from opnav_workbench.camera.model import Camera
-from opnav_workbench.camera.origins import Origin
-from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
-from opnav_workbench.camera.readout import read_out
-from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
-from opnav_workbench.camera.rows import RowSweep, RowTiming, row_sweep
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.camera.distortion import (
+        BrownDistortion,
+        Distortion,
+        ForwardSipDistortion,
+        LegendreDistortion,
+        NoDistortion,
+        OwenDistortion,
+        SipDistortion,
+    )
+    from opnav_workbench.camera.lens_models import (
+        CahvorDistortion,
+        FisheyeDistortion,
+        RadialDistortion,
+        RationalDistortion,
+        TaylorDistortion,
+    )
+    from opnav_workbench.camera.model import Camera
+    from opnav_workbench.camera.origins import Origin
+    from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+    from opnav_workbench.camera.readout import read_out
+    from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
+    from opnav_workbench.camera.rows import RowSweep, RowTiming, row_sweep
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "BrownDistortion": "distortion",
+            "Distortion": "distortion",
+            "ForwardSipDistortion": "distortion",
+            "LegendreDistortion": "distortion",
+            "NoDistortion": "distortion",
+            "OwenDistortion": "distortion",
+            "SipDistortion": "distortion",
+            "CahvorDistortion": "lens_models",
+            "FisheyeDistortion": "lens_models",
+            "RadialDistortion": "lens_models",
+            "RationalDistortion": "lens_models",
+            "TaylorDistortion": "lens_models",
+            "Camera": "model",
+            "Origin": "origins",
+            "AttitudeSigma": "priors",
+            "ExposureLimits": "priors",
+            "PsfPrior": "priors",
+            "read_out": "readout",
+            "UNKNOWN_COLOR": "response",
+            "CameraResponse": "response",
+            "RowSweep": "rows",
+            "RowTiming": "rows",
+            "row_sweep": "rows",
+        },
+    )
 
 __all__ = [
     "UNKNOWN_COLOR",

@@ -16,16 +16,14 @@ from copy import copy
 from dataclasses import dataclass, field, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, readonly
-from opnav_workbench.camera.cahvor import camera_fields_from_cahvor
 from opnav_workbench.camera.camera_file import camera_fields
 from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2, reach_mm
-from opnav_workbench.camera.instrument_kernel import camera_fields_from_ik
 from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma
 from opnav_workbench.camera.response import CameraResponse
@@ -34,6 +32,13 @@ from opnav_workbench.camera.saving import write_camera_yaml
 from opnav_workbench.errors import CameraError
 from opnav_workbench.geometry import radec_from_unit, tangent_basis
 from opnav_workbench.geometry.rotations import checked_rotation, unit
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.camera import cahvor, instrument_kernel
+else:  # cameras come from files, as a rule
+    cahvor = module_on_demand("opnav_workbench.camera.cahvor")
+    instrument_kernel = module_on_demand("opnav_workbench.camera.instrument_kernel")
 
 __all__ = ["Camera", "sky_jacobian"]
 
@@ -217,7 +222,7 @@ class Camera(CameraResponse):
         CameraError
             The variables do not determine a camera; the message says which are missing.
         """
-        return cls(**camera_fields_from_ik(values, instrument_id, **overrides))
+        return cls(**instrument_kernel.camera_fields_from_ik(values, instrument_id, **overrides))
 
     @classmethod
     def from_cahvor(
@@ -254,7 +259,7 @@ class Camera(CameraResponse):
         CameraError
             The vectors make no camera.
         """
-        return cls(**camera_fields_from_cahvor(a, h, v, o, r, linearity, focal_length_mm) | fields)
+        return cls(**cahvor.camera_fields_from_cahvor(a, h, v, o, r, linearity, focal_length_mm) | fields)
 
     @property
     def boresight(self) -> FloatArray:

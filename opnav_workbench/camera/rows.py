@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import CameraError
@@ -92,10 +92,10 @@ class RowSweep:
     time_s: FloatArray
     turn_rad: FloatArray
     follows: str = ""
-    _spline: CubicSpline = field(init=False, repr=False)
+    _spline: "scipy.interpolate.CubicSpline" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_spline", CubicSpline(self.time_s, self.turn_rad))
+        object.__setattr__(self, "_spline", scipy.interpolate.CubicSpline(self.time_s, self.turn_rad))
         freeze_arrays(self)
 
     def turns(self, line: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ def row_sweep(
     while len(times) < MOST:
         between = 0.5 * (times[1:] + times[:-1])
         there = np.array([turn(t) for t in between])
-        off = np.linalg.norm(CubicSpline(times, turns)(between) - there, axis=1).max()
+        off = np.linalg.norm(scipy.interpolate.CubicSpline(times, turns)(between) - there, axis=1).max()
         order = np.argsort(np.concatenate([times, between]), kind="stable")
         times, turns = np.concatenate([times, between])[order], np.concatenate([turns, there])[order]
         if off < TOLERANCE_PX * pixel_rad:

@@ -208,10 +208,10 @@ class Campaign:
 
     # -- out ---------------------------------------------------------------------------------------------------
 
-    def query(self, what: str, **filters: str | None) -> Table:
+    def query(self, what: str, only: Sequence[str] | None = None, **filters: str | None) -> Table:
         """Return ``images``, ``pointings``, ``stars`` or ``bodies``; see `opnav_workbench.campaign.queries.query_table`."""
         with self._database.read() as connection:
-            return query_table(connection, what, filters)
+            return query_table(connection, what, filters, only)
 
     def images(self, **filters: str | None) -> Table:
         """Return one row a picture; filters ``status, since, until, image, mission, camera``."""

@@ -63,7 +63,9 @@ BEGINS_A_DATE = re.compile(r"\d{4}(-\d|-?$)")  # as exact as need be: 2015, 2015
 AFTER_ALL_TEXT = "\uffff"  # after every text that begins alike: 2015-04-09 as an end holds the whole day
 
 
-def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str | None]) -> Table:
+def query_table(
+    connection: sa.Connection, what: str, filters: Mapping[str, str | None], only: Sequence[str] | None = None
+) -> Table:
     """Return the rows of a part of the archive.
 
     Parameters
@@ -73,6 +75,8 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
     filters
         ``status, body, method, image, star, mission, camera``: equal to that, in any case; several with commas.
         ``since, until``: UTC, ISO, as exact as need be.
+    only
+        Names of the columns wanted, but for ``history``; None: all, and what a newer version's results hold beside them.
 
     Raises
     ------
@@ -86,17 +90,21 @@ def query_table(connection: sa.Connection, what: str, filters: Mapping[str, str 
     images = tables["images"]
     if what == "images":
         columns = _in_tables((*IMAGES, *ARCHIVE_COLUMNS))
-        chosen = sa.select(*[images.c[c.name] for c in columns], images.c.extra)
+        places: list[Any] = [images.c[c.name] for c in columns]
+        source, extra = sa.select().select_from(images), images.c.extra
     else:
         table = tables[what]
         parts = _in_tables(PART_COLUMNS[what])
         columns = (*[c for c in IMAGES if c.name in IMAGE_COLUMNS], *parts)
-        own = [table.c[c.name] for c in parts]
-        chosen = sa.select(*[images.c[n] for n in IMAGE_COLUMNS], *own, table.c.extra).join_from(
-            images, table
-        )
-    rows = connection.execute(_filtered(chosen, what, filters)).mappings().all()
-    return _table(rows, columns)
+        places = [*[images.c[n] for n in IMAGE_COLUMNS], *[table.c[c.name] for c in parts]]
+        source, extra = sa.select().join_from(images, table), table.c.extra
+    if only is not None:  # the rest is most of an archive's bytes
+        wanted = [
+            (column, place) for column, place in zip(columns, places, strict=True) if column.name in only
+        ]
+        columns, places = tuple(c for c, _ in wanted), [p for _, p in wanted]
+    chosen = source.add_columns(*places, extra if only is None else sa.null().label("extra"))
+    return _table(connection.execute(_filtered(chosen, what, filters)).all(), columns)
 
 
 def _in_tables(columns: Sequence[Column]) -> tuple[Column, ...]:
@@ -114,8 +122,7 @@ def _history(connection: sa.Connection, filters: Mapping[str, str | None]) -> Ta
             raise SessionError(f"history has no {name}; leave that filter out.")
         options = [option.strip().casefold() for option in value.split(",") if option.strip()]
         query = query.where(sa.func.lower(table.c[name]).in_(options))
-    rows = connection.execute(query.order_by(table.c.processed_utc, table.c.key)).mappings().all()
-    return _table(rows, HISTORY)
+    return _table(connection.execute(query.order_by(table.c.processed_utc, table.c.key)).all(), HISTORY)
 
 
 def query_plain(connection: sa.Connection, what: str) -> list[dict[str, Any]]:
@@ -219,14 +226,16 @@ def _filtered(query: "sa.Select[Any]", what: str, filters: Mapping[str, str | No
     return _ordered(query, table)
 
 
-def _table(rows: Sequence[Mapping[Any, Any]], columns: Sequence[Column]) -> Table:
-    """A table of rows; unknown numbers are nan, unknown flags and counts masked, and lists one text."""
+def _table(rows: Sequence[Sequence[Any]], columns: Sequence[Column]) -> Table:
+    """A table of rows, each with its extra values last; unknown numbers are nan, flags and counts masked, lists one text."""
     table = Table()
-    for column in columns:
-        table[column.name] = _cells([row[column.name] for row in rows], column)
-    for name in _extra_names(rows, set(table.colnames)):
-        values = [(row["extra"] or {}).get(name) for row in rows]
-        table[name] = _cells(values, _guessed_column(name, values))
+    of_columns: list[Sequence[Any]] = list(zip(*rows, strict=True)) or [()] * (len(columns) + 1)
+    for column, values in zip(columns, of_columns, strict=False):
+        table[column.name] = _cells(values, column)
+    extra = [values or {} for values in of_columns[-1]]
+    for name in _extra_names(extra, set(table.colnames)):
+        more = [values.get(name) for values in extra]
+        table[name] = _cells(more, _guessed_column(name, more))
     return table
 
 
@@ -242,11 +251,11 @@ def _cells(values: Sequence[Any], column: Column) -> Any:
     return AstropyColumn(filled, unit=unit, **common)
 
 
-def _extra_names(rows: Iterable[Mapping[Any, Any]], taken: set[str]) -> list[str]:
+def _extra_names(extra: Iterable[Mapping[str, Any]], taken: set[str]) -> list[str]:
     """Names of plain values that no column stands for: a newer version's results are not hidden."""
     names: dict[str, None] = {}
-    for row in rows:
-        for name, value in (row["extra"] or {}).items():
+    for values in extra:
+        for name, value in values.items():
             if isinstance(value, str | int | float) and name not in taken:
                 names.setdefault(name)
     return list(names)

@@ -53,14 +53,38 @@ Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigma
     Several catalogs asked as one.
 """
 
-from opnav_workbench.catalog.interface import Catalog
-from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_motion_mixture
-from opnav_workbench.catalog.quality import StarQuality
-from opnav_workbench.catalog.specs import CatalogStatus, catalog_contents, catalog_status, open_catalog
-from opnav_workbench.catalog.star_table import StarTable
-from opnav_workbench.catalog.user_files import read_star_list
-from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
-from opnav_workbench.catalog.whole_sky import fetch_whole_sky
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.catalog.interface import Catalog
+    from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_motion_mixture
+    from opnav_workbench.catalog.quality import StarQuality
+    from opnav_workbench.catalog.specs import CatalogStatus, catalog_contents, catalog_status, open_catalog
+    from opnav_workbench.catalog.star_table import StarTable
+    from opnav_workbench.catalog.user_files import read_star_list
+    from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
+    from opnav_workbench.catalog.whole_sky import fetch_whole_sky
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "Catalog": "interface",
+            "UNKNOWN_MOTION_MAS_YR": "proper_motion",
+            "unknown_motion_mixture": "proper_motion",
+            "StarQuality": "quality",
+            "CatalogStatus": "specs",
+            "catalog_contents": "specs",
+            "catalog_status": "specs",
+            "open_catalog": "specs",
+            "StarTable": "star_table",
+            "read_star_list": "user_files",
+            "VizierCatalog": "vizier",
+            "open_vizier": "vizier",
+            "fetch_whole_sky": "whole_sky",
+        },
+    )
 
 __all__ = [
     "UNKNOWN_MOTION_MAS_YR",

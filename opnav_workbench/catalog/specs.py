@@ -8,24 +8,39 @@ import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from opnav_workbench.catalog.astrometry_net import open_astrometry_net
 from opnav_workbench.catalog.bundled import bundled_cache_path, bundled_versions, open_bundled
 from opnav_workbench.catalog.cache import Progress
 from opnav_workbench.catalog.combined import CombinedCatalog, split_specs
-from opnav_workbench.catalog.hipparcos import open_hip2
 from opnav_workbench.catalog.interface import Catalog
-from opnav_workbench.catalog.tycho2 import open_tycho2
-from opnav_workbench.catalog.ucac2 import open_ucac2
-from opnav_workbench.catalog.ucac4 import open_ucac4
-from opnav_workbench.catalog.user_files import open_npz
-from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
-from opnav_workbench.catalog.vizier_tables import TABLES
 from opnav_workbench.catalog.whole_sky import WHOLE_SKY, fetched_names, fetched_state, open_fetched
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.files import sha256_of
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.parts import install_command
 from opnav_workbench.paths import is_file, is_folder
+
+if TYPE_CHECKING:
+    from opnav_workbench.catalog import (
+        astrometry_net,
+        hipparcos,
+        tycho2,
+        ucac2,
+        ucac4,
+        user_files,
+        vizier,
+        vizier_tables,
+    )
+else:  # one of them is opened, as a rule
+    astrometry_net = module_on_demand("opnav_workbench.catalog.astrometry_net")
+    hipparcos = module_on_demand("opnav_workbench.catalog.hipparcos")
+    tycho2 = module_on_demand("opnav_workbench.catalog.tycho2")
+    ucac2 = module_on_demand("opnav_workbench.catalog.ucac2")
+    ucac4 = module_on_demand("opnav_workbench.catalog.ucac4")
+    user_files = module_on_demand("opnav_workbench.catalog.user_files")
+    vizier = module_on_demand("opnav_workbench.catalog.vizier")
+    vizier_tables = module_on_demand("opnav_workbench.catalog.vizier_tables")
 
 __all__ = ["CatalogStatus", "catalog_contents", "catalog_status", "open_catalog"]
 
@@ -41,18 +56,26 @@ class SpecKind:
     open: Callable[[str, Progress | None], Catalog]
 
 
+def _open_tycho2(argument: str, progress: Progress | None) -> Catalog:
+    return tycho2.open_tycho2(argument, progress)
+
+
+def _open_hip2(argument: str, progress: Progress | None) -> Catalog:
+    return hipparcos.open_hip2(argument, progress)
+
+
 # A new catalog is one more line here.
 SPEC_KINDS: Mapping[str, SpecKind] = {
     "bundled": SpecKind("bundled", lambda _argument, progress: _bundled_and_fetched(progress)),
     "fetched": SpecKind("fetched:NAME", lambda argument, _progress: open_fetched(argument)),
-    "tycho2": SpecKind("tycho2:DIR", open_tycho2),
-    "ucac2": SpecKind("ucac2:DIR", lambda argument, _progress: open_ucac2(argument)),
-    "ucac4": SpecKind("ucac4:DIR", lambda argument, _progress: open_ucac4(argument)),
-    "hip2": SpecKind("hip2:DIR", open_hip2),
-    "npz": SpecKind("npz:FILE", lambda argument, _progress: open_npz(argument)),
-    "vizier": SpecKind("vizier:NAME", lambda argument, _progress: open_vizier(argument)),
+    "tycho2": SpecKind("tycho2:DIR", _open_tycho2),
+    "ucac2": SpecKind("ucac2:DIR", lambda argument, _progress: ucac2.open_ucac2(argument)),
+    "ucac4": SpecKind("ucac4:DIR", lambda argument, _progress: ucac4.open_ucac4(argument)),
+    "hip2": SpecKind("hip2:DIR", _open_hip2),
+    "npz": SpecKind("npz:FILE", lambda argument, _progress: user_files.open_npz(argument)),
+    "vizier": SpecKind("vizier:NAME", lambda argument, _progress: vizier.open_vizier(argument)),
     "astrometry-net": SpecKind(
-        "astrometry-net:GLOB", lambda argument, _progress: open_astrometry_net(argument)
+        "astrometry-net:GLOB", lambda argument, _progress: astrometry_net.open_astrometry_net(argument)
     ),
 }
 
@@ -250,8 +273,8 @@ def installed_tycho2() -> str | None:
 
 
 def _vizier_status() -> CatalogStatus:
-    kept = sum(1 for kind in TABLES for _ in VizierCatalog(kind).folder.glob("*.npz"))
+    kept = sum(1 for kind in vizier_tables.TABLES for _ in vizier.VizierCatalog(kind).folder.glob("*.npz"))
     online = importlib.util.find_spec("astroquery") is not None
     ask = "" if online else f"; to ask the service: {install_command('online')}"
-    names = ", ".join(TABLES)
+    names = ", ".join(vizier_tables.TABLES)
     return CatalogStatus("vizier:NAME", available=True, detail=f"{names}; {kept} cones on disk{ask}")

@@ -7,16 +7,18 @@ Units  rad, rad/yr, km/s, magnitudes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from astropy import units as u
-from astropy.table import QTable
 from numpy.typing import ArrayLike, NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import propagate, propagate_covariance
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
 __all__ = ["EPOCHS_JYEAR", "DeferredStars", "StarTable"]
 
@@ -193,9 +195,11 @@ class StarTable:
             rv_km_s=self.rv_km_s,
         )
 
-    def to_qtable(self) -> QTable:
+    def to_qtable(self) -> "QTable":
         """Return the stars as an astropy QTable for people: degrees, mas, mas/yr, with descriptions."""
         mas, motion = u.mas, u.mas / u.yr
+        from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+
         table = QTable(meta={"frame": "ICRS (J2000)"})
         table["id"] = np.array(self.id)
         for name, values, given, shown, description in (

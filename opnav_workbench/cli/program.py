@@ -140,12 +140,13 @@ class CommandOnCall(TyperCommand):
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Load modules without garbage collection: what they make stays, and looking through it takes a tenth of a start."""
+    """Load modules without garbage collection, now and later: what they make stays, and to look through it takes long."""
     collecting = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
+        gc.freeze()
         if collecting:
             gc.enable()
 

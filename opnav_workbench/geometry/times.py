@@ -6,8 +6,8 @@ TDB - TT.
 
 import re
 
+import erfa
 import numpy as np
-from astropy.time import Time
 
 from opnav_workbench.constants import DAY_S, J2000_JD
 
@@ -15,6 +15,9 @@ __all__ = ["et_from_text", "text_from_et"]
 
 DAY_OF_YEAR = re.compile(r"(\d{4})-(\d{3})[T ](.+)")
 CLOCK = re.compile(r"\d{1,2}:\d{2}")  # a date alone would silently mean midnight
+CALENDAR = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::([0-5]\d(?:\.\d*)?))?")
+# ERFA's own leap seconds hold in these years (IERS, Bulletin C 70); of later ones astropy knows by its data
+ERFA_YEARS = range(1972, 2026)
 
 
 def et_from_text(utc: str) -> float:
@@ -35,8 +38,29 @@ def et_from_text(utc: str) -> float:
         raise ValueError(f"{utc!r} has no time of day")
     if match := DAY_OF_YEAR.fullmatch(text):
         text = ":".join(match.groups())
-    time = Time(text, scale="utc").tdb
-    return float(((time.jd1 - J2000_JD) + time.jd2) * DAY_S)
+    time = _plain_calendar_tdb(text)
+    if time is None:
+        from astropy.time import Time  # noqa: PLC0415 (loads tables, a tenth of a short command)
+
+        found = Time(text, scale="utc").tdb
+        time = found.jd1, found.jd2
+    return float(((time[0] - J2000_JD) + time[1]) * DAY_S)
+
+
+def _plain_calendar_tdb(text: str) -> tuple[float, float] | None:
+    """Return the Julian date, TDB, of a calendar text as most headers have it, as astropy does; None: another text."""
+    match = CALENDAR.fullmatch(text)
+    if match is None or int(match[1]) not in ERFA_YEARS:
+        return None
+    *minutes, seconds = match.groups(default="0")
+    try:
+        utc = erfa.dtf2d("UTC", *map(int, minutes), float(seconds))
+    except erfa.ErfaError:
+        return None
+    tt = erfa.taitt(*erfa.utctai(*utc))
+    of_day = (utc[0] - 0.5) % 1.0 + utc[1]
+    day, part = erfa.tttdb(*tt, erfa.dtdb(*tt, of_day % 1.0, 0.0, 0.0, 0.0))
+    return float(day), float(part)
 
 
 def text_from_et(et: float, decimals: int = 3) -> str:
@@ -52,6 +76,8 @@ def text_from_et(et: float, decimals: int = 3) -> str:
     >>> text_from_et(640822081.5339231)
     '2020-04-22T10:06:52.348'
     """
+    from astropy.time import Time  # noqa: PLC0415 (loads tables, a tenth of a short command)
+
     whole_days = np.floor(et / DAY_S)
     time = Time(J2000_JD + whole_days, (et - whole_days * DAY_S) / DAY_S, format="jd", scale="tdb")
     utc = time.utc

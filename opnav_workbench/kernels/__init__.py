@@ -50,60 +50,131 @@ functions below only, one thread at a time, and every failure is one `KernelErro
     What a kernel set covers and lacks (`check_kernels`).
 """
 
-from opnav_workbench.kernels.calls import toolkit_version
-from opnav_workbench.kernels.cameras import (
-    attitude_gaps,
-    camera_attitude,
-    camera_rate,
-    ck_structure,
-    instrument_ids,
-    instrument_values,
-    knows_frame,
-    rotation,
-)
-from opnav_workbench.kernels.check import CoverageRow, KernelCheck, KindCheck, check_kernels
-from opnav_workbench.kernels.contents import BriefRow, BriefVariable, KernelBrief, brief
-from opnav_workbench.kernels.coverage import Coverage
-from opnav_workbench.kernels.digests import KernelPart, kernel_parts
-from opnav_workbench.kernels.fetch import FetchedKernel, FetchedKernels, fetch_kernels
-from opnav_workbench.kernels.files import KernelFile
-from opnav_workbench.kernels.kernel_set import KernelSet, KernelSetInfo, kernel_sets, known_names
-from opnav_workbench.kernels.making.make import make_kernels
-from opnav_workbench.kernels.manifest import (
-    KERNEL_KINDS,
-    KernelKind,
-    Manifest,
-    ManifestKernel,
-    kernels_folder,
-    load_manifest,
-    manifest_missions,
-    match_kinds,
-)
-from opnav_workbench.kernels.states import (
-    State,
-    SurfacePoint,
-    body_attitude,
-    body_frame,
-    body_gm_km3_s2,
-    body_id,
-    body_name,
-    body_periodic_terms,
-    body_radii_km,
-    state,
-    sub_observer_point,
-    sub_solar_point,
-)
-from opnav_workbench.kernels.text_kernels import write_text_kernel
-from opnav_workbench.kernels.time import (
-    clock_tolerance_s,
-    et_from_sclk,
-    et_from_utc,
-    knows_clock,
-    packaged_leap_seconds,
-    sclk_from_et,
-    utc_from_et,
-)
-from opnav_workbench.kernels.writing import SpkSegment, write_ck, write_spk
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.kernels.calls import toolkit_version
+    from opnav_workbench.kernels.cameras import (
+        attitude_gaps,
+        camera_attitude,
+        camera_rate,
+        ck_structure,
+        instrument_ids,
+        instrument_values,
+        knows_frame,
+        rotation,
+    )
+    from opnav_workbench.kernels.check import CoverageRow, KernelCheck, KindCheck, check_kernels
+    from opnav_workbench.kernels.contents import BriefRow, BriefVariable, KernelBrief, brief
+    from opnav_workbench.kernels.coverage import Coverage
+    from opnav_workbench.kernels.digests import KernelPart, kernel_parts
+    from opnav_workbench.kernels.fetch import FetchedKernel, FetchedKernels, fetch_kernels
+    from opnav_workbench.kernels.files import KernelFile
+    from opnav_workbench.kernels.kernel_set import KernelSet, KernelSetInfo, kernel_sets, known_names
+    from opnav_workbench.kernels.making.make import make_kernels
+    from opnav_workbench.kernels.manifest import (
+        KERNEL_KINDS,
+        KernelKind,
+        Manifest,
+        ManifestKernel,
+        kernels_folder,
+        load_manifest,
+        manifest_missions,
+        match_kinds,
+    )
+    from opnav_workbench.kernels.states import (
+        State,
+        SurfacePoint,
+        body_attitude,
+        body_frame,
+        body_gm_km3_s2,
+        body_id,
+        body_name,
+        body_periodic_terms,
+        body_radii_km,
+        state,
+        sub_observer_point,
+        sub_solar_point,
+    )
+    from opnav_workbench.kernels.text_kernels import write_text_kernel
+    from opnav_workbench.kernels.time import (
+        clock_tolerance_s,
+        et_from_sclk,
+        et_from_utc,
+        knows_clock,
+        packaged_leap_seconds,
+        sclk_from_et,
+        utc_from_et,
+    )
+    from opnav_workbench.kernels.writing import SpkSegment, write_ck, write_spk
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "toolkit_version": "calls",
+            "attitude_gaps": "cameras",
+            "camera_attitude": "cameras",
+            "camera_rate": "cameras",
+            "ck_structure": "cameras",
+            "instrument_ids": "cameras",
+            "instrument_values": "cameras",
+            "knows_frame": "cameras",
+            "rotation": "cameras",
+            "CoverageRow": "check",
+            "KernelCheck": "check",
+            "KindCheck": "check",
+            "check_kernels": "check",
+            "BriefRow": "contents",
+            "BriefVariable": "contents",
+            "KernelBrief": "contents",
+            "brief": "contents",
+            "Coverage": "coverage",
+            "KernelPart": "digests",
+            "kernel_parts": "digests",
+            "FetchedKernel": "fetch",
+            "FetchedKernels": "fetch",
+            "fetch_kernels": "fetch",
+            "KernelFile": "files",
+            "KernelSet": "kernel_set",
+            "KernelSetInfo": "kernel_set",
+            "kernel_sets": "kernel_set",
+            "known_names": "kernel_set",
+            "make_kernels": "making.make",
+            "KERNEL_KINDS": "manifest",
+            "KernelKind": "manifest",
+            "Manifest": "manifest",
+            "ManifestKernel": "manifest",
+            "kernels_folder": "manifest",
+            "load_manifest": "manifest",
+            "manifest_missions": "manifest",
+            "match_kinds": "manifest",
+            "State": "states",
+            "SurfacePoint": "states",
+            "body_attitude": "states",
+            "body_frame": "states",
+            "body_gm_km3_s2": "states",
+            "body_id": "states",
+            "body_name": "states",
+            "body_periodic_terms": "states",
+            "body_radii_km": "states",
+            "state": "states",
+            "sub_observer_point": "states",
+            "sub_solar_point": "states",
+            "write_text_kernel": "text_kernels",
+            "clock_tolerance_s": "time",
+            "et_from_sclk": "time",
+            "et_from_utc": "time",
+            "knows_clock": "time",
+            "packaged_leap_seconds": "time",
+            "sclk_from_et": "time",
+            "utc_from_et": "time",
+            "SpkSegment": "writing",
+            "write_ck": "writing",
+            "write_spk": "writing",
+        },
+    )
 
 __all__ = [
     "KERNEL_KINDS",

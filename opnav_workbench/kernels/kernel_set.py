@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import KernelError
@@ -30,12 +30,17 @@ from opnav_workbench.kernels.loading import (
     none_missing,
     require_short_path,
 )
-from opnav_workbench.kernels.making.make import make_kernels
 from opnav_workbench.kernels.manifest import fetched_metakernel
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import exists, is_file
 from opnav_workbench.resources import CACHE_VARIABLE, cache_root, kernels_meta_dir
 from opnav_workbench.version import __version__
 from opnav_workbench.yaml_nodes import compose, plain_value
+
+if TYPE_CHECKING:
+    from opnav_workbench.kernels.making import make
+else:  # kernels are made once, and read ever after
+    make = module_on_demand("opnav_workbench.kernels.making.make")
 
 __all__ = ["KernelSet", "KernelSetInfo", "kernel_sets", "known_names", "scenario_folder", "unknown_name"]
 
@@ -95,7 +100,7 @@ def _build_kernels(scenario: Path, folder: Path) -> None:
     _remove_stale(folder.parent)
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f"{BUILDING}{folder.name}-"))
     try:
-        make_kernels(scenario, temporary)
+        make.make_kernels(scenario, temporary)
         temporary.chmod(0o755)
         try:
             temporary.rename(folder)

@@ -16,11 +16,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self, cast
+from typing import TYPE_CHECKING, Self, cast
 
 import spiceypy
 from astropy import units
-from astropy.table import QTable
 
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import coverage as cover
@@ -29,6 +28,9 @@ from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_text
 from opnav_workbench.kernels.coverage import Coverage
 from opnav_workbench.kernels.files import KINDS, KernelFile, kernel_file, looks_like_kernel
 from opnav_workbench.paths import exists, is_file, is_folder
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
 __all__ = [
     "KernelSource",
@@ -304,11 +306,13 @@ class LoadedKernels:
             kinds = ("SPK", "CK") if kind is None else (kind,)
             return tuple(c for k in kinds for c in cover.loaded_windows(k))
 
-    def coverage_table(self) -> QTable:
+    def coverage_table(self) -> "QTable":
         """Return `coverage` as a table, a row per window: kind, body, name, start, stop (s, UTC), files."""
         rows = [(c, start, stop) for c in self.coverage() for start, stop in c.intervals_et.tolist()]
         with self._call(SpiceRequest("coverage")):
             utc = [[time_text(t).removesuffix(" UTC") for t in (start, stop)] for _, start, stop in rows]
+        from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+
         return QTable(
             {
                 "kind": [c.kind for c, *_ in rows],

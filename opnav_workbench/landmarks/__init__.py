@@ -25,29 +25,64 @@ for measured points of any origin.
     The same where nobody knows the body's place: from its silhouette first.
 """
 
-from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed, predicted_again
-from opnav_workbench.landmarks.lost import SilhouettePlace, find_lost_landmarks, place_from_silhouette
-from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
-from opnav_workbench.landmarks.maplets import Maplets
-from opnav_workbench.landmarks.patches import LandmarkPatch, landmark_patches
-from opnav_workbench.landmarks.pose import (
-    PosedLandmarks,
-    PoseKnowledge,
-    camera_position_from_landmarks,
-    pose_from_landmarks,
-)
-from opnav_workbench.landmarks.prediction import (
-    LandmarkPartials,
-    LandmarkPrediction,
-    landmark_partials,
-    predict_landmarks,
-)
-from opnav_workbench.landmarks.results import (
-    LANDMARK_STATUSES,
-    LandmarkCenters,
-    LandmarkSolution,
-    PoseSolution,
-)
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed, predicted_again
+    from opnav_workbench.landmarks.lost import SilhouettePlace, find_lost_landmarks, place_from_silhouette
+    from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
+    from opnav_workbench.landmarks.maplets import Maplets
+    from opnav_workbench.landmarks.patches import LandmarkPatch, landmark_patches
+    from opnav_workbench.landmarks.pose import (
+        PosedLandmarks,
+        PoseKnowledge,
+        camera_position_from_landmarks,
+        pose_from_landmarks,
+    )
+    from opnav_workbench.landmarks.prediction import (
+        LandmarkPartials,
+        LandmarkPrediction,
+        landmark_partials,
+        predict_landmarks,
+    )
+    from opnav_workbench.landmarks.results import (
+        LANDMARK_STATUSES,
+        LandmarkCenters,
+        LandmarkSolution,
+        PoseSolution,
+    )
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "find_landmarks": "finder",
+            "judge_landmarks": "finder",
+            "posed": "finder",
+            "predicted_again": "finder",
+            "SilhouettePlace": "lost",
+            "find_lost_landmarks": "lost",
+            "place_from_silhouette": "lost",
+            "ellipsoid_shape": "making",
+            "make_maplets": "making",
+            "Maplets": "maplets",
+            "LandmarkPatch": "patches",
+            "landmark_patches": "patches",
+            "PosedLandmarks": "pose",
+            "PoseKnowledge": "pose",
+            "camera_position_from_landmarks": "pose",
+            "pose_from_landmarks": "pose",
+            "LandmarkPartials": "prediction",
+            "LandmarkPrediction": "prediction",
+            "landmark_partials": "prediction",
+            "predict_landmarks": "prediction",
+            "LANDMARK_STATUSES": "results",
+            "LandmarkCenters": "results",
+            "LandmarkSolution": "results",
+            "PoseSolution": "results",
+        },
+    )
 
 __all__ = [
     "LANDMARK_STATUSES",

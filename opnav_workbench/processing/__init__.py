@@ -21,10 +21,32 @@ YAML or a queue; `run_policy` does it with an open session.
     Star frames for a calibration: pictures solved one after the other.
 """
 
-from opnav_workbench.processing.automatic import open_picture, run_policy
-from opnav_workbench.processing.model import OpenedProcessing, Processing
-from opnav_workbench.processing.notebook import PictureJob, notebook_parameters, picture_job
-from opnav_workbench.processing.pictures import Outcome, process, process_image, process_images
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.processing.automatic import open_picture, run_policy
+    from opnav_workbench.processing.model import OpenedProcessing, Processing
+    from opnav_workbench.processing.notebook import PictureJob, notebook_parameters, picture_job
+    from opnav_workbench.processing.pictures import Outcome, process, process_image, process_images
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "open_picture": "automatic",
+            "run_policy": "automatic",
+            "OpenedProcessing": "model",
+            "Processing": "model",
+            "PictureJob": "notebook",
+            "notebook_parameters": "notebook",
+            "picture_job": "notebook",
+            "Outcome": "pictures",
+            "process": "pictures",
+            "process_image": "pictures",
+            "process_images": "pictures",
+        },
+    )
 
 __all__ = [
     "OpenedProcessing",

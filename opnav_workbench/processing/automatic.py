@@ -9,20 +9,25 @@ more than anybody announced.
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from opnav_workbench.bodies import BodyCenter, BodyFlag
-from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.catalog import read_star_list
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.kernels import KernelSet
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import is_file
 from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.scene import BodyPrediction
 from opnav_workbench.session import ImageSession, Settings
+
+if TYPE_CHECKING:
+    from opnav_workbench.bodies import subarray
+else:  # a picture of stars needs nothing that finds bodies
+    subarray = module_on_demand("opnav_workbench.bodies.subarray")
 
 __all__ = [
     "Progress",
@@ -144,7 +149,7 @@ def _target_steps(
         yield f"finding {name}", lambda name=name: _find_target(session, opened, name)  # type: ignore[misc]
     for name in _with_landmarks(session, opened, targets):
         yield f"finding landmarks of {name}", lambda name=name: _find_landmarks(session, opened, name)  # type: ignore[misc]
-    yield "computing observables", session.observables
+    yield "computing observables", session.compute_observables
 
 
 def _with_landmarks(session: ImageSession, opened: OpenedProcessing, targets: Sequence[str]) -> list[str]:
@@ -233,7 +238,9 @@ def _may_be_on_detector(session: ImageSession, body: BodyPrediction) -> bool:
     if session.state.pointing is None:
         return True
     radius = float(np.nan_to_num(0.5 * body.diameter_px))
-    return bool(session.context.camera.on_detector(body.pixel_line, radius + search_radius(radius, None)))
+    return bool(
+        session.context.camera.on_detector(body.pixel_line, radius + subarray.search_radius(radius, None))
+    )
 
 
 def _find_target(session: ImageSession, opened: OpenedProcessing, name: str) -> None:
@@ -265,7 +272,7 @@ def search_farther(session: ImageSession, name: str, method: str) -> None:
         center = _last_center(session, name)
         if center.pixel_line is not None and not center.flags & BodyFlag.AT_LIMIT:
             return
-        session.find_body(name, method, factor * search_radius(0.5 * diameter, None))
+        session.find_body(name, method, factor * subarray.search_radius(0.5 * diameter, None))
 
 
 def _search_point_farther(session: ImageSession, name: str, method: str) -> None:

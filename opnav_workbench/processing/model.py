@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
@@ -19,16 +19,21 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.kernels.shape_files import SHAPE_FORMATS, UNIT_KM, ShapeFile
 from opnav_workbench.landmarks import Maplets
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.paths import exists, is_file
 from opnav_workbench.session import BODY_METHODS, Settings
-from opnav_workbench.session.body_models import shape_model
-from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.decisions import Decisions, load_decisions
 from opnav_workbench.session.inputs import AttitudeSource
 from opnav_workbench.session.star_measurement import FinalMethod, InitialMethod
+from opnav_workbench.session.state import BodyMethod
 from opnav_workbench.stars.pointing.attitude_steps import PointingModel
 from opnav_workbench.yaml_file import Also, check_model
+
+if TYPE_CHECKING:
+    from opnav_workbench.session import body_models
+else:  # shapes are given now and then
+    body_models = module_on_demand("opnav_workbench.session.body_models")
 
 __all__ = [
     "NO_TARGETS",
@@ -410,7 +415,7 @@ class Processing(BaseModel):
         for body, file in self.shape_files.items():
             if not is_file(file.path):
                 raise SessionError(f"shape of {body}: no file {file.path}; shapes are {SHAPE_FORMATS}.")
-            shape_model(file.path.resolve(), file.unit)
+            body_models.shape_model(file.path.resolve(), file.unit)
         for body, maplets in self.landmarks.items():
             if not is_file(maplets):
                 raise SessionError(

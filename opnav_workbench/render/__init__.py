@@ -23,25 +23,52 @@ derivatives).
     All bodies: from models to electrons per pixel.
 """
 
-from opnav_workbench.render.body import BodyModel, FigureUncertainty
-from opnav_workbench.render.focal_plane import (
-    MovingBody,
-    RenderedBody,
-    Rendering,
-    render_bodies,
-    render_moving,
-)
-from opnav_workbench.render.maps import AlbedoMap
-from opnav_workbench.render.scattering import (
-    Hapke,
-    Lambert,
-    LommelSeeliger,
-    LunarLambert,
-    Minnaert,
-    ScatteringLaw,
-    law_from_mapping,
-)
-from opnav_workbench.render.shape import ShapeModel
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.render.body import BodyModel, FigureUncertainty
+    from opnav_workbench.render.focal_plane import (
+        MovingBody,
+        RenderedBody,
+        Rendering,
+        render_bodies,
+        render_moving,
+    )
+    from opnav_workbench.render.maps import AlbedoMap
+    from opnav_workbench.render.scattering import (
+        Hapke,
+        Lambert,
+        LommelSeeliger,
+        LunarLambert,
+        Minnaert,
+        ScatteringLaw,
+        law_from_mapping,
+    )
+    from opnav_workbench.render.shape import ShapeModel
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "BodyModel": "body",
+            "FigureUncertainty": "body",
+            "MovingBody": "focal_plane",
+            "RenderedBody": "focal_plane",
+            "Rendering": "focal_plane",
+            "render_bodies": "focal_plane",
+            "render_moving": "focal_plane",
+            "AlbedoMap": "maps",
+            "Hapke": "scattering",
+            "Lambert": "scattering",
+            "LommelSeeliger": "scattering",
+            "LunarLambert": "scattering",
+            "Minnaert": "scattering",
+            "ScatteringLaw": "scattering",
+            "law_from_mapping": "scattering",
+            "ShapeModel": "shape",
+        },
+    )
 
 __all__ = [
     "AlbedoMap",

@@ -37,6 +37,7 @@ __all__ = ["comparison_figure", "stack_figure", "trends_figure"]
 TWIST_COLOR, OUTLIER_COLOR, GREY = GREEN, PURPLE, "0.6"
 FEW_DAYS = 3.0  # below this the axis counts hours
 PANEL_HEIGHT, WIDTH = 2.7, 12.0
+MANY = 2000  # points of a series; beyond, error bars and full dots would hide all but the outermost
 
 
 def trends_figure(trends: Trends, title: str = "") -> Figure:
@@ -62,8 +63,12 @@ def series_axes(axes: Axes, panel: Sequence[Series], start_et: float = 0.0, scal
         time = (series.et - start_et) / scale_s
         value, sigma = np.asarray(series.value), np.where(np.isfinite(series.sigma), series.sigma, 0.0)
         label = series.name.rpartition(" ")[2] if len(panel) > 1 else None
-        _error_bars(axes, np.asarray(time), value, sigma, color)
-        axes.plot(time, value, "o", color=color, markersize=3.5, label=label)
+        if len(value) <= MANY:
+            _error_bars(axes, np.asarray(time), value, sigma, color)
+            axes.plot(time, value, "o", color=color, markersize=3.5, label=label)
+        else:
+            axes.plot(time, value, "o", color=color, markersize=1.5, markeredgewidth=0.0, alpha=0.4)
+            axes.plot([], [], "o", color=color, markersize=3.5, label=label)
         axes.plot(time, series.screened.level, color=color, linewidth=0.8, alpha=0.6)
         off = series.outlier
         axes.plot(
@@ -75,7 +80,9 @@ def series_axes(axes: Axes, panel: Sequence[Series], start_et: float = 0.0, scal
     if not any(len(series) for series in panel):
         axes.text(0.5, 0.5, "no measurement", transform=axes.transAxes, ha="center", color=GREY)
     elif len(panel) > 1:
-        axes.legend(loc="best", fontsize="small", ncols=2)
+        axes.legend(
+            loc="upper right", fontsize="small", ncols=2
+        )  # the best place among 10,000 points takes long to find
 
 
 def comparison_figure(found: Comparison, title: str = "") -> Figure:

@@ -15,24 +15,50 @@ Enter by `observer_from_kernels` (or `observer_from_header`), `body_target`, `pr
     Times, states, attitude and bodies of an epoch, as table, values and text.
 """
 
-from opnav_workbench.scene.body_geometry import BodyGeometry
-from opnav_workbench.scene.epoch_report import CameraPointing, GeometryReport, geometry_report
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
 from opnav_workbench.scene.following import following
-from opnav_workbench.scene.prediction import (
-    BodyPrediction,
-    StarPrediction,
-    apparent_stars,
-    camera_magnitudes,
-    predict_body,
-    predict_stars,
-)
-from opnav_workbench.scene.states import (
-    Observer,
-    body_target,
-    observer_from_header,
-    observer_from_kernels,
-    star_target_at,
-)
+
+if TYPE_CHECKING:
+    from opnav_workbench.scene.body_geometry import BodyGeometry
+    from opnav_workbench.scene.epoch_report import CameraPointing, GeometryReport, geometry_report
+    from opnav_workbench.scene.prediction import (
+        BodyPrediction,
+        StarPrediction,
+        apparent_stars,
+        camera_magnitudes,
+        predict_body,
+        predict_stars,
+    )
+    from opnav_workbench.scene.states import (
+        Observer,
+        body_target,
+        observer_from_header,
+        observer_from_kernels,
+        star_target_at,
+    )
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "BodyGeometry": "body_geometry",
+            "CameraPointing": "epoch_report",
+            "GeometryReport": "epoch_report",
+            "geometry_report": "epoch_report",
+            "BodyPrediction": "prediction",
+            "StarPrediction": "prediction",
+            "apparent_stars": "prediction",
+            "camera_magnitudes": "prediction",
+            "predict_body": "prediction",
+            "predict_stars": "prediction",
+            "Observer": "states",
+            "body_target": "states",
+            "observer_from_header": "states",
+            "observer_from_kernels": "states",
+            "star_target_at": "states",
+        },
+    )
 
 __all__ = [
     "BodyGeometry",

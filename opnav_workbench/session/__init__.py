@@ -53,18 +53,46 @@ function of that name, keeps the state it makes, and writes the journal.
     One writer per session folder.
 """
 
-from opnav_workbench.session.body_steps import BODY_METHODS
-from opnav_workbench.session.context import Context
-from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
-from opnav_workbench.session.history import JournalEntry
-from opnav_workbench.session.inputs import ATTITUDE_SOURCES
-from opnav_workbench.session.mapping import support_data_of_result
-from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
-from opnav_workbench.session.session import ImageSession
-from opnav_workbench.session.settings import Settings
-from opnav_workbench.session.star_boxes import StarBox
-from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, StarStatus
-from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE
+from typing import TYPE_CHECKING
+
+from opnav_workbench.lazy_names import names_on_demand
+
+if TYPE_CHECKING:
+    from opnav_workbench.session.context import Context
+    from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
+    from opnav_workbench.session.history import JournalEntry
+    from opnav_workbench.session.inputs import ATTITUDE_SOURCES
+    from opnav_workbench.session.mapping import support_data_of_result
+    from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
+    from opnav_workbench.session.session import ImageSession
+    from opnav_workbench.session.settings import Settings
+    from opnav_workbench.session.star_boxes import StarBox
+    from opnav_workbench.session.state import BODY_METHODS, MEASURED_STATUSES, SessionState, StarStatus
+    from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE
+else:  # loaded on first use: most calls need a few of these
+    __getattr__ = names_on_demand(
+        __name__,
+        {
+            "Context": "context",
+            "Decisions": "decisions",
+            "load_decisions": "decisions",
+            "write_decisions": "decisions",
+            "JournalEntry": "history",
+            "ATTITUDE_SOURCES": "inputs",
+            "support_data_of_result": "mapping",
+            "Reconstruction": "reconstruction",
+            "write_reconstructed_ck": "reconstruction",
+            "ImageSession": "session",
+            "Settings": "settings",
+            "StarBox": "star_boxes",
+            "BODY_METHODS": "state",
+            "MEASURED_STATUSES": "state",
+            "SessionState": "state",
+            "StarStatus": "state",
+            "RESULT_FILE": "storage",
+            "SESSION_FILE": "storage",
+        },
+    )
 
 __all__ = [
     "ATTITUDE_SOURCES",

@@ -15,7 +15,6 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import (
     MEASURED_PSF_SIGMA,
-    BodyCenter,
     BodyPicture,
     displaced_model,
     stated_psf_sigma,
@@ -38,13 +37,10 @@ from opnav_workbench.scene import following
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
-from opnav_workbench.session.state import BodyRequest, SessionState
+from opnav_workbench.session.state import BodyRequest, SessionState, best_center
 from opnav_workbench.targets import TargetState
 
 __all__ = [
-    "MAX_POINT_DIAMETER_PX",
-    "TRUSTED_STATUSES",
-    "best_center",
     "body_model_if_known",
     "body_picture",
     "has_albedo_map",
@@ -58,9 +54,6 @@ __all__ = [
 # ---- The model of a target's surface and light.
 
 UNKNOWN_SURFACE = TargetSurface()
-# A wider body is no point any more: not in the pattern of stars, where its limb would add false detections, and not for the
-# unresolved method, which models a point.
-MAX_POINT_DIAMETER_PX = 3.0
 # The axes of a first shape model, where the mission does not say: the radar shape of Bennu gave its equatorial ones to 2 %
 # (Nolan et al. 2013, doi 10.1016/j.icarus.2013.05.028).
 SHAPE_AXES_SIGMA = 0.02
@@ -196,8 +189,6 @@ def body_model_if_known(context: Context, inputs: Inputs, name: str) -> BodyMode
 
 # ---- The picture as the centerfinders take it.
 
-TRUSTED_STATUSES = ("ok", "uncertain")  # statuses of centers that say where a body is
-
 
 def scene_names(inputs: Inputs, state: SessionState, request: BodyRequest) -> tuple[str, ...]:
     """Return the bodies and target stars of the scene: those expected, and those that stand in the request."""
@@ -293,12 +284,6 @@ def _model_where_found(
         return displaced_model(picture, model.target.name, center.pixel_line)
     except CenterfindingError:
         return model
-
-
-def best_center(state: SessionState, name: str) -> BodyCenter | None:
-    """Return a body's center that is to be trusted most: the last that is ok, else the last uncertain one."""
-    found = [body for body in state.bodies if body.name == name and body.status in TRUSTED_STATUSES]
-    return next((body for body in reversed(found) if body.status == "ok"), found[-1] if found else None)
 
 
 def _sunlight(context: Context) -> float | None:

@@ -8,7 +8,7 @@ its prediction as the largest body found before: what ephemeris or attitude are 
 from collections.abc import Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +36,6 @@ from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError
 from opnav_workbench.scene import BodyPrediction, predict_body
 from opnav_workbench.session.body_models import (
-    MAX_POINT_DIAMETER_PX,
-    best_center,
     body_model_if_known,
     body_picture,
     has_albedo_map,
@@ -49,15 +47,21 @@ from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import (
     attitude_covariance,
     best_attitude,
-    with_observables,
     with_renewed_observables,
 )
-from opnav_workbench.session.state import BodyRequest, JointFound, ScanChoice, SessionState, skipped_topic
+from opnav_workbench.session.state import (
+    BODY_METHODS,
+    MAX_POINT_DIAMETER_PX,
+    BodyRequest,
+    JointFound,
+    ScanChoice,
+    SessionState,
+    best_center,
+    skipped_topic,
+)
 from opnav_workbench.targets import TargetState
 
 __all__ = [
-    "BODY_METHODS",
-    "BodyMethod",
     "add_target",
     "bodies_outcome",
     "body_outcome",
@@ -65,17 +69,12 @@ __all__ = [
     "clear_circle",
     "find_bodies",
     "find_body",
-    "observables",
     "scans_outcome",
     "set_circle",
     "skip_target",
 ]
 
 
-BodyMethod = Literal[
-    "auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"
-]
-BODY_METHODS: tuple[BodyMethod, ...] = get_args(BodyMethod)
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
 MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour, not the body
 SEARCH_SIGMAS = 4.0
@@ -462,13 +461,6 @@ def choose_scans(
         if body.name == name and body.method == "limb_scan":
             state = _found_again(context, inputs, state, replace(request, scans=None))
     return with_renewed_observables(context, inputs, state)
-
-
-def observables(
-    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
-) -> SessionState:
-    """Turn every body's center into an observable with partials."""
-    return with_observables(context, inputs, state)
 
 
 def body_outcome(state: SessionState, parameters: dict[str, Any]) -> str:

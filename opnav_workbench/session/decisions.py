@@ -48,10 +48,10 @@ from pydantic import (
 
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import write_text
-from opnav_workbench.session.body_steps import BodyMethod
 from opnav_workbench.session.history import JournalEntry
 from opnav_workbench.session.inputs import AttitudeOrigin
 from opnav_workbench.session.settings import Settings
+from opnav_workbench.session.state import BodyMethod
 from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
 from opnav_workbench.yaml_file import StrictModel, line_of, read_model
 
@@ -474,7 +474,7 @@ METHOD_OF_STEP: dict[PlainStepName, Callable[["ImageSession", PlainStep], object
     "repoint": lambda s, i: s.repoint(i.model or "euler", a_priori=i.a_priori),
     "add_target": lambda s, i: s.add_target(i.name or ""),
     "skip_target": lambda s, i: s.skip_target(i.name or "", i.reason),
-    "observables": lambda s, _: s.observables(),
+    "observables": lambda s, _: s.compute_observables(),
 }
 METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "reject": lambda s, items: _decide_stars(s, items, accept=False),

@@ -13,16 +13,25 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import digest, plain_values
-from opnav_workbench.session import body_steps, landmark_steps, pointing, star_field, star_steps
+from opnav_workbench.lazy_names import module_on_demand
+from opnav_workbench.session import pointing, star_field, star_steps
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
-from opnav_workbench.session.landmark_steps import then_judged
 from opnav_workbench.session.state import HEADER_TOPIC, SessionState
+
+if TYPE_CHECKING:
+    from opnav_workbench.session import landmark_steps
+else:  # a picture of stars needs nothing that finds landmarks
+    landmark_steps = module_on_demand("opnav_workbench.session.landmark_steps")
 
 __all__ = [
     "JOURNAL_FILE",
@@ -200,34 +209,80 @@ def note(context: Context, inputs: Inputs, state: SessionState, parameters: dict
     return state.replace(user_notes=(*state.user_notes, parameters["text"]))
 
 
+def _then_judged(step: Step) -> Step:
+    """Return a step after which landmarks are judged anew, where it has changed the attitude."""
+
+    def taken(
+        context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+    ) -> SessionState:
+        after = step(context, inputs, state, parameters)
+        if not after.landmarks or (
+            after.pointing is state.pointing
+            and np.array_equal(pointing.best_attitude(inputs, after), pointing.best_attitude(inputs, state))
+        ):
+            return after
+        return landmark_steps.judged(context, inputs, after)
+
+    return taken
+
+
+def _body_step(name: str) -> Callable[..., Any]:
+    """Return a function of `body_steps`, which is loaded at the call: a picture of stars needs nothing that finds bodies."""
+    return partial(_called, "body_steps", name)
+
+
+def _landmark_step(name: str) -> Callable[..., Any]:
+    """Return a function of `landmark_steps`, which is loaded at the call."""
+    return partial(_called, "landmark_steps", name)
+
+
+def _called(module: str, name: str, *given: Any) -> Any:
+    return getattr(import_module(f"opnav_workbench.session.{module}"), name)(*given)
+
+
 STEPS: dict[str, tuple[Step, OutcomeText]] = {
-    "predict": (then_judged(star_steps.predict), star_steps.predict_outcome),
-    "two_star_pointing": (then_judged(star_field.two_star_pointing), star_field.two_star_outcome),
-    "nudge": (then_judged(star_field.nudge), star_field.nudge_outcome),
+    "predict": (_then_judged(star_steps.predict), star_steps.predict_outcome),
+    "two_star_pointing": (_then_judged(star_field.two_star_pointing), star_field.two_star_outcome),
+    "nudge": (_then_judged(star_field.nudge), star_field.nudge_outcome),
     "find_stars": (
-        then_judged(star_steps.find_stars),
+        _then_judged(star_steps.find_stars),
         lambda s, _: f"{int(s.mask('used').sum())} stars found",
     ),
     "refit_stars": (star_steps.refit_stars, star_steps.refit_outcome),
     "place_star": (star_steps.place_star, star_steps.place_outcome),
     "reject_stars": (star_steps.reject_stars, lambda _, p: f"{len(p['ids'])} rejected"),
     "accept_stars": (star_steps.accept_stars, lambda _, p: f"{len(p['ids'])} accepted"),
-    "repoint": (then_judged(pointing.repoint), pointing.repoint_outcome),
-    "carry_pointing": (then_judged(pointing.carry_pointing), pointing.carried_outcome),
-    "add_target": (body_steps.add_target, lambda _, p: f"{p['name']} expected"),
-    "skip_target": (body_steps.skip_target, lambda _, p: f"{p['name']} left out"),
+    "repoint": (_then_judged(pointing.repoint), pointing.repoint_outcome),
+    "carry_pointing": (_then_judged(pointing.carry_pointing), pointing.carried_outcome),
+    "add_target": (_body_step("add_target"), lambda _, p: f"{p['name']} expected"),
+    "skip_target": (_body_step("skip_target"), lambda _, p: f"{p['name']} left out"),
     "set_circle": (
-        body_steps.set_circle,
+        _body_step("set_circle"),
         lambda _, p: f"{p['name']}: circle of radius {p['radius_px']:.1f} px",
     ),
-    "clear_circle": (body_steps.clear_circle, lambda _, p: f"{p['name']}: no circle"),
-    "choose_scans": (body_steps.choose_scans, body_steps.scans_outcome),
-    "find_body": (body_steps.find_body, body_steps.body_outcome),
-    "find_bodies": (body_steps.find_bodies, body_steps.bodies_outcome),
-    "find_landmarks": (landmark_steps.find_body_landmarks, landmark_steps.landmarks_outcome),
-    "reject_landmarks": (landmark_steps.reject_landmarks, landmark_steps.landmarks_outcome),
-    "accept_landmarks": (landmark_steps.accept_landmarks, landmark_steps.landmarks_outcome),
-    "observables": (body_steps.observables, lambda s, _: f"{len(s.observables)} observables"),
+    "clear_circle": (_body_step("clear_circle"), lambda _, p: f"{p['name']}: no circle"),
+    "choose_scans": (
+        _body_step("choose_scans"),
+        _body_step("scans_outcome"),
+    ),
+    "find_body": (_body_step("find_body"), _body_step("body_outcome")),
+    "find_bodies": (
+        _body_step("find_bodies"),
+        _body_step("bodies_outcome"),
+    ),
+    "find_landmarks": (
+        _landmark_step("find_body_landmarks"),
+        _landmark_step("landmarks_outcome"),
+    ),
+    "reject_landmarks": (
+        _landmark_step("reject_landmarks"),
+        _landmark_step("landmarks_outcome"),
+    ),
+    "accept_landmarks": (
+        _landmark_step("accept_landmarks"),
+        _landmark_step("landmarks_outcome"),
+    ),
+    "observables": (pointing.observables, lambda s, _: f"{len(s.observables)} observables"),
     "note": (note, lambda s, _: f"note {len(s.user_notes)}"),
 }
 

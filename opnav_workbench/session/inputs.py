@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -28,9 +28,9 @@ from opnav_workbench.kernels import (
     et_from_utc,
     knows_frame,
 )
-from opnav_workbench.kernels.dsk_files import shape_file_of
 from opnav_workbench.kernels.loading import LoadedKernels
 from opnav_workbench.kernels.shape_files import ShapeFile
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.scene import (
     Observer,
     body_target,
@@ -41,6 +41,11 @@ from opnav_workbench.scene import (
 from opnav_workbench.session.context import Context, faintest_magnitude
 from opnav_workbench.session.contradictions import attitude_contradiction, settled_time
 from opnav_workbench.targets import TargetState
+
+if TYPE_CHECKING:
+    from opnav_workbench.kernels import dsk_files
+else:  # shapes in kernels are asked for where there are kernels
+    dsk_files = module_on_demand("opnav_workbench.kernels.dsk_files")
 
 __all__ = [
     "ATTITUDE_SOURCES",
@@ -242,7 +247,7 @@ def with_target(context: Context, source: InputSource, inputs: Inputs, name: str
         given = source.shapes.get(name)
         if given is not None:  # it outranks the kernels', which may be large or damaged
             shape = ShapeFile(given.path.resolve(), given.unit)
-        elif (by_kernels := shape_file_of(name)) is not None:
+        elif (by_kernels := dsk_files.shape_file_of(name)) is not None:
             shape = ShapeFile(by_kernels)
     with_it = replace(inputs, targets=MappingProxyType({**inputs.targets, name: target}))
     if shape is None:

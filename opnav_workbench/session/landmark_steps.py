@@ -5,7 +5,7 @@ with every decision and every attitude.  The attitude takes part in the pose wit
 of the camera's a priori one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -43,15 +43,14 @@ __all__ = [
     "accept_landmarks",
     "body_landmark_patches",
     "find_body_landmarks",
+    "judged",
     "landmark_observables",
     "landmarks_outcome",
     "maplets_file",
     "reject_landmarks",
-    "then_judged",
 ]
 
 METHOD = "landmark"  # what observables call it
-Step = Callable[[Context, Inputs, SessionState, dict[str, Any]], SessionState]
 
 
 @lru_cache(maxsize=4)
@@ -106,7 +105,7 @@ def find_body_landmarks(
     )
     others = tuple(one for one in state.landmarks if one.centers.body != name)
     state = state.replace(landmarks=(*others, found))
-    return _judged(context, inputs, state)
+    return judged(context, inputs, state)
 
 
 def _drawn_from(
@@ -141,7 +140,7 @@ def _known(context: Context, state: SessionState, target: TargetState) -> PoseKn
     return PoseKnowledge(target.covariance_km2, attitude_covariance(context, state))
 
 
-def _judged(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
+def judged(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
     """Judge all landmarks with the best attitude and the analyst's decisions."""
     solutions = []
     for solution in state.landmarks:
@@ -161,23 +160,6 @@ def _judged(context: Context, inputs: Inputs, state: SessionState) -> SessionSta
         said = judged.messages if judged.pose is None else ()
         state = state.with_notes(f"landmarks of {body}", *said)
     return state.replace(landmarks=tuple(solutions))
-
-
-def then_judged(step: Step) -> Step:
-    """Return a step after which landmarks are judged anew, where it has changed the attitude."""
-
-    def taken(
-        context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
-    ) -> SessionState:
-        after = step(context, inputs, state, parameters)
-        if not after.landmarks or (
-            after.pointing is state.pointing
-            and np.array_equal(best_attitude(inputs, after), best_attitude(inputs, state))
-        ):
-            return after
-        return _judged(context, inputs, after)
-
-    return taken
 
 
 def accept_landmarks(
@@ -201,7 +183,7 @@ def _decided(
     _solution(state, name, ids)
     decisions = {landmark_name(name, identity): (verdict, reason) for identity in ids}
     state = state.replace(landmark_decisions=MappingProxyType({**state.landmark_decisions, **decisions}))
-    return _judged(context, inputs, state)
+    return judged(context, inputs, state)
 
 
 def _solution(state: SessionState, name: str, ids: Sequence[str]) -> LandmarkSolution:

@@ -9,12 +9,14 @@ that is said, and nothing is solved with the wrong camera.
 """
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import Catalog, open_catalog
 from opnav_workbench.errors import CatalogError, SessionError
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.session.context import Context, with_focal_scale
 from opnav_workbench.session.inputs import (
     Inputs,
@@ -28,14 +30,11 @@ from opnav_workbench.session.inputs import (
 from opnav_workbench.session.orientation import CAMERA_FILE, mirrored_words
 from opnav_workbench.session.star_field import star_detections
 from opnav_workbench.stars import StarFlag
-from opnav_workbench.stars.lost_in_space import (
-    LostAnswer,
-    index_of_catalog,
-    is_index_at_hand,
-    is_index_made_soon,
-    no_patterns,
-    solve_lost,
-)
+
+if TYPE_CHECKING:
+    from opnav_workbench.stars import lost_in_space
+else:  # most pictures know roughly where they look
+    lost_in_space = module_on_demand("opnav_workbench.stars.lost_in_space")
 
 __all__ = ["asked_field", "lost_field", "open_inputs"]
 
@@ -88,8 +87,8 @@ def lost_field(
     """
     try:
         catalog = catalog or open_catalog(source.catalog)
-        at_hand = is_index_at_hand(catalog, context.camera)
-        wanted = at_hand if not patient else not at_hand and is_index_made_soon(catalog)
+        at_hand = lost_in_space.is_index_at_hand(catalog, context.camera)
+        wanted = at_hand if not patient else not at_hand and lost_in_space.is_index_made_soon(catalog)
         answer = _searched(context, catalog) if wanted else None
     except CatalogError:  # not on this machine, or no catalog of the whole sky
         return None
@@ -115,7 +114,9 @@ def asked_field(
     return found
 
 
-def _field_of(context: Context, inputs: Inputs, answer: LostAnswer | None) -> LostField | None:
+def _field_of(
+    context: Context, inputs: Inputs, answer: "lost_in_space.LostAnswer | None"
+) -> LostField | None:
     if answer is None:
         return None
     a_priori = inputs.a_priori_camera_from_j2000
@@ -134,18 +135,18 @@ def _field_of(context: Context, inputs: Inputs, answer: LostAnswer | None) -> Lo
     return LostField(answer.camera_from_j2000, answer.message)
 
 
-def _searched(context: Context, catalog: Catalog) -> LostAnswer | None:
+def _searched(context: Context, catalog: Catalog) -> "lost_in_space.LostAnswer | None":
     """Search the whole sky, if detections enough may be stars, and the detector is no strip."""
     detections = star_detections(context)
     star_like = int(np.count_nonzero((detections.flags & StarFlag.COSMIC_RAY) == 0))
     least = context.settings.lost_detections
-    if least <= 0 or star_like < least or no_patterns(context.camera) is not None:
+    if least <= 0 or star_like < least or lost_in_space.no_patterns(context.camera) is not None:
         return None
-    return solve_lost(index_of_catalog(catalog), detections, context.camera)
+    return lost_in_space.solve_lost(lost_in_space.index_of_catalog(catalog), detections, context.camera)
 
 
-def _why_not(context: Context, answer: LostAnswer | None) -> str:
-    if answer is None and (why := no_patterns(context.camera)) is not None:
+def _why_not(context: Context, answer: "lost_in_space.LostAnswer | None") -> str:
+    if answer is None and (why := lost_in_space.no_patterns(context.camera)) is not None:
         return f"The stars alone do not tell it: {why}."
     if answer is None:
         least = context.settings.lost_detections
@@ -161,13 +162,13 @@ def _why_not(context: Context, answer: LostAnswer | None) -> str:
 # ---- A camera file of another focal length.
 
 
-def _another_focal_length(camera: Camera, answer: LostAnswer) -> bool:
+def _another_focal_length(camera: Camera, answer: "lost_in_space.LostAnswer") -> bool:
     off = abs(answer.focal_scale - 1.0)
     edge_px = camera.half_diagonal_rad / camera.pixel_scale_rad
     return off * edge_px > FOCAL_PX and off > FOCAL_SIGMAS * answer.focal_sigma
 
 
-def _with_focal_length(context: Context, answer: LostAnswer) -> tuple[Context, str]:
+def _with_focal_length(context: Context, answer: "lost_in_space.LostAnswer") -> tuple[Context, str]:
     if not _another_focal_length(context.camera, answer):
         return context, ""
     camera = with_focal_scale(context.camera, answer.focal_scale)

@@ -53,6 +53,7 @@ __all__ = [
     "carry_pointing",
     "current_observables",
     "field_is_sure",
+    "observables",
     "pointing_doubt",
     "repoint",
     "solved_attitude",
@@ -114,6 +115,13 @@ def current_observables(context: Context, inputs: Inputs, state: SessionState) -
 def with_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
     """Turn every body's center into an observable with partials."""
     return state.replace(observables=current_observables(context, inputs, state))
+
+
+def observables(
+    context: Context, inputs: Inputs, state: SessionState, _parameters: dict[str, Any]
+) -> SessionState:
+    """Turn every body's center into an observable with partials."""
+    return with_observables(context, inputs, state)
 
 
 def with_renewed_observables(context: Context, inputs: Inputs, state: SessionState) -> SessionState:

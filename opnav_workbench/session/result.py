@@ -5,7 +5,7 @@ observed, how, how well, and what is to be known of it.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.format_versions import stamped
 from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.landmarks import LandmarkSolution, PoseSolution
 from opnav_workbench.observables import Observable, Origin
 from opnav_workbench.observables.observing import is_outside
 from opnav_workbench.session.context import Context
@@ -25,6 +24,9 @@ from opnav_workbench.session.pointing import current_observables, field_is_sure,
 from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, has_center
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
+
+if TYPE_CHECKING:
+    from opnav_workbench.landmarks import LandmarkSolution, PoseSolution
 
 __all__ = ["body_results", "kernel_entries", "origin_of", "result_dict"]
 
@@ -93,7 +95,7 @@ def _joint_covariances(o: Observable) -> dict[str, Any] | None:
 # ---- Landmarks.
 
 
-def landmark_result(solution: LandmarkSolution) -> dict[str, Any]:
+def landmark_result(solution: "LandmarkSolution") -> dict[str, Any]:
     """Return the landmarks of one body as plain values, with the pose that they agree on."""
     centers = solution.centers
     covariance, residual, partials = solution.covariance_px2, centers.residual_px, centers.partials
@@ -131,7 +133,7 @@ def landmark_result(solution: LandmarkSolution) -> dict[str, Any]:
     }
 
 
-def _pose(pose: PoseSolution | None) -> dict[str, Any] | None:
+def _pose(pose: "PoseSolution | None") -> dict[str, Any] | None:
     if pose is None:
         return None
     return {

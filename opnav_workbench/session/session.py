@@ -14,16 +14,14 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self
-
-from astropy.table import QTable
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
 from opnav_workbench.files import json_text, make_folder, plain_values, sha256_of
 from opnav_workbench.kernels.shape_files import ShapeFile
-from opnav_workbench.landmarks import LandmarkPatch
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.observables import Observable, observables_table
 from opnav_workbench.paths import exists
@@ -31,13 +29,11 @@ from opnav_workbench.scene import BodyPrediction, StarPrediction, predict_body
 from opnav_workbench.session import inputs as input_values
 from opnav_workbench.session import storage
 from opnav_workbench.session.autosave import Autosave, read_state, start_autosave
-from opnav_workbench.session.body_steps import target_with_shape
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
 from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource, LostField
-from opnav_workbench.session.landmark_steps import body_landmark_patches, landmark_observables, maplets_file
 from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
 from opnav_workbench.session.pointing import best_attitude, current_observables, solved_attitude
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
@@ -47,6 +43,15 @@ from opnav_workbench.session.star_boxes import StarBox, star_boxes
 from opnav_workbench.session.star_field import catalog_stars, nudge_reach_px, unknown_star_ids
 from opnav_workbench.session.state import SessionState, open_decisions
 from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+
+    from opnav_workbench.landmarks import LandmarkPatch
+    from opnav_workbench.session import body_steps, landmark_steps
+else:  # a picture of stars needs nothing that finds bodies
+    body_steps = module_on_demand("opnav_workbench.session.body_steps")
+    landmark_steps = module_on_demand("opnav_workbench.session.landmark_steps")
 
 __all__ = ["ImageSession"]
 
@@ -268,7 +273,9 @@ class ImageSession:
     @property
     def landmark_observables(self) -> tuple[Observable, ...]:
         """Every accepted landmark as the observable of a point."""
-        return landmark_observables(self.context, self.inputs, self.state)
+        if not self.state.landmarks:
+            return ()
+        return landmark_steps.landmark_observables(self.context, self.inputs, self.state)
 
     @property
     def folder(self) -> Path | None:
@@ -626,7 +633,7 @@ class ImageSession:
         """Return where and how large a target is expected with the best known pointing; no step of the session."""
         with self.lock:
             self._know_target(name)
-        target = target_with_shape(self.context, self.inputs, name)
+        target = body_steps.target_with_shape(self.context, self.inputs, name)
         return predict_body(target, self.inputs.observer, self.context.camera, self.camera_from_j2000)
 
     def find_body(
@@ -726,7 +733,7 @@ class ImageSession:
         """
         with self.lock:
             self._know_target(name)
-            path, digest = maplets_file(self.context, name, maplets)
+            path, digest = landmark_steps.maplets_file(self.context, name, maplets)
             parameters: dict[str, Any] = {"name": name, "maplets": str(path), "sha256": digest}
             if search_radius_px is not None:
                 parameters["search_radius_px"] = float(search_radius_px)
@@ -742,14 +749,20 @@ class ImageSession:
         parameters = {"name": name, "ids": _id_list(ids), "reason": reason}
         self._step("accept_landmarks", parameters, reason)
 
-    def landmark_patches(self, name: str, ids: Sequence[str]) -> tuple[LandmarkPatch, ...]:
+    def landmark_patches(self, name: str, ids: Sequence[str]) -> "tuple[LandmarkPatch, ...]":
         """Return patch, drawing and correlation of landmarks that were found (`landmark_steps.body_landmark_patches`)."""
         steps = [e for e in self.standing if e.step == "find_landmarks" and e.parameters["name"] == name]
         if not steps:
             raise SessionError(f"no landmarks of {name} were looked for yet: call find_landmarks() first.")
-        return body_landmark_patches(self.context, self.inputs, self.state, dict(steps[-1].parameters), ids)
+        return landmark_steps.body_landmark_patches(
+            self.context, self.inputs, self.state, dict(steps[-1].parameters), ids
+        )
 
-    def observables(self, reason: str = "") -> QTable:
+    def compute_observables(self, reason: str = "") -> None:
+        """Compute the observables of all bodies found so far (`pointing.observables`); they stand in `state`."""
+        self._step("observables", {}, reason)
+
+    def observables(self, reason: str = "") -> "QTable":
         """Compute the observables of all bodies found so far (`pointing.with_observables`); `reason` for the journal.
 
         Returns
@@ -758,7 +771,7 @@ class ImageSession:
             One row a body and method, and one an accepted landmark: O, C, O-C, sigmas, partials, with units and
             descriptions.
         """
-        self._step("observables", {}, reason)
+        self.compute_observables(reason)
         return observables_table(
             (*self.state.observables, *self.landmark_observables), (origin_of(self.context, self.source),)
         )

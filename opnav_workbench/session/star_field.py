@@ -25,7 +25,6 @@ from opnav_workbench.scene import (
     predict_body,
     predict_stars,
 )
-from opnav_workbench.session.body_models import MAX_POINT_DIAMETER_PX
 from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
 from opnav_workbench.session.inputs import Inputs, LostField
 from opnav_workbench.session.orientation import CAMERA_FILE, MIRRORS, nearest_quarter_deg
@@ -34,6 +33,7 @@ from opnav_workbench.session.state import (
     BY_HAND,
     LOST,
     MARKED,
+    MAX_POINT_DIAMETER_PX,
     ORIENTATION_TOPIC,
     FieldFound,
     FieldMatch,

@@ -13,7 +13,6 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.scene import StarPrediction, predict_body, predict_stars
-from opnav_workbench.session.body_models import best_center
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
@@ -32,6 +31,7 @@ from opnav_workbench.session.state import (
     REJECTED,
     FieldMatch,
     SessionState,
+    best_center,
     check_star_ids,
     decide_stars,
     predicted_stars,

@@ -7,28 +7,34 @@ analyst's decisions (a decision outranks what was measured), and what is still t
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies import BodyCenter, Circle
 from opnav_workbench.errors import SessionError
-from opnav_workbench.landmarks import LandmarkSolution
 from opnav_workbench.observables import Observable
 from opnav_workbench.scene import StarPrediction
 from opnav_workbench.stars import ShapePrior, StarCenters
 from opnav_workbench.stars.pointing import PointingSolution
 
+if TYPE_CHECKING:
+    from opnav_workbench.bodies import BodyCenter, Circle
+    from opnav_workbench.landmarks import LandmarkSolution
+
 __all__ = [
     "ACCEPTED",
+    "BODY_METHODS",
     "BY_HAND",
     "HEADER_TOPIC",
     "LOST",
     "MARKED",
+    "MAX_POINT_DIAMETER_PX",
     "MEASURED_STATUSES",
     "ORIENTATION_TOPIC",
     "REJECTED",
+    "TRUSTED_STATUSES",
+    "BodyMethod",
     "BodyRequest",
     "FieldFound",
     "FieldMatch",
@@ -36,6 +42,7 @@ __all__ = [
     "ScanChoice",
     "SessionState",
     "StarStatus",
+    "best_center",
     "check_star_ids",
     "decide_stars",
     "has_center",
@@ -53,6 +60,14 @@ ORIENTATION_TOPIC = "orientation"  # of those that say that the stars contradict
 EXAMPLE_NAMES = 3  # names that a message gives as examples
 # Statuses of a star whose center is shown, used or not; the others are not_detected and off_detector.
 MEASURED_STATUSES = ("used", "rejected", "saturated", "blended")
+BodyMethod = Literal[
+    "auto", "disk", "unresolved", "cross_correlation", "least_squares", "limb_scan", "ellipse"
+]
+BODY_METHODS: tuple[BodyMethod, ...] = get_args(BodyMethod)
+# A wider body is no point any more: not in the pattern of stars, where its limb would add false detections, and not for the
+# unresolved method, which models a point.
+MAX_POINT_DIAMETER_PX = 3.0
+TRUSTED_STATUSES = ("ok", "uncertain")  # statuses of centers that say where a body is
 
 
 def landmark_name(body: str, identity: str) -> str:
@@ -215,17 +230,17 @@ class SessionState:
     decisions: MappingProxyType[str, tuple[str, str]] = field(default_factory=lambda: MappingProxyType({}))
     placed: MappingProxyType[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
     star_methods: MappingProxyType[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    circles: MappingProxyType[str, Circle] = field(default_factory=lambda: MappingProxyType({}))
+    circles: "MappingProxyType[str, Circle]" = field(default_factory=lambda: MappingProxyType({}))
     scan_choices: MappingProxyType[str, ScanChoice] = field(default_factory=lambda: MappingProxyType({}))
     user_notes: tuple[str, ...] = ()
     star_field: FieldFound | None = None
     psf: ShapePrior | None = None
     pointing: PointingSolution | None = None
-    bodies: tuple[BodyCenter, ...] = ()
+    bodies: "tuple[BodyCenter, ...]" = ()
     requests: tuple[BodyRequest, ...] = ()
     joint: tuple[JointFound, ...] = ()
     observables: tuple[Observable, ...] = ()
-    landmarks: tuple[LandmarkSolution, ...] = ()
+    landmarks: "tuple[LandmarkSolution, ...]" = ()
     landmark_decisions: MappingProxyType[str, tuple[str, str]] = field(
         default_factory=lambda: MappingProxyType({})
     )
@@ -431,3 +446,9 @@ GATES: dict[str, Callable[[SessionState], str]] = {
     "bodies": _bodies,
     "observables": _observables,
 }
+
+
+def best_center(state: SessionState, name: str) -> "BodyCenter | None":
+    """Return a body's center that is to be trusted most: the last that is ok, else the last uncertain one."""
+    found = [body for body in state.bodies if body.name == name and body.status in TRUSTED_STATUSES]
+    return next((body for body in reversed(found) if body.status == "ok"), found[-1] if found else None)

@@ -20,7 +20,7 @@ from opnav_workbench.format_versions import as_of_today, stamped
 from opnav_workbench.image.picture_files import FolderOwner
 from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.mission import Mission, load_mission, mission_names
-from opnav_workbench.observables import Observable, Origin, observables_table
+from opnav_workbench.observables import Observable, Origin, ecsv_text
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.history import (
     JOURNAL_FILE,
@@ -139,8 +139,8 @@ def write_data(data: Mapping[str, Any], path: Path) -> None:
 
 
 def write_table(observables: Sequence[Observable], origin: Origin, path: Path) -> None:
-    """Write `observables_table` as ECSV."""
-    observables_table(observables, (origin,)).write(path, format="ascii.ecsv", overwrite=True)
+    """Write them as ECSV."""
+    path.write_text(ecsv_text(observables, (origin,)), encoding="utf-8", errors="backslashreplace")
 
 
 # ---- Sessions read back from their folders.

@@ -33,7 +33,7 @@ def export_session(session: ImageSession, folder: Path) -> list[str]:
     """
     make_folder(folder)
     if session.state.bodies:
-        session.observables()
+        session.compute_observables()
     session.save(folder)
     session.write_decisions(folder / DECISIONS_FILE, who=_user())
     report.write_summary(session, folder / FIGURE_FILE)

@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import time
 import tracemalloc
 
 import numpy as np
@@ -10,6 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from opnav_workbench.catalog import StarQuality
+from opnav_workbench.catalog import cache as cache_files
 from opnav_workbench.catalog.cache import HEADER_BYTES, RecordStore, cache_path, cached_stars, star_records
 from opnav_workbench.catalog.region import Cone, polygon_region
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
@@ -266,6 +269,26 @@ def test_a_single_wrong_byte_is_noticed(place) -> None:
     again = cached_stars(path, {}, lambda: builds.append(1) or sky_records(50))
     assert len(builds) == 1
     np.testing.assert_array_equal(np.sort(again.records["number"]), np.arange(50))
+
+
+def test_a_large_file_that_has_not_changed_is_read_for_its_checksum_once_a_day(monkeypatch) -> None:
+    monkeypatch.setattr(cache_files, "DAILY_BYTES", 0)
+    path, read = cache_path("test"), []
+    crc = cache_files._crc.__wrapped__
+    monkeypatch.setattr(cache_files, "_crc", lambda *state: read.append(1) or crc(*state))
+
+    def reads_once_opened() -> int:
+        read.clear()
+        assert len(cached_stars(path, {}, lambda: sky_records(50)).records) == 50
+        return len(read)
+
+    assert [reads_once_opened(), reads_once_opened()] == [1, 0]
+    os.utime(path.with_suffix(".checked"), (time.time() - 90_000.0,) * 2)
+    assert [reads_once_opened(), reads_once_opened()] == [1, 0]
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(bytes(content))
+    assert reads_once_opened() > 0
 
 
 def test_the_header_says_what_the_file_is() -> None:

@@ -1,10 +1,12 @@
 """Times without kernels against SPICE, with the leap seconds that users have."""
 
 import warnings
+from datetime import datetime
 from importlib import resources
 
 import pytest
 import spiceypy as spice
+from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -55,3 +57,15 @@ def test_text_agrees_with_spice_and_comes_back(et):
 def test_no_time_is_refused(text):
     with pytest.raises(ValueError, match=r"time of day|did not match"):
         et_from_text(text)
+
+
+@given(
+    st.datetimes(datetime(1972, 1, 1), datetime(2025, 12, 31, 23, 59, 59)),  # noqa: DTZ001
+    st.sampled_from(["milliseconds", "microseconds", "seconds"]),
+)
+@settings(max_examples=30)
+def test_et_is_astropys_to_the_bit(moment, digits):
+    """A plain calendar text goes straight to ERFA; astropy does the same by a longer way."""
+    text = moment.isoformat(timespec=digits)
+    time = Time(text, scale="utc").tdb
+    assert et_from_text(text) == float(((time.jd1 - 2451545.0) + time.jd2) * DAY)

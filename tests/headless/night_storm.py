@@ -1,8 +1,10 @@
-"""A storm over a night, run by hand: ``python tests/headless/night_storm.py [--pictures 300] [--events 500] [--seed 1]``.
+"""A storm over a night, ``python tests/headless/night_storm.py [--warm] [--pictures 300] [--events 500] [--seed 1]``.
 
 Nights with changing options run over the same pictures and are killed (SIGKILL) or ended (SIGTERM) at random moments, while
 analysts open some of the pictures, decide, and leave or are killed.  Real processes, locks and signals; a picture's
-processing is stood in for, so that an event takes a second.  At the end one night is left in peace, and it is asked:
+processing is stood in for, so that an event takes a second.  With ``--warm`` a short notebook stands in for it, in copies of
+a warm process, as a real night has them, and these processes are killed too.  At the end one night is left in peace, and it
+is asked:
 
 * does every decision that an analyst was told is saved stand in the picture's folder, or in the attic?
 * is everything else what a night that nobody disturbed makes of the same pictures?
@@ -21,13 +23,17 @@ from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
+import nbformat
+import psutil
 from rich.console import Console
 
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli.nightly import _run_plan
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import plan_night
+from opnav_workbench.headless.night_workers import LocalPool
 from opnav_workbench.headless.records import is_of_an_analyst, read_record, session_digest
+from opnav_workbench.resources import notebooks_dir
 
 sys.path.insert(0, str(Path(__file__).parent))
 from stub_night import Analyst, StubPool, decisions_below, result_of, spec_of
@@ -35,6 +41,7 @@ from stub_night import Analyst, StubPool, decisions_below, result_of, spec_of
 MODELS = ("euler", "image_plane")
 NEW_DESKS = 0.05  # of the events
 LONGEST_S = 2.5  # before a night is ended: some come far, some not to their first picture
+LONGEST_WARM_S = 15.0  # of which it takes some to load everything
 
 
 def work(job, folder):
@@ -45,11 +52,32 @@ def work(job, folder):
     return result_of(job, folder)
 
 
-def run_night(images: Path, out: Path, model: str, processing=work) -> None:
+def run_night(images: Path, out: Path, model: str, pool=None, **how) -> None:
     """A night as the command runs it."""
-    plan = plan_night(spec_of(images, model=model), out)
+    plan = plan_night(spec_of(images, model=model, **how), out)
     with Path(os.devnull).open("w", encoding="utf-8") as nothing:
-        _run_plan(Console(file=nothing), plan, StubPool(processing), None, None)
+        _run_plan(Console(file=nothing), plan, pool or StubPool(), None, None)
+
+
+# What `result_of` leaves, by a notebook in a process of its own.
+NOTEBOOK = """
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+sys.path.insert(0, {tests!r})
+from stub_night import result_of
+result_of(SimpleNamespace(image=image, parameters={{"model": model}}), Path(out))
+"""
+
+
+def short_notebook(path: Path) -> Path:
+    """Write a notebook with the parameters of the real one, which leaves a result at once."""
+    real = nbformat.read(notebooks_dir() / "process_image.ipynb", 4)
+    parameters = next(cell for cell in real.cells if "parameters" in cell.metadata.get("tags", []))
+    code = NOTEBOOK.format(tests=str(Path(__file__).parent))
+    real.cells = [parameters, nbformat.v4.new_code_cell(code, id="work")]
+    nbformat.write(real, path)
+    return path
 
 
 def in_a_process(call) -> int:
@@ -84,7 +112,7 @@ def analyst_at(folder: Path, said: int, seed: int) -> None:
 class Storm:
     """Pictures, their nights and their analysts."""
 
-    def __init__(self, top: Path, pictures: int, desks: int, seed: int) -> None:
+    def __init__(self, top: Path, pictures: int, desks: int, seed: int, *, warm: bool = False) -> None:
         self.chance = random.Random(seed)
         self.images, self.out = top / "in", top / "out"
         self.images.mkdir()
@@ -97,31 +125,56 @@ class Storm:
         os.set_blocking(self.told, False)
         self.saved: set[str] = set()
         self.count: Counter[str] = Counter()
+        self.events = 0
         self.analysts: list[int] = []
-        run_night(self.images, self.out, MODELS[0], result_of)
+        self.warm = warm
+        self.how = {"notebook": str(short_notebook(top / "short.ipynb")), "retries": 1} if warm else {}
+        self.night(self.out, MODELS[0], peace=True)
 
-    def event(self) -> None:
+    def night(self, out: Path, model: str, *, peace: bool = False) -> None:
+        """One night, in this process."""
+        pool = LocalPool(2) if self.warm else StubPool() if peace else StubPool(work)
+        run_night(self.images, out, model, pool, **self.how)
+
+    def cut_short(self) -> None:
         """One night that is cut short, with whoever comes meanwhile."""
         if self.chance.random() < NEW_DESKS:  # what analysts worked on no night replaces: on with others
             self.desks = self.chance.sample(self.names, self.n_desks)
         model = self.chance.choice(MODELS)
-        child = in_a_process(lambda: run_night(self.images, self.out, model))
-        ends = time.monotonic() + self.chance.uniform(0.05, LONGEST_S)
+        child = in_a_process(lambda: self.night(self.out, model))
+        ends = time.monotonic() + self.chance.uniform(0.05, LONGEST_WARM_S if self.warm else LONGEST_S)
         while time.monotonic() < ends:
-            if self.chance.random() < 0.15:
+            if self.chance.random() < (0.03 if self.warm else 0.15):
                 self.analyst_comes()
+            if self.warm and self.chance.random() < 0.1:
+                self.picture_ends(child)
             time.sleep(0.1)
         how = self.chance.choice((signal.SIGKILL, signal.SIGTERM))
         with suppress(ProcessLookupError):
             os.kill(child, how)
         _, status = os.waitpid(child, 0)
         finished = how == signal.SIGKILL and os.WIFEXITED(status)
-        self.count["nights that were ready first" if finished else f"nights ended by {how.name}"] += 1
+        self.happened("nights that were ready first" if finished else f"nights ended by {how.name}")
         if self.chance.random() < 0.3 and self.analysts:
             with suppress(ProcessLookupError):
                 os.kill(self.analysts[-1], signal.SIGKILL)
             self.count["analysts killed"] += 1
         self.look_after()
+
+    def happened(self, what: str) -> None:
+        self.events += 1
+        self.count[what] += 1
+
+    def picture_ends(self, night: int) -> None:
+        """Kill the process of a picture, now and then the one that all are copied from."""
+        with suppress(psutil.Error, IndexError):
+            server = psutil.Process(night).children()[0]
+            if self.chance.random() < 0.1:
+                server.kill()
+                self.happened("warm processes killed")
+            else:
+                self.chance.choice(server.children()).kill()
+                self.happened("pictures' processes killed")
 
     def analyst_comes(self) -> None:
         name, seed = self.chance.choice(self.desks), self.chance.randrange(10**9)
@@ -143,8 +196,8 @@ class Storm:
     def verdict(self, top: Path) -> list[str]:
         """Let a night run in peace, and return what was lost."""
         self.look_after(wait=True)
-        run_night(self.images, self.out, MODELS[0], result_of)
-        run_night(self.images, top / "peace", MODELS[0], result_of)
+        self.night(self.out, MODELS[0], peace=True)
+        self.night(top / "peace", MODELS[0], peace=True)
         wrong = [f"lost: {reason}" for reason in self.saved - decisions_below(self.out)]
         mine = {
             f.name for f in self.out.iterdir() if f.is_dir() and not f.name.startswith(".") and of_analyst(f)
@@ -183,14 +236,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name, value in (("pictures", 300), ("events", 500), ("desks", 10), ("seed", 1)):
         parser.add_argument(f"--{name}", type=int, default=value)
+    parser.add_argument("--warm", action="store_true")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        storm = Storm(Path(folder), given.pictures, given.desks, given.seed)
-        began = time.monotonic()
-        for number in range(given.events):
-            storm.event()
-            if number % 25 == 24:
-                say(f"{number + 1} events, {time.monotonic() - began:.0f} s: {dict(storm.count)}")
+        storm = Storm(Path(folder), given.pictures, given.desks, given.seed, warm=given.warm)
+        began, told = time.monotonic(), 0
+        while storm.events < given.events:
+            storm.cut_short()
+            if storm.events >= told + 25:
+                told = storm.events
+                say(f"{told} events, {time.monotonic() - began:.0f} s: {dict(storm.count)}")
         wrong = storm.verdict(Path(folder))
         say(f"{dict(storm.count)}\n" + ("\n".join(wrong) or "nothing lost, nothing else changed"))
     return bool(wrong)

@@ -265,7 +265,7 @@ def scenario(names_folder, monkeypatch):
         text_kernel(Path(out) / "a.tf")
         return metakernel(Path(out) / "one.tm", "$K/a.tf", more="PATH_VALUES=('.')\nPATH_SYMBOLS=('K')")
 
-    monkeypatch.setattr(kernel_set, "make_kernels", build)
+    monkeypatch.setattr("opnav_workbench.kernels.making.make.make_kernels", build)
     return path, calls
 
 
@@ -292,12 +292,12 @@ def test_a_build_that_fails_leaves_nothing(scenario, monkeypatch):
         text_kernel(Path(out) / "half.tf")
         raise KernelError("no such body")
 
-    good = kernel_set.make_kernels
-    monkeypatch.setattr(kernel_set, "make_kernels", fail)
+    good = kernel_set.make.make_kernels
+    monkeypatch.setattr("opnav_workbench.kernels.making.make.make_kernels", fail)
     with pytest.raises(KernelError, match="no such body"):
         KernelSet("m/one")
     assert list((resources.cache_root() / "kernels").iterdir()) == []
-    monkeypatch.setattr(kernel_set, "make_kernels", good)
+    monkeypatch.setattr("opnav_workbench.kernels.making.make.make_kernels", good)
     assert len(KernelSet("m/one").kernels()) == 2
 
 
@@ -314,7 +314,7 @@ def test_leftovers_of_a_killed_build_are_ignored_and_removed_after_a_day(scenari
 
 
 def test_of_two_builders_the_first_wins(scenario, monkeypatch):
-    build, calls = kernel_set.make_kernels, []
+    build, calls = kernel_set.make.make_kernels, []
 
     def slow(source, out):
         if not calls:  # another process builds the same while this one is at work
@@ -322,7 +322,7 @@ def test_of_two_builders_the_first_wins(scenario, monkeypatch):
             KernelSet("m/one")
         return build(source, out)
 
-    monkeypatch.setattr(kernel_set, "make_kernels", slow)
+    monkeypatch.setattr("opnav_workbench.kernels.making.make.make_kernels", slow)
     assert len(KernelSet("m/one").kernels()) == 2
     (kept,) = (resources.cache_root() / "kernels").iterdir()
     assert sorted(p.name for p in kept.iterdir()) == ["a.tf", "one.tm"]

@@ -1,5 +1,7 @@
 """The table of observables and its ECSV file."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from astropy import units as u
@@ -8,7 +10,7 @@ from astropy.table import QTable
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import camera_from_j2000
-from opnav_workbench.observables import observables_table, observe, write_ecsv
+from opnav_workbench.observables import Origin, ecsv_text, observables_table, observe, write_ecsv
 from opnav_workbench.targets import TargetState
 
 TEXT = {
@@ -118,12 +120,36 @@ def test_failure_leaves_the_older_file(observables, tmp_path, monkeypatch):
     write_ecsv(observables[:1], path)
     before = path.read_bytes()
 
-    def full_disk(self, target, **options):
-        target.write_text("# half a fi")
+    def full_disk(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(QTable, "write", full_disk)
+    monkeypatch.setattr("opnav_workbench.files.os.fsync", full_disk)
     with pytest.raises(SessionError, match="No space left"):
         write_ecsv(observables, path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["observables.ecsv"]
+
+
+def test_the_text_of_an_ecsv_is_read_by_astropy_as_the_table(observables):
+    """`ecsv_text` is not astropy's own: its values, units, descriptions and metadata are."""
+    words = 'it\'s "far" off, 3 px: see #2 \udcff'
+    odd = replace(observables[0], messages=(words,), image="a b.fit")
+    origins = [Origin("m", "c: #1", "1.0", "bundled", (("a b.bsp", "00"), ("\udcff.tf", "01")))]
+    rows = (odd, *observables[1:])
+    text = ecsv_text(rows, origins).encode("utf-8", "backslashreplace").decode()
+    read, made = QTable.read(text, format="ascii.ecsv"), observables_table(rows, origins)
+    assert read.colnames == made.colnames
+    for name in made.colnames:
+        assert type(read[name]) is type(made[name]), name
+        assert (read[name].unit, read[name].info.description) == (
+            made[name].unit,
+            made[name].info.description,
+        )
+        if made[name].dtype.kind == "f":
+            np.testing.assert_array_equal(read[name].value, made[name].value)
+        else:
+            assert [str(cell) for cell in read[name]] == [
+                str(cell).encode("utf-8", "backslashreplace").decode() for cell in made[name]
+            ]
+    assert str(read.meta["conventions"]) == str(made.meta["conventions"])
+    assert len(read.meta["origins"][0]["kernels"]) == 2

@@ -95,7 +95,7 @@ def test_bad_input_is_an_outcome(tmp_path, name):
     assert json.loads((outcome.folder / "result.json").read_text()) == outcome.result
 
 
-@pytest.mark.parametrize("step", ["open", "predict", "find_stars", "repoint", "observables", "save"])
+@pytest.mark.parametrize("step", ["open", "predict", "find_stars", "repoint", "compute_observables", "save"])
 def test_an_error_in_any_step_is_an_outcome(picture, tmp_path, monkeypatch, step):
     monkeypatch.setattr(ImageSession, step, _never_opened)
     outcome = process_image(picture, POLICY, tmp_path)

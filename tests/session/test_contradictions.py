@@ -216,7 +216,7 @@ def test_a_given_shape_asks_no_kernel_for_another(truth, kernels, tmp_path, monk
     def asked(_):
         raise AssertionError("asked for a shape though one is given")
 
-    monkeypatch.setattr("opnav_workbench.session.inputs.shape_file_of", asked)
+    monkeypatch.setattr("opnav_workbench.kernels.dsk_files.shape_file_of", asked)
     shape = tmp_path / "s.obj"
     shape.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     session = ImageSession.open(

@@ -217,7 +217,7 @@ def test_processing_without_an_attitude(paint, sky, tmp_path):
 @pytest.mark.slow
 def test_processing_waits_for_the_index_where_the_attitude_is_wrong(paint, sky, tmp_path, monkeypatch):
     # A person at the workbench does not: there the whole sky is searched when he asks.
-    monkeypatch.setattr("opnav_workbench.session.lost.is_index_at_hand", lambda *_: False)
+    monkeypatch.setattr("opnav_workbench.stars.lost_in_space.is_index_at_hand", lambda *_: False)
     path, _, n_stars = paint((1.0, 0.9, -70.0))
     session = ImageSession.open(path, MISSION, catalog=sky[0], settings=Settings(widest_shift_px=0.0))
     session.predict()

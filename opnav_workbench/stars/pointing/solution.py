@@ -7,15 +7,18 @@ Arrays are read-only. `iteration_table` gives the steps as a table, such as the 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from astropy import units as u
-from astropy.table import QTable
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import pointing_angle_arrays
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
 __all__ = ["PictureShift", "PointingSolution", "attitude_shift", "iteration_table", "steps_between"]
 
@@ -160,7 +163,7 @@ def steps_between(camera: Camera, attitudes: Sequence[FloatArray]) -> tuple[Pict
 # ---- The steps of a pointing solution as a table, such as the paper's Table 2.
 
 
-def iteration_table(solution: PointingSolution) -> QTable:
+def iteration_table(solution: PointingSolution) -> "QTable":
     """Return one row an iteration, and their sum as the last row.
 
     Returns
@@ -181,6 +184,8 @@ def iteration_table(solution: PointingSolution) -> QTable:
     """
     total = PictureShift(solution.delta_pixel, solution.delta_line, solution.delta_twist_rad)
     steps = [*solution.iterations, total]
+    from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+
     table = QTable()
     table["iteration"] = [*(str(i + 1) for i in range(len(solution.iterations))), "Total"]
     table["delta_pixel"] = [step.delta_pixel for step in steps] * u.pix
