@@ -90,6 +90,7 @@ class Package:
     targets: tuple[str, ...] | None = None
     name: str = "a rehearsal"
     pictures: tuple = ()
+    orbit: None = None
 
 
 @pytest.fixture(autouse=True)
