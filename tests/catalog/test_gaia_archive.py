@@ -3,6 +3,7 @@
 import http.server
 import re
 import threading
+from functools import partial
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
@@ -83,7 +84,7 @@ def service(tmp_path, monkeypatch):
         monkeypatch.setattr(gaia_archive, name, value)
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Service)
     server.sky, server.asked, server.cut, server.status = random_sky(600), [], set(), ""
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=partial(server.serve_forever, poll_interval=0.01), daemon=True).start()
     yield server, f"http://127.0.0.1:{server.server_port}/tap/sync"
     server.shutdown()
     server.server_close()
