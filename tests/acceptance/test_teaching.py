@@ -242,6 +242,39 @@ ANSWERS = {
             "from the camera to J2000",
         ),
     ],
+    "09_landmarks_in_orbit": [
+        (
+            "answer_1 = 5000 * 272e-6",
+            "answer_1 = 5 * camera.pixel_scale_rad",
+            "in kilometers",
+        ),
+        (
+            (
+                "def predict(landmark_km, camera_km, attitude):\n"
+                "    x, y, z = camera.focal_from_camera @ attitude @ (landmark_km - camera_km)\n"
+                "    f = camera.focal_length_mm\n"
+                "    return camera.center_pixel_line + camera.pixel_from_mm @ [f * x / z, f * y / z]"
+            ),
+            (
+                "def predict(landmark_km, camera_km, attitude):\n"
+                "    return camera.project(attitude @ (landmark_km - camera_km)) + 0.5"
+            ),
+            "nothing is added",
+        ),
+        (
+            (
+                "def range_sigma(places, range_km, sigma_px):\n"
+                "    x, y = np.transpose(places)\n"
+                "    return sigma_px * range_km * (x @ x + y @ y) ** -0.5"
+            ),
+            (
+                "def range_sigma(places, range_km, sigma_px):\n"
+                "    return sigma_px * range_km / np.sqrt((np.asarray(places) ** 2).sum(axis=1).mean())"
+            ),
+            "every landmark helps",
+        ),
+        ("answer_4 = 5000 * np.pi / 900", "answer_4 = 270 * np.radians(0.2)", "how far the surface moves"),
+    ],
 }
 
 
@@ -286,9 +319,9 @@ def said(notebook):
     ]
 
 
-def test_there_are_eight_lessons():
+def test_there_are_nine_lessons():
     assert sorted(ANSWERS) == LESSONS
-    assert [name[:2] for name in LESSONS] == [f"0{number}" for number in range(1, 9)]
+    assert [name[:2] for name in LESSONS] == [f"0{number}" for number in range(1, 10)]
 
 
 @pytest.mark.slow

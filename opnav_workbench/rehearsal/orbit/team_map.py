@@ -128,8 +128,10 @@ def smoothed_shape(shape: ShapeModel, width_km: float) -> ShapeModel:
     steps = shape.vertices_km[edges[:, 0]] - shape.vertices_km[edges[:, 1]]
     # A step to a neighbor's place moves by its length in a plane: half of its square along each of two axes.
     one_pass = 0.5 * float(np.mean(np.sum(steps**2, axis=1)))
-    passes = int(np.clip(np.rint(width_km**2 / one_pass), 1, MOST_PASSES))
+    wanted = width_km**2 / one_pass
+    passes = int(np.clip(np.ceil(wanted), 1, MOST_PASSES))
+    share = min(wanted / passes, 1.0)  # of the way to the mean
     vertices = shape.vertices_km
     for _ in range(passes):
-        vertices = (near @ vertices) / degree[:, None]
+        vertices = (1.0 - share) * vertices + share * (near @ vertices) / degree[:, None]
     return ShapeModel(vertices, shape.plates)
