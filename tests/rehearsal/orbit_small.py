@@ -28,7 +28,7 @@ def small_mission(folder):
     return folder / "mission.yaml"
 
 
-def small_scenario(folder, pairs=2):
+def small_scenario(folder, pairs=1):
     """The content of the scenario, its mission file in a folder."""
     content = load_ort_scenario("osiris_rex/bennu_orbit").model_dump(mode="json")
     content["mission"] = str(small_mission(folder))
