@@ -2,8 +2,8 @@
 
     python tests/rehearsal/orbit_sigma_exam.py --seeds 1 2 3 --pairs 3
 
-Each seed has another surface, map, orbit, rotation and set of attitudes (tests/rehearsal/orbit_small.py); all are solved blind and
-held against their truth. Asked: error over sigma of every quantity 0.8 to 1.2 over 50 seeds.
+Each seed has another surface, map, orbit, rotation and set of attitudes (tests/rehearsal/orbit_small.py); all are solved
+blind and held against their truth. Asked: error over sigma of every quantity 0.8 to 1.2 over 50 seeds.
 """
 
 import argparse
