@@ -111,7 +111,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
         "utc": result.get("utc"),
         "messages": result["messages"],
         "attention": list(attention),
-        "why": list(picture.why) if state == "now" else [],
+        "why": list(picture.why) if state == "now" and picture.state != "new" else [],
         "pointing": None if pointing is None else {key: pointing[key] for key in POINTING_KEYS},
         "bodies": [_body_row(body) for body in bodies],
         "seconds": None if record is None else record.seconds,
