@@ -432,7 +432,7 @@ def fetch(
     fetched = _fetch_with_progress(mission, into, kinds)
     print_fetched(console, fetched)
     name = f"{fetched.manifest.mission}/flight" if into is None else str(fetched.metakernel)
-    console.print(f"Look at them: opnav kernels check {name}", highlight=False, soft_wrap=True)
+    console.print(f"Look at them: opnav kernels check {shown(name)}", highlight=False, soft_wrap=True)
 
 
 def _fetch_with_progress(mission: str, into: Path | None, kinds: tuple[KernelKind, ...]) -> FetchedKernels:

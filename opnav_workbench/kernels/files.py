@@ -23,6 +23,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import KernelError
 from opnav_workbench.files import sha256_of
 from opnav_workbench.kernels.segment_layouts import layout_fault
+from opnav_workbench.paths import regular_size
 from opnav_workbench.supervised import TrialError, tried
 
 __all__ = [
@@ -256,10 +257,10 @@ def looks_like_kernel(path: Path) -> bool:
 
 def _state(path: Path) -> tuple[int, int]:
     try:
-        status = path.stat()
+        size = regular_size(path)  # a pipe would block
+        return path.stat().st_mtime_ns, size
     except OSError as error:
         raise KernelError(f"cannot read {path}: {error.strerror or error}; check the path.") from error
-    return status.st_mtime_ns, status.st_size
 
 
 @functools.lru_cache(maxsize=1024)
