@@ -54,7 +54,7 @@ def docs(
     index = build_site(place, gallery=gallery, say=lambda words: console.print(shown(words)))
     Console(soft_wrap=True).print(shown(str(index)), highlight=False)
     if browser:
-        webbrowser.open(index.as_uri())
+        webbrowser.open(index.resolve().as_uri())
 
 
 def build_site(place: Path, *, gallery: bool = False, say: Any = lambda _: None) -> Path:

@@ -12,13 +12,13 @@ Killed anywhere, the same command goes on: a picture's folder is whole or not th
 
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import SessionError, plain_line
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import NightInputs, changes, night_inputs, picture_et
@@ -36,6 +36,7 @@ from opnav_workbench.headless.records import (
 from opnav_workbench.headless.settling import settle, tidy_attic
 from opnav_workbench.image.picture_files import FolderOwner, picture_names
 from opnav_workbench.mission import Mission
+from opnav_workbench.paths import is_text
 from opnav_workbench.processing import notebook_parameters
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.resources import notebooks_dir
@@ -162,15 +163,20 @@ def plan_night(
     # Fields may have been set unchecked; mission, catalog and decisions are read.
     mission = spec.changed("night").opened().mission
     folder = make_folder(out).resolve()
+    if not is_text(folder):
+        raise SessionError(f"the path {folder} has bytes that are no UTF-8; give the night another folder.")
     _check_notebook(_notebook(spec), _parameters(spec, Path("picture")))
     choice = NightChoice(only_new, force, retry_failed, quiet_s)
     with spec.kernel_set():
         notebook = sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK
         inputs = night_inputs(spec, mission, _parameters(spec, Path("picture")), notebook)
-        names = picture_names(pictures_of_night(spec), lambda name: _folder_owner(inside(folder, name)))
+        # Folders of the night have names that a log, a page and an archive can show.
+        names = picture_names(
+            pictures_of_night(spec), lambda name: _folder_owner(inside(folder, plain_line(name)))
+        )
         pictures = [
             _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
-            for image, name in names.items()
+            for image, name in zip(names, map(plain_line, names.values()), strict=True)
         ]
     return NightPlan(spec, folder, tuple(pictures))
 
@@ -338,13 +344,23 @@ def run_night(
             if picture.state not in ("new", "arriving"):
                 _archive(night, taken, picture.name)
         by_name = {picture.name: picture for picture in plan.todo}
-        with closing(pool.run([plan.job(picture) for picture in plan.todo])) as verdicts:
+        with closing(_verdicts(plan, pool)) as verdicts:
             for verdict in verdicts:
                 _put_results(night, by_name[verdict.name], verdict)
                 if FAULTS[verdict.fault].is_result and verdict.name not in night.unplaced:
                     _archive(night, taken, verdict.name)
                 night.verdicts.append(verdict)
                 say(verdict)
+
+
+def _verdicts(plan: NightPlan, pool: NightPool) -> Generator[NotebookOutcome, None, None]:
+    """Yield what becomes of the pictures; one that no notebook can be told of costs no process."""
+    for picture in plan.todo:
+        if not is_text(picture.image):
+            reason = f"the path {plain_line(str(picture.image))} has bytes that are no UTF-8; rename it"
+            yield NotebookOutcome(picture.name, "", "picture", reason, 0.0, 0.0)
+    with closing(pool.run([plan.job(p) for p in plan.todo if is_text(p.image)])) as verdicts:
+        yield from verdicts
 
 
 @contextmanager

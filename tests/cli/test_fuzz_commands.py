@@ -96,14 +96,14 @@ COMMANDS = {
     "lab": Command(f"lab p.fit --mission {MISSION} --out out/l --no-browser", ("p.fit", MISSION, CAMERA)),
     "night": Command("nightly night.yaml --out out/n", ("night.yaml", "p.fit"), 15, EXIT_PARTLY),
     "calibrate camera": Command(
-        f"calibrate camera p.fit -m {MISSION} --out out/c --attitude header", ("p.fit", MISSION, CAMERA), 10
+        f"calibrate camera p.fit -m {MISSION} --out out/c --attitude header", ("p.fit", MISSION, CAMERA), 4
     ),
-    "calibrate psf": Command(f"calibrate psf p.fit -m {MISSION} --out out/c", ("p.fit", CAMERA), 10, EXIT_BAD_INPUT),
+    "calibrate psf": Command(f"calibrate psf p.fit -m {MISSION} --out out/c", ("p.fit", CAMERA), 5, EXIT_BAD_INPUT),
     "landmarks": Command(
         "landmarks make PLUTO --shape s.obj --spacing 60deg --scale 10m --samples 9 --out out/p.npz", ("s.obj",), 10
     ),
     "landmarks show": Command("landmarks show maps.npz", ("maps.npz",), 60),
-    "mission new": Command("mission new probe --fov-deg 0.3 --image p.fit --out out/m", ("p.fit",), 8),
+    "mission new": Command("mission new probe --fov-deg 0.3 --image p.fit --out out/m", ("p.fit",), 4),
     "prune": Command("campaign prune run --notebooks 0"),
     "compare": Command("campaign compare run run", (RESULT,)),
 }  # fmt: skip
