@@ -23,6 +23,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.neighbours import near_bodies, without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
 from opnav_workbench.bodies.place_search import search_place
+from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.subarray import search_radius
@@ -513,26 +514,33 @@ def fit_crossings(
     columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
     offset = crossings.depth_px[crossings.known]
     uncertain = np.ones(crossings.changes.shape[1])
-    sigma = np.array([figure.size_sigma, figure.axes_sigma, figure.axes_sigma])
-    precision = np.concatenate([[1e-9, 1e-9], sigma**-2.0, uncertain])
+    precision = np.concatenate([[1e-9, 1e-9, 0.0, 0.0, 0.0], uncertain])
+    scales = scale_precisions(len(precision), ([2], figure.size_scales), ([3, 4], figure.axes_scales))
     expected = np.concatenate([[0.0, 0.0], mean, 0.0 * uncertain])
+    beyond = offset - columns @ expected
     residual = np.full(len(crossings.angle_rad), np.nan)
 
-    def solved(solution: FloatArray, near: float, variance: float) -> FloatArray:
-        weight = (1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0 / variance
+    def weights(solution: FloatArray, near: float) -> FloatArray:
+        return np.asarray((1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0)
+
+    def solved(solution: FloatArray, near: float, variance: float, scales: FloatArray) -> FloatArray:
+        weight = weights(solution, near) / variance
         normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
-        there = np.linalg.solve(normal, columns.T @ (weight * offset) + precision * expected)
+        there = expected + mixed_solution(normal, columns.T @ (weight * beyond), scales).theta
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    solution, near = expected, near_px
+    solution, near, widest = expected, near_px, scales[:1]  # a limb that is not the model's must not be lost
     for _ in range(NARROWINGS):
-        solution = solved(solution, near, near**2)
+        solution = solved(solution, near, near**2, widest)
         near = max(0.5 * near, NEAREST_PX, relief_px)
     # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
     variance = _scatter(residual) + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
-    solution = solved(solution, near, variance)
-    covariance = np.linalg.inv(columns.T @ columns / variance + np.diag(precision))
+    solution = solved(solution, near, variance, scales)
+    # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
+    kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
+    normal = columns.T @ columns / variance + np.diag(precision)
+    covariance = mixed_solution(normal, columns.T @ kept / variance, scales).covariance
     return CrossingFit(solution[:2], float(solution[2]), solution[3:5], covariance[:5, :5], residual)
 
 

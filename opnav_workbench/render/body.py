@@ -26,11 +26,18 @@ PATTERN_PX = 0.25  # map cells are averaged up to this size: the spacing of rays
 COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 
 
+UNSTATED_SIZE, UNSTATED_AXES = 0.10, 0.05  # of a first approach
+SCALES = (1.0, 0.2, 0.04)  # even in the logarithm, to a figure that is known to 0.4 and 0.2 %
+
+
 @dataclass(frozen=True, slots=True)
 class FigureUncertainty:
     """How far a body may differ from its model: 1 sigma, as parts of the mean radius or brightness, above 0 and below 1.
 
-    The defaults suit a first approach, where size and shape come from brightness and light curves.
+    The defaults suit a first approach, where size and shape come from brightness and light curves. Of size and axes they say
+    that nobody has stated how well they are known: then smaller scales, down to those of a figure that was measured before,
+    are held to be as likely, and a picture of the disk weighs them (`size_scales`, `axes_scales`). What is stated is
+    believed as it is.
 
     Attributes
     ----------
@@ -53,8 +60,8 @@ class FigureUncertainty:
         One of them is not between 0 and 1.
     """
 
-    size_sigma: float = 0.10
-    axes_sigma: float = 0.05
+    size_sigma: float = UNSTATED_SIZE
+    axes_sigma: float = UNSTATED_AXES
     limb_roughness: float = 0.003
     albedo_sigma: float = 0.2
     law_sigma: float | None = None
@@ -67,6 +74,20 @@ class FigureUncertainty:
                     label, "mean radius"
                 )
                 raise MissionError(f"{label} is {value}; give a part of the {whole}, above 0 and below 1.")
+
+    @property
+    def size_scales(self) -> tuple[float, ...]:
+        """Sigmas that the size may have, the largest first; one if it is stated."""
+        return _scales(self.size_sigma, UNSTATED_SIZE)
+
+    @property
+    def axes_scales(self) -> tuple[float, ...]:
+        """Sigmas that the axes may have, the largest first; one if it is stated."""
+        return _scales(self.axes_sigma, UNSTATED_AXES)
+
+
+def _scales(sigma: float, unstated: float) -> tuple[float, ...]:
+    return tuple(sigma * share for share in SCALES) if sigma == unstated else (sigma,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,6 +34,7 @@ from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import RELIEF_RAD, BodyPlace
+from opnav_workbench.bodies.scales import scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
@@ -78,10 +79,12 @@ LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
 RIM_SHARE = 1.2  # of the PSF's width, by a rim that is dark or bright all around: `DiskFit.covariance_px2`
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
+SHADING_SCALES = (4.0, 1.0, 0.2)  # surfaces lean by more, or by less, than their axes say
 MOST_STRAIN, MOST_LAW = 0.02, 0.2  # a step: as far as their derivatives reach
 MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 WORSE = 1.1  # chi-squared may become so by light that is tabulated anew
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
+WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -216,7 +219,8 @@ class DiskFit:
     lengths_px
         Of the center's steps.
     valley_px2 : (2, 2) array
-        Covariance beyond that of the linearized solution: how far solutions from other starts lie apart.
+        Covariance beyond that of the linearized solution: how far solutions from other starts lie apart, or the last place
+        from the best one.
     """
 
     shape: DiskShape
@@ -316,11 +320,13 @@ def disk_columns(
     detector: tuple[int, int],
     reach_px: tuple[float, float],
     *,
+    on_slopes: bool,
     rough: bool = True,
 ) -> tuple[LimbPixels, FloatArray]:
     """Return the pixels of a detector (lines, pixels) about a shape's outline, and the derivatives of their light.
 
-    They are `DiskFit.columns`; `rough` says whether the outline has the heights of its pieces.
+    They are `DiskFit.columns`; `on_slopes` says whether the hats are those of slopes that face the Sun, `rough` whether the
+    outline has the heights of its pieces.
     """
     outline = made.outline(shape, rough=rough)
     near = limb_pixels(outline, detector, *reach_px)
@@ -338,7 +344,9 @@ def disk_columns(
         m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
         *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
     ]  # fmt: skip
-    return near, np.concatenate([np.stack(columns), tables[TABLES:], np.stack([by_cos, by_sin, relief])])
+    half = TABLES + (len(tables) - TABLES) // 2
+    hats = tables[half:] if on_slopes else tables[TABLES:half]
+    return near, np.concatenate([np.stack(columns), hats, np.stack([by_cos, by_sin, relief])])
 
 
 def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) -> FloatArray:
@@ -399,27 +407,31 @@ class _DiskProblem:
         return TabulatedDisk(shape, strain, silhouette, light)
 
     def prior_sigma(self) -> FloatArray:
-        """Return the uncertainty (p,) of what is shared."""
-        figure, free = self.figure, np.inf
-        out = np.full(SHARED, free)
-        out[FIGURE] = self._size()[1], figure.axes_sigma, figure.axes_sigma
+        """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
+        out = np.full(SHARED, np.inf)
+        out[Unknown.SIZE] = self._seen()
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
-        out[SHADING] = figure.axes_sigma * SHADING_SHARE
         out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
         out[STRAY] = WING_SIGMA
         return out
 
-    def _size(self) -> tuple[float, float]:
-        """Return mean and sigma of the logarithm of the size: what the mission says, and the crossings of the limb."""
-        seen = float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))
-        precision = self.figure.size_sigma**-2.0 + seen**-2.0
-        return float(np.log(self.place.size_ratio)) * seen**-2.0 / precision, precision**-0.5
+    def scales(self) -> FloatArray:
+        """Return the precisions (k, p) of the scales that size, axes and shading may have."""
+        figure = self.figure
+        shading = figure.axes_sigma * np.multiply.outer(SHADING_SCALES, SHADING_SHARE)
+        return scale_precisions(
+            SHARED, ([Unknown.SIZE], figure.size_scales), (FIGURE[1:], figure.axes_scales), (SHADING, shading)
+        )
+
+    def _seen(self) -> float:
+        """Return how well the crossings of the limb tell the logarithm of the size."""
+        return float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))
 
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
-        mean[Unknown.SIZE] = self._size()[0]
+        mean[Unknown.SIZE] = np.log(self.place.size_ratio)
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
@@ -475,6 +487,16 @@ class _LinearDisk(NamedTuple):
     solution: MarginalSolution
 
 
+class _FitState(NamedTuple):
+    """Where a fit stands."""
+
+    shape: DiskShape
+    brightness: float
+    piece_albedo: FloatArray
+    made: TabulatedDisk
+    linear: _LinearDisk
+
+
 class _Fitter:
     def __init__(
         self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, prior: FieldPrior | None
@@ -483,6 +505,7 @@ class _Fitter:
         self.lengths: list[float] = []
         self.converged = False
         self.doubt: FloatArray | float = 1.0
+        self.wandered_px = np.zeros(2)
         if start is not None:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
@@ -498,8 +521,8 @@ class _Fitter:
 
     def run(self) -> DiskFit:
         self._solve()
-        for steps in self.tuning:
-            self._tune(steps)
+        for turn, steps in enumerate(self.tuning):
+            self._tune(steps, other_light=turn == 0)
             self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
@@ -525,6 +548,7 @@ class _Fitter:
             reach_px=self.problem.reach,
             lengths_px=tuple(self.lengths),
             converged=self.converged,
+            valley_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px),
         )
 
     def _solve(self) -> None:
@@ -534,10 +558,19 @@ class _Fitter:
         system = self._system(near, columns)
         self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
 
-    def _tune(self, steps: tuple[float, ...]) -> None:
+    def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
+        """Find the prior of the field; `other_light`: also for an albedo on the other light."""
         self._doubt()
-        system = self.linear.system
-        self.prior = tuned(system, self.prior, self.problem.rough_px, steps)
+        best, system = tuned(self.linear.system, self.prior, self.problem.rough_px, steps), self.linear.system
+        if other_light:
+            kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
+            self._solve()
+            other = tuned(self.linear.system, self.prior, self.problem.rough_px, steps)
+            if other.cost < best.cost:
+                best, system = other, self.linear.system
+            else:
+                self.linear = kept
+        self.prior = best.prior
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
 
     def _doubt(self) -> None:
@@ -550,16 +583,32 @@ class _Fitter:
             self._solve_at(linear.pixels, linear.columns)
 
     def _iterate(self, most: int) -> None:
-        """Move until nothing moves any more, `most` times at the most."""
+        """Move until nothing moves any more, `most` times at the most, and return to the best place that was passed.
+
+        A step may lead uphill (Chamberlain et al. 1982, doi:10.1007/BFb0120945): the light changes its noise with it.
+        """
+        best, self.wandered_px = self._state(), np.zeros(2)
         for _ in range(most):
             length = self._step()
             self.lengths.append(length)
             solution = self.linear.solution
-            sigma = float(np.sqrt(solution.covariance[CENTER, CENTER].max()))
-            near = length < max(NEAR_PX, NEAR_SIGMAS * sigma)
-            self.converged = near and bool(solution.theta[Unknown.BRIGHTNESS] > 0.0)
-            if length < max(STILL_PX, STILL_SIGMAS * sigma):
-                return
+            if solution.held_cost < best.linear.solution.held_cost:
+                best = self._state()
+            if length < self._slack_px(STILL_PX, STILL_SIGMAS):
+                break
+        if self.linear.solution.held_cost > best.linear.solution.held_cost + GROWTH:
+            last_px = self.shape.center_px
+            self.shape, self.brightness, self.piece_albedo, self.made, self.linear = best
+            self.wandered_px = best.shape.center_px - last_px
+        lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
+        self.converged = lit and length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
+
+    def _state(self) -> "_FitState":
+        return _FitState(self.shape, self.brightness, self.piece_albedo, self.made, self.linear)
+
+    def _slack_px(self, least_px: float, sigmas: float) -> float:
+        """Return what a center may still move by: so many px, or so many of its sigmas."""
+        return max(least_px, sigmas * float(np.sqrt(self.linear.solution.covariance[CENTER, CENTER].max())))
 
     def _step(self) -> float:
         """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
@@ -638,7 +687,8 @@ class _Fitter:
         return law > bounds.law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
     def _columns(self) -> tuple[LimbPixels, FloatArray]:
-        return disk_columns(self.made, self.shape, self.problem.pixels.data_dn.shape, self.problem.reach)
+        shape = self.problem.pixels.data_dn.shape
+        return disk_columns(self.made, self.shape, shape, self.problem.reach, on_slopes=self.prior.on_slopes)
 
     def _cells(self, near: LimbPixels, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return weights, data and columns of the cells (j, c)."""
@@ -676,6 +726,7 @@ class _Fitter:
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
             prior_mean=problem.prior_mean(shape.center_px),
             prior_precision=problem.prior_sigma() ** -2.0,
+            scales=problem.scales(),
             chord=problem.chord,
             broad=problem.broad,
             turn=problem.turn,
@@ -694,8 +745,15 @@ WIDEST = 3.0
 LEAST, MOST = np.log([0.003, 0.08, 0.001]), np.log([0.9, 0.7, 0.25])
 
 
-def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> FieldPrior:
-    """Return the prior of greatest marginal likelihood."""
+class TunedPrior(NamedTuple):
+    """A prior, and minus the logarithm of its posterior but for a constant of the cells."""
+
+    prior: FieldPrior
+    cost: float
+
+
+def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> TunedPrior:
+    """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on."""
     usual = np.append(USUAL, np.log(rough_px))
 
     def cost(x: FloatArray) -> float:
@@ -706,11 +764,17 @@ def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[f
 
     begin = np.clip(start.logarithms(), usual - 2.0 * VARIETY, usual + 2.0 * VARIETY)
     begin[:3] = np.clip(begin[:3], LEAST + 0.1, MOST - 0.1)
-    return FieldPrior.from_logarithms(_lowest(cost, begin, steps))
+    x, value = _lowest(cost, begin, steps)
+    return TunedPrior(FieldPrior.from_logarithms(x, on_slopes=start.on_slopes), value)
 
 
-def _lowest(cost: Callable[[FloatArray], float], begin: FloatArray, steps: tuple[float, ...]) -> FloatArray:
-    """Return where a function of few variables is lowest: parabolas along each of them, with steps that shrink."""
+def _lowest(
+    cost: Callable[[FloatArray], float], begin: FloatArray, steps: tuple[float, ...]
+) -> tuple[FloatArray, float]:
+    """Return where a function of few variables is lowest, and its value there.
+
+    Parabolas along each of them, with steps that shrink.
+    """
     here, value = begin.copy(), cost(begin)
     for step in steps:
         for k in range(len(here)):
@@ -731,7 +795,7 @@ def _lowest(cost: Callable[[FloatArray], float], begin: FloatArray, steps: tuple
             if lowest < value:
                 value = lowest
                 here[k] += by * step
-    return here
+    return here, value
 
 
 def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:

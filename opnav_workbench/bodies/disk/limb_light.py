@@ -71,12 +71,12 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    tables : (t, n, 14 + k) array
+    tables : (t, n, 14 + 2 k) array
         First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
         axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
         shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
         plane, xx = -yy and xy; and the light of slopes that face the Sun, `RELIEF`. Then the light of each hat function
-        of the albedo; their sum is the light.
+        of the albedo, whose sum is the light; and that of the same hats on slopes that face the Sun.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
     fine
@@ -193,10 +193,11 @@ def _sources(
     node_rad: FloatArray,
     law: FloatArray,
 ) -> FloatArray:
-    """Return the light before the PSF (1 + `LINEAR` + k, ...) in cells of `step_px` at depths (...).
+    """Return the light before the PSF (1 + `LINEAR` + 2 k, ...) in cells of `step_px` at depths (...).
 
-    All of it, its change with the law, and that of each hat. A cell that the limb cuts has the light of the part inside.
-    `share` (...) is the distance from the center over that of the limb; `rays_at` makes rays of those wanted.
+    All of it, its change with the law, and that of each hat, on the light and on that of slopes that face the Sun. A cell
+    that the limb cuts has the light of the part inside. `share` (...) is the distance from the center over that of the
+    limb; `rays_at` makes rays of those wanted.
     """
     covered = np.clip(0.5 - depth_px / step_px, 0.0, 1.0)
     inside = covered > 0.0
@@ -204,9 +205,10 @@ def _sources(
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
     changes = _light_changes(picture, body, center_px, rays_at(within, inside), law)
     covered = covered[inside]
-    out = np.zeros((len(changes) + len(node_rad), *depth_px.shape))
+    out = np.zeros((len(changes) + 2 * len(node_rad), *depth_px.shape))
     out[: len(changes), inside] = changes * covered
-    out[len(changes) :, inside] = changes[0] * covered * _hats(within, node_rad)
+    hats = _hats(within, node_rad) * covered
+    out[len(changes) :, inside] = np.concatenate([changes[0] * hats, changes[-1] * hats])
     return out
 
 

@@ -9,17 +9,15 @@ random places. With R^T R = N^T D^-1 N, block by block, every quantity follows f
 1 + R K R^T (Rasmussen & Williams 2006, "Gaussian Processes for Machine Learning", section 2.7 and equation A.9).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies.scales import RIDGE, mixed_solution
 
-RIDGE = 1e-11  # of a unit diagonal: keeps what nothing tells from becoming infinite
-
-LARGEST_SCALE = 1e9
 # Albedo that changes within the PSF's width of the limb moves what is taken for the limb by so much of that width.
 UNRESOLVED_SHARE = 0.6
 
@@ -40,21 +38,26 @@ class FieldPrior:
         Relative standard deviation of what differs from cell to cell.
     rough_px
         Standard deviation of the limb.
+    on_slopes
+        Whether the albedo is relative to the light of slopes that face the Sun: terrain shines where a smooth body has no
+        light.
     """
 
     albedo: float
     length_rad: float
     grain: float
     rough_px: float
+    on_slopes: bool = False
 
     def logarithms(self) -> FloatArray:
         """Return the logarithms (4,)."""
         return np.log([self.albedo, self.length_rad, self.grain, self.rough_px])
 
     @classmethod
-    def from_logarithms(cls, values: FloatArray) -> "FieldPrior":
+    def from_logarithms(cls, values: FloatArray, *, on_slopes: bool = False) -> "FieldPrior":
         """Return the prior of logarithms (4,)."""
-        return cls(*(float(v) for v in np.exp(values)))
+        albedo, length, grain, rough = (float(v) for v in np.exp(values))
+        return cls(albedo, length, grain, rough, on_slopes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +76,11 @@ class MarginalSolution:
         y^T C^-1 y at the solution.
     held_chi2
         The same with those of theta that were to be held, at the values given.
-    width
-        Logarithm of the determinant of what field and grain add to the noise: with chi-squared it says which of two
-        models of the same cells is the likelier, however wide they take their own errors to be.
+    held_cost
+        Minus twice the logarithm of the likelihood with what is held, but for a constant of the cells: which of two models
+        of the same cells is the likelier, however wide they take their own errors to be.
+    share : (k,) array
+        Of each of the scales that theta may have.
     """
 
     log_likelihood: float
@@ -84,12 +89,8 @@ class MarginalSolution:
     nodes: FloatArray
     chi2: float
     held_chi2: float
-    width: float
-
-    @property
-    def held_cost(self) -> float:
-        """Minus twice the logarithm of the likelihood with what is held, but for a constant of the cells."""
-        return self.held_chi2 + self.width
+    held_cost: float
+    share: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -110,6 +111,8 @@ class LimbSystem:
     own : (q, j, c) array
         N; the last of q is the place of the limb.
     prior_mean, prior_precision : (p,) arrays
+    scales : (k, p) array
+        Precisions about 0 that stand beside `prior_precision`, one row for each scale of the figure.
     chord, broad : (j (q - 1), j (q - 1)) arrays
         Distance of the albedo's nodes on the body, rad; relative covariance of what whole hemispheres differ by.
     turn : (j, j) array
@@ -127,6 +130,7 @@ class LimbSystem:
     own: FloatArray
     prior_mean: FloatArray
     prior_precision: FloatArray
+    scales: FloatArray
     chord: FloatArray
     broad: FloatArray
     turn: FloatArray
@@ -158,6 +162,14 @@ class LimbSystem:
         )
         return np.asarray((self.data - model) / np.sqrt(self.variance + (prior.grain * self.light) ** 2))
 
+    def figure_prior(
+        self, solution: MarginalSolution, unknowns: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return mean and precision (n,) that some unknowns had beforehand, by the scales that a solution found."""
+        own = self.prior_precision[unknowns]
+        variance = solution.share @ (1.0 / (own + self.scales[:, unknowns]))
+        return own * self.prior_mean[unknowns] * variance, 1.0 / variance
+
     def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
         """Solve for what all pieces share, marginal over the rest.
 
@@ -186,59 +198,53 @@ class LimbSystem:
         right = information[:p, p] + self.prior_precision * self.prior_mean
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
         least = np.maximum(self.prior_precision, RIDGE * np.diag(plain)[:p])
-        theta, covariance, value, scale = _solved(normal, right, least)
+        mixed = mixed_solution(normal, right, self.scales, least)
+        theta = mixed.theta
         whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
-        chi2 = whole - float(right @ theta)
-        held_chi2 = chi2 if held is None else _held(normal, right, whole, held)
+        chi2 = whole - mixed.gained
+        held_chi2, held_cost = (
+            (chi2, chi2) if held is None else _held_cost(normal, right, whole, self.scales, held)
+        )
         used = weight > 0.0
         field_width = 2.0 * float(np.log(np.diag(factor)).sum())
         grain_width = float(np.log1p((prior.grain * self.light[used]) ** 2 / self.variance[used]).sum())
-        log_determinants = (
-            field_width
-            - float(np.log(weight[used]).sum())
-            + float(np.log(value).sum())
-            - 2.0 * float(np.log(scale).sum())
-        )
+        log_determinants = field_width - float(np.log(weight[used]).sum())
         rest = cross[:, p] - cross[:, :p] @ theta
         nodes = field @ rest - spread.T @ linalg.cho_solve((factor, True), spread @ rest, check_finite=False)
         return MarginalSolution(
-            -0.5 * (chi2 + log_determinants),
+            mixed.log_evidence - 0.5 * (whole + log_determinants),
             theta,
-            covariance,
+            mixed.covariance,
             nodes.reshape(j, q),
             chi2,
             held_chi2,
-            field_width + grain_width,
+            held_cost + field_width + grain_width,
+            mixed.share,
         )
 
 
-def _solved(
-    normal: FloatArray, right: FloatArray, least: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return solution and covariance of normal equations whose diagonal counts as `least` (p,) at least.
+def _held_cost(
+    normal: FloatArray, right: FloatArray, whole: float, precisions: FloatArray, held: Mapping[int, float]
+) -> tuple[float, float]:
+    """Return the least of theta^T N theta - 2 theta^T r + whole with some of theta held, over all scales.
 
-    With them the eigenvalues (p,) of the matrix scaled to a unit diagonal, and the scale (p,).
+    First by itself, then with the width of the scales' priors.
     """
-    scale = 1.0 / np.sqrt(np.maximum(np.maximum(np.diag(normal), least), 1e-300))
-    scaled = normal * scale[:, None] * scale
-    scaled[np.diag_indices(len(scale))] += RIDGE
-    value, vector = np.linalg.eigh(scaled)
-    value = np.maximum(value, RIDGE)
-    inverse = (vector / value) @ vector.T
-    scale = np.minimum(scale, LARGEST_SCALE)  # of what no pixel depends on
-    return scale * (inverse @ (scale * right)), scale[:, None] * inverse * scale, value, scale
-
-
-def _held(normal: FloatArray, right: FloatArray, whole: float, held: Mapping[int, float]) -> float:
-    """Return the least of theta^T N theta - 2 theta^T r + whole with some of theta held."""
     fixed = np.array(list(held), dtype=np.int64)
     free = np.setdiff1d(np.arange(len(right)), fixed)
     value = np.array(list(held.values()))
-    rest = right[free] - normal[np.ix_(free, fixed)] @ value
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal)[free], 1e-300))
-    inner = normal[np.ix_(free, free)] * scale[:, None] * scale + RIDGE * np.eye(len(free))
-    gained = (scale * rest) @ np.linalg.solve(inner, scale * rest)
-    return float(whole + value @ normal[np.ix_(fixed, fixed)] @ value - 2.0 * value @ right[fixed] - gained)
+    every = normal + precisions[:, None, :] * np.eye(len(right))
+    rest = right[free] - every[:, free[:, None], fixed] @ value
+    inner = every[:, free[:, None], free]
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(inner, axis1=1, axis2=2), 1e-300))
+    scaled = inner * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(len(free))
+    right_side = scale * rest
+    gained = np.einsum("kf,kf->k", right_side, np.linalg.solve(scaled, right_side[..., None])[..., 0])
+    cost = whole + np.einsum("i,kij,j->k", value, every[:, fixed[:, None], fixed], value)
+    cost = cost - 2.0 * float(value @ right[fixed]) - gained
+    wide = -np.log(np.where(precisions > 0.0, precisions, 1.0)).sum(axis=1)
+    least = float((cost + wide).min())
+    return float(cost.min()), least - 2.0 * float(np.log(np.mean(np.exp(-0.5 * (cost + wide - least)))))
 
 
 def _roots(inner: FloatArray) -> FloatArray:

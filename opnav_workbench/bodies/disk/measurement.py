@@ -294,7 +294,7 @@ def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
         fit.outline.diameter_px,
         max(float(away.max(initial=0.0) - fit.outline.radius_px.min()), 0.0) + 1.0,
     )
-    near, columns = disk_columns(fit.made, fit.shape, wanted.shape, reach)
+    near, columns = disk_columns(fit.made, fit.shape, wanted.shape, reach, on_slopes=fit.prior.on_slopes)
     kept = wanted[near.line, near.pixel]
     here = near.line[kept], near.pixel[kept]
     model = replace(fit, pixels=near, columns=columns).model_dn()[kept]

@@ -80,9 +80,10 @@ def _prior(fit: DiskFit, shape: DiskShape) -> tuple[FloatArray, FloatArray]:
     """Return mean (p,) and precision (p, p) of what all scans share, as a step from a shape."""
     outline, system = len(OUTLINE), fit.system
     mean = np.zeros(outline + len(LOOK))
-    mean[2:outline] = system.prior_mean[FIGURE] - np.array([shape.log_size, *shape.strain[:2]])
+    figure, fixed = system.figure_prior(fit.solution, FIGURE)
+    mean[2:outline] = figure - np.array([shape.log_size, *shape.strain[:2]])
     precision = np.zeros((len(mean), len(mean)))
-    precision[range(outline), range(outline)] = [*(FREE_PX**-2.0,) * 2, *system.prior_precision[FIGURE]]
+    precision[range(outline), range(outline)] = [*(FREE_PX**-2.0,) * 2, *fixed]
     precision[outline:, outline:] = np.linalg.inv(fit.solution.covariance[np.ix_(LOOK, LOOK)])
     return mean, precision
 

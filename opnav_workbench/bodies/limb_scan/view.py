@@ -149,7 +149,9 @@ def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray
     """Return line and pixel (m,) of the strip; light, its changes with limb and `COMMON`, its parts (2 + p + k, m)."""
     fit = disk.fit
     reach = fit.reach_px[0] + MARGIN_PX, fit.reach_px[1] + MARGIN_PX
-    near, columns = disk_columns(fit.made, shape, disk.pixels.use.shape, reach, rough=False)
+    near, columns = disk_columns(
+        fit.made, shape, disk.pixels.use.shape, reach, on_slopes=fit.prior.on_slopes, rough=False
+    )
     light = replace(fit, pixels=near, columns=columns).even_dn()
     angle = piece_angles(len(fit.piece_albedo))
     lit = fit.brightness_dn * np.interp(near.angle_rad, angle, fit.piece_albedo, period=TURN)
