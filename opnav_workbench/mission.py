@@ -151,10 +151,11 @@ class TargetSurface(StrictModel):
     maplets
         Landmarks of the body, a file that ``opnav landmarks make`` writes; pictures are searched for them.
     size_sigma
-        1 sigma of the mean radius, as a part of it: by default 0.10, as on a first approach.
+        1 sigma of the mean radius, as a part of it. By default 0.10, as on a first approach, or a part of that: the picture
+        says how much is needed.
     axes_sigma
         1 sigma of each principal axis of the outline beside the common size, as a part of the mean radius: by default
-        0.05, with a shape model 0.02.
+        0.05 or a part of that, with a shape model 0.02.
     limb_roughness
         Root mean square of the topography as a part of the mean radius: by default 0.003, as of the small round moons of
         Saturn; larger moons are smoother, small asteroids rougher by far.

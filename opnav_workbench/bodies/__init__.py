@@ -19,6 +19,8 @@ which suits a body.
     Which bodies the picture shows, roughly where, and which of them have to be measured together.
 ``silhouette``
     Outlines of ellipsoids and plate models in the picture.
+``scales``
+    Priors of unknown scale: how far a figure may be off that nobody has stated.
 ``strained``
     A body whose figure is not quite its model's.
 ``scene_fit``

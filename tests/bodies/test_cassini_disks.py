@@ -1,0 +1,50 @@
+"""Real disks of Dione and Rhea with an operator's limb; their Sun is rough by degrees, their light a display's."""
+
+import json
+
+import numpy as np
+import pytest
+
+from opnav_workbench.bodies.disk.measurement import measure_disk
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.session import ImageSession
+from opnav_workbench.session.body_models import body_picture
+
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
+
+# What the operator's limb is good to, px; and how far a center may lie from it.
+LIMB_PX = 1.0
+MEASURED = {
+    "N1572105349": 1.0,  # measured: 0.7 px
+    "N1519300016": 0.6,  # 0.2
+    "N1633925572": 1.5,  # 0.9
+    "W1637520502": 3.0,  # 1.8: 864 px wide
+    "N1484593951": 3.0,  # 1.7: 1584 px wide, a quarter of its limb in the frame
+}
+
+
+def opened(data_dir, case):
+    """The picture as the centerfinders take it, the body's name, and the operator's limb."""
+    folder, spice = data_dir / "images" / "cassini_disks", data_dir / "spice"
+    generic = [spice / "generic" / name for name in ("naif0012.tls", "pck00011.tpc", "gm_de440.tpc")]
+    own = [folder / case / name for name in ("geometry.bsp", "body.tpc")]
+    kernels = [*generic, spice / "derived" / "de440_excerpt_2006_2030.bsp", folder / "frames.tf", *own]
+    limb = json.loads((folder / case / "case.json").read_text())
+    name = limb["body"]
+    with KernelSet(kernels):
+        session = ImageSession.open(
+            folder / case / f"{case}.fits", folder / "mission.yaml", attitude="header"
+        )
+        session.add_target(name)
+        return body_picture(session.context, session.inputs, session.state, (name,), (name,)), name, limb
+
+
+@pytest.mark.parametrize("case", MEASURED)
+def test_a_real_disk_is_where_its_limb_is(data_dir, case):
+    picture, name, limb = opened(data_dir, case)
+    disk = measure_disk(picture, name, "disk", None, None)
+    away = disk.fit.center_px - limb["limb_center_pixel_line"]
+    covariance = disk.fit.covariance_px2 + LIMB_PX**2 * np.eye(2)
+    assert np.hypot(*away) < MEASURED[case]
+    assert away @ np.linalg.solve(covariance, away) < 9.0
+    assert disk.fit.prior.on_slopes  # terrain, which a smooth body's light does not explain
