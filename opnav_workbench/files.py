@@ -276,6 +276,8 @@ def inside(folder: str | os.PathLike[str], name: str) -> Path:
     try:
         base = Path(folder).resolve()
         path = (base / name).resolve()
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            path.stat()  # since Python 3.13 `resolve` leaves links in a circle as they are
     except (OSError, RuntimeError, ValueError) as error:
         raise SessionError(
             f"{name!r} in {folder} cannot be followed: {error}; choose another folder."

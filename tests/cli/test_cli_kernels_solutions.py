@@ -129,7 +129,7 @@ def test_make_ck_of_a_run(run_dir, tmp_path):
 def test_image_support_data_see_the_target_where_the_solved_picture_does(run_dir, demo_truths, tmp_path):
     """Read back as a mapping program reads them: the body's center and a limb point, through camera, attitude and place."""
     truth = demo_truths[0]
-    pointing = {"quaternion_camera_from_j2000": spiceypy.m2q(truth.camera_from_j2000).tolist()}
+    pointing = {"quaternion_camera_from_j2000": spiceypy.m2q(truth.camera_from_j2000.copy()).tolist()}
     solved = {
         "image": "pluto.fit",
         "mission": "new_horizons",

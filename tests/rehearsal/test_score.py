@@ -33,7 +33,7 @@ def moved(attitude, pixel, line, twist_deg=0.0):
 
 
 def result_of(attitude, covariance=None, bodies=()):
-    quaternion = spiceypy.m2q(attitude).tolist()
+    quaternion = spiceypy.m2q(np.array(attitude)).tolist()
     covariance = np.diag([1e-12] * 3) if covariance is None else covariance
     pointing = {"quaternion_camera_from_j2000": quaternion, "covariance_rad2": covariance.tolist()}
     return {"pointing": pointing, "bodies": list(bodies)}

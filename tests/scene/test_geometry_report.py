@@ -69,7 +69,7 @@ def test_attitude(report, et):
     pointing = report.pointing
     assert pointing.camera_from_j2000 == pytest.approx(matrix, abs=1e-15)
     assert pointing.j2000_from_camera == pytest.approx(spiceypy.pxform("NH_LORRI", "J2000", et), abs=1e-15)
-    quaternion = spiceypy.m2q(matrix)
+    quaternion = spiceypy.m2q(np.array(matrix))
     assert pointing.quaternion_camera_from_j2000 == pytest.approx(
         quaternion * np.sign(quaternion[0]), abs=1e-14
     )

@@ -157,7 +157,7 @@ def test_pointing_cards_agree_with_spice(record, tmp_path):
     _, ra, dec = spiceypy.recrad(matrix @ [0.0, 0.0, -1.0])
     assert header["SPCBRRA"] == pytest.approx(np.degrees(ra), abs=1e-11)
     assert header["SPCBRDEC"] == pytest.approx(np.degrees(dec), abs=1e-11)
-    quaternion = spiceypy.m2q(matrix)
+    quaternion = spiceypy.m2q(np.array(matrix))
     assert [header[f"SPCQ{x}"] for x in "AXYZ"] == pytest.approx(quaternion, abs=1e-13)
     north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
     east = np.array([-np.sin(ra), np.cos(ra), 0.0])
