@@ -85,6 +85,8 @@ MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 WORSE = 1.1  # chi-squared may become so by light that is tabulated anew
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
+EVEN = 0.01
+LOST_SHARE = 0.05  # of the cells: as a cost, more than new weights make of the same fit
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -562,7 +564,8 @@ class _Fitter:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
         self._doubt()
         best, system = tuned(self.linear.system, self.prior, self.problem.rough_px, steps), self.linear.system
-        if other_light:
+        uneven = max(best.prior.albedo, best.prior.grain) > EVEN  # else there is nothing to explain
+        if other_light and uneven:
             kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
             self._solve()
             other = tuned(self.linear.system, self.prior, self.problem.rough_px, steps)
@@ -596,7 +599,8 @@ class _Fitter:
                 best = self._state()
             if length < self._slack_px(STILL_PX, STILL_SIGMAS):
                 break
-        if self.linear.solution.held_cost > best.linear.solution.held_cost + GROWTH:
+        slack = LOST_SHARE * float(np.count_nonzero(np.isfinite(best.linear.system.variance)))
+        if self.linear.solution.held_cost > best.linear.solution.held_cost + slack:
             last_px = self.shape.center_px
             self.shape, self.brightness, self.piece_albedo, self.made, self.linear = best
             self.wandered_px = best.shape.center_px - last_px
