@@ -209,7 +209,7 @@ def _cut(
     raw: FloatArray, noise: FloatArray, cores: _Cores, lost: BoolArray, place: FloatArray, others: FloatArray,
     prior: ShapePrior,
 ) -> _Box | None:  # fmt: skip
-    """Return the pixels around the core nearest to a place; None where there is none."""
+    """Return the pixels around the core nearest to a place; None where there is none that a star may have."""
     number = cores.nearest(place)
     if number == 0:
         return None
@@ -227,6 +227,8 @@ def _cut(
         foreign |= np.hypot(x - other[0], y - other[1]) < 1.0 + 3.0 * prior.sigma_px
     usable = np.where(lost[window].ravel() | foreign, np.inf, noise[window].ravel())
     own = cores.numbers[window] == number
+    if not own.any():  # the rim of a body: larger than a star's, it lies apart from its own middle
+        return None
     return _Box(middle, radius, x, y, raw[window].ravel(), usable, own.ravel())
 
 
@@ -276,6 +278,8 @@ def _clipped_middle(box: _Box | None) -> Fit:
     for _ in range(CLIPPED_ROUNDS):
         distance = np.hypot(box.pixel - middle[0], box.line - middle[1])
         weight = light * np.clip(radius + 0.5 - distance, 0.0, 1.0)
+        if not weight.sum() > 0.0:  # nothing about a core that lies apart from its own middle
+            return NO_FIT
         middle = np.array([weight @ box.pixel, weight @ box.line]) / weight.sum()
     flank = float(np.sum(weight[~box.core]))
     spoiled = np.any(~usable & (distance < radius))

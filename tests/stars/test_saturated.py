@@ -68,3 +68,14 @@ def test_neither_a_hot_pixel_nor_a_filled_column_is_a_star():
         ShapePrior.round_psf(0.8),
     )
     assert not found.measured.any()
+
+
+@pytest.mark.parametrize("radius_px", [8.0, 100.0])
+def test_the_rim_of_a_body_is_no_star(radius_px):
+    """A core that curves about its own middle has no light there."""
+    line, pixel = np.mgrid[:301, :301]
+    away = np.abs(np.hypot(pixel - 150.0, line - 150.0) - radius_px)
+    image = np.where(away < 0.03 * radius_px + 0.5, FULL_DN, 0.0)
+    place = [150.0 + radius_px, 150.0]
+    found = fit_wings(image, READ_DN, None, image >= FULL_DN, [place], ShapePrior.round_psf(0.8))
+    assert not found.measured.any()
