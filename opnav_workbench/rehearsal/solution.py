@@ -5,7 +5,7 @@ package's predicted kernels have; corrections of it lie in the axes of its B-pla
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -95,8 +95,26 @@ def checked_numbers(content: Any, what: str, name: str = "") -> None:
         raise SessionError(f"{what}: {name} is {content}; a solution holds finite numbers only.")
 
 
-def read_solution_file(path: str | Path, schema: str) -> dict[str, Any]:
-    """Return the fields of a solution file.
+def write_solution_file(path: str | Path, schema: str, fields: Mapping[str, Any]) -> None:
+    """Write the fields of a solution as JSON, whole or not at all.
+
+    Raises
+    ------
+    SessionError
+        A number of it is not finite, or the file cannot be written.
+    """
+    content = {"schema": schema, **fields}
+    checked_numbers(content, str(path))
+    write_json(path, content)
+
+
+def read_solution_file(
+    path: str | Path,
+    schema: str,
+    what: str,
+    checked_fields: Callable[[Mapping[str, Any]], dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the fields of a solution file; `what` it is of stands in the message of another's.
 
     Raises
     ------
@@ -108,15 +126,14 @@ def read_solution_file(path: str | Path, schema: str) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise SessionError(f"no solution can be read from {path}: {error}. Run opnav ort solve.") from error
     if not isinstance(content, dict) or content.pop("schema", None) != schema:
-        raise SessionError(f"{path} is no solution of a rehearsal (schema {schema}).")
+        raise SessionError(f"{path} is no solution of {what} (schema {schema}).")
     checked_numbers(content, str(path))
     try:
-        fields = _checked_fields(content)
+        return checked_fields(content)
     except KeyError as error:
         raise SessionError(f"{path} lacks {error.args[0]}; run opnav ort solve again.") from error
     except (TypeError, ValueError, EstimationError) as error:
         raise SessionError(f"{path}: {error}") from error
-    return fields
 
 
 def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -356,9 +373,7 @@ class OrtSolution:
         SessionError
             A number of it is not finite, or the file cannot be written.
         """
-        content = {"schema": SCHEMA} | {name: getattr(self, name) for name in self.__slots__}
-        checked_numbers(content, str(path))
-        write_json(path, content)
+        write_solution_file(path, SCHEMA, {name: getattr(self, name) for name in self.__slots__})
 
     @classmethod
     def read(cls, path: str | Path) -> "OrtSolution":
@@ -369,7 +384,7 @@ class OrtSolution:
         SessionError
             It cannot be read, lacks a field, or holds numbers of the wrong shape, or a matrix that is no covariance.
         """
-        return cls(**read_solution_file(path, SCHEMA))
+        return cls(**read_solution_file(path, SCHEMA, "a rehearsal", _checked_fields))
 
 
 def solve_rehearsal(

@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +28,9 @@ from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.state import HEADER_TOPIC, SessionState
 
 if TYPE_CHECKING:
-    from opnav_workbench.session import landmark_steps
-else:  # a picture of stars needs nothing that finds landmarks
+    from opnav_workbench.session import body_steps, landmark_steps
+else:  # a picture of stars needs nothing that finds bodies or landmarks
+    body_steps = module_on_demand("opnav_workbench.session.body_steps")
     landmark_steps = module_on_demand("opnav_workbench.session.landmark_steps")
 
 __all__ = [
@@ -226,18 +226,13 @@ def _then_judged(step: Step) -> Step:
     return taken
 
 
-def _body_step(name: str) -> Callable[..., Any]:
-    """Return a function of `body_steps`, which is loaded at the call: a picture of stars needs nothing that finds bodies."""
-    return partial(_called, "body_steps", name)
+def _on_demand(module: Any, name: str) -> Callable[..., Any]:
+    """Return a function of a module that is loaded at the call."""
+    return partial(_called, module, name)
 
 
-def _landmark_step(name: str) -> Callable[..., Any]:
-    """Return a function of `landmark_steps`, which is loaded at the call."""
-    return partial(_called, "landmark_steps", name)
-
-
-def _called(module: str, name: str, *given: Any) -> Any:
-    return getattr(import_module(f"opnav_workbench.session.{module}"), name)(*given)
+def _called(module: Any, name: str, *given: Any) -> Any:
+    return getattr(module, name)(*given)
 
 
 STEPS: dict[str, tuple[Step, OutcomeText]] = {
@@ -254,33 +249,33 @@ STEPS: dict[str, tuple[Step, OutcomeText]] = {
     "accept_stars": (star_steps.accept_stars, lambda _, p: f"{len(p['ids'])} accepted"),
     "repoint": (_then_judged(pointing.repoint), pointing.repoint_outcome),
     "carry_pointing": (_then_judged(pointing.carry_pointing), pointing.carried_outcome),
-    "add_target": (_body_step("add_target"), lambda _, p: f"{p['name']} expected"),
-    "skip_target": (_body_step("skip_target"), lambda _, p: f"{p['name']} left out"),
+    "add_target": (_on_demand(body_steps, "add_target"), lambda _, p: f"{p['name']} expected"),
+    "skip_target": (_on_demand(body_steps, "skip_target"), lambda _, p: f"{p['name']} left out"),
     "set_circle": (
-        _body_step("set_circle"),
+        _on_demand(body_steps, "set_circle"),
         lambda _, p: f"{p['name']}: circle of radius {p['radius_px']:.1f} px",
     ),
-    "clear_circle": (_body_step("clear_circle"), lambda _, p: f"{p['name']}: no circle"),
+    "clear_circle": (_on_demand(body_steps, "clear_circle"), lambda _, p: f"{p['name']}: no circle"),
     "choose_scans": (
-        _body_step("choose_scans"),
-        _body_step("scans_outcome"),
+        _on_demand(body_steps, "choose_scans"),
+        _on_demand(body_steps, "scans_outcome"),
     ),
-    "find_body": (_body_step("find_body"), _body_step("body_outcome")),
+    "find_body": (_on_demand(body_steps, "find_body"), _on_demand(body_steps, "body_outcome")),
     "find_bodies": (
-        _body_step("find_bodies"),
-        _body_step("bodies_outcome"),
+        _on_demand(body_steps, "find_bodies"),
+        _on_demand(body_steps, "bodies_outcome"),
     ),
     "find_landmarks": (
-        _landmark_step("find_body_landmarks"),
-        _landmark_step("landmarks_outcome"),
+        _on_demand(landmark_steps, "find_body_landmarks"),
+        _on_demand(landmark_steps, "landmarks_outcome"),
     ),
     "reject_landmarks": (
-        _landmark_step("reject_landmarks"),
-        _landmark_step("landmarks_outcome"),
+        _on_demand(landmark_steps, "reject_landmarks"),
+        _on_demand(landmark_steps, "landmarks_outcome"),
     ),
     "accept_landmarks": (
-        _landmark_step("accept_landmarks"),
-        _landmark_step("landmarks_outcome"),
+        _on_demand(landmark_steps, "accept_landmarks"),
+        _on_demand(landmark_steps, "landmarks_outcome"),
     ),
     "observables": (pointing.observables, lambda s, _: f"{len(s.observables)} observables"),
     "note": (note, lambda s, _: f"note {len(s.user_notes)}"),

@@ -85,7 +85,7 @@ MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 WORSE = 1.1  # chi-squared may become so by light that is tabulated anew
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
-EVEN = 0.01
+EVEN = 0.01  # albedo and grain of a surface that either light explains
 LOST_SHARE = 0.05  # of the cells: as a cost, more than new weights make of the same fit
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
@@ -394,6 +394,8 @@ class _DiskProblem:
         self.turn = np.minimum(turn, TURN - turn)
         self.chord = _arcs(angle, self.node_rad)
         self.broad = self.figure.albedo_sigma**2 * np.exp((np.cos(self.chord) - 1.0) / BROAD_RAD**2)
+        self.prior_precision = self._prior_sigma() ** -2.0
+        self.scales = self._scales()
 
     def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
@@ -408,27 +410,23 @@ class _DiskProblem:
         )
         return TabulatedDisk(shape, strain, silhouette, light)
 
-    def prior_sigma(self) -> FloatArray:
+    def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
         out = np.full(SHARED, np.inf)
-        out[Unknown.SIZE] = self._seen()
+        out[Unknown.SIZE] = np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px)
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
         out[STRAY] = WING_SIGMA
         return out
 
-    def scales(self) -> FloatArray:
+    def _scales(self) -> FloatArray:
         """Return the precisions (k, p) of the scales that size, axes and shading may have."""
         figure = self.figure
         shading = figure.axes_sigma * np.multiply.outer(SHADING_SCALES, SHADING_SHARE)
         return scale_precisions(
             SHARED, ([Unknown.SIZE], figure.size_scales), (FIGURE[1:], figure.axes_scales), (SHADING, shading)
         )
-
-    def _seen(self) -> float:
-        """Return how well the crossings of the limb tell the logarithm of the size."""
-        return float(np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px))
 
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
@@ -607,7 +605,7 @@ class _Fitter:
         lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
         self.converged = lit and length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
 
-    def _state(self) -> "_FitState":
+    def _state(self) -> _FitState:
         return _FitState(self.shape, self.brightness, self.piece_albedo, self.made, self.linear)
 
     def _slack_px(self, least_px: float, sigmas: float) -> float:
@@ -729,8 +727,8 @@ class _Fitter:
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
             prior_mean=problem.prior_mean(shape.center_px),
-            prior_precision=problem.prior_sigma() ** -2.0,
-            scales=problem.scales(),
+            prior_precision=problem.prior_precision,
+            scales=problem.scales,
             chord=problem.chord,
             broad=problem.broad,
             turn=problem.turn,

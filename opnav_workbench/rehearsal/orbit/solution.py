@@ -28,13 +28,12 @@ from opnav_workbench.estimation.body import (
     solve_body,
 )
 from opnav_workbench.estimation.body.knowledge import MAP, POLE, POSITION, SPIN, VELOCITY
-from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.geometry import matrix_from_quaternion, quaternion_from_matrix, rotation_from_vector
 from opnav_workbench.kernels import KernelSet, body_attitude, camera_attitude, et_from_utc, state
 from opnav_workbench.landmarks import Maplets
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.rehearsal.results import NOT_REPORTED, PictureResult, picture_results
-from opnav_workbench.rehearsal.solution import checked_array, checked_numbers
+from opnav_workbench.rehearsal.solution import checked_array, read_solution_file, write_solution_file
 from opnav_workbench.scene import body_target, observer_from_kernels
 from opnav_workbench.version import __version__
 
@@ -157,9 +156,7 @@ class OrbitSolution:
         SessionError
             A number of it is not finite, or the file cannot be written.
         """
-        content = {"schema": SCHEMA} | {name: getattr(self, name) for name in self.__slots__}
-        checked_numbers(content, str(path))
-        write_json(path, content)
+        write_solution_file(path, SCHEMA, {name: getattr(self, name) for name in self.__slots__})
 
     @classmethod
     def read(cls, path: str | Path) -> "OrbitSolution":
@@ -170,21 +167,7 @@ class OrbitSolution:
         SessionError
             It cannot be read, lacks a field, or holds numbers of the wrong shape, or a matrix that is no covariance.
         """
-        try:
-            content = json_value(text_of(path))
-        except (OSError, ValueError) as error:
-            raise SessionError(
-                f"no solution can be read from {path}: {error}. Run opnav ort solve."
-            ) from error
-        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-            raise SessionError(f"{path} is no solution of a rehearsal in orbit (schema {SCHEMA}).")
-        checked_numbers(content, str(path))
-        try:
-            return cls(**_checked(content))
-        except KeyError as error:
-            raise SessionError(f"{path} lacks {error.args[0]}; run opnav ort solve again.") from error
-        except (TypeError, ValueError) as error:
-            raise SessionError(f"{path}: {error}") from error
+        return cls(**read_solution_file(path, SCHEMA, "a rehearsal in orbit", _checked))
 
 
 def _checked(content: Mapping[str, Any]) -> dict[str, Any]:
