@@ -28,7 +28,7 @@ LEFT_OUT = pytest.StashKey[int]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--all", action="store_true", help="the long tests too, and every trial: what CI runs")
-    parser.addoption("--fuzz", type=int, help="how many hostile inputs each reader is given; default: few")
+    parser.addoption("--fuzz", type=int, help="how many hostile inputs each reader and command is given")
     parser.addoption("--fuzz-seed", type=int, default=22, help="another seed gives other hostile inputs")
 
 
@@ -121,16 +121,13 @@ def sample(pytestconfig: pytest.Config) -> Sample:
 
 @dataclass(frozen=True)
 class Fuzz:
-    """How many hostile inputs a test tries, and from which seed: few in the short run, more with --all, or as told."""
+    """How many hostile inputs a test tries, its own number or as told, and from which seed."""
 
     told: int | None
-    whole: bool
     seed: int
 
-    def count(self, short: int, whole: int) -> int:
-        if self.told is not None:
-            return self.told
-        return whole if self.whole else short
+    def count(self, number: int) -> int:
+        return number if self.told is None else self.told
 
     def random(self, reader: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, *reader.encode()])
@@ -139,7 +136,7 @@ class Fuzz:
 @pytest.fixture(scope="session")
 def fuzz(pytestconfig: pytest.Config) -> Fuzz:
     options = pytestconfig.getoption
-    return Fuzz(options("--fuzz"), is_whole(pytestconfig), options("--fuzz-seed"))
+    return Fuzz(options("--fuzz"), options("--fuzz-seed"))
 
 
 # ---- Which process runs what

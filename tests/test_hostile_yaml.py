@@ -5,7 +5,17 @@ import time
 
 import pytest
 
+from opnav_workbench.camera import Camera
+from opnav_workbench.catalog.user_files import read_star_list
 from opnav_workbench.errors import CameraError, MissionError, OpNavError
+from opnav_workbench.headless.night_spec import load_night
+from opnav_workbench.kernels.making.scenario import load_scenario
+from opnav_workbench.kernels.manifest import load_manifest
+from opnav_workbench.mission import load_mission
+from opnav_workbench.planning.sequence import load_sequence
+from opnav_workbench.rehearsal.scenario import load_ort_scenario
+from opnav_workbench.session.decisions import load_decisions
+from opnav_workbench.simulation import load_picture_scenario
 from opnav_workbench.yaml_file import StrictModel, Utc, read_model
 from opnav_workbench.yaml_nodes import compose, plain_value
 
@@ -53,6 +63,27 @@ def test_one_line_at_once(tmp_path, case):
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 600
+
+
+READERS = {
+    "mission": load_mission, "camera": Camera.from_yaml, "kernel scenario": load_scenario, "manifest": load_manifest,
+    "picture scenario": load_picture_scenario, "sequence": load_sequence, "rehearsal": load_ort_scenario,
+    "night": load_night, "decisions": load_decisions, "star list": read_star_list,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_every_reader_of_yaml_ends_in_one_line_at_once(tmp_path, reader):
+    """Seven commands ended in a traceback or hung."""
+    path = tmp_path / "hostile.yaml"
+    for case, (text, _) in HOSTILE.items():
+        path.write_text(text)
+        began = time.process_time()
+        with pytest.raises(OpNavError) as caught:
+            READERS[reader](path)
+        assert time.process_time() - began < 2.0, case
+        assert str(path) in str(caught.value), case
+        assert str(caught.value).isprintable(), case
 
 
 @pytest.mark.parametrize("day", ["2015-02-30", "2015-13-01T00:00:00", "0000-01-01", "2015-07-14T25:00:00"])

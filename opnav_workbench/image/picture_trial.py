@@ -9,8 +9,6 @@ import io
 import warnings
 from pathlib import Path
 
-from astropy.io import fits
-
 __all__ = ["try_display", "try_fits"]
 
 
@@ -22,6 +20,9 @@ def try_fits(path: str) -> None:
     Exception
         Whatever the library says of a file that is damaged.
     """
+    # A third of a second that the process which tries other pictures shall not wait for, and the other way round.
+    from astropy.io import fits  # noqa: PLC0415
+
     data = _unpacked(path)
     with warnings.catch_warnings(), fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as hdus:
         warnings.simplefilter("ignore")  # the reader proper tells them
@@ -38,7 +39,6 @@ def try_display(path: str) -> None:
     Exception
         Whatever the library says of a file that is damaged.
     """
-    # The process that tries FITS files need not load it.
     from PIL import Image  # noqa: PLC0415
 
     data = io.BytesIO(_unpacked(path))

@@ -103,6 +103,18 @@ def test_a_wrong_scattering_law_costs_little_and_sigma_says_it(body_stage, law, 
     assert error @ np.linalg.solve(center.covariance_px2, error) < 9.0
 
 
+def test_a_body_of_nearly_even_axes_overflows_nowhere(body_stage):
+    """At axes of 1 : 0.9 : 0.85 NumPy warned of overflows on the console."""
+    model = body_stage.body(60.0, 40.0, PLACE, (1.0, 0.9, 0.85), figure=KNOWN)
+    picture = body_stage.picture(
+        body_stage.light(model), [model], np.random.default_rng(5), offset_px=(1.0, -1.0)
+    )
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        center = find_limb_scan(picture, "BODY")
+    assert center.status == "ok", center.messages
+    assert np.abs(center.pixel_line - PLACE).max() < 0.06
+
+
 @pytest.mark.slow(keep=["0.99"])
 @pytest.mark.parametrize("ratio", [0.99, 1.02, 1.3])
 def test_another_size_is_measured_and_does_not_move_the_center(body_stage, sphere, ratio):

@@ -29,7 +29,7 @@ def test_a_night_of_hostile_pictures(fuzz, demo_truths, tmp_path):
     good, folder = truth.picture.read_bytes(), tmp_path / "incoming"
     folder.mkdir()
     (folder / "good.fit").write_bytes(good)
-    names = [f"{number:03d}.fit" for number in range(fuzz.count(3, 3))]
+    names = [f"{number:03d}.fit" for number in range(fuzz.count(3))]
     for name in names:
         (folder / name).write_bytes(mutant(good, rng, text=False))
     odd = os.fsencode(folder) + b"/no\xff\x1btext.fit"

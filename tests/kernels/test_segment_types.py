@@ -116,7 +116,7 @@ def deaths(written, folder, count, rng):
 
 
 def test_no_mutant_ends_the_process(written, tmp_path, fuzz):
-    count = -(-fuzz.count(len(WRITERS), 15 * len(WRITERS)) // len(WRITERS))
+    count = -(-fuzz.count(15 * len(WRITERS)) // len(WRITERS))
     found, passed = deaths(written, tmp_path, count, fuzz.random("segments"))
     assert passed > 0
     assert found == []

@@ -92,6 +92,7 @@ def test_a_field_that_the_analyst_confirmed_star_by_star_is_sure(found):
     assert result["identification"]["sure"]  # a decision outranks what the search made of it
 
 
+@pytest.mark.slow
 def test_files_say_the_same_as_the_result(found, tmp_path):
     found.reject_stars(found.state.a_priori.id.tolist(), "clouds")
     found.repoint()
@@ -106,6 +107,7 @@ def test_files_say_the_same_as_the_result(found, tmp_path):
 # -- a target outside the field ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=[OUTSIDE])
 @pytest.mark.parametrize("name", [BEHIND, OUTSIDE])
 def test_a_target_outside_the_field_does_not_spoil_the_picture(found, name):
     for method in ("auto", "ellipse"):
@@ -117,6 +119,7 @@ def test_a_target_outside_the_field_does_not_spoil_the_picture(found, name):
         assert any(name in message for message in result["messages"])
 
 
+@pytest.mark.slow(keep=["ellipse"])
 @pytest.mark.parametrize("method", ["limb_scan", "ellipse", "least_squares"])
 def test_the_sun_as_a_target_keeps_no_body_from_being_found(near, method):
     near.add_target("SUN")
@@ -183,6 +186,7 @@ def test_observables_follow_a_target_that_is_added_later(pair):
 # -- the range from a body's size ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_range_is_given_out_by_a_center_that_is_ok_alone(near):
     near.find_body("PLUTO", "ellipse")
     center = near.state.bodies[0]

@@ -90,7 +90,7 @@ def error_px(session, true):
     return float(np.linalg.norm(apart + aberration)) / CAMERA.pixel_scale_rad
 
 
-@pytest.mark.slow(keep=["none"])
+@pytest.mark.slow
 @pytest.mark.parametrize("attitude", ["none", "auto"])
 def test_stars_tell_an_attitude_that_nobody_told(paint, sky, attitude, tmp_path):
     path, true, n_stars = paint((0.7, -0.5, 140.0), attitude="silent")

@@ -50,6 +50,7 @@ def test_resume_without_kernels_is_bit_identical(finished, folder):
     assert resumed.journal == finished.journal
 
 
+@pytest.mark.slow
 def test_resume_is_bit_identical_with_the_headers_attitude(resolved_truths, approach, tmp_path):
     """The header's quaternion gives a transposed matrix; matrix products round by the layout in memory."""
     session = ImageSession.open(resolved_truths[0].picture, "new_horizons", attitude="header")
@@ -90,6 +91,7 @@ def test_resume_with_undone_steps_and_decisions(done, tmp_path):
     assert resumed.undo().reason == "straylight"
 
 
+@pytest.mark.slow
 def test_resuming_twice_writes_the_same_files(folder, tmp_path):
     ImageSession.resume(folder).save(tmp_path)
     first = json.loads((folder / "session.json").read_text())

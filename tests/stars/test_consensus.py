@@ -92,6 +92,7 @@ def test_spoiled_stars_have_no_say(render_stars, star_grid):
     assert estimate_psf_error(fit) == 0.0
 
 
+@pytest.mark.slow(keep=["0.08"])
 @pytest.mark.parametrize("error", [0.02, 0.08])
 def test_psf_error_is_measured_from_the_misfit(render_stars, star_grid, error):
     rng = np.random.default_rng(8)
