@@ -252,7 +252,7 @@ def is_thin_crescent(picture: BodyPicture, name: str, radius_px: float) -> bool:
 def _lost_pixels(disk: MeasuredDisk) -> dict[BodyFlag, bool]:
     """Tell why pixels that the body lights were left out."""
     picture, fit = disk.picture, disk.fit
-    here = (fit.pixels.line, fit.pixels.pixel)
+    here = fit.pixels.index
     lit = fit.light_dn() > BRIGHT_SHARE * max(fit.brightness_dn, 0.0)
     saturated, hit = lit & picture.saturated[here], lit & disk.hits[here]
     unsound = picture.bad[here] | ~np.isfinite(picture.signal_dn[here])
@@ -292,11 +292,11 @@ def _pictures(disk: MeasuredDisk) -> BodyResiduals:
     fit, picture, pixels = disk.fit, disk.picture, disk.pixels
     about = Circle(fit.center_px, disk.radius_px)
     window = choose_subarray(picture, disk.name, about, fit.reach_px[1]).window
-    near, here = fit.pixels, (fit.pixels.line, fit.pixels.pixel)
+    here = fit.pixels.index
     model, mask = np.zeros(pixels.use.shape), np.zeros(pixels.use.shape, dtype=bool)
     level = float(fit.solution.theta[Unknown.LEVEL])
     model[here] = fit.model_dn() - level
-    mask[near.line, near.pixel] = pixels.use[here]
+    mask[here] = pixels.use[here]
     pixel, line, n_pixel, n_line = window
     part = np.s_[line : line + n_line, pixel : pixel + n_pixel]
     data = np.nan_to_num(picture.signal_dn[part]) - level

@@ -23,8 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, limb_samples
 from opnav_workbench.bodies.disk.limb_cells import (
-    LimbPixels,
+    LimbPlaces,
     cell_of,
     depth_edges,
     gathered,
@@ -41,7 +42,7 @@ from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
-__all__ = ["DiskFit", "DiskPixels", "DiskShape", "Unknown", "fit_disk"]
+__all__ = ["DiskFit", "DiskShape", "Unknown", "fit_disk"]
 
 MOST_PIECES, LEAST_PIECES, PIECE_PX = 48, 24, 1.5
 NODES = 5
@@ -51,6 +52,7 @@ DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     40.0,
     12.0,
 )  # what tells of the limb, and of the albedo beside it
+SHARP_SIGMAS = 4.0  # about the limb: nothing is gathered in squares there
 SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
@@ -62,6 +64,7 @@ WING_SIGMA = 0.15
 MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
 MOST_HALVINGS = 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
+COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
 LARGEST_LOG = 0.5  # of the size over the model's
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
@@ -135,16 +138,6 @@ TABLES = len(PLANES)
 # Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
 ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), slice(-3, -1), -1
 MOVING = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]  # columns of what moves with the limb
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DiskPixels:
-    """Planes (n_line, n_pixel) of the picture: data, noise without shot noise, which pixels count; and the gain."""
-
-    data_dn: FloatArray
-    noise_dn: FloatArray
-    use: BoolArray
-    gain_e_per_dn: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +226,7 @@ class DiskFit:
     prior: FieldPrior
     system: LimbSystem
     solution: MarginalSolution
-    pixels: LimbPixels
+    pixels: LimbPlaces
     columns: FloatArray
     piece_albedo: FloatArray
     figure: FigureUncertainty
@@ -324,7 +317,7 @@ def disk_columns(
     *,
     on_slopes: bool,
     rough: bool = True,
-) -> tuple[LimbPixels, FloatArray]:
+) -> tuple[LimbPlaces, FloatArray]:
     """Return the pixels of a detector (lines, pixels) about a shape's outline, and the derivatives of their light.
 
     They are `DiskFit.columns`; `on_slopes` says whether the hats are those of slopes that face the Sun, `rough` whether the
@@ -332,13 +325,26 @@ def disk_columns(
     """
     outline = made.outline(shape, rough=rough)
     near = limb_pixels(outline, detector, *reach_px)
+    return near, _columns_at(made, shape, outline, near, np.zeros_like(near.depth_px), on_slopes=on_slopes)
+
+
+def _columns_at(
+    made: TabulatedDisk,
+    shape: DiskShape,
+    outline: Outline,
+    near: LimbPlaces,
+    spread_px: FloatArray,
+    *,
+    on_slopes: bool,
+) -> FloatArray:
+    """Return `DiskFit.columns`; of light that is a mean over depths with `spread_px` (n,) as their sigma."""
     wave = 2.0 * near.angle_rad
     # Within the limb the light keeps its share of the radius, outside its distance.
     inside = np.minimum(near.depth_px, 0.0)
     strain = shape.strain[:2] - made.strain[:2]
     grown = shape.log_size - made.shape.log_size + strain[0] * np.cos(wave) + strain[1] * np.sin(wave)
     depth = near.depth_px + inside * np.expm1(-grown)
-    tables = made.light.at(near.angle_rad, depth)
+    tables = made.light.over(near.angle_rad, depth, spread_px)
     m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
     size = -slope * (near.limb_px + inside)
     away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
@@ -348,7 +354,7 @@ def disk_columns(
     ]  # fmt: skip
     half = TABLES + (len(tables) - TABLES) // 2
     hats = tables[half:] if on_slopes else tables[TABLES:half]
-    return near, np.concatenate([np.stack(columns), hats, np.stack([by_cos, by_sin, relief])])
+    return np.concatenate([np.stack(columns), hats, np.stack([by_cos, by_sin, relief])])
 
 
 def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) -> FloatArray:
@@ -384,6 +390,7 @@ class _DiskProblem:
         inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
+        self.sharp_px = SHARP_SIGMAS * self.psf_px
         self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
         self.node_rad = np.linspace(0.0, deepest, NODES)
@@ -479,10 +486,10 @@ def fit_disk(
 
 
 class _LinearDisk(NamedTuple):
-    """A disk linearized about a shape: its system, the pixels with their columns as in `DiskFit`, and the solution."""
+    """A disk linearized about a shape: its system, samples with their columns as in `DiskFit`, and the solution."""
 
     system: LimbSystem
-    pixels: LimbPixels
+    samples: LimbSamples
     columns: FloatArray
     solution: MarginalSolution
 
@@ -535,6 +542,10 @@ class _Fitter:
         return self._result()
 
     def _result(self) -> DiskFit:
+        plane = self.problem.pixels.use.shape
+        near, columns = disk_columns(
+            self.made, self.shape, plane, self.problem.reach, on_slopes=self.prior.on_slopes
+        )
         return DiskFit(
             shape=self.shape,
             outline=self.made.outline(self.shape),
@@ -542,7 +553,10 @@ class _Fitter:
             made=self.made,
             brightness_dn=self.brightness,
             prior=self.prior,
-            **self.linear._asdict(),
+            system=self.linear.system,
+            solution=self.linear.solution,
+            pixels=near,
+            columns=columns,
             piece_albedo=self.piece_albedo,
             figure=self.problem.figure,
             reach_px=self.problem.reach,
@@ -554,7 +568,7 @@ class _Fitter:
     def _solve(self) -> None:
         self._solve_at(*self._columns())
 
-    def _solve_at(self, near: LimbPixels, columns: FloatArray) -> None:
+    def _solve_at(self, near: LimbSamples, columns: FloatArray) -> None:
         system = self._system(near, columns)
         self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
 
@@ -581,7 +595,7 @@ class _Fitter:
         doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
         if np.any(doubt > 1.0) or np.any(self.doubt != 1.0):
             self.doubt = doubt
-            self._solve_at(linear.pixels, linear.columns)
+            self._solve_at(linear.samples, linear.columns)
 
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most, and return to the best place that was passed.
@@ -595,7 +609,8 @@ class _Fitter:
             solution = self.linear.solution
             if solution.held_cost < best.linear.solution.held_cost:
                 best = self._state()
-            if length < self._slack_px(STILL_PX, STILL_SIGMAS):
+            fine = self.made.light.fine
+            if length < self._slack_px(*((STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS))):
                 break
         slack = LOST_SHARE * float(np.count_nonzero(np.isfinite(best.linear.system.variance)))
         if self.linear.solution.held_cost > best.linear.solution.held_cost + slack:
@@ -621,11 +636,16 @@ class _Fitter:
                 self.shape, self.brightness, self.piece_albedo = before
             length = self._move(start, 0.5**halving)
             self._solve()
-            if self.linear.solution.held_cost < start.held_cost + GROWTH or length < STILL_PX:
+            if self.linear.solution.held_cost < start.held_cost + self._regrouping(length) or length < STILL_PX:
                 break
         if not self.made.light.fine and self._stale(NEW):
             self._tabulate_or_return()
         return length
+
+    def _regrouping(self, length_px: float) -> float:
+        """Return what a cost may change by (one sigma) when the pixels are gathered anew in cells so far away."""
+        cells = np.count_nonzero(np.isfinite(self.linear.system.variance))
+        return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
     def _tabulate_or_return(self) -> None:
         """Tabulate the light of the shape; where that explains the pixels worse, stay with half of the way, or none."""
@@ -688,20 +708,23 @@ class _Fitter:
         law = float(np.abs(now.law - then.law).max())
         return law > bounds.law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
-    def _columns(self) -> tuple[LimbPixels, FloatArray]:
-        shape = self.problem.pixels.data_dn.shape
-        return disk_columns(self.made, self.shape, shape, self.problem.reach, on_slopes=self.prior.on_slopes)
+    def _columns(self) -> tuple[LimbSamples, FloatArray]:
+        problem, outline = self.problem, self.made.outline(self.shape)
+        near = limb_samples(problem.pixels, outline, *problem.reach, problem.sharp_px)
+        columns = _columns_at(
+            self.made, self.shape, outline, near.places, near.spread_px, on_slopes=self.prior.on_slopes
+        )
+        return near, columns
 
-    def _cells(self, near: LimbPixels, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _cells(self, near: LimbSamples, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return weights, data and columns of the cells (j, c)."""
-        problem, plane, here = self.problem, self.problem.pixels, (near.line, near.pixel)
+        problem = self.problem
         light = np.maximum(self.brightness * columns[Unknown.BRIGHTNESS], 0.0)
-        variance = plane.noise_dn[here] ** 2 + light / plane.gain_e_per_dn
-        weight = np.where(plane.use[here], 1.0 / variance, 0.0)
-        cell = cell_of(near, problem.pieces, problem.edges)
-        return gathered(cell, weight, plane.data_dn[here], columns, problem.pieces, problem.edges)
+        weight = 1.0 / (near.variance_dn2 + light / (problem.pixels.gain_e_per_dn * near.side**2))
+        cell = cell_of(near.places, problem.pieces, problem.edges)
+        return gathered(cell, weight, near.data_dn, columns, problem.pieces, problem.edges)
 
-    def _system(self, near: LimbPixels, columns: FloatArray) -> LimbSystem:
+    def _system(self, near: LimbSamples, columns: FloatArray) -> LimbSystem:
         """Return the linear system of the cells: what the present shape has of theta stands on the side of the data."""
         problem, shape, made = self.problem, self.shape, self.made
         whole, data, means = self._cells(near, columns)
@@ -802,9 +825,8 @@ def _lowest(
 
 def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:
     plane = problem.pixels
-    near = limb_pixels(made.outline(made.shape), plane.data_dn.shape, *problem.reach)
-    here = (near.line, near.pixel)
-    model = made.light.at(near.angle_rad, near.depth_px, 1)[0] * plane.use[here]
+    near = limb_samples(plane, made.outline(made.shape), *problem.reach, problem.sharp_px)
+    model = near.side * made.light.at(near.places.angle_rad, near.places.depth_px, 1)[0]
     power = float(model @ model)
     least = float(np.median(plane.noise_dn))
-    return max(float(model @ plane.data_dn[here]) / power, least) if power > 0.0 else least
+    return max(float(model @ (near.side * near.data_dn)) / power, least) if power > 0.0 else least

@@ -11,16 +11,16 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 
-__all__ = ["LimbPixels", "cell_of", "depth_edges", "gathered", "limb_pixels", "piece_of"]
+__all__ = ["LimbPlaces", "cell_of", "depth_edges", "gathered", "limb_depth", "limb_pixels", "limb_places", "piece_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LimbPixels:
-    """The n pixels of the strip about an outline.
+class LimbPlaces:
+    """n places about an outline: pixels, or middles of squares of them.
 
     Attributes
     ----------
-    pixel, line : (n,) arrays of int
+    pixel, line : (n,) arrays
         On the detector.
     angle_rad, depth_px : (n,) arrays
     limb_px : (n,) array
@@ -29,8 +29,8 @@ class LimbPixels:
         Change of the depth (px) and of the angle (rad) per px that the center moves along pixel and along line.
     """
 
-    pixel: IntArray
-    line: IntArray
+    pixel: FloatArray
+    line: FloatArray
     angle_rad: FloatArray
     depth_px: FloatArray
     limb_px: FloatArray
@@ -40,34 +40,44 @@ class LimbPixels:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    @property
+    def index(self) -> tuple[IntArray, IntArray]:
+        """Line and pixel, to look up planes of the picture."""
+        return self.line.astype(np.int64), self.pixel.astype(np.int64)
 
-def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPixels:
+
+def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPlaces:
     """Return the pixels of a detector (lines, pixels) between two depths."""
     reach = outline.reach_px + outward_px + 1.0
     center = outline.center_px
-    first = np.clip(np.ceil(center - reach[:2]), 0, None).astype(int)
+    first = np.clip(np.ceil(center - reach[:2]), 0, np.array(shape)[::-1]).astype(int)
     last = np.minimum(np.floor(center + reach[2:]), np.array(shape)[::-1] - 1).astype(int)
-    if np.any(last < first):
-        return LimbPixels(*(np.zeros(0, dtype=np.int64),) * 2, *(np.zeros(0),) * 3, *(np.zeros((0, 2)),) * 2)
-    x = np.arange(first[0], last[0] + 1) - center[0]
-    y = np.arange(first[1], last[1] + 1) - center[1]
-    radius = np.hypot(x, y[:, None])
+    x, y = np.arange(first[0], last[0] + 1.0), np.arange(first[1], last[1] + 1.0)
+    radius = np.hypot(x - center[0], y[:, None] - center[1])
     limb = outline.radius_px
-    near = (radius > limb.min() - inward_px) & (radius < limb.max() + outward_px)
-    row, column = np.nonzero(near)
-    x, y, radius = x[column], y[row], radius[near]
-    angle = np.arctan2(y, x)
-    at, slope = _outline_at(outline, angle)
-    depth = radius - at
+    row, column = np.nonzero((radius > limb.min() - inward_px) & (radius < limb.max() + outward_px))
+    x, y = x[column], y[row]
+    depth = limb_depth(outline, x, y)
     kept = (depth > -inward_px) & (depth < outward_px)
-    x, y, radius, at, slope = x[kept], y[kept], np.maximum(radius[kept], 1e-6), at[kept], slope[kept]
-    tilt = (slope / radius)[:, None]
+    return limb_places(outline, x[kept], y[kept])
+
+
+def limb_depth(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
+    """Return how far outside of the limb (n,) places of the detector are, along rays from the center."""
+    x, y = x_px - outline.center_px[0], y_px - outline.center_px[1]
+    return np.asarray(np.hypot(x, y) - _outline_at(outline, np.arctan2(y, x))[0])
+
+
+def limb_places(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> LimbPlaces:
+    """Return where places (n,) of the detector are about an outline."""
+    x, y = x_px - outline.center_px[0], y_px - outline.center_px[1]
+    distance, angle = np.hypot(x, y), np.arctan2(y, x)
+    at, slope = _outline_at(outline, angle)
+    radius = np.maximum(distance, 1e-6)
     along = np.stack([x, y], axis=-1) / radius[:, None]
     turn = np.stack([along[:, 1], -along[:, 0]], axis=-1) / np.maximum(radius, 1.0)[:, None]
-    shift = -along - tilt * turn * radius[:, None]
-    return LimbPixels(
-        column[kept] + first[0], row[kept] + first[1], angle[kept], depth[kept], at, shift, turn
-    )
+    shift = -along - (slope / radius)[:, None] * turn * radius[:, None]
+    return LimbPlaces(x_px, y_px, angle, distance - at, at, shift, turn)
 
 
 def _outline_at(outline: Outline, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -99,10 +109,10 @@ def piece_of(angle_rad: FloatArray, pieces: int) -> IntArray:
     return np.asarray(np.floor(np.mod(angle_rad, TURN) * (pieces / TURN)).astype(np.int64) % pieces)
 
 
-def cell_of(pixels: LimbPixels, pieces: int, edges: FloatArray) -> IntArray:
-    """Return the cell (n,) of each pixel."""
-    piece = piece_of(pixels.angle_rad, pieces)
-    depth = np.clip(np.searchsorted(edges, pixels.depth_px) - 1, 0, len(edges) - 2)
+def cell_of(places: LimbPlaces, pieces: int, edges: FloatArray) -> IntArray:
+    """Return the cell (n,) of each place."""
+    piece = piece_of(places.angle_rad, pieces)
+    depth = np.clip(np.searchsorted(edges, places.depth_px) - 1, 0, len(edges) - 2)
     return np.asarray(piece * (len(edges) - 1) + depth)
 
 

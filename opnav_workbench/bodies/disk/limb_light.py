@@ -112,6 +112,15 @@ class LimbLight:
         nodes = self.tables.reshape(t * n, count)[:, :first]
         return np.ascontiguousarray((lookup @ nodes).T)
 
+    def over(self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray) -> FloatArray:
+        """Return the tables as means over depths (p, m) that have `spread_px` (m,) as their sigma: two points hold it."""
+        wide = np.nonzero(spread_px)[0]
+        out = self.at(angle_rad, depth_px - spread_px)
+        if len(wide):
+            out[:, wide] += self.at(angle_rad[wide], depth_px[wide] + spread_px[wide])
+            out[:, wide] *= 0.5
+        return out
+
 
 def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the weights of the samples at -1, 0, 1, 2 for an interpolation between 0 and 1 (Keys 1981)."""

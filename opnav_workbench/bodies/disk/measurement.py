@@ -10,7 +10,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.fit import RELIEF, DiskFit, DiskPixels, Unknown, disk_columns, fit_disk
+from opnav_workbench.bodies.disk.blocks import DiskPixels
+from opnav_workbench.bodies.disk.fit import RELIEF, DiskFit, Unknown, disk_columns, fit_disk
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
@@ -152,15 +153,15 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
     """Return the pixels (n_line, n_pixel) of the strip whose light is not the body's."""
     near = fit.pixels
     residual, weight = np.zeros(pixels.use.shape), np.zeros(pixels.use.shape)
-    here = (near.line, near.pixel)
+    here = line, pixel = near.index
     model = fit.model_dn()
     residual[here] = pixels.data_dn[here] - model
     light = np.maximum(model - fit.solution.theta[Unknown.LEVEL], 0.0)
     variance = pixels.noise_dn[here] ** 2 + light / pixels.gain_e_per_dn + (fit.prior.grain * light) ** 2
     weight[here] = np.where(pixels.use[here], 1.0 / variance, 0.0)
-    if not len(near.line):
+    if not len(line):
         return np.zeros(pixels.use.shape, dtype=bool)
-    part = np.s_[near.line.min() : near.line.max() + 1, near.pixel.min() : near.pixel.max() + 1]
+    part = np.s_[line.min() : line.max() + 1, pixel.min() : pixel.max() + 1]
     out = np.zeros(pixels.use.shape, dtype=bool)
     out[part] = find_hit_pixels(residual[part], weight[part])
     return out
@@ -282,7 +283,7 @@ def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
     """
     strips = np.zeros(pixels.use.shape, dtype=bool)
     for fit in fits:
-        strips[fit.pixels.line, fit.pixels.pixel] = True
+        strips[fit.pixels.index] = True
     return min(fits, key=lambda fit: _cost(pixels, fit, strips & pixels.use))
 
 
@@ -295,8 +296,8 @@ def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
         max(float(away.max(initial=0.0) - fit.outline.radius_px.min()), 0.0) + 1.0,
     )
     near, columns = disk_columns(fit.made, fit.shape, wanted.shape, reach, on_slopes=fit.prior.on_slopes)
-    kept = wanted[near.line, near.pixel]
-    here = near.line[kept], near.pixel[kept]
+    kept = wanted[near.index]
+    here = tuple(at[kept] for at in near.index)
     model = replace(fit, pixels=near, columns=columns).model_dn()[kept]
     light = fit.brightness_dn * columns[RELIEF][kept]
     noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn

@@ -157,4 +157,4 @@ def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray
     lit = fit.brightness_dn * np.interp(near.angle_rad, angle, fit.piece_albedo, period=TURN)
     dn = columns_dn(columns, fit.brightness_dn, lit)
     dn[FIGURE[1:]] += dn[SHADED]
-    return (near.line, near.pixel), np.concatenate([light[None], dn[SHARED][None], dn[COMMON], dn[ALBEDO]])
+    return near.index, np.concatenate([light[None], dn[SHARED][None], dn[COMMON], dn[ALBEDO]])
