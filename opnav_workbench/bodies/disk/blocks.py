@@ -5,7 +5,6 @@ as the fourth power of side over depth.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, limb_depth, limb_places
 from opnav_workbench.bodies.silhouette import Outline
 
-__all__ = ["DiskPixels", "LimbSamples", "limb_samples"]
+__all__ = ["DiskPixels", "LimbSamples", "PixelSquares", "limb_samples"]
 
 SIDES = (1, 2, 4, 8)
 CLEAR_SIDES = 2.0  # a square is as far from the limb, at least
@@ -42,7 +41,7 @@ class _Squares(NamedTuple):
     whole: BoolArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class DiskPixels:
     """Planes (n_line, n_pixel) of the picture: data, noise without shot noise, which pixels count; and the gain."""
 
@@ -54,65 +53,73 @@ class DiskPixels:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    @cached_property
-    def squares(self) -> tuple[_Squares, ...]:
-        """By side."""
-        short = [(0, -n % SIDES[-1]) for n in self.use.shape]
-        whole = np.pad(self.use, short)
-        data, variance = (
-            np.where(whole, np.pad(plane, short), 0.0) for plane in (self.data_dn, self.noise_dn**2)
-        )
-        levels = [_Squares(data, variance, whole)]
+
+class PixelSquares:
+    """Squares of all sides in the part of a picture about an outline.
+
+    Parameters
+    ----------
+    reach_px
+        Beyond the outline.
+    """
+
+    def __init__(self, pixels: DiskPixels, outline: Outline, reach_px: float) -> None:
+        self.first, self.last = _part(outline, reach_px, pixels.use.shape)
+        (line, pixel), (line_end, pixel_end) = SIDES[-1] * self.first, SIDES[-1] * self.last
+        part = np.s_[line:line_end, pixel:pixel_end]
+        use = pixels.use[part]
+        short = [(0, -n % SIDES[-1]) for n in use.shape]
+        whole = np.pad(use, short)
+        data = np.pad(np.where(use, pixels.data_dn[part], 0.0), short)
+        variance = np.pad(np.where(use, pixels.noise_dn[part] ** 2, 0.0), short)
+        self.levels = [_Squares(data, variance, whole)]
         for _ in SIDES[1:]:
-            levels.append(_of_four(levels[-1]))
-        return tuple(levels)
+            self.levels.append(_of_four(self.levels[-1]))
+        self.shape = pixels.use.shape
+
+    def hold(self, outline: Outline, reach_px: float) -> bool:
+        """Tell whether all about an outline is in them."""
+        first, last = _part(outline, reach_px, self.shape)
+        return bool(np.all(first >= self.first) and np.all(last <= self.last))
+
+
+def _part(outline: Outline, reach_px: float, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
+    """Return first and last + 1 (line, pixel) of the largest squares that an outline may touch."""
+    reach, side = outline.reach_px + reach_px + 1.0, SIDES[-1]
+    most = -(-np.array(shape) // side)
+    first = np.clip((outline.center_px - reach[:2])[::-1] // side, 0, most).astype(np.int64)
+    last = np.clip((outline.center_px + reach[2:])[::-1] // side + 1, first, most).astype(np.int64)
+    return first, last
 
 
 def _of_four(squares: _Squares) -> _Squares:
     corners = [np.s_[i::2, j::2] for i in (0, 1) for j in (0, 1)]
-    data, variance = (
-        0.25 * (plane[corners[0]] + plane[corners[1]] + plane[corners[2]] + plane[corners[3]])
-        for plane in squares[:2]
-    )
-    whole = squares.whole[corners[0]].copy()
-    for corner in corners[1:]:
-        whole &= squares.whole[corner]
+    data, variance = (0.25 * sum(plane[corner] for corner in corners) for plane in squares[:2])
+    whole = np.logical_and.reduce([squares.whole[corner] for corner in corners])
     return _Squares(data, variance, whole)
 
 
 def limb_samples(
-    pixels: DiskPixels, outline: Outline, inward_px: float, outward_px: float, sharp_px: float
+    squares: PixelSquares, outline: Outline, inward_px: float, outward_px: float, sharp_px: float
 ) -> LimbSamples:
     """Return the usable pixels between two depths, in squares beyond `sharp_px` of the limb."""
-    found: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]] = []
-    line, pixel = _first_squares(outline, pixels.use.shape, outward_px)
-    for level, side in reversed(list(enumerate(SIDES))):
-        squares, middle = pixels.squares[level], 0.5 * (side - 1.0)
-        x, y = side * pixel + middle, side * line + middle
+    found: list[tuple[FloatArray, ...]] = []
+    first, last = _part(outline, outward_px, squares.shape) - np.array([squares.first])
+    line, pixel = (at.ravel() for at in np.mgrid[first[0] : last[0], first[1] : last[1]])
+    for level, side in zip(reversed(squares.levels), reversed(SIDES), strict=True):
+        middle = SIDES[-1] * squares.first + 0.5 * (side - 1.0)
+        x, y = side * pixel + middle[1], side * line + middle[0]
         depth = limb_depth(outline, x, y)
-        within = (depth > -inward_px) & (depth < outward_px)
-        kept = within & squares.whole[line, pixel]
+        kept = (depth > -inward_px) & (depth < outward_px) & level.whole[line, pixel]
         if side > 1:
             kept &= np.abs(depth) > max(CLEAR_SIDES * side, sharp_px + side)
         here = line[kept], pixel[kept]
-        variance = squares.variance_dn2[here] / side**2
-        found.append((x[kept], y[kept], squares.data_dn[here], variance, np.full(len(here[0]), float(side))))
+        variance = level.variance_dn2[here] / side**2
+        found.append((x[kept], y[kept], level.data_dn[here], variance, np.full(len(variance), float(side))))
         near = ~kept & (depth > -inward_px - side) & (depth < outward_px + side)
         line, pixel = _quarters(line[near], pixel[near])
     x, y, data, variance, sides = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return LimbSamples(limb_places(outline, x, y), data, variance, sides)
-
-
-def _first_squares(
-    outline: Outline, shape: tuple[int, int], outward_px: float
-) -> tuple[IntArray, IntArray]:
-    """Return line and pixel (n,) of the largest squares that an outline may touch."""
-    reach, side = outline.reach_px + outward_px + 1.0, SIDES[-1]
-    most = -(-np.array(shape)[::-1] // side)
-    first = np.clip((outline.center_px - reach[:2]) // side, 0, most).astype(np.int64)
-    last = np.clip((outline.center_px + reach[2:]) // side + 1, 0, most).astype(np.int64)
-    line, pixel = np.mgrid[first[1] : last[1], first[0] : last[0]]
-    return line.ravel(), pixel.ravel()
 
 
 def _quarters(line: IntArray, pixel: IntArray) -> tuple[IntArray, IntArray]:

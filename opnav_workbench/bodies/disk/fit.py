@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, limb_samples
+from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.limb_cells import (
     LimbPlaces,
     cell_of,
@@ -53,6 +53,7 @@ DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     12.0,
 )  # what tells of the limb, and of the albedo beside it
 SHARP_SIGMAS = 4.0  # about the limb: nothing is gathered in squares there
+ROOM_PX = 16.0  # for a limb to move in before squares are made anew
 SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
 # between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
@@ -73,7 +74,7 @@ SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightnes
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
 TUNING, LAST_TUNING = (
     ((1.2, 0.6), (1.0, 0.5)),
-    (0.8, 0.4, 0.2),
+    (0.6, 0.3),
 )  # steps in the logarithms: coarse light, fine light
 LEAST_MOVE = 0.2  # of a step
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
@@ -102,7 +103,7 @@ class Changes(NamedTuple):
     blur: float
 
 
-NEW, LAST = Changes(0.12, 0.01, 0.01, 0.1), Changes(0.02, 0.002, 0.003, 0.03)
+NEW, LAST = Changes(0.12, 0.01, 0.01, 0.1), Changes(0.04, 0.004, 0.006, 0.05)
 
 
 class Unknown(IntEnum):
@@ -391,6 +392,7 @@ class _DiskProblem:
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.sharp_px = SHARP_SIGMAS * self.psf_px
+        self._squares: PixelSquares | None = None
         self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
         self.node_rad = np.linspace(0.0, deepest, NODES)
@@ -403,6 +405,13 @@ class _DiskProblem:
         self.broad = self.figure.albedo_sigma**2 * np.exp((np.cos(self.chord) - 1.0) / BROAD_RAD**2)
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
+
+    def samples(self, outline: Outline) -> LimbSamples:
+        """Return the pixels about an outline, gathered in squares where its light is smooth."""
+        outward = self.reach[1]
+        if self._squares is None or not self._squares.hold(outline, outward):
+            self._squares = PixelSquares(self.pixels, outline, outward + ROOM_PX)
+        return limb_samples(self._squares, outline, *self.reach, self.sharp_px)
 
     def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
@@ -710,7 +719,7 @@ class _Fitter:
 
     def _columns(self) -> tuple[LimbSamples, FloatArray]:
         problem, outline = self.problem, self.made.outline(self.shape)
-        near = limb_samples(problem.pixels, outline, *problem.reach, problem.sharp_px)
+        near = problem.samples(outline)
         columns = _columns_at(
             self.made, self.shape, outline, near.places, near.spread_px, on_slopes=self.prior.on_slopes
         )
@@ -825,7 +834,7 @@ def _lowest(
 
 def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:
     plane = problem.pixels
-    near = limb_samples(plane, made.outline(made.shape), *problem.reach, problem.sharp_px)
+    near = problem.samples(made.outline(made.shape))
     model = near.side * made.light.at(near.places.angle_rad, near.places.depth_px, 1)[0]
     power = float(model @ model)
     least = float(np.median(plane.noise_dn))

@@ -334,18 +334,23 @@ def with_true_sky(picture: BodyPicture) -> BodyPicture:
 
 def _clipped(signal: FloatArray, noise: FloatArray, gain: float, usable: BoolArray) -> BoolArray:
     """Return the pixels (n_line, n_pixel) of a plateau at the top of the picture that has no noise."""
-    known = np.where(usable, signal, -np.inf)
+    out = np.zeros(signal.shape, dtype=bool)
+    known = np.where(usable, signal, 0.0)
     top = float(known.max())
     bright = known > TOP_SHARE * top
     if not top > 0.0 or np.count_nonzero(bright) < FEWEST_CLIPPED:
-        return np.zeros(signal.shape, dtype=bool)
-    filled = np.where(usable, signal, 0.0)
-    extent = maximum_filter(filled, 3) - minimum_filter(filled, 3)
-    sigma = np.sqrt(noise**2 + np.maximum(filled, 0.0) / gain)
+        return out
+    part = tuple(
+        slice(max(int(lines[0]) - 1, 0), int(lines[-1]) + 2)
+        for lines in (np.flatnonzero(bright.any(axis=axis)) for axis in (1, 0))
+    )
+    known, bright = known[part], bright[part]
+    extent = maximum_filter(known, 3) - minimum_filter(known, 3)
+    sigma = np.sqrt(noise[part] ** 2 + np.maximum(known, 0.0) / gain)
     flat = bright & (extent < FLAT_SHARE * sigma)
     if np.count_nonzero(flat) < FEWEST_CLIPPED:
-        return np.zeros(signal.shape, dtype=bool)
-    low, high = np.quantile(filled[flat], [0.05, 0.95])
-    if high - low > float(np.median(sigma[flat])):
-        return np.zeros(signal.shape, dtype=bool)  # an even surface, not a plateau
-    return np.asarray(usable & (filled >= low))
+        return out
+    low, high = np.quantile(known[flat], [0.05, 0.95])
+    if high - low <= float(np.median(sigma[flat])):  # else an even surface, not a plateau
+        out[part] = usable[part] & (known >= low)
+    return out
