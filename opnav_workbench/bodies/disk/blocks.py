@@ -94,7 +94,7 @@ def _part(outline: Outline, reach_px: float, shape: tuple[int, int]) -> tuple[In
 
 def _of_four(squares: _Squares) -> _Squares:
     corners = [np.s_[i::2, j::2] for i in (0, 1) for j in (0, 1)]
-    data, variance = (0.25 * sum(plane[corner] for corner in corners) for plane in squares[:2])
+    data, variance = (0.25 * np.sum([plane[corner] for corner in corners], axis=0) for plane in squares[:2])
     whole = np.logical_and.reduce([squares.whole[corner] for corner in corners])
     return _Squares(data, variance, whole)
 
@@ -124,5 +124,7 @@ def limb_samples(
 
 def _quarters(line: IntArray, pixel: IntArray) -> tuple[IntArray, IntArray]:
     """Return the squares of half of the side."""
-    lines, pixels = ((2 * at[:, None] + half).ravel() for at, half in ((line, [0, 0, 1, 1]), (pixel, [0, 1, 0, 1])))
+    lines, pixels = (
+        (2 * at[:, None] + half).ravel() for at, half in ((line, [0, 0, 1, 1]), (pixel, [0, 1, 0, 1]))
+    )
     return lines, pixels

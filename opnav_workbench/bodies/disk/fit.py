@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.limb_cells import (
     LimbPlaces,
@@ -645,7 +645,10 @@ class _Fitter:
                 self.shape, self.brightness, self.piece_albedo = before
             length = self._move(start, 0.5**halving)
             self._solve()
-            if self.linear.solution.held_cost < start.held_cost + self._regrouping(length) or length < STILL_PX:
+            if (
+                self.linear.solution.held_cost < start.held_cost + self._regrouping(length)
+                or length < STILL_PX
+            ):
                 break
         if not self.made.light.fine and self._stale(NEW):
             self._tabulate_or_return()

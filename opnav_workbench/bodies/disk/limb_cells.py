@@ -11,7 +11,16 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 
-__all__ = ["LimbPlaces", "cell_of", "depth_edges", "gathered", "limb_depth", "limb_pixels", "limb_places", "piece_of"]
+__all__ = [
+    "LimbPlaces",
+    "cell_of",
+    "depth_edges",
+    "gathered",
+    "limb_depth",
+    "limb_pixels",
+    "limb_places",
+    "piece_of",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
