@@ -115,18 +115,26 @@
     });
   }
 
+  // The notebook of a path: JupyterLab may bring others back beside it, and before it.
+  function openPanel(app, path) {
+    for (const widget of app.shell.widgets("main")) if (widget.sessionContext && widget.context?.path === path) return widget;
+    return undefined;
+  }
+
   const plugin = {
     id: "opnav-workbench:bench",
     autoStart: true,
     activate: (app) => {
-      if (!/\/tree\/[^?]*workbench\.ipynb$/.test(location.pathname)) return;
+      const path = /\/tree\/([^?]*workbench\.ipynb)$/.exec(location.pathname)?.[1];
+      if (path === undefined) return;
       document.body.dataset.opnavLab = "";
       const cover = new Cover();
       liftDialogs();
       void app.restored.then(async () => {
-        const panel = () => (app.shell.currentWidget?.sessionContext ? app.shell.currentWidget : undefined);
+        const panel = () => openPanel(app, decodeURIComponent(path));
         if (!(await until(() => panel() !== undefined, 60000))) return cover.lift();
         const notebook = panel();
+        app.shell.activateById(notebook.id); // its cells run only while it is the one at hand
         document.addEventListener("opnav-start-again", () => void startAgain(app, notebook));
         watchKernel(notebook);
         await open(app, notebook, cover).catch((error) => {
