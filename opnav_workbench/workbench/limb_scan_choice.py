@@ -318,7 +318,7 @@ def unrolled_limb(scans: LimbScans) -> UnrolledLimb:
     number = np.arange(len(data))
     plot.add_curve(number, scans.limb_px, "limb")
     seen = np.where(np.asarray(scans.status) != NOT_CHOSEN, scans.edge_px + scans.offset_px, np.nan)
-    plot.add_points(number, seen, "seen", np.zeros(len(data)), [""] * len(data))
+    plot.add_points(number, seen, "seen", np.zeros(len(data)), lambda _: "")
     return UnrolledLimb(plot, png_url(gray_png(data.T[::-1], float(low), float(high))))
 
 

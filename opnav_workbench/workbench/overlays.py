@@ -88,25 +88,28 @@ def star_marks(session: ImageSession) -> StarMarks:
 
 
 def star_facts(session: ImageSession) -> Columns:
-    """Return what is told of a star under the cursor: id, magnitude, SNR, O-C (px) from where it is expected."""
+    """Return what is told of a star under the cursor: id, magnitude, SNR, O-C (px) from where it is expected.
+
+    SNR and O-C are nan where no center was fitted.
+    """
     stars, centers = session.state.a_priori, session.state.centers
     if stars is None:
-        return _place_columns(np.empty((0, 2))) | {"text": []}
+        none = np.empty(0)
+        facts = dict.fromkeys(("mag", "snr", "d_pixel", "d_line"), none)
+        return _place_columns(np.empty((0, 2))) | {"id": []} | facts
     expected = stars.places(session.context.camera, expected_attitude(session))
     on = np.flatnonzero(session.context.camera.on_detector(expected))
-    seen = (
-        expected
-        if centers is None
-        else np.where(np.isfinite(centers.pixel_line), centers.pixel_line, expected)
-    )
-    texts = []
-    for row in on:
-        text = f"{stars.id[row]}  {stars.mag[row]:.1f} mag"
-        if centers is not None and np.isfinite(centers.pixel_line[row]).all():
-            off = centers.pixel_line[row] - expected[row]
-            text += f"\nSNR {centers.snr[row]:.0f}  O−C {off[0]:+.2f} {off[1]:+.2f}"
-        texts.append(text)
-    return _place_columns(seen[on]) | {"text": texts}
+    seen, snr = np.full_like(expected, np.nan), np.full(len(stars), np.nan)
+    if centers is not None:
+        seen, snr = centers.pixel_line, np.asarray(centers.snr, float)
+    off = (seen - expected)[on]
+    return _place_columns(np.where(np.isfinite(seen), seen, expected)[on]) | {
+        "id": stars.id[on].tolist(),
+        "mag": stars.mag[on],
+        "snr": snr[on],
+        "d_pixel": np.ascontiguousarray(off[:, 0]),
+        "d_line": np.ascontiguousarray(off[:, 1]),
+    }
 
 
 def _place_columns(places: FloatArray) -> Columns:

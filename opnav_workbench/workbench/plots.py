@@ -4,7 +4,7 @@ With them the residuals of the stars are shown: against magnitude before and aft
 picture, enlarged by a round factor that the title tells. Residuals are observed minus predicted, px.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -150,19 +150,25 @@ class SvgPlot:
         y: ArrayLike,
         style: str,
         sigma: ArrayLike,
-        titles: Sequence[str],
+        title: Callable[[int], str],
         stars: Sequence[str] = (),
     ) -> "SvgPlot":
-        """Draw the finite points with error bars and a tooltip each; round, or (style ``line``) square; of `stars`."""
+        """Draw the finite points with error bars; round, or (style ``line``) square; of `stars`.
+
+        Parameters
+        ----------
+        title
+            Returns the tooltip of a point, where it is drawn by itself.
+        """
         across, down = self.x(x), self.y(y)
         bars = np.abs(self.y(np.asarray(sigma)) - self.y(0.0))
         bars = np.where(np.isfinite(bars), bars, 0.0)
-        whose = stars or [""] * len(titles)
+        whose = stars or [""] * len(across)
         shown = np.isfinite(across) & np.isfinite(down)
         alone = self._alone(np.where(shown, np.abs(np.asarray(y, float)), -1.0), whose) & shown
         for row in np.flatnonzero(alone).tolist():
             place = float(across[row]), float(down[row])
-            self.points.append(Point(style, *place, float(bars[row]), titles[row], whose[row]))
+            self.points.append(Point(style, *place, float(bars[row]), title(row), whose[row]))
         if (shown & ~alone).any():
             self.crowds.append(Curve(style, specks(across[shown & ~alone], down[shown & ~alone])))
         return self
@@ -308,12 +314,16 @@ def _against_magnitude(
     plot = SvgPlot(*size, data_range(rows.mag), data_range(reach, with_zero=True), title, focus=focus)
     for column, style in enumerate(("pixel", "line")):
         residual, sigma = residual_px[:, column], rows.sigma_px[:, column]
-        titles = [
-            f"{star}: {style} {value:+.3f} ± {error:.3f} px"
-            for star, value, error in zip(rows.ids, residual, sigma, strict=True)
-        ]
-        plot.add_points(rows.mag, residual, style, sigma, titles, rows.ids)
+        plot.add_points(
+            rows.mag, residual, style, sigma, _tooltips(rows.ids, style, residual, sigma), rows.ids
+        )
     return plot
+
+
+def _tooltips(
+    ids: Sequence[str], style: str, residual_px: FloatArray, sigma_px: FloatArray
+) -> Callable[[int], str]:
+    return lambda row: f"{ids[row]}: {style} {residual_px[row]:+.3f} ± {sigma_px[row]:.3f} px"
 
 
 @dataclass(frozen=True, slots=True)

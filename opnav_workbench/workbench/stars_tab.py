@@ -7,7 +7,7 @@ bright star, this star, the camera's Gaussian) are changed on the spot and all s
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from operator import itemgetter
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -17,7 +17,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession, JournalEntry
 from opnav_workbench.session.context import typical_noise_dn
-from opnav_workbench.session.star_boxes import StarBox
+from opnav_workbench.session.star_boxes import StarBox, StarRows, star_rows
 from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_REASONS, Action, ActionRegistry
 from opnav_workbench.workbench.markup import PagePicture, render
@@ -120,7 +120,8 @@ class StarCard:
     @property
     def numbers(self) -> tuple[str, ...]:
         """Magnitude, SNR and observed minus expected (pixel, line, length), for the table."""
-        off = off_px(self.box)
+        seen_px = self.box.observed_px
+        off = np.full(2, np.nan) if seen_px is None else seen_px - self.box.predicted_px
         snr = f"{self.box.snr:.0f}" if np.isfinite(self.box.snr) else "–"
         seen = (
             (f"{off[0]:+.2f}", f"{off[1]:+.2f}", f"{np.hypot(*off):.2f}")
@@ -153,24 +154,26 @@ class StarCard:
         return float(x), float(y)
 
     def _pictures(self, noise_dn: float) -> list[tuple[str, str]]:
-        """Data and model in one stretch; the residual in sigmas of the background's noise."""
-        data = np.asarray(self.box.data_dn, dtype=float)
-        model = np.asarray(self.box.model_dn, dtype=float)
-        finite = data[np.isfinite(data)]
-        high = max(float(finite.max(initial=0.0)), 8.0 * noise_dn)
-        low = LOW_SIGMAS * noise_dn
-        residual = np.asarray(self.box.residual_dn, dtype=float)
-        pngs = (
-            gray_png(data, low, high),
-            gray_png(model, low, high),
-            residual_png(residual, RESIDUAL_SIGMAS * noise_dn),
-        )
-        return list(zip(("data", "model", "residual"), map(png_url, pngs), strict=True))
+        """Data, model and residual by name, as data URLs."""
+        data, model = (np.asarray(part, dtype=float) for part in (self.box.data_dn, self.box.model_dn))
+        urls = box_urls(data.tobytes(), model.tobytes(), np.shape(data)[1], noise_dn)
+        return list(zip(("data", "model", "residual"), urls, strict=True))
 
 
-def off_px(box: StarBox) -> FloatArray:
-    """Return observed minus expected (2,), px; nan where nothing was observed."""
-    return np.full(2, np.nan) if box.observed_px is None else np.asarray(box.observed_px - box.predicted_px)
+@lru_cache(maxsize=256)
+def box_urls(data_dn: bytes, model_dn: bytes, n_pixel: int, noise_dn: float) -> tuple[str, str, str]:
+    """Return data and model in one stretch, and the residual in sigmas of the background's noise; kept, as keys ask again.
+
+    Parameters
+    ----------
+    data_dn, model_dn
+        float64, line by line.
+    """
+    data, model = (np.frombuffer(part).reshape(-1, n_pixel) for part in (data_dn, model_dn))
+    finite = data[np.isfinite(data)]
+    high, low = max(float(finite.max(initial=0.0)), 8.0 * noise_dn), LOW_SIGMAS * noise_dn
+    residual = residual_png(data - model, RESIDUAL_SIGMAS * noise_dn)
+    return png_url(gray_png(data, low, high)), png_url(gray_png(model, low, high)), png_url(residual)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,17 +228,20 @@ MIN_RING_PX = 6.0  # the ring about the star under decision stays clear of the s
 BOXES_PER_PAGE = 24  # boxes on a page: what is seen at once, and quick to send
 ROWS_PER_PAGE = 60  # of the table
 
+_NONE, _NO_PLACES = np.empty(0), np.empty((0, 2))
+NO_STARS = StarRows(np.empty(0, np.intp), (), _NONE, _NO_PLACES, _NO_PLACES, _NONE, (), ())
+
 # What stars can be sorted by: heading in the table, and the key; the first is the catalog's order.
-Order = Callable[[StarBox], Any]
+Order = Callable[[StarRows], Any]
 ORDERS: Mapping[str, tuple[str, Order]] = MappingProxyType(
     {
-        "catalog": ("star", lambda _: 0),
-        "mag": ("mag", lambda box: box.mag),
-        "snr": ("SNR", lambda box: box.snr),
-        "pixel": ("Δ px", lambda box: off_px(box)[0]),
-        "line": ("Δ line", lambda box: off_px(box)[1]),
-        "off": ("O−C", lambda box: np.hypot(*off_px(box))),
-        "status": ("status", lambda box: (box.status, box.verdict)),
+        "catalog": ("star", lambda rows: np.arange(len(rows.ids))),
+        "mag": ("mag", lambda rows: rows.mag),
+        "snr": ("SNR", lambda rows: rows.snr),
+        "pixel": ("Δ px", lambda rows: rows.off_px[:, 0]),
+        "line": ("Δ line", lambda rows: rows.off_px[:, 1]),
+        "off": ("O−C", lambda rows: np.hypot(*rows.off_px.T)),
+        "status": ("status", lambda rows: list(map(" ".join, zip(rows.status, rows.verdict, strict=True)))),
     }
 )
 KEY_ORDERS = (
@@ -247,15 +253,13 @@ KEY_ORDERS = (
 )  # of the key, in turn
 
 
-def in_order(boxes: Sequence[StarBox], order: str, *, descending: bool) -> tuple[StarBox, ...]:
-    """Return boxes sorted; those without the number come last either way."""
-    if order == "catalog":
-        return tuple(reversed(boxes)) if descending else tuple(boxes)
+def in_order(rows: StarRows, order: str, *, descending: bool) -> StarRows:
+    """Return stars sorted; those without the number come last either way, equal ones stay as they are."""
     _, key = ORDERS[order]
-    keys = [(key(box), box) for box in boxes]
-    known = [pair for pair in keys if pair[0] == pair[0]]  # nan is not itself
-    known.sort(key=itemgetter(0), reverse=descending)
-    return tuple(box for _, box in (*known, *(pair for pair in keys if pair[0] != pair[0])))
+    values, place = np.unique(np.asarray(key(rows)), return_inverse=True)
+    known = np.array([value == value for value in values.tolist()], bool)[place]  # nan is not itself
+    turn = np.where(known, -place if descending else place, len(values))
+    return rows.taken(np.argsort(turn, kind="stable"))
 
 
 NAME_LETTERS = 15  # that a small card has room for
@@ -293,15 +297,14 @@ def expected_from(session: ImageSession) -> str:
 
 
 @dataclass(slots=True)
-class _BoxCache:
-    """Boxes as last asked for; they are the same as long as state and order are."""
+class _StarCache:
+    """Stars as last asked for; they are the same as long as state and order are."""
 
-    state: object = None
-    boxes: tuple[StarBox, ...] = ()
+    state: object
+    rows: StarRows
     order: tuple[str, bool] = ("", False)
-    ordered: tuple[StarBox, ...] = ()
-    ids: tuple[str, ...] = ()
-    by_id: Mapping[str, StarBox] = field(default_factory=dict)
+    ordered: StarRows | None = None
+    boxes: dict[str, StarBox] = field(default_factory=dict)  # of those that were shown
     residuals: StarResiduals | None = None
 
 
@@ -317,29 +320,41 @@ class StarsTab(Tab):
         self.search = runner.search
         self.table = False
         self.order, self.descending = "catalog", False
-        self._box_cache = _BoxCache()
+        self._cached: _StarCache | None = None
 
     # -- what stands -------------------------------------------------------------------------------------------
 
     @property
-    def boxes(self) -> tuple[StarBox, ...]:
-        """Boxes of all stars on the detector, in the order chosen."""
-        state = self.runner.session.state
-        if self._box_cache.state is not state:
-            boxes = self.runner.session.star_boxes() if state.a_priori is not None else ()
-            self._box_cache = _BoxCache(state, tuple(b for b in boxes if b.status != "off_detector"))
-        cache, order = self._box_cache, (self.order, self.descending)
-        if cache.order != order:
-            cache.order, cache.ordered = order, in_order(cache.boxes, self.order, descending=self.descending)
-            cache.ids = tuple(box.id for box in cache.ordered)
-            cache.by_id = {box.id: box for box in cache.ordered}
+    def _cache(self) -> _StarCache:
+        session = self.runner.session
+        if self._cached is None or self._cached.state is not session.state:
+            rows = NO_STARS
+            if session.state.a_priori is not None:
+                rows = star_rows(session.context, session.inputs, session.state)
+                rows = rows.taken(np.flatnonzero([status != "off_detector" for status in rows.status]))
+            self._cached = _StarCache(session.state, rows)
+        return self._cached
+
+    @property
+    def rows(self) -> StarRows:
+        """All stars on the detector, in the order chosen."""
+        cache, order = self._cache, (self.order, self.descending)
+        if cache.ordered is None or cache.order != order:
+            cache.order, cache.ordered = order, in_order(cache.rows, self.order, descending=self.descending)
         return cache.ordered
 
     @property
     def ids(self) -> tuple[str, ...]:
-        """Catalog ids in the order of the boxes."""
-        _ = self.boxes  # of the present state
-        return self._box_cache.ids
+        """Their catalog ids."""
+        return self.rows.ids
+
+    def boxes(self, ids: Sequence[str]) -> tuple[StarBox, ...]:
+        """Return the boxes of some stars."""
+        made = self._cache.boxes
+        missing = [star for star in ids if star not in made]
+        if missing:
+            made.update(zip(missing, self.runner.session.star_boxes(missing), strict=True))
+        return tuple(made[star] for star in ids)
 
     @property
     def radius_px(self) -> float:
@@ -349,8 +364,9 @@ class StarsTab(Tab):
     @property
     def focused(self) -> StarBox | None:
         """The star under decision."""
-        boxes = self.boxes
-        return self._box_cache.by_id.get(self.focus_id) or next(iter(boxes), None)
+        ids = self.ids
+        star = self.focus_id if self.focus_id in ids else next(iter(ids), None)
+        return None if star is None else self.boxes([star])[0]
 
     def on_enter(self) -> None:
         """Begin with the first undecided star."""
@@ -388,17 +404,18 @@ class StarsTab(Tab):
         return render("stars.html", page=self._page(session, focused.id), actions=self.registry)
 
     def _page(self, session: ImageSession, focus: str) -> StarPage:
-        boxes, decisions = self.boxes, session.state.decisions
+        decisions = session.state.decisions
         place = self.ids.index(focus)
         room = ROWS_PER_PAGE if self.table else BOXES_PER_PAGE
         first = place // room * room
-        cards = star_cards(boxes[first : first + room], decisions, expected_from(session))
+        shown = self.boxes(self.ids[first : first + room])
+        cards = star_cards(shown, decisions, expected_from(session))
         verdicts = [decisions.get(star, ("",))[0] for star in self.ids]
         return StarPage(
             cards=cards,
             focus=cards[place - first],
             first=first,
-            n_all=len(boxes),
+            n_all=len(self.ids),
             n_accepted=verdicts.count("accepted"),
             n_rejected=verdicts.count("rejected"),
             searched=session.state.centers is not None,
@@ -417,9 +434,9 @@ class StarsTab(Tab):
 
     def _residuals(self, session: ImageSession) -> StarResiduals:
         """Residuals of the stars in use, found once for each state."""
-        if self._box_cache.residuals is None:
-            self._box_cache.residuals = star_residuals(session)
-        return self._box_cache.residuals
+        if self._cache.residuals is None:
+            self._cache.residuals = star_residuals(session)
+        return self._cache.residuals
 
     def _sign(self, order: str) -> str:
         return "" if order != self.order else "▼" if self.descending else "▲"
@@ -489,8 +506,8 @@ class StarsTab(Tab):
             self._go_undecided(star)
             return f"{star} {decision}; {len(left)} undecided."
         solved = self.runner.session.state.pointing is not None
-        then = self.runner.pointing_line() if solved else "P solves the pointing."
-        return f"{star} {decision}; every star is decided. {then}"
+        then = "" if solved else " P solves the pointing."
+        return f"{star} {decision}; every star is decided.{then}"
 
     def _reason(self, reason: str) -> Handler:
         return lambda _: self.reject(reason)
@@ -519,7 +536,7 @@ class StarsTab(Tab):
         session = self.runner.session
         if self.runner.examine_each:
             raise SessionError("each star must be examined: accept them one by one (A), or switch that off.")
-        status = dict(zip((s.id for s in self.boxes), (s.status for s in self.boxes), strict=True))
+        status = dict(zip(self.ids, self.rows.status, strict=True))
         rest = [star for star in self.runner.undecided() if status.get(star) == "used"]
         if not rest:
             raise SessionError("no undecided star is in use.")
@@ -557,7 +574,7 @@ class StarsTab(Tab):
         options = self.search.refit_options(self.radius_px)
         self.runner.decide(
             lambda: session.refit_stars(None, **options),
-            lambda: f"{what}: {int(session.state.mask('used').sum())} of {len(self.boxes)} stars in use.",
+            lambda: f"{what}: {int(session.state.mask('used').sum())} of {len(self.ids)} stars in use.",
         )
 
     # -- the picture ------------------------------------------------------------------------------------------
@@ -585,17 +602,18 @@ class StarsTab(Tab):
             self.runner.status.say(f"{near}: A accepts, R rejects, I places it by click.")
 
     def _status_of(self, star: str) -> str:
-        box = next((b for b in self.boxes if b.id == star), None)
-        return "not shown" if box is None else f"{words(box.status)}, SNR {box.snr:.0f}"
+        if star not in self.ids:
+            return "not shown"
+        (box,) = self.boxes([star])
+        return f"{words(box.status)}, SNR {box.snr:.0f}"
 
     def _nearest(self, pixel: float, line: float) -> str | None:
-        if not self.boxes:
+        if not self.ids:
             return None
-        places = np.array([box.place_px for box in self.boxes])
-        distance = np.hypot(*(places - (pixel, line)).T)
+        distance = np.hypot(*(self.rows.place_px - (pixel, line)).T)
         distance = np.where(np.isfinite(distance), distance, np.inf)
         reach = max(
             MIN_CLICK_RADIUS_PX, CLICK_RADIUS_SHARE * max(self.runner.session.context.signal_dn.shape)
         )
         nearest = int(np.argmin(distance))
-        return self.boxes[nearest].id if distance[nearest] <= reach else None
+        return self.ids[nearest] if distance[nearest] <= reach else None

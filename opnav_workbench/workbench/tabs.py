@@ -148,9 +148,12 @@ class RunningStep:
     progress: float | None = None  # 0..1, None where a step cannot tell
     finished: threading.Event = field(default_factory=threading.Event)
     concluding: threading.Lock = field(default_factory=threading.Lock)
+    due: bool = False  # it is to begin after the paint
     background: bool = False  # nobody waits for it any more: its own thread reports
     leavable: bool = False
     then: Callable[[BaseException | None], None] | None = None  # says what became of it
+    follow: "RunningStep | None" = None  # begins by itself once this one went well and is painted
+    work: Callable[[], object] = lambda: None
     cancelled: bool = False
     error: BaseException | None = None
 
@@ -208,6 +211,7 @@ class StepRunner:
         *,
         then: Callable[[BaseException | None], None] | None = None,
         leavable: bool = False,
+        follow: RunningStep | None = None,
     ) -> None:
         """Run a step: at once if it is quick, else on with progress while the page stays alive.
 
@@ -221,12 +225,14 @@ class StepRunner:
             Called at the end whether it went well or not, and says itself what became of it.
         leavable
             It goes on for itself when the analyst goes elsewhere: the opening of an image.
+        follow
+            Begins once this step went well and its outcome is painted.
         """
         if self.running is not None:
             self.status.say(f"still {self.running.label}; Esc cancels it.", "busy")
             return
-        step = self.running = RunningStep(label, done, then=then, leavable=leavable)
-        threading.Thread(target=self._work, args=(step, work), daemon=True).start()
+        step = self.running = RunningStep(label, done, then=then, leavable=leavable, follow=follow, work=work)
+        threading.Thread(target=self._work, args=(step,), daemon=True).start()
         step.finished.wait(AT_ONCE_S)
         with step.concluding:
             step.background = not step.finished.is_set()
@@ -236,13 +242,21 @@ class StepRunner:
         else:
             self._conclude(step)
 
-    def _work(self, step: RunningStep, work: Callable[[], object]) -> None:
+    def _begin_follower(self) -> None:
+        step = self.running
+        if step is None or not step.due:
+            return
+        step.due, step.background, step.started_s = False, True, time.monotonic()
+        for task in (self._work, self._tick):
+            threading.Thread(target=task, args=(step,), daemon=True).start()
+
+    def _work(self, step: RunningStep) -> None:
         self._thread.step = step
         session = self.queue.opened
         try:
             if session is not None:
                 session.checkpoint = self.checkpoint
-            work()
+            step.work()
         except Exception as error:  # shown in the status line, whatever it is
             step.error = error
         with step.concluding:
@@ -269,6 +283,11 @@ class StepRunner:
             with self.status.reporting():
                 message = step.message() if callable(step.message) else step.message
                 self.status.say(message or f"{step.label}: done.", "done")
+            if step.follow is not None:
+                self.running = step.follow
+                self.running.due = True  # begins after the paint
+                if not self.repainting:
+                    self._begin_follower()
 
     def wait_in_line(self, task: Callable[[], None]) -> None:
         """Have `task` carried out when the running step, and what waits already, is through."""
@@ -310,6 +329,7 @@ class StepRunner:
             self.repainting -= 1
             if not self.repainting:
                 self.repaint()
+                self._begin_follower()
 
     @contextmanager
     def handling(self) -> Iterator[None]:
@@ -378,16 +398,26 @@ class StepRunner:
         return f"{used} of {on_detector} stars found. {' '.join(state.notes.get('stars', ()))}".strip()
 
     def decide(self, decision: Callable[[], object], done: str | Callable[[], str]) -> None:
-        """Take a decision on stars; where a pointing stands, solve it again with what is then in use."""
+        """Take a decision on stars, shown at once; where a pointing stands, solve it again with what is then in use."""
+        session, told = self.session, ""
 
-        def work() -> None:
-            session = self.session
-            solved = session.state.pointing is not None
-            decision()
-            if solved:
-                session.repoint(self.model, reason=FOLLOWS_DECISION)
+        def say() -> str:
+            nonlocal told
+            told = done() if callable(done) else done
+            return told
 
-        self.run("deciding", work, done)
+        def followed() -> str:  # not over what the analyst has asked for meanwhile
+            message = self.status.message
+            return f"{told} {self.pointing_line()}" if message == told else message
+
+        follow = None
+        if session.state.pointing is not None:
+            follow = RunningStep(
+                "solving the pointing",
+                followed,
+                work=lambda: session.repoint(self.model, reason=FOLLOWS_DECISION),
+            )
+        self.run("deciding", decision, say, follow=follow)
 
     def undecided(self) -> list[str]:
         """Return the ids of the stars on the detector that nobody has decided on."""

@@ -377,9 +377,11 @@ class PictureModels:
                 kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size
             )
         self._add_text("star_labels", "magnitudes", "predicted")
-        facts = self.sources["facts"] = _source("pixel", "line", "text")  # read by the page, drawn by nothing
+        facts = self.sources["facts"] = _source(
+            "pixel", "line", "id", "mag", "snr", "d_pixel", "d_line"
+        )  # read by the page, drawn by nothing
         facts.name = "opnav-facts"
-        self.picture.scatter("pixel", "line", source=facts, size=0)
+        self.picture.scatter("pixel", "line", source=facts, size=0, visible=False)
 
     def _add_points(self, kind: str, group: str, size: int) -> None:
         source = self.sources[kind] = _source("pixel", "line")

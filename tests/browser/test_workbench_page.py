@@ -196,7 +196,7 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
     assert hand.decisions() == {first: ["accepted", ""], second: ["rejected", "cosmic ray"]}
 
     # A click on a star in the picture brings its box; a click on a box does, too.
-    boxes = nb.python("[[b.id, *b.observed_px.tolist()] for b in bench.controller.stars.boxes]")
+    boxes = nb.python("[[b.id, *b.observed_px.tolist()] for b in bench.session.star_boxes()]")
     boxes.sort(key=lambda box: box[1])
     pairs = itertools.pairwise(boxes)  # neighbors along the frame, of which the picture shows a part
     (shown, *_), (near, *place) = min(pairs, key=lambda pair: pair[1][1] - pair[0][1])
@@ -481,7 +481,7 @@ def test_what_the_night_left_is_opened_and_decided(spec, lab_queue, notebook, tm
         hand.notebook.until(f"bench.session.folder.name == {name!r}")
         assert in_lab("bench.session.state.pointing.n_stars") == rows[name]["pointing"]["n_stars"]
         assert in_lab("[entry.step for entry in bench.session.journal]") == [e["step"] for e in saved[name]]
-    stars = in_lab("[box.id for box in bench.controller.stars.boxes]")
+    stars = in_lab("[box.id for box in bench.session.star_boxes()]")
     assert len(stars) == 15
     hand.press("r")
     hand.shown(".ow-panel .menu", "cosmic ray")

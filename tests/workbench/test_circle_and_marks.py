@@ -103,7 +103,7 @@ def test_marks_and_names():
 
 
 def test_two_stars_by_hand_solve_the_field(star_hands):
-    boxes = sorted(star_hands.controller.stars.boxes, key=lambda b: b.mag)[:2]
+    boxes = sorted(star_hands.session.star_boxes(), key=lambda b: b.mag)[:2]
     star_hands.press("2", "w")
     for box in boxes:
         star_hands.tap(*box.observed_px)

@@ -114,14 +114,14 @@ def test_both_tabs_find_stars_with_the_radius_and_template_chosen(star_hands):
 
 
 def test_click_goes_to_a_star_and_places_one(star_hands):
-    box = star_hands.controller.stars.boxes[5]
+    box = star_hands.session.star_boxes()[5]
     star_hands.tap(*(box.observed_px + np.array([1.0, -1.0])))
     assert star_hands.controller.stars.focused.id == box.id
     star_hands.press("i")
     star_hands.tap(*(box.observed_px + np.array([0.4, -0.3])))
     assert star_hands.session.standing[-1].step == "place_star"
     assert star_hands.session.state.decisions[box.id][0] == "accepted"
-    placed = next(b for b in star_hands.controller.stars.boxes if b.id == box.id)
+    placed = next(b for b in star_hands.session.star_boxes() if b.id == box.id)
     np.testing.assert_allclose(placed.observed_px, box.observed_px, atol=0.05)
 
 

@@ -77,12 +77,15 @@ class ImageCursor extends ImageActions {
     const facts = this.model("opnav-facts")?.data;
     const { x_range, frame_width } = this.model("opnav-picture");
     let best = (NEAR_PX * Math.abs(x_range.end - x_range.start)) / frame_width;
-    let found = "";
+    let found = -1;
     for (let i = 0; i < (facts?.pixel.length ?? 0); i++) {
       const distance = Math.hypot(facts.pixel[i] - pixel, facts.line[i] - line);
-      if (distance < best) [best, found] = [distance, facts.text[i]];
+      if (distance < best) [best, found] = [distance, i];
     }
-    return found;
+    if (found < 0) return "";
+    const [mag, snr, across, down] = ["mag", "snr", "d_pixel", "d_line"].map((name) => facts[name][found]);
+    const seen = Number.isFinite(across) ? `\nSNR ${snr.toFixed(0)}  O−C ${signed(across)} ${signed(down)}` : "";
+    return `${facts.id[found]}  ${mag.toFixed(1)} mag${seen}`;
   }
 
   tellScale() {
