@@ -25,6 +25,7 @@ SIGMA_MAS = 25.0
 SUN_POSITION_KM = np.array([1.5e9, 4.0e9, 1.6e9])
 SUN_VELOCITY_KM_S = np.array([-4.0, 12.5, 5.0])
 C_KM_S = 299792.458
+PAIRS = 0.4  # of the stars of a picture of pairs, that have a companion in no catalog
 COLOR_MAG = 0.3  # scatter of a camera's magnitudes about those of the catalog
 FAINT_FROM = 12.2  # stars fainter than that are in no catalog
 OVER = 9  # samples of the PSF across a pixel
@@ -187,11 +188,11 @@ def stars_on(image, psf, places, flux):
 
 CONDITIONS = (
     "plain", "few", "none", "wrong", "saturated", "cosmic", "gaps", "broken", "turned", "mirrored", "empty", "sky",
-    "crowded", "fast",
+    "crowded", "fast", "lone", "pairs",
 )  # fmt: skip
 WHOLE_SKY = ("none", "wrong", "turned", "mirrored")  # whose catalog is that of the whole sky
 WIDE = ("plain", "none", "wrong", "mirrored", "turned")  # of which the widest camera has pictures, too
-N_STARS = {"few": (1, 4), "crowded": (20, 400), "none": (8, 400), "turned": (8, 400), "mirrored": (8, 400)}
+N_STARS = {"few": (1, 4), "lone": (2, 30), "pairs": (2, 60), "crowded": (20, 400), "none": (8, 400), "turned": (8, 400), "mirrored": (8, 400)}
 
 
 @dataclass
@@ -287,6 +288,12 @@ def light_of(rng, kind, condition, field, sigma):
     seen = field.within(kind, 12) & (field.snr > 0.3)
     psf = Psf(sigma * 0.93, rng.uniform(0.0, 0.06), rng.uniform(-0.15, 0.15))
     stars_on(picture, psf, field.places[seen], field.flux[seen])
+    if condition == "pairs":
+        paired = seen & (field.snr > 8) & (rng.random(len(seen)) < PAIRS)
+        count, angle = int(paired.sum()), rng.uniform(0.0, 2.0 * np.pi, int(paired.sum()))
+        apart = rng.uniform(0.5, 5.0, count) * np.hypot(sigma, 0.29)
+        offset = apart[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        stars_on(picture, psf, field.places[paired] + offset, field.flux[paired] * rng.uniform(0.2, 1.0, count))
     # Faint stars that no catalog knows: as many as a sky has that doubles with each magnitude.
     faint = rng.poisson(135.0 * np.degrees(kind.size / kind.focal_px) ** 2)
     faint_mag = FAINT_FROM + np.log2(1.0 + rng.uniform(0, 7, faint))
@@ -329,6 +336,9 @@ def draw(rng, sky, kind, condition, folder, number):
     if condition == "mirrored":
         data = data[::-1]
     known = rng.random(len(field.rows)) >= (0.35 if condition == "gaps" else 0.02)
+    if condition == "lone":  # all but one to three of the bright ones
+        bright_ones = np.flatnonzero(field.within(kind, -3) & (field.snr > 12))
+        known = np.isin(np.arange(len(known)), rng.permutation(bright_ones)[: rng.integers(1, 4)])
     path = folder / f"{number:04d}.fits"
     write(path, kind, data, field.exposure, told)
     real = field.within(kind, 12) & (field.snr > 1.0)
