@@ -14,7 +14,8 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CenterfindingError, SessionError
-from opnav_workbench.session.context import Context
+from opnav_workbench.session.context import Context, zero_point_mag
+from opnav_workbench.session.star_field import star_detections
 from opnav_workbench.session.state import FieldMatch, StarStatus
 from opnav_workbench.stars import (
     ExpectedPlaces,
@@ -31,7 +32,9 @@ from opnav_workbench.stars import (
     fit_stars,
     fit_wings,
     gaussian_template,
+    shape_from_stars,
     strange_images,
+    with_companions,
 )
 
 __all__ = [
@@ -43,11 +46,13 @@ __all__ = [
     "fit_all",
     "fit_some",
     "star_statuses",
+    "told_apart",
 ]
 
 
 InitialMethod = Literal["matched_filter", "cross_correlation"]
 INITIAL_METHODS: tuple[InitialMethod, ...] = get_args(InitialMethod)
+LEAST_SQUARES = "least_squares"
 FITTED_METHODS = ("least_squares", "psf_fit")  # neighbors are fitted together
 FinalMethod = Literal["least_squares", "psf_fit", "matched_filter", "cross_correlation"]
 FINAL_METHODS: tuple[FinalMethod, ...] = get_args(FinalMethod)
@@ -184,6 +189,56 @@ def with_flanks(context: Context, centers: StarCenters, start: FloatArray, psf: 
     for name, values in columns.items():
         changed[name][rows] = values
     return replace(centers, **changed)
+
+
+def told_apart(
+    context: Context, mag: FloatArray, centers: StarCenters, rows: IntArray, psf: ShapePrior
+) -> StarCenters:
+    """Return centers of which those of `rows` (k,) that may be two images, one in no catalog, say so.
+
+    `mag` (n,) are those of the catalog, `psf` is what the picture's stars agree on.
+    """
+    if centers.method != LEAST_SQUARES:
+        return centers
+    return with_companions(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        centers,
+        rows,
+        mag,
+        lambda: _psf_of_unlisted(context, centers),
+        psf,
+        saturated=context.picture.saturated,
+        noise_model=context.noise_model,
+        zero_point_mag=zero_point_mag(context),
+    )
+
+
+WITNESSES = 12  # detections that tell the PSF where the catalog lists few stars
+
+
+def _psf_of_unlisted(context: Context, centers: StarCenters) -> ShapePrior:
+    """Return the camera's PSF with what the picture's brightest detections that no catalog lists say of it."""
+    prior, detections = context.camera_psf, star_detections(context)
+    listed = centers.pixel_line[np.isfinite(centers.pixel_line).all(axis=1)]
+    apart = np.hypot(*(detections.pixel_line[:, None] - listed).transpose(2, 0, 1)).min(
+        axis=1, initial=np.inf
+    )
+    unlisted = (apart > default_box_px(prior.sigma_px)) & ((detections.flags & int(StarFlag.COSMIC_RAY)) == 0)
+    places = detections.pixel_line[unlisted][:WITNESSES]
+    if len(places) == 0:
+        return prior
+    fitted = fit_gaussian(
+        context.signal_dn,
+        context.noise_dn,
+        context.not_stars,
+        places,
+        prior,
+        saturated=context.picture.saturated,
+        noise_model=context.noise_model,
+    )
+    return shape_from_stars(fitted, prior)
 
 
 def _with_neighbors(places: FloatArray, rows: IntArray, reach_px: float) -> IntArray:
@@ -381,7 +436,7 @@ def star_statuses(
     # Of a saturated star a part of the light is known: it may be brighter than measured.
     fainter = np.where(saturated, 0.0, magnitude_error)
     fitted = options.final in FITTED_METHODS  # a correlation leaves what it leaves: it fits no PSF
-    strange = fitted & strange_images(centers) & ~saturated
+    strange = fitted & strange_images(centers) & ~saturated & ~_has(flags, StarFlag.PAIR)
     unlike = np.maximum(fainter, -magnitude_error) > settings.max_magnitude_error
     rules: tuple[StatusRule, ...] = (
         (~match.visible, "off_detector", lambda _: "outside the detector with the pointing found"),

@@ -23,6 +23,7 @@ from opnav_workbench.session.star_measurement import (
     fit_all,
     fit_some,
     star_statuses,
+    told_apart,
 )
 from opnav_workbench.session.state import (
     ACCEPTED,
@@ -166,6 +167,7 @@ def _with_all_fitted(
     sigma = np.sqrt(0.5 * np.trace(stars.covariance_px2, axis1=1, axis2=2))
     sigma = np.where(np.isin(stars.id, list(state.placed)) | ~match.visible, np.inf, sigma)
     centers, psf = fit_all(context, match, state.psf or context.camera_psf, options, sigma)
+    centers = told_apart(context, stars.mag, centers, np.arange(len(centers)), psf)
     state = state.replace(centers=centers, psf=psf, star_methods=MappingProxyType({}))
     return _with_statuses(context, inputs, state, match, options)
 
@@ -176,7 +178,7 @@ def _with_some_fitted(
     """Fit the stars `rows` with the PSF of the others; these keep their centers."""
     stars, base, psf = predicted_stars(state), state.centers, state.psf or context.camera_psf
     fresh = fit_some(context, match, rows, psf, 0.0 if base is None else base.psf_error, options)
-    centers = centers_with_rows(base, len(stars), rows, fresh)
+    centers = told_apart(context, stars.mag, centers_with_rows(base, len(stars), rows, fresh), rows, psf)
     methods = dict(state.star_methods) | {str(stars.id[row]): fresh.method for row in rows}
     methods = {star: method for star, method in methods.items() if method != centers.method}
     return state.replace(centers=centers, psf=psf, star_methods=MappingProxyType(methods))

@@ -9,6 +9,8 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
     Images with their noise and masks, checked, and square boxes cut out of them.
 ``center_bounds``
     The Cramer-Rao bound of a star's center: `cramer_rao`, `flux_at_snr`.
+``companions``
+    One image or two: stars beside unlisted ones, `with_companions`.
 ``correlation``
     First centers by matched filter or cross-correlation with a template: `correlate`.
 ``detection``
@@ -50,6 +52,7 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
 """
 
 from opnav_workbench.stars.center_bounds import CenterBound, cramer_rao, flux_at_snr
+from opnav_workbench.stars.companions import with_companions
 from opnav_workbench.stars.correlation import StarTemplate, correlate, extract_template, gaussian_template
 from opnav_workbench.stars.detection import Detections, detect
 from opnav_workbench.stars.effective_psf import ExpectedPlaces
@@ -99,4 +102,5 @@ __all__ = [
     "identify_sky",
     "shape_from_stars",
     "strange_images",
+    "with_companions",
 ]

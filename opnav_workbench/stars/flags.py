@@ -32,6 +32,7 @@ class StarFlag(IntFlag):
     NOT_FINITE = 256
     HIT = 512
     FLANKS = 1024
+    PAIR = 2048
 
 
 _MEANING = {
@@ -46,6 +47,7 @@ _MEANING = {
     StarFlag.NOT_FINITE: "no center: too few usable pixels",
     StarFlag.HIT: "pixels with light that is not the star's (a cosmic ray, an unlisted neighbor) were left out",
     StarFlag.FLANKS: "measured by the flanks and wings of its image: the core is saturated",
+    StarFlag.PAIR: "its image may be that of two stars, one in no catalog: the covariance holds both",
 }
 
 

@@ -23,7 +23,7 @@ from opnav_workbench.stars.peaks import refine_peaks
 from opnav_workbench.stars.results import NoiseModel
 from opnav_workbench.stars.star_model import PER_STAR, StarModel, StarProfile
 
-__all__ = ["FitSettings", "FittedStars", "fit_groups"]
+__all__ = ["FitSettings", "FittedStars", "best_starts", "fit_groups"]
 
 
 # ---- First guess of a fit: where in their search area stars of the expected shape are most significant.
@@ -237,9 +237,11 @@ class FittedStars:
 
 
 def fit_groups(
-    pixels: Pixels, start: FloatArray, profile: StarProfile, settings: FitSettings
+    pixels: Pixels, start: FloatArray, profile: StarProfile, settings: FitSettings, *, searched: bool = True
 ) -> tuple[FittedStars, IntArray]:
     """Fit groups of stars that start at (g, k, 2), each group with one background and one shape.
+
+    Without `searched` the fit begins right there, and not where stars are most significant around.
 
     Returns
     -------
@@ -248,7 +250,7 @@ def fit_groups(
     hits : (h, 3) array of int
         Pixels that no star explains: group, line, pixel.
     """
-    guess = _fit_starts(pixels, start, profile, settings)
+    guess = _fit_starts(pixels, start, profile, settings) if searched else start
     k = start.shape[1]
     corners = box_corners(pixels, guess.reshape(-1, 2), settings.size).reshape(-1, k, 2)
     boxes = _group_boxes(pixels, corners, settings.size)
@@ -279,6 +281,18 @@ def _fit_starts(pixels: Pixels, start: FloatArray, profile: StarProfile, setting
     size = settings.size + 2 * int(np.ceil(reach))
     boxes = _group_boxes(pixels, box_corners(pixels, places, size).reshape(g, k, 2), size)
     return best_shift(StarModel.of(boxes, None, profile, "level", k), start, alone, reach)
+
+
+def best_starts(
+    pixels: Pixels, starts: FloatArray, profile: StarProfile, settings: FitSettings, most: int
+) -> FloatArray:
+    """Return those of groups of stars (g, k, 2) that explain most where they are, fluxes and level free; (most, k, 2)."""
+    corners = box_corners(pixels, starts.reshape(-1, 2), settings.size).reshape(*starts.shape)
+    model = StarModel.of(
+        _group_boxes(pixels, corners, settings.size), None, profile, "level", starts.shape[1]
+    )
+    cost = _shift_cost(model, starts, np.zeros((len(starts), 2)), np.inf)
+    return starts[np.argsort(cost, kind="stable")[:most]]
 
 
 def _group_boxes(pixels: Pixels, corners: IntArray, size: int) -> Boxes:

@@ -192,7 +192,15 @@ CONDITIONS = (
 )  # fmt: skip
 WHOLE_SKY = ("none", "wrong", "turned", "mirrored")  # whose catalog is that of the whole sky
 WIDE = ("plain", "none", "wrong", "mirrored", "turned")  # of which the widest camera has pictures, too
-N_STARS = {"few": (1, 4), "lone": (2, 30), "pairs": (2, 60), "crowded": (20, 400), "none": (8, 400), "turned": (8, 400), "mirrored": (8, 400)}
+N_STARS = {
+    "few": (1, 4),
+    "lone": (2, 30),
+    "pairs": (2, 60),
+    "crowded": (20, 400),
+    "none": (8, 400),
+    "turned": (8, 400),
+    "mirrored": (8, 400),
+}
 
 
 @dataclass
@@ -293,7 +301,9 @@ def light_of(rng, kind, condition, field, sigma):
         count, angle = int(paired.sum()), rng.uniform(0.0, 2.0 * np.pi, int(paired.sum()))
         apart = rng.uniform(0.5, 5.0, count) * np.hypot(sigma, 0.29)
         offset = apart[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        stars_on(picture, psf, field.places[paired] + offset, field.flux[paired] * rng.uniform(0.2, 1.0, count))
+        stars_on(
+            picture, psf, field.places[paired] + offset, field.flux[paired] * rng.uniform(0.2, 1.0, count)
+        )
     # Faint stars that no catalog knows: as many as a sky has that doubles with each magnitude.
     faint = rng.poisson(135.0 * np.degrees(kind.size / kind.focal_px) ** 2)
     faint_mag = FAINT_FROM + np.log2(1.0 + rng.uniform(0, 7, faint))
