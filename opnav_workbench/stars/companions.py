@@ -147,7 +147,7 @@ def _suspect(centers: StarCenters, row: int, shape: ShapePrior) -> bool:
         return True
     variance = sigma[used] ** 2 + _tolerated(model - centers.background_dn[row])[used]
     chi2 = float(np.sum((data - model)[used] ** 2 / variance))
-    return chi2 - np.count_nonzero(used) > SUSPECT_SIGMAS * np.sqrt(2.0 * np.count_nonzero(used))
+    return bool(chi2 - np.count_nonzero(used) > SUSPECT_SIGMAS * np.sqrt(2.0 * np.count_nonzero(used)))
 
 
 def _tolerated(light: FloatArray) -> FloatArray:
