@@ -81,8 +81,12 @@ def camera_of_kernels(
         return _with_pointing(found[0])
     if not found:
         raise CameraError(f"no camera in these kernels: {'; '.join(refused[:3]) or 'no instrument'}")
-    named = ", ".join(f"{camera.instrument_id} ({camera.name})" for camera in found[:SHOWN])
-    raise CameraError(f"{len(found)} cameras in these kernels: {named}; choose one (--instrument).")
+    named = ", ".join(f"{c.instrument_id} ({c.name}, {c.focal_length_mm:g} mm)" for c in found[:SHOWN])
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    raise CameraError(
+        f"{len(found)} cameras in these kernels: {named}{more}; choose one by its number,"
+        f" --instrument {found[0].instrument_id} (filters and modes of a camera have numbers of their own)."
+    )
 
 
 def _is_wanted(wanted: str, number: int, values: Any) -> bool:

@@ -8,9 +8,11 @@ import pytest
 import spiceypy
 
 from opnav_workbench.camera import Camera
+from opnav_workbench.camera.support_data import read_support_data
 from opnav_workbench.geometry import pointing_angles
 from opnav_workbench.image import KeywordMap, read_image
-from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc, instrument_values
+from opnav_workbench.image.pds_label import parse_pds_label
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc, instrument_values, state
 from opnav_workbench.mission import load_mission
 from opnav_workbench.scene import geometry_report
 
@@ -143,3 +145,56 @@ def test_lorri_boresight_at_io_equals_the_header(data_dir):
     assert np.degrees(ra) == pytest.approx(float(header["SPCBRRA"]), abs=1e-6)
     assert np.degrees(dec) == pytest.approx(float(header["SPCBRDEC"]), abs=1e-6)
     assert np.degrees(twist) == pytest.approx(float(header["SPCPAYIN"]), abs=1e-6)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Which kernels ISIS attached to a picture's label, as ALE's file of it states camera, attitude and place."""
+
+    picture: str
+    isd: str
+    camera: tuple[str, str]
+    observer_is_target: bool = (
+        False  # SWAP_OBSERVER_TARGET of the label: light time is counted at the spacecraft
+    )
+    apart_km: float = 1e-9
+
+
+STATED = (
+    Stated("LORRI at Io", "nhlorri_isd", ("new_horizons", "lorri_1x1"), apart_km=1e-3),  # of 2.4 million
+    Stated("MapCam at Bennu", "osirisrex_isd", ("osiris_rex", "mapcam"), True, apart_km=1e-6),
+    Stated("Cassini at Enceladus", "cassiniiss_isd", ("cassini", "iss_nac")),
+    Stated("Dawn at Ceres", "dawnfc_isd", ("dawn", "fc2")),
+)
+
+
+@pytest.mark.parametrize("stated", STATED, ids=lambda stated: stated.picture)
+def test_attitude_and_place_are_those_that_isis_attached_to_the_label(stated, data_dir):
+    """Missions' files and kernels against another program's answer for the same picture."""
+    picture = PICTURES[stated.picture]
+    theirs = read_support_data(data_dir / f"spice/instruments/isds/{stated.isd}.json")
+    camera = _camera(stated.camera)
+    with KernelSet(_kernels(data_dir, picture.generic, picture.folder)):
+        ours = camera_attitude(camera.frame, theirs.et)
+        if stated.observer_is_target:
+            place = -state(picture.target, theirs.et, picture.spacecraft, correction="LT+S").position_km
+        else:
+            place = state(picture.spacecraft, theirs.et, picture.target, correction="LT+S").position_km
+    across = np.cross(camera.boresight @ ours, theirs.camera.boresight @ theirs.camera_from_j2000)
+    assert np.linalg.norm(across) < 1e-9  # LORRI's frame in ISIS looks the other way along its axis
+    assert np.linalg.norm(place - theirs.position_km) < stated.apart_km
+
+
+def test_dawn_points_as_its_label_says(data_dir):
+    """The archive's label of the raw picture, written by the camera's team: three decimals of a degree."""
+    picture = PICTURES["Dawn at Ceres"]
+    (path,) = (data_dir / "spice/slices" / picture.folder).glob("*_pds3.lbl")
+    label = parse_pds_label(path.read_bytes()).values
+    camera = _camera(("dawn", "fc2"))
+    with KernelSet(_kernels(data_dir, picture.generic, picture.folder)):
+        middle = et_from_utc(str(label["START_TIME"])) + 0.5 * float(label["EXPOSURE_DURATION"]) / 1000.0
+        angles = pointing_angles(camera_attitude(camera.frame, middle), camera.focal_from_camera)
+    ra, dec, twist = np.degrees(angles)
+    assert ra == pytest.approx(label["RIGHT_ASCENSION"], abs=2e-3)
+    assert dec == pytest.approx(label["DECLINATION"], abs=2e-3)
+    assert -twist % 360.0 == pytest.approx(label["TWIST_ANGLE"], abs=2e-3)  # it counts the other way
