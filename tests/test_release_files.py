@@ -81,3 +81,10 @@ def test_notebooks_tell_before_they_compute(path):
         lines = "".join(cell["source"]).splitlines()
         if cell["cell_type"] == "code" and "parameters" not in cell["metadata"].get("tags", ()):
             assert len(lines) <= 25 or cell["metadata"].get("jupyter", {}).get("source_hidden"), lines[0]
+
+
+def test_the_first_lesson_names_all():
+    lessons = sorted((ROOT / "notebooks/teaching").glob("*.ipynb"))
+    told = "".join(json.loads(lessons[0].read_text(encoding="utf-8"))["cells"][0]["source"])
+    assert [lesson.name for lesson in lessons if f"({lesson.name})" not in told] == []
+    assert f"\n{len(lessons)}. " in told
