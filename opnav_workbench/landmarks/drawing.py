@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft, ndimage
+from scipy.interpolate import CubicSpline
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.camera import Camera
@@ -30,6 +31,7 @@ from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, Scatterin
 __all__ = ["Templates", "draw_templates"]
 
 CELLS = 2  # a pixel, each way: half a pixel is 0.9 sigma of the narrowest PSF with its pixel
+SLOPE_STEP_PX = 0.55  # at most, between samples whose differences are slopes: a PSF sees detail of a pixel
 STEP_CELLS = 0.8  # between finer samples: bilinear shares then leave no cell empty
 EDGE_PX = 2  # of a window, beside the PSF's reach: what a template may be shifted by
 AT_ONCE = 16  # maplets: their finer samples stay in the cache
@@ -166,6 +168,7 @@ def _margin(psf: Psf) -> int:
 
 
 def _draw(maplets: Maplets, scene: _Scene, size: int) -> tuple[IntArray, FloatArray, BoolArray, FloatArray]:
+    maplets = _smoothly_finer(maplets, _steps_below(maplets, scene, CELLS * SLOPE_STEP_PX))
     where = (scene.model.target, scene.camera, scene.camera_from_j2000, scene.velocity_km_s)
     middle = landmark_places(maplets.place_km, *where)
     first = np.rint(middle).astype(np.int64) - size // 2
@@ -175,7 +178,7 @@ def _draw(maplets: Maplets, scene: _Scene, size: int) -> tuple[IntArray, FloatAr
     cells = CELLS * (size + 2 * margin)
     # Cell k of a window is the place first - margin - 1/2 + (k + 1/2) / CELLS.
     at = CELLS * (places - (first - margin - 0.5)[:, None, None, :]) - 0.5
-    light, area = _thrown(at, radiance, cells, _finer(maplets, scene))
+    light, area = _thrown(at, radiance, cells, _steps_below(maplets, scene, STEP_CELLS))
     known = area > 0.5
     mean = np.where(known[:, None], light / np.where(known, area, 1.0)[:, None], 0.0)
     spread = _through_psf(
@@ -191,12 +194,33 @@ def _draw(maplets: Maplets, scene: _Scene, size: int) -> tuple[IntArray, FloatAr
     return first, middle - first, covered, spline
 
 
-def _finer(maplets: Maplets, scene: _Scene) -> int:
-    """Return by how much samples are divided, so that their steps are below those of the cells."""
+def _steps_below(maplets: Maplets, scene: _Scene, cells: float) -> int:
+    """Return by how much samples are to be divided, so that their steps are below a number of cells."""
     turn = body_axes(scene.model.target)
     to_camera = np.linalg.norm(-turn @ scene.model.target.position_km - maplets.place_km, axis=1)
     step_cells = CELLS * maplets.scale_km / pixel_size_km(scene.camera, to_camera)
-    return max(1, int(np.ceil(float(step_cells.max(initial=0.0)) / STEP_CELLS)))
+    return max(1, int(np.ceil(float(step_cells.max(initial=0.0)) / cells)))
+
+
+def _smoothly_finer(maplets: Maplets, parts: int) -> Maplets:
+    """Return maplets whose samples are divided by cubic splines: slopes between two samples, and not across three."""
+    if parts == 1:
+        return maplets
+    known = np.isfinite(maplets.heights_km)
+    rows = _spline_between(maplets.samples, parts)
+    heights = rows @ np.where(known, maplets.heights_km, 0.0) @ rows.T
+    linear = _linear_rows(maplets.samples, parts)
+    whole = linear @ known.astype(np.float64) @ linear.T > 1.0 - 1e-9
+    albedo = np.maximum(rows @ maplets.albedo @ rows.T, 0.0)
+    return Maplets(
+        maplets.body, maplets.id, maplets.place_km, maplets.axes, maplets.scale_km / parts,
+        np.where(whole, heights, np.nan), albedo, maplets.sigma_km, maplets.source,
+    )  # fmt: skip
+
+
+def _spline_between(m: int, parts: int) -> FloatArray:
+    """Return what interpolates m samples by a cubic spline at (parts (m - 1) + 1) places, (places, m)."""
+    return np.asarray(CubicSpline(np.arange(m), np.eye(m))(np.arange(parts * (m - 1) + 1) / parts))
 
 
 # ---- Light of samples.

@@ -28,7 +28,6 @@ from opnav_workbench.landmarks.matching import (
     fit_patch,
     law_share,
     pooled_autocorrelation,
-    with_covariance,
 )
 from opnav_workbench.landmarks.pose import PosedLandmarks, PoseKnowledge, pose_from_landmarks
 from opnav_workbench.landmarks.prediction import (
@@ -42,6 +41,7 @@ from opnav_workbench.landmarks.prediction import (
     predict_landmarks,
 )
 from opnav_workbench.landmarks.results import LandmarkCenters, LandmarkSolution, LandmarkStatus, PoseSolution
+from opnav_workbench.landmarks.whitening import Whitening, fitted_white, with_covariance
 from opnav_workbench.render import BodyModel
 from opnav_workbench.targets import TargetState
 
@@ -62,6 +62,7 @@ NEAR_COMMON_PX = 4  # of a landmark's peak from where all agree, beside what tur
 SECOND_RADIUS_PX = 3  # from the corrected pose
 # Of unrelated patches of 600 px, whose detail is 2 px wide, the best of 49 shifts correlates with 0.3.
 LEAST_CORRELATION = 0.45
+DIVERGED = "its fit does not converge"
 WORST_SIGMA_PX = 0.5
 REJECT_SIGMAS = 3.5
 # Templates of all landmarks share the PSF, the law and the way they are drawn; tests/landmarks/landmark_exam.py has 0.03 px.
@@ -246,6 +247,12 @@ def _searched(planes: PicturePlanes, templates: Templates, radius: int, *, commo
     if share != templates.share:
         templates = templates.with_share(share)
         fits, peaks, why = _fitted(planes, templates, radius, common=common)
+    if not common:
+        first = fits
+        fits = fitted_white(planes, templates, fits, pooled_autocorrelation([f for f in fits if f is not None]))
+        for row, (before, fit) in enumerate(zip(first, fits, strict=True)):
+            if before is not None and fit is None:
+                why[row] = DIVERGED
     return _Search(templates, tuple(fits), peaks, tuple(why))
 
 
@@ -265,7 +272,7 @@ def _fitted(
             fit = fit_patch(planes, templates, row, np.array([pixel - radius, line - radius]))
         fits.append(fit)
         why.append(
-            "" if fit is not None else "its fit does not converge" if score.max() > 0.0 else "no correlation"
+            "" if fit is not None else DIVERGED if score.max() > 0.0 else "no correlation"
         )
     return fits, np.where(allowed, scores, -1.0).max(axis=(1, 2)), why
 
@@ -287,12 +294,12 @@ def _measured(search: _Search) -> tuple[FloatArray, FloatArray]:
     """Return observed places (n, 2) px and covariances (n, 2, 2); nan where there is none."""
     n = len(search.fits)
     observed, covariance = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
-    rho = pooled_autocorrelation([fit for fit in search.fits if fit is not None])
+    white = Whitening(pooled_autocorrelation([f for f in search.fits if f is not None]), search.templates.size)
     places = search.templates.first + search.templates.offset_px
     for row, fit in enumerate(search.fits):
         if fit is not None:
             observed[row] = places[row] + fit.shift_px
-            covariance[row] = with_covariance(fit, rho)
+            covariance[row] = with_covariance(fit, white)
     return observed, covariance
 
 

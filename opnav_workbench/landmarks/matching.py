@@ -20,10 +20,11 @@ __all__ = [
     "PatchFit",
     "PicturePlanes",
     "correlate",
+    "correlation_of",
     "fit_patch",
     "law_share",
     "pooled_autocorrelation",
-    "with_covariance",
+    "slow_columns",
 ]
 
 LEAST_PIXELS = 60  # of a template that are covered and good
@@ -129,12 +130,12 @@ def fit_patch(planes: PicturePlanes, templates: Templates, row: int, whole: IntA
     if used.sum() < LEAST_PIXELS:
         return None
     sigma = np.sqrt(variance[used])
-    y, x = (grid[used] / templates.size for grid in np.mgrid[: templates.size, : templates.size])
+    slow = (slow_columns(templates.size)[:, used] / sigma).T
     shift, gain = np.zeros(2), 1.0
     measured = data[used] / sigma
     for _ in range(MOST_STEPS):
         template, by_pixel, by_line = (plane[used] / sigma for plane in templates.at(row, shift))
-        nuisance = np.stack([template, 1.0 / sigma, x / sigma, y / sigma], axis=1)
+        nuisance = np.column_stack([template, slow])
         light, *_ = np.linalg.lstsq(nuisance, measured, rcond=None)
         gain = float(light[0])
         residual = measured - nuisance @ light
@@ -157,8 +158,7 @@ def fit_patch(planes: PicturePlanes, templates: Templates, row: int, whole: IntA
     else:
         return None
     model = measured - residual
-    flat, level = model * sigma, data[used]
-    correlation = float(np.corrcoef(flat, level)[0, 1]) if np.ptp(flat) > 0.0 else 0.0
+    correlation = correlation_of(model * sigma, data[used])
     planes_of = [np.zeros(data.shape) for _ in range(4)]
     for plane, values in zip(
         planes_of, (residual, operator[0], operator[1], np.ones(len(sigma))), strict=True
@@ -173,6 +173,17 @@ def fit_patch(planes: PicturePlanes, templates: Templates, row: int, whole: IntA
         np.stack(planes_of[1:3]),
         inverse[:2, :2],
     )
+
+
+def slow_columns(size: int) -> FloatArray:
+    """Return bias and slope of a window (3, size, size)."""
+    y, x = np.mgrid[:size, :size] / size
+    return np.stack([np.ones((size, size)), x, y])
+
+
+def correlation_of(model: FloatArray, data: FloatArray) -> float:
+    """Return the normalized correlation of pixels; 0 of an even model."""
+    return float(np.corrcoef(model, data)[0, 1]) if np.ptp(model) > 0.0 else 0.0
 
 
 def _inverse(matrix: FloatArray) -> FloatArray | None:
@@ -198,9 +209,8 @@ def law_share(planes: PicturePlanes, templates: Templates, fits: Sequence[PatchF
         whole = np.rint(fit.shift_px).astype(np.int64)
         data, variance, _ = planes.window(templates.first[row] + whole, templates.size)
         used = fit.weight > 0.0
-        y, x = (grid[used] / templates.size for grid in np.mgrid[: templates.size, : templates.size])
         rows = np.stack([data[used], *templates.by_law(row, fit.shift_px - whole)[:, used]], axis=1)
-        slow = np.stack([np.ones(len(x)), x, y], axis=1) / np.sqrt(variance[used])[:, None]
+        slow = slow_columns(templates.size)[:, used].T / np.sqrt(variance[used])[:, None]
         rows = rows / np.sqrt(variance[used])[:, None]
         rows -= slow @ np.linalg.lstsq(slow, rows, rcond=None)[0]
         gram = rows.T @ rows
@@ -237,29 +247,3 @@ def _lagged(plane: FloatArray) -> FloatArray:
     spectrum = fft.rfft2(plane, (length, length))
     sums = fft.irfft2(spectrum * np.conj(spectrum), (length, length))
     return np.asarray(np.roll(sums, (LAGS, LAGS), axis=(0, 1))[: 2 * LAGS + 1, : 2 * LAGS + 1])
-
-
-def with_covariance(fit: PatchFit, rho: FloatArray) -> FloatArray:
-    """Return the covariance (2, 2) px^2 of a fit's shift under correlated residuals, at least that of the noise alone."""
-    inside = fit.weight > 0.0
-    freedom = max(int(inside.sum()) - 6, 1)
-    variance = float(np.sum(fit.residual[inside] ** 2)) / freedom
-    length = fft.next_fast_len(fit.weight.shape[0] + 2 * LAGS + 1, real=True)
-    kernel = np.zeros((length, length))
-    kernel[: 2 * LAGS + 1, : 2 * LAGS + 1] = rho
-    spectrum = fft.rfft2(np.roll(kernel, (-LAGS, -LAGS), axis=(0, 1)))
-    size = fit.weight.shape[0]
-    blurred = fft.irfft2(fft.rfft2(fit.operator, (length, length)) * spectrum, (length, length))[
-        :, :size, :size
-    ]
-    by_model = variance * np.einsum("iyx,jyx->ij", fit.operator, blurred)
-    by_model = 0.5 * (by_model + by_model.T)
-    # White residuals of that size bound it from below: an autocorrelation measured on few pixels may dip.
-    white = variance * np.einsum("iyx,jyx->ij", fit.operator, fit.operator)
-    return _larger(_larger(by_model, white), fit.noise_covariance_px2)
-
-
-def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a covariance that is nowhere below either of two."""
-    value, axes = np.linalg.eigh(a - b)
-    return np.asarray(b + (axes * np.maximum(value, 0.0)) @ axes.T)

@@ -1,0 +1,179 @@
+"""Patches fitted under the errors that a drawn surface has: generalized least squares.
+
+What a template lacks (terrain between samples, albedo that no map has, the law) is as wide as the terrain itself, and far
+larger than the picture's noise. Its autocorrelation is measured in the residuals of all patches together. With C made of
+it, and A what shift, gain, bias and slope do,
+
+    step = (X' A)^-1 X' r,   X = C^-1 A
+
+Fine detail, of which such errors have little, then counts for more. Whatever X is, the step is without bias: a few steps
+of conjugate gradients do, and the covariance is that of the operator as it is.
+
+Units  px, DN
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import fft
+
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.landmarks.drawing import Templates
+from opnav_workbench.landmarks.matching import (
+    LAGS,
+    MOST_FIT_SHIFT_PX,
+    STEP_TOLERANCE_PX,
+    PatchFit,
+    PicturePlanes,
+    correlation_of,
+    slow_columns,
+)
+
+__all__ = ["Whitening", "fitted_white", "with_covariance"]
+
+AT_ONCE = 32  # patches: their planes stay in the cache
+GRADIENT_STEPS = 6  # preconditioned by the inverse of the spectrum: what is left are the edges
+MOST_STEPS = 8  # of the fit, about the design of its start
+FLOOR = 0.02  # of the mean of the spectrum: white noise, and what an autocorrelation of few pixels does not know
+
+
+class Whitening:
+    """Errors of unit variance with a stationary autocorrelation, in windows of one size."""
+
+    def __init__(self, rho: FloatArray, size: int) -> None:
+        length = fft.next_fast_len(size + LAGS, real=True)
+        taper = np.hanning(2 * LAGS + 3)[1:-1]
+        kernel = np.zeros((length, length))
+        kernel[: 2 * LAGS + 1, : 2 * LAGS + 1] = rho * np.outer(taper, taper)
+        spectrum = fft.rfft2(np.roll(kernel, (-LAGS, -LAGS), axis=(0, 1))).real
+        self.size, self.length = size, length
+        self.spectrum = np.maximum(spectrum, FLOOR)
+
+    def spread(self, planes: FloatArray) -> FloatArray:
+        """Return C times planes (..., size, size)."""
+        return self._through(planes, self.spectrum)
+
+    def solved(self, planes: FloatArray, used: BoolArray) -> FloatArray:
+        """Return C^-1 times planes (n, k, size, size), of the pixels in use (n, size, size), by conjugate gradients."""
+        mask = used[:, None].astype(np.float64)
+        x = np.zeros_like(planes)
+        left = planes * mask
+        z = mask * self._through(left, 1.0 / self.spectrum)
+        way, square = z, _dot(left, z)
+        for _ in range(GRADIENT_STEPS):
+            spread = mask * self.spread(way)
+            length = square / np.maximum(_dot(way, spread), 1e-300)
+            x += length * way
+            left = left - length * spread
+            z = mask * self._through(left, 1.0 / self.spectrum)
+            before, square = square, _dot(left, z)
+            way = z + square / np.maximum(before, 1e-300) * way
+        return x
+
+    def _through(self, planes: FloatArray, spectrum: FloatArray) -> FloatArray:
+        full = (self.length, self.length)
+        out = fft.irfft2(fft.rfft2(planes, full) * spectrum, full)
+        return np.asarray(out[..., : self.size, : self.size])
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("nkyx,nkyx->nk", a, b)[..., None, None])
+
+
+def fitted_white(
+    planes: PicturePlanes, templates: Templates, fits: Sequence[PatchFit | None], rho: FloatArray
+) -> list[PatchFit | None]:
+    """Return the fits of patches again, under errors of an autocorrelation; None where that leads away.
+
+    Parameters
+    ----------
+    fits
+        By row of the templates: where each begins.
+    """
+    white = Whitening(rho, templates.size)
+    rows = [row for row, fit in enumerate(fits) if fit is not None]
+    out: list[PatchFit | None] = [None] * len(fits)
+    for begin in range(0, len(rows), AT_ONCE):
+        part = rows[begin : begin + AT_ONCE]
+        patches = [_Patch(planes, templates, row, fits[row]) for row in part]  # type: ignore[arg-type]
+        designs = np.array([patch.design() for patch in patches])
+        weighed = white.solved(designs, np.array([patch.used for patch in patches]))
+        for row, patch, design, by_weight in zip(part, patches, designs, weighed, strict=True):
+            out[row] = patch.fitted(design, by_weight)
+    return out
+
+
+class _Patch:
+    """A patch with the scatter of its first fit as the size of its errors, beside the picture's noise."""
+
+    def __init__(self, planes: PicturePlanes, templates: Templates, row: int, first: PatchFit) -> None:
+        self.templates, self.row = templates, row
+        self.whole = np.rint(first.shift_px).astype(np.int64)
+        self.shift = first.shift_px - self.whole
+        data, self.variance, good = planes.window(templates.first[row] + self.whole, templates.size)
+        self.used = good & templates.covered[row]
+        inside = first.weight > 0.0
+        noise = self.variance[self.used]
+        scatter = float(np.mean(first.residual[inside] ** 2)) * float(noise.mean())
+        self.sigma = np.sqrt(self.variance + max(scatter - float(noise.mean()), 0.0))
+        self.data = np.where(self.used, data / self.sigma, 0.0)
+        self.gain = first.gain
+        self.slow = slow_columns(templates.size) / self.sigma
+
+    def design(self) -> FloatArray:
+        """Return what shift, gain, bias and slope do (6, size, size), at the first fit."""
+        template, by_pixel, by_line = self.templates.at(self.row, self.shift)
+        columns = np.stack([self.gain * by_pixel, self.gain * by_line, template]) / self.sigma
+        return np.where(self.used, np.concatenate([columns, self.slow]), 0.0)
+
+    def fitted(self, design: FloatArray, by_weight: FloatArray) -> PatchFit | None:
+        """Return the fit with the operator of the first design."""
+        flat, weights = design.reshape(len(design), -1), by_weight.reshape(len(design), -1)
+        try:
+            operator = np.linalg.solve(weights @ flat.T, weights)
+        except np.linalg.LinAlgError:
+            return None
+        shift, light = self.shift.copy(), np.zeros(4)
+        for _ in range(MOST_STEPS):
+            template = self.templates.at(self.row, shift)[0] / self.sigma
+            model = np.concatenate([template[None], self.slow]) * self.used
+            residual = self.data - np.tensordot(light, model, axes=1)
+            step = operator @ residual.ravel()
+            shift, light = shift + np.clip(step[:2], -0.5, 0.5), light + step[2:]
+            if np.abs(shift).max() > MOST_FIT_SHIFT_PX:
+                return None
+            if np.abs(step[:2]).max() < STEP_TOLERANCE_PX:
+                break
+        else:
+            return None
+        return self._result(shift, light, operator[:2])
+
+    def _result(self, shift: FloatArray, light: FloatArray, operator: FloatArray) -> PatchFit:
+        template = self.templates.at(self.row, shift)[0] / self.sigma
+        model = np.tensordot(light, np.concatenate([template[None], self.slow]), axes=1)
+        residual = np.where(self.used, self.data - model, 0.0)
+        by_noise = operator * (np.where(self.used, self.variance, 0.0) / self.sigma**2).ravel()
+        inside = self.used
+        return PatchFit(
+            shift + self.whole,
+            float(light[0]),
+            correlation_of((model * self.sigma)[inside], (self.data * self.sigma)[inside]),
+            residual,
+            inside.astype(np.float64),
+            operator.reshape(2, *self.used.shape),
+            by_noise @ operator.T,
+        )
+
+
+def with_covariance(fit: PatchFit, white: Whitening) -> FloatArray:
+    """Return the covariance (2, 2) px^2 of a fit's shift under correlated residuals, at least that of the noise alone."""
+    freedom = max(int((fit.weight > 0.0).sum()) - 6, 1)
+    variance = float(np.sum(fit.residual**2)) / freedom
+    by_model = variance * np.einsum("iyx,jyx->ij", fit.operator, white.spread(fit.operator))
+    return _larger(0.5 * (by_model + by_model.T), fit.noise_covariance_px2)
+
+
+def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a covariance that is nowhere below either of two."""
+    value, axes = np.linalg.eigh(a - b)
+    return np.asarray(b + (axes * np.maximum(value, 0.0)) @ axes.T)
