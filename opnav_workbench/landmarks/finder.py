@@ -27,7 +27,6 @@ from opnav_workbench.landmarks.matching import (
     correlate,
     fit_patch,
     law_share,
-    pooled_autocorrelation,
 )
 from opnav_workbench.landmarks.pose import PosedLandmarks, PoseKnowledge, pose_from_landmarks
 from opnav_workbench.landmarks.prediction import (
@@ -41,7 +40,7 @@ from opnav_workbench.landmarks.prediction import (
     predict_landmarks,
 )
 from opnav_workbench.landmarks.results import LandmarkCenters, LandmarkSolution, LandmarkStatus, PoseSolution
-from opnav_workbench.landmarks.whitening import Whitening, fitted_white, with_covariance
+from opnav_workbench.landmarks.whitening import fitted_white, shift_covariances
 from opnav_workbench.render import BodyModel
 from opnav_workbench.targets import TargetState
 
@@ -249,7 +248,7 @@ def _searched(planes: PicturePlanes, templates: Templates, radius: int, *, commo
         fits, peaks, why = _fitted(planes, templates, radius, common=common)
     if not common:
         first = fits
-        fits = fitted_white(planes, templates, fits, pooled_autocorrelation([f for f in fits if f is not None]))
+        fits = fitted_white(planes, templates, fits)
         for row, (before, fit) in enumerate(zip(first, fits, strict=True)):
             if before is not None and fit is None:
                 why[row] = DIVERGED
@@ -271,9 +270,7 @@ def _fitted(
         if score[line, pixel] > 0.0:
             fit = fit_patch(planes, templates, row, np.array([pixel - radius, line - radius]))
         fits.append(fit)
-        why.append(
-            "" if fit is not None else DIVERGED if score.max() > 0.0 else "no correlation"
-        )
+        why.append("" if fit is not None else DIVERGED if score.max() > 0.0 else "no correlation")
     return fits, np.where(allowed, scores, -1.0).max(axis=(1, 2)), why
 
 
@@ -292,15 +289,12 @@ def _near_common_peak(scores: FloatArray, radius: int) -> np.ndarray:
 
 def _measured(search: _Search) -> tuple[FloatArray, FloatArray]:
     """Return observed places (n, 2) px and covariances (n, 2, 2); nan where there is none."""
-    n = len(search.fits)
-    observed, covariance = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
-    white = Whitening(pooled_autocorrelation([f for f in search.fits if f is not None]), search.templates.size)
+    observed = np.full((len(search.fits), 2), np.nan)
     places = search.templates.first + search.templates.offset_px
     for row, fit in enumerate(search.fits):
         if fit is not None:
             observed[row] = places[row] + fit.shift_px
-            covariance[row] = with_covariance(fit, white)
-    return observed, covariance
+    return observed, shift_covariances(search.fits)
 
 
 def _corrected(

@@ -15,7 +15,7 @@ Units  px, DN
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.landmarks.drawing import Templates
@@ -26,15 +26,21 @@ from opnav_workbench.landmarks.matching import (
     PatchFit,
     PicturePlanes,
     correlation_of,
+    pooled_autocorrelation,
     slow_columns,
 )
 
-__all__ = ["Whitening", "fitted_white", "with_covariance"]
+__all__ = ["fitted_white", "shift_covariances"]
 
+GROUP = 40  # patches that share an autocorrelation: of 40,000 pixels
 AT_ONCE = 32  # patches: their planes stay in the cache
 GRADIENT_STEPS = 6  # preconditioned by the inverse of the spectrum: what is left are the edges
 MOST_STEPS = 8  # of the fit, about the design of its start
-FLOOR = 0.02  # of the mean of the spectrum: white noise, and what an autocorrelation of few pixels does not know
+SURROUNDINGS_PX, LEAST_NEAR = 2.0, 0.05
+AROUND = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # px
+FLOOR = (
+    0.02  # of the mean of the spectrum: white noise, and what an autocorrelation of few pixels does not know
+)
 
 
 class Whitening:
@@ -48,6 +54,12 @@ class Whitening:
         spectrum = fft.rfft2(np.roll(kernel, (-LAGS, -LAGS), axis=(0, 1))).real
         self.size, self.length = size, length
         self.spectrum = np.maximum(spectrum, FLOOR)
+
+    @classmethod
+    def of(cls, fits: Sequence[PatchFit | None]) -> "Whitening":
+        """Return that of the residuals of some fits."""
+        measured = [fit for fit in fits if fit is not None]
+        return cls(pooled_autocorrelation(measured), len(measured[0].residual))
 
     def spread(self, planes: FloatArray) -> FloatArray:
         """Return C times planes (..., size, size)."""
@@ -80,26 +92,59 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("nkyx,nkyx->nk", a, b)[..., None, None])
 
 
+def by_grain(fits: Sequence[PatchFit | None]) -> list[list[int]]:
+    """Return rows of fits in groups of about `GROUP`, by how much neighboring residuals are alike.
+
+    Patches seen obliquely, coarse or noisy have a finer grain than others: one autocorrelation for all would state too
+    much for these and too little for those.
+    """
+    rows = [row for row, fit in enumerate(fits) if fit is not None]
+    alike = [_neighbors_alike(fit) for fit in fits if fit is not None]
+    order = [rows[k] for k in np.argsort(alike, kind="stable")]
+    count = max(1, len(rows) // GROUP)
+    return [part.tolist() for part in np.array_split(np.array(order, dtype=np.int64), count) if len(part)]
+
+
+def _neighbors_alike(fit: PatchFit) -> float:
+    plane, inside = fit.residual, fit.weight > 0.0
+    products = (plane[:, 1:] * plane[:, :-1]).sum() + (plane[1:] * plane[:-1]).sum()
+    count = (inside[:, 1:] & inside[:, :-1]).sum() + (inside[1:] & inside[:-1]).sum()
+    square = float(np.mean(plane[inside] ** 2))
+    return float(products / max(count, 1)) / square if square > 0.0 else 0.0
+
+
+def _beyond_noise(fit: PatchFit, variance: FloatArray) -> FloatArray:
+    """Return the variance (size, size) of residuals beyond the noise: half of the patch, half of their surroundings.
+
+    Edges of shadows lie elsewhere on the true terrain, and are far worse than what lies between them.
+    """
+    inside = fit.weight > 0.0
+    square = fit.residual**2 * variance
+    near = ndimage.gaussian_filter(square, SURROUNDINGS_PX)
+    near /= np.maximum(ndimage.gaussian_filter(fit.weight, SURROUNDINGS_PX), LEAST_NEAR)
+    return np.asarray(np.maximum(0.5 * (float(square[inside].mean()) + near) - variance, 0.0))
+
+
 def fitted_white(
-    planes: PicturePlanes, templates: Templates, fits: Sequence[PatchFit | None], rho: FloatArray
+    planes: PicturePlanes, templates: Templates, fits: Sequence[PatchFit | None]
 ) -> list[PatchFit | None]:
-    """Return the fits of patches again, under errors of an autocorrelation; None where that leads away.
+    """Return the fits of patches again, under errors as their residuals have them; None where that leads away.
 
     Parameters
     ----------
     fits
         By row of the templates: where each begins.
     """
-    white = Whitening(rho, templates.size)
-    rows = [row for row, fit in enumerate(fits) if fit is not None]
     out: list[PatchFit | None] = [None] * len(fits)
-    for begin in range(0, len(rows), AT_ONCE):
-        part = rows[begin : begin + AT_ONCE]
-        patches = [_Patch(planes, templates, row, fits[row]) for row in part]  # type: ignore[arg-type]
-        designs = np.array([patch.design() for patch in patches])
-        weighed = white.solved(designs, np.array([patch.used for patch in patches]))
-        for row, patch, design, by_weight in zip(part, patches, designs, weighed, strict=True):
-            out[row] = patch.fitted(design, by_weight)
+    for group in by_grain(fits):
+        white = Whitening.of([fits[row] for row in group])
+        for begin in range(0, len(group), AT_ONCE):
+            part = group[begin : begin + AT_ONCE]
+            patches = [_Patch(planes, templates, row, fits[row]) for row in part]  # type: ignore[arg-type]
+            designs = np.array([patch.design() for patch in patches])
+            weighed = white.solved(designs, np.array([patch.used for patch in patches]))
+            for row, patch, design, by_weight in zip(part, patches, designs, weighed, strict=True):
+                out[row] = patch.fitted(design, by_weight)
     return out
 
 
@@ -112,46 +157,51 @@ class _Patch:
         self.shift = first.shift_px - self.whole
         data, self.variance, good = planes.window(templates.first[row] + self.whole, templates.size)
         self.used = good & templates.covered[row]
-        inside = first.weight > 0.0
-        noise = self.variance[self.used]
-        scatter = float(np.mean(first.residual[inside] ** 2)) * float(noise.mean())
-        self.sigma = np.sqrt(self.variance + max(scatter - float(noise.mean()), 0.0))
+        self.sigma = np.sqrt(self.variance + _beyond_noise(first, self.variance))
         self.data = np.where(self.used, data / self.sigma, 0.0)
         self.gain = first.gain
         self.slow = slow_columns(templates.size) / self.sigma
 
+    def light(self, shift: FloatArray) -> FloatArray:
+        """Return what gain, bias and slope do (4, size, size)."""
+        template = self.templates.at(self.row, shift)[0] / self.sigma
+        return np.concatenate([template[None], self.slow])
+
     def design(self) -> FloatArray:
-        """Return what shift, gain, bias and slope do (6, size, size), at the first fit."""
+        """Return what shift, light and a wider PSF do (7, size, size), at the first fit."""
         template, by_pixel, by_line = self.templates.at(self.row, self.shift)
-        columns = np.stack([self.gain * by_pixel, self.gain * by_line, template]) / self.sigma
-        return np.where(self.used, np.concatenate([columns, self.slow]), 0.0)
+        around = sum(self.templates.at(self.row, self.shift + step)[0] for step in AROUND)
+        moved = np.stack([self.gain * by_pixel, self.gain * by_line]) / self.sigma
+        wider = (around - len(AROUND) * template) / self.sigma
+        return np.where(self.used, np.concatenate([moved, self.light(self.shift), wider[None]]), 0.0)
 
     def fitted(self, design: FloatArray, by_weight: FloatArray) -> PatchFit | None:
         """Return the fit with the operator of the first design."""
         flat, weights = design.reshape(len(design), -1), by_weight.reshape(len(design), -1)
+        normal = weights @ flat.T
         try:
-            operator = np.linalg.solve(weights @ flat.T, weights)
+            operator: FloatArray = np.linalg.solve(normal[:-1, :-1], weights[:-1])
+            width: FloatArray = np.linalg.solve(normal, weights)[-1].reshape(design.shape[1:])
         except np.linalg.LinAlgError:
             return None
-        shift, light = self.shift.copy(), np.zeros(4)
+        shift, light = self.shift.copy(), np.zeros(len(self.slow) + 1)
         for _ in range(MOST_STEPS):
-            template = self.templates.at(self.row, shift)[0] / self.sigma
-            model = np.concatenate([template[None], self.slow]) * self.used
-            residual = self.data - np.tensordot(light, model, axes=1)
+            residual = self.data - np.tensordot(light, self.light(shift) * self.used, axes=1)
             step = operator @ residual.ravel()
             shift, light = shift + np.clip(step[:2], -0.5, 0.5), light + step[2:]
             if np.abs(shift).max() > MOST_FIT_SHIFT_PX:
                 return None
             if np.abs(step[:2]).max() < STEP_TOLERANCE_PX:
-                break
-        else:
-            return None
-        return self._result(shift, light, operator[:2])
+                return self._result(shift, light, operator[:2], width, design[-1])
+        return None
 
-    def _result(self, shift: FloatArray, light: FloatArray, operator: FloatArray) -> PatchFit:
-        template = self.templates.at(self.row, shift)[0] / self.sigma
-        model = np.tensordot(light, np.concatenate([template[None], self.slow]), axes=1)
+    def _result(
+        self, shift: FloatArray, light: FloatArray, operator: FloatArray, width: FloatArray, wider: FloatArray
+    ) -> PatchFit:
+        model = np.tensordot(light, self.light(shift), axes=1)
         residual = np.where(self.used, self.data - model, 0.0)
+        # Detail that is too soft or too sharp everywhere moves nothing, so it is no error of the shift.
+        residual = residual - float(np.sum(width * residual)) * wider
         by_noise = operator * (np.where(self.used, self.variance, 0.0) / self.sigma**2).ravel()
         inside = self.used
         return PatchFit(
@@ -160,17 +210,24 @@ class _Patch:
             correlation_of((model * self.sigma)[inside], (self.data * self.sigma)[inside]),
             residual,
             inside.astype(np.float64),
-            operator.reshape(2, *self.used.shape),
+            operator.reshape(2, *inside.shape),
             by_noise @ operator.T,
         )
 
 
-def with_covariance(fit: PatchFit, white: Whitening) -> FloatArray:
-    """Return the covariance (2, 2) px^2 of a fit's shift under correlated residuals, at least that of the noise alone."""
-    freedom = max(int((fit.weight > 0.0).sum()) - 6, 1)
-    variance = float(np.sum(fit.residual**2)) / freedom
-    by_model = variance * np.einsum("iyx,jyx->ij", fit.operator, white.spread(fit.operator))
-    return _larger(0.5 * (by_model + by_model.T), fit.noise_covariance_px2)
+def shift_covariances(fits: Sequence[PatchFit | None]) -> FloatArray:
+    """Return covariances (n, 2, 2) px^2 of shifts under correlated residuals, at least by the noise; nan without a fit."""
+    out = np.full((len(fits), 2, 2), np.nan)
+    for group in by_grain(fits):
+        white = Whitening.of([fits[row] for row in group])
+        for row in group:
+            fit = fits[row]
+            assert fit is not None
+            freedom = max(int((fit.weight > 0.0).sum()) - 6, 1)
+            variance = float(np.sum(fit.residual**2)) / freedom
+            by_model = variance * np.einsum("iyx,jyx->ij", fit.operator, white.spread(fit.operator))
+            out[row] = _larger(0.5 * (by_model + by_model.T), fit.noise_covariance_px2)
+    return out
 
 
 def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
