@@ -12,7 +12,9 @@ for measured points of any origin.
 ``drawing``
     Maplets drawn as the picture would see them.
 ``matching``
-    Correlation and fit of a patch; what its residuals say of its error.
+    Correlation and first fit of a patch; what its residuals have in common.
+``whitening``
+    The fit again, under the correlated errors that a drawn surface has, and its covariance.
 ``results``
     Centers, statuses and poses.
 ``pose``

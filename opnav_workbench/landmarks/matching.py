@@ -1,8 +1,7 @@
 """A template against the picture: the correlation's peak, then shift, gain and bias by least squares.
 
 What a rendered patch lacks (the terrain between samples, albedo, the law) is no white noise: it is of the patch's own size.
-Its autocorrelation is measured in the residuals of all patches together, and the covariance of a shift is that of a linear
-estimator under it, C = W R W' with R the residuals' covariance: never below the bound that noise alone sets.
+Its autocorrelation is measured in the residuals of patches together; see `opnav_workbench.landmarks.whitening`.
 
 Units  px, DN
 """

@@ -180,8 +180,10 @@ class _Patch:
         flat, weights = design.reshape(len(design), -1), by_weight.reshape(len(design), -1)
         normal = weights @ flat.T
         try:
-            operator: FloatArray = np.linalg.solve(normal[:-1, :-1], weights[:-1])
-            width: FloatArray = np.linalg.solve(normal, weights)[-1].reshape(design.shape[1:])
+            operator = np.asarray(np.linalg.solve(normal[:-1, :-1], weights[:-1]), dtype=np.float64)
+            width = np.asarray(np.linalg.solve(normal, weights)[-1], dtype=np.float64).reshape(
+                design.shape[1:]
+            )
         except np.linalg.LinAlgError:
             return None
         shift, light = self.shift.copy(), np.zeros(len(self.slow) + 1)
