@@ -31,6 +31,8 @@ is said and done in ``processing``.
     papermill's engine for such a copy: cells executed in the process itself.
 ``night_summary``
     The morning's summary, page and queue.
+``night_trends``
+    The trends on the morning's page.
 ``notebook_run``
     The program that executes one notebook; it imports nothing of this package.
 ``worker_check``

@@ -298,6 +298,8 @@ class Night:
         What else somebody must know.
     begun
         Whether the folder was this night's: no other one ran there.
+    archive
+        The file that its pictures went into.
     """
 
     plan: NightPlan
@@ -307,6 +309,7 @@ class Night:
     outlived: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     begun: bool = False
+    archive: Path | None = None
 
 
 def run_night(
@@ -337,7 +340,7 @@ def run_night(
     """
     plan = night.plan
     with _night_lock(plan.out), NightArchive(plan.out, archive, night.notes.append) as taken:
-        night.begun = True
+        night.begun, night.archive = True, taken.path
         begun()
         night.notes.extend(tidy_attic(plan.out))
         for picture in plan.pictures:

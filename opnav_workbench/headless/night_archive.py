@@ -37,6 +37,11 @@ class NightArchive:
             self._path /= ARCHIVE_FILE
         self._campaign = self._opened()
 
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._path
+
     def _opened(self) -> Campaign:
         try:
             return Campaign(self._path)

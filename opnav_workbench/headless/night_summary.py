@@ -10,6 +10,7 @@ from opnav_workbench import report
 from opnav_workbench.campaign.run_folder import attention_reasons
 from opnav_workbench.files import inside, json_value, text_of, write_json, write_text
 from opnav_workbench.headless.night import Night, NightPicture
+from opnav_workbench.headless.night_trends import write_night_trends
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
 from opnav_workbench.headless.records import NightRecord, read_record
 from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, write_queue
@@ -34,14 +35,15 @@ NOT_PROCESSED = "not processed yet; run the same command again"
 
 
 def write_night_summary(night: Night) -> dict[str, Any]:
-    """Write ``summary.json``, ``summary.html`` and ``queue.json`` of a night's folder, and return the summary.
+    """Write ``summary.json``, ``summary.html``, ``trends.png`` and ``queue.json`` of a night's folder; return the summary.
 
     Raises
     ------
     SessionError
         The folder cannot be written.
     """
-    summary, out, spec = night_summary_dict(night), night.plan.out, night.plan.spec
+    out, spec = night.plan.out, night.plan.spec
+    summary = night_summary_dict(night) | {"trends": write_night_trends(night.archive, out)}
     write_json(out / SUMMARY_FILE, summary)
     pages = report.night_pages(summary, out)
     for name, page in pages.items():

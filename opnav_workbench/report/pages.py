@@ -72,6 +72,7 @@ FIGURE_FILE = "summary.png"
 FIRST_PAGE = "summary.html"
 ROWS_A_PAGE = 500  # a megabyte; a browser shows it at once
 MOST_INSIDE = 200  # small pictures that stand in the page itself; of more they come from their folders when they are seen
+OUTLIERS_SHOWN = 50
 NAMES_SHOWN = 1000  # of the pictures of one cause
 STATUS_MARKS = {"ok": "✓", "partial": "!", "failed": "✕", "waiting": "…"}
 STATE_WORDS = {
@@ -157,6 +158,10 @@ def night_pages(summary: Mapping[str, Any], out: Path) -> dict[str, str]:
             causes=causes if name == FIRST_PAGE else (),
             cause_numbers=numbers,
             n_names=NAMES_SHOWN,
+            n_outliers=OUTLIERS_SHOWN,
+            names={Path(row.get("path", row["name"])).name: row["name"] for row in rows}
+            if name == FIRST_PAGE
+            else {},
             where=where,
             page=name,
             pages=names,

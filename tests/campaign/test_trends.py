@@ -5,6 +5,7 @@ import pytest
 
 from opnav_workbench.campaign import Campaign, completeness, screen, trends
 from opnav_workbench.errors import SessionError
+from opnav_workbench.headless.night_trends import write_night_trends
 
 
 @pytest.mark.slow(keep=["False-8-0.0"])
@@ -105,3 +106,23 @@ def test_trends_of_an_archive(make_run, tmp_path):
     assert np.isfinite(found.detections.half_mag)
     assert [len(series) for series in found.pointing] == [12] * 3
     assert (len(early.bodies), len(early.residual)) == (1, 4)
+
+
+def test_a_night_draws_its_trends_and_names_what_is_off(tmp_path, make_run):
+    def moved(result, _session):
+        result["pointing"]["delta_line"] = 90.0
+
+    archive = tmp_path / "campaign.sqlite"
+    with Campaign(archive) as campaign:
+        for number in range(12):
+            edit = {"edit": moved} if number == 7 else {}
+            campaign.ingest_run(make_run(tmp_path / f"pic_{number:03d}", number, **edit))
+    told = write_night_trends(archive, tmp_path)
+    assert (tmp_path / told["figure"]).read_bytes().startswith(b"\x89PNG")
+    assert [(row["image"], row["series"]) for row in told["outliers"]] == [
+        ("pic_007.fit", "pointing error, line")
+    ]
+    none = write_night_trends(tmp_path / "elsewhere.sqlite", tmp_path)
+    assert none["figure"] is None
+    assert "elsewhere.sqlite" in none["why_not"]
+    assert not (tmp_path / told["figure"]).exists()  # an old one would be taken for this night's

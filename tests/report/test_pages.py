@@ -142,3 +142,13 @@ def test_numbers_stand_at_the_right_and_only_words_wrap():
     assert "text-align:right;white-space:nowrap" in cells["8.25</td>"]
     assert "text-align:left;white-space:nowrap" in cells["a</td>"]
     assert "nowrap" not in cells["long</td>"]
+
+
+def test_night_page_names_what_is_off_its_trend(tmp_path):
+    off = [{"image": "a.fit", "series": "pointing error, line", "deviation": -7.25}]
+    night = _night(_row("a") | {"path": "/in/a.fit"}, _row("b") | {"path": "/in/b.fit"})
+    page = first_page(night | {"trends": {"figure": "trends.png", "outliers": off, "why_not": ""}}, tmp_path)
+    assert '<a href="summary.html#a">a</a>: pointing error, line is -7.2 robust sigmas off' in page
+    assert 'src="trends.png"' in page
+    none = {"figure": None, "outliers": [], "why_not": "2 pictures are too few"}
+    assert "Not drawn: 2 pictures are too few." in first_page(night | {"trends": none}, tmp_path)
