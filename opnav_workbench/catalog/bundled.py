@@ -375,7 +375,7 @@ def open_bundled(progress: Progress | None = None) -> StoredCatalog:
             "bands": sorted(BANDS),
             "n_with_motion": stars.n_with_motion,
         },
-        store=RecordStore(stars.records, stars.keys, BANDS, _names, stars.limits),
+        store=RecordStore(stars.records, stars.keys, BANDS, _names, stars.limits, stars.checks),
         motion=MotionBound(stars.fastest_rad_yr, HIPPARCOS_JYEAR, GAIA_JYEAR),
     )
 

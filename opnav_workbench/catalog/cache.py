@@ -6,15 +6,15 @@ Records are sorted by their place on the sky; names are made from a number only 
 Layout of a file: the header (`mapped_file`, padded to `HEADER_BYTES`), n sort keys (f8), n records (`STAR_RECORD`).
 The header says what the file was made from (`identity`: format, versions, or names, sizes and times of the source
 files), the CRC-32 of all that follows it, and what a catalog tells of itself, so that opening reads no star. A file
-that fails any check is built anew; one that cannot be written is done without. The checksum of a large file that has
-not changed is taken once a day (0.1 s for 500,000 stars). It is written under another name and renamed, so that two
-processes may build at once.
+that fails any check is built anew; one that cannot be written is done without. Of a large file the header and the keys are
+checked when it is opened (5 ms for 500,000 stars), and each block of records before the first of its stars is used: damage
+that comes later, even with the file's times as they were, ends in one line, and the file is made anew.  It is written under
+another name and renamed, so that two processes may build at once.
 """
 
 import contextlib
 import math
 import os
-import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,9 +29,8 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.catalog.star_store import Candidates, SkyIndex, SkyOfMany, sort_keys
 from opnav_workbench.catalog.star_table import StarTable
-from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import CatalogError, SessionError
-from opnav_workbench.files import atomic_path, write_text
+from opnav_workbench.files import atomic_path
 from opnav_workbench.mapped_file import header_bytes, mapped_array, read_header
 from opnav_workbench.resources import cache_root
 
@@ -105,9 +104,11 @@ class RecordStore:
         Turns records (k,) into their names (k,).
     limits
         ``brightest_mag`` and ``faintest_mag``.
+    checks
+        Of the blocks of a mapped file, before their stars are used.
     """
 
-    __slots__ = ("_bands", "_limits", "_names", "_records", "_sky")
+    __slots__ = ("_bands", "_checks", "_limits", "_names", "_records", "_sky")
 
     def __init__(
         self,
@@ -116,15 +117,26 @@ class RecordStore:
         bands: Sequence[str],
         names: Callable[[Records], Sequence[str]],
         limits: Mapping[str, float],
+        checks: "BlockChecks | None" = None,
     ) -> None:
+        self._checks = checks
         self._records, self._names, self._limits = records, names, dict(limits)
         self._bands = np.array(list(bands), dtype=np.str_)
         places = records["ra_rad"], records["dec_rad"]
         self._sky = SkyOfMany(SkyIndex(*places, keys=keys), *places, records["mag"])
 
     def near(self, ra_rad: float, dec_rad: float, radius_rad: float) -> Candidates:
-        """Return the stars of the index ranges that the cone meets."""
-        return self._sky.near(ra_rad, dec_rad, radius_rad)
+        """Return the stars of the index ranges that the cone meets.
+
+        Raises
+        ------
+        CatalogError
+            Their block of the file has been damaged since it was written.
+        """
+        found = self._sky.near(ra_rad, dec_rad, radius_rad)
+        if self._checks is not None:
+            self._checks.look_at(self._records, found.rows)
+        return found
 
     def mag(self, found: Candidates) -> FloatArray:
         """Return the magnitudes."""
@@ -165,11 +177,56 @@ class RecordStore:
 Progress = Callable[[float], None]  # told the fraction done, 0 to 1
 
 MAGIC = b"OPNAVSTR"
-LAYOUT = 1  # raise it whenever `STAR_RECORD` or the meaning of one of its columns changes
+LAYOUT = 2  # raise it whenever `STAR_RECORD` or the meaning of one of its columns changes
 HEADER_BYTES = 1 << 16
-DAILY_BYTES = 1 << 23  # a smaller file takes no time
-CHECKED_SUFFIX = ".checked"  # of the note that says when which file was found whole
+WHOLE_BYTES = 1 << 23  # a smaller file is checked as a whole when it is opened
+BLOCK_RECORDS, MOST_BLOCKS = 2048, 2000  # their checksums stand in the header
 CHUNK_BYTES = 1 << 23
+KEYS_AT_ONCE = CHUNK_BYTES // 8
+
+
+class BlockChecks:
+    """Checksums of the blocks of a mapped file's records, each taken once, before its stars are used.
+
+    Parameters
+    ----------
+    path
+        The file; it is removed where a block is damaged, so that it is made anew.
+    crcs
+        CRC-32 of each block.
+    size
+        Records of a block.
+    """
+
+    __slots__ = ("_crcs", "_path", "_size", "_sure")
+
+    def __init__(self, path: Path, crcs: Sequence[int], size: int) -> None:
+        self._path, self._crcs, self._size = path, crcs, size
+        self._sure = np.zeros(len(crcs), bool)
+
+    def look_at(self, records: Records, rows: IntArray) -> None:
+        """Check the blocks that hold these rows of the file's records.
+
+        Raises
+        ------
+        CatalogError
+            One is not what was written.
+        """
+        if self._sure.all():
+            return
+        blocks = rows // self._size
+        for block in np.unique(blocks[~self._sure[blocks]]).tolist():
+            if (
+                zlib.crc32(records[block * self._size : (block + 1) * self._size].tobytes())
+                != self._crcs[block]
+            ):
+                with contextlib.suppress(OSError):
+                    self._path.unlink()
+                raise CatalogError(
+                    f"{self._path} was damaged on the disk after it was written; it is removed. Run the same command again: "
+                    "it is made anew. If this comes again, check the disk."
+                )
+            self._sure[block] = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,6 +240,7 @@ class CachedStars:
     first_jyear: float
     last_jyear: float
     n_with_motion: int
+    checks: BlockChecks | None = None  # of a large file
 
 
 def cache_path(name: str) -> Path:
@@ -251,29 +309,22 @@ def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
             n, status = int(header["n"]), os.fstat(stream.fileno())
             if status.st_size != HEADER_BYTES + n * (8 + STAR_RECORD.itemsize):
                 return None
-            if not _is_whole(path, status, header["crc"]):
+            large = status.st_size >= WHOLE_BYTES
+            if (
+                not large
+                and _crc(path, status.st_ino, status.st_mtime_ns, status.st_ctime_ns) != header["crc"]
+            ):
                 return None
         keys = mapped_array(path, "<f8", HEADER_BYTES, (n,))
         records = mapped_array(path, STAR_RECORD, HEADER_BYTES + 8 * n, (n,))
-        return CachedStars(records, keys, **header["facts"])
+        if not large:
+            return CachedStars(records, keys, **header["facts"])
+        if zlib.crc32(keys) != header["keys_crc"]:
+            return None
+        checks = BlockChecks(path, header["blocks"], int(header["block"]))
+        return CachedStars(records, keys, **header["facts"], checks=checks)
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def _is_whole(path: Path, status: os.stat_result, crc: int) -> bool:
-    """Tell whether the checksum holds; a large file that has not changed since it did is read for that once a day."""
-    state = (status.st_ino, status.st_mtime_ns, status.st_ctime_ns)
-    if status.st_size < DAILY_BYTES:
-        return _crc(path, *state) == crc
-    note, said = path.with_suffix(CHECKED_SUFFIX), f"{crc} {state}"
-    with contextlib.suppress(OSError, UnicodeDecodeError):
-        if 0.0 <= time.time() - note.stat().st_mtime < DAY_S and note.read_text(encoding="utf-8") == said:
-            return True
-    if _crc(path, *state) != crc:
-        return False
-    with contextlib.suppress(SessionError):
-        write_text(note, said)
-    return True
 
 
 @lru_cache(maxsize=64)
@@ -292,14 +343,20 @@ def _write_cache(
 ) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         stream.write(bytes(HEADER_BYTES))
-        crc = 0
-        for column in (keys, records):
-            step = max(CHUNK_BYTES // column.itemsize, 1)
-            for first in range(0, len(order), step):
-                chunk = column[order[first : first + step]].tobytes()
-                crc = zlib.crc32(chunk, crc)
-                stream.write(chunk)
-        header = {"identity": identity, "n": len(order), "crc": crc, "facts": _catalog_facts(records)}
+        crc, n = 0, len(order)
+        for first in range(0, n, KEYS_AT_ONCE):
+            chunk = keys[order[first : first + KEYS_AT_ONCE]].tobytes()
+            crc = zlib.crc32(chunk, crc)
+            stream.write(chunk)
+        keys_crc, blocks = crc, []
+        block = max(BLOCK_RECORDS, -(-n // MOST_BLOCKS))
+        for first in range(0, n, block):
+            chunk = records[order[first : first + block]].tobytes()
+            crc = zlib.crc32(chunk, crc)
+            blocks.append(zlib.crc32(chunk))
+            stream.write(chunk)
+        header = {"identity": identity, "n": n, "crc": crc, "facts": _catalog_facts(records)}
+        header |= {"keys_crc": keys_crc, "block": block, "blocks": blocks}
         stream.seek(0)
         stream.write(header_bytes(MAGIC, header, HEADER_BYTES))
 

@@ -147,7 +147,7 @@ def stored_gaia(name: str, stars: CachedStars, facts: Mapping[str, Any]) -> Stor
             "bands": [LAYOUT.band],
             "n_with_motion": stars.n_with_motion,
         },
-        store=RecordStore(stars.records, stars.keys, (LAYOUT.band,), _names, stars.limits),
+        store=RecordStore(stars.records, stars.keys, (LAYOUT.band,), _names, stars.limits, stars.checks),
         motion=MotionBound(stars.fastest_rad_yr, stars.first_jyear, stars.last_jyear),
     )
 

@@ -179,7 +179,7 @@ def open_hip2(argument: str, progress: Progress | None = None) -> StoredCatalog:
             "bands": ["Hp"],
             "n_with_motion": stars.n_with_motion,
         },
-        store=RecordStore(stars.records, stars.keys, ["Hp"], _names, stars.limits),
+        store=RecordStore(stars.records, stars.keys, ["Hp"], _names, stars.limits, stars.checks),
         motion=MotionBound(stars.fastest_rad_yr, stars.first_jyear, stars.last_jyear),
     )
 

@@ -109,7 +109,7 @@ def stored_tycho2(name: str, stars: CachedStars, facts: Mapping[str, Any]) -> St
             "bands": sorted(BANDS),
             "n_with_motion": stars.n_with_motion,
         },
-        store=RecordStore(stars.records, stars.keys, BANDS, _names, stars.limits),
+        store=RecordStore(stars.records, stars.keys, BANDS, _names, stars.limits, stars.checks),
         motion=MotionBound(stars.fastest_rad_yr, stars.first_jyear, stars.last_jyear),
     )
 

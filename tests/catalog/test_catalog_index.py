@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import time
 import tracemalloc
 
 import numpy as np
@@ -271,24 +270,37 @@ def test_a_single_wrong_byte_is_noticed(place) -> None:
     np.testing.assert_array_equal(np.sort(again.records["number"]), np.arange(50))
 
 
-def test_a_large_file_that_has_not_changed_is_read_for_its_checksum_once_a_day(monkeypatch) -> None:
-    monkeypatch.setattr(cache_files, "DAILY_BYTES", 0)
-    path, read = cache_path("test"), []
-    crc = cache_files._crc.__wrapped__
-    monkeypatch.setattr(cache_files, "_crc", lambda *state: read.append(1) or crc(*state))
+def test_a_block_of_a_large_file_is_checked_before_its_stars_are_used(monkeypatch) -> None:
+    monkeypatch.setattr(cache_files, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(cache_files, "BLOCK_RECORDS", 64)
+    path = cache_path("test")
 
-    def reads_once_opened() -> int:
-        read.clear()
-        assert len(cached_stars(path, {}, lambda: sky_records(50)).records) == 50
-        return len(read)
+    def opened():
+        stars = cached_stars(path, {}, lambda: sky_records(1000))
+        store = RecordStore(
+            stars.records, stars.keys, ["V"], lambda r: r["number"], stars.limits, stars.checks
+        )
+        return store, stars.records["ra_rad"][[5, -5]], stars.records["dec_rad"][[5, -5]]
 
-    assert [reads_once_opened(), reads_once_opened()] == [1, 0]
-    os.utime(path.with_suffix(".checked"), (time.time() - 90_000.0,) * 2)
-    assert [reads_once_opened(), reads_once_opened()] == [1, 0]
+    store, ra, dec = opened()
+    assert len(store.near(ra[0], dec[0], 1e-3).rows) > 0
+    times = path.stat()
     content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(bytes(content))
-    assert reads_once_opened() > 0
+    content[-300] ^= 1  # in the last block, with the file's times as they were
+    with path.open("r+b") as stream:
+        stream.write(content)
+    os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    store, ra, dec = opened()
+    assert len(store.near(ra[0], dec[0], 1e-3).rows) > 0
+    with pytest.raises(CatalogError, match=r"damaged on the disk.*Run the same command again"):
+        store.near(ra[1], dec[1], 1e-3)
+    store, ra, dec = opened()  # made anew
+    assert len(store.near(ra[1], dec[1], 1e-3).rows) > 0
+    content = bytearray(path.read_bytes())
+    content[HEADER_BYTES + 20] ^= 1  # of the keys
+    path.write_bytes(content)
+    store, ra, dec = opened()
+    assert len(store.near(ra[1], dec[1], 1e-3).rows) > 0
 
 
 def test_the_header_says_what_the_file_is() -> None:
