@@ -319,7 +319,7 @@ def _open_cache(path: Path, identity: Mapping[str, Any]) -> CachedStars | None:
         records = mapped_array(path, STAR_RECORD, HEADER_BYTES + 8 * n, (n,))
         if not large:
             return CachedStars(records, keys, **header["facts"])
-        if zlib.crc32(keys) != header["keys_crc"]:
+        if zlib.crc32(keys.tobytes()) != header["keys_crc"]:
             return None
         checks = BlockChecks(path, header["blocks"], int(header["block"]))
         return CachedStars(records, keys, **header["facts"], checks=checks)

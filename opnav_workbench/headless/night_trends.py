@@ -43,7 +43,7 @@ def write_night_trends(archive: Path | None, out: Path) -> dict[str, Any]:
         return {"figure": None, "outliers": [], "why_not": why_not}
     report.write_png(report.trends_figure(found), out / TRENDS_FIGURE)
     rows = [{"image": i, "series": s, "deviation": d} for i, s, d in found.outliers()]
-    rows.sort(key=lambda row: -abs(float(row["deviation"])))  # type: ignore[arg-type]
+    rows.sort(key=lambda row: -abs(float(row["deviation"])))
     return {"figure": TRENDS_FIGURE, "outliers": rows, "why_not": ""}
 
 
