@@ -119,16 +119,21 @@ def _write_gallery(source: Path, names: tuple[str, ...], say: Any) -> None:
     for name in names:
         say(f"running {name}.ipynb ...")
         try:
-            figures = _figures(name, source / "pictures")
+            cells = _executed(name)
         except OpNavError as error:
             say(str(error))
             continue
-        blocks += [f"## {name.replace('_', ' ')}\n", *(f"![{name}](pictures/{f})\n" for f in figures)]
+        title, told = _introduction(cells)
+        blocks += [f"## {title}\n", f"{told} (`notebooks/{name}.ipynb`)\n"]
+        blocks += [
+            f"```{{figure}} pictures/{file}\n:alt: {caption}\n\n{caption}\n```\n"
+            for file, caption in _figures(name, cells, source / "pictures")
+        ]
     write_text(source / "generated" / "notebooks.md", "\n".join(blocks) + "\n")
 
 
-def _figures(name: str, folder: Path) -> list[str]:
-    """Run a notebook and write its pictures; return their names."""
+def _executed(name: str) -> list[dict[str, Any]]:
+    """Run a notebook as it is; return its cells with what they show."""
     need("lab", "the gallery")
     with tempfile.TemporaryDirectory() as work:
         executed = Path(work) / f"{name}.ipynb"
@@ -140,18 +145,31 @@ def _figures(name: str, folder: Path) -> list[str]:
                 progress_bar=False,
                 kernel_name="python3",
                 execution_timeout=NOTEBOOK_TIME_S,
+                extra_arguments=["--log-level=ERROR"],  # else each kernel warns of its own local sockets
             )
         except Exception as error:
             raise SessionError(f"{name}.ipynb does not run: {error!s:.200}") from error
-        cells = json.loads(executed.read_text(encoding="utf-8"))["cells"]
-    images = [
-        o["data"]["image/png"]
-        for c in cells
-        for o in c.get("outputs", ())
-        if "image/png" in o.get("data", {})
-    ]
-    names = []
-    for number, image in enumerate(images):
-        names.append(f"notebook_{name}_{number}.png")
-        (folder / names[-1]).write_bytes(base64.b64decode(image))
-    return names
+        cells: list[dict[str, Any]] = json.loads(executed.read_text(encoding="utf-8"))["cells"]
+    return cells
+
+
+def _introduction(cells: list[dict[str, Any]]) -> tuple[str, str]:
+    """Return title and first paragraph of a notebook."""
+    heading, _, rest = "".join(cells[0]["source"]).partition("\n")
+    return heading.lstrip("# "), rest.strip().split("\n\n")[0]
+
+
+def _figures(name: str, cells: list[dict[str, Any]], folder: Path) -> list[tuple[str, str]]:
+    """Write a notebook's pictures; return their names, each with the heading under which it stands."""
+    found: list[tuple[str, str]] = []
+    heading = _introduction(cells)[0]
+    for cell in cells:
+        if cell["cell_type"] == "markdown":
+            told = [line for line in "".join(cell["source"]).splitlines() if line.startswith("#")]
+            heading = told[-1].lstrip("# ") if told else heading
+        for output in cell.get("outputs", ()):
+            image = output.get("data", {}).get("image/png")
+            if image:
+                found.append((f"notebook_{name}_{len(found)}.png", heading))
+                (folder / found[-1][0]).write_bytes(base64.b64decode(image))
+    return found
