@@ -1,5 +1,6 @@
 """What a night's page says of trends: a figure beside it, and the pictures that are off theirs."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,8 @@ def write_night_trends(archive: Path | None, out: Path) -> dict[str, Any]:
     """
     why_not, found = _found(archive)
     if found is None:
-        (out / TRENDS_FIGURE).unlink(missing_ok=True)
+        with suppress(OSError):  # a folder that cannot be written says so with the summary
+            (out / TRENDS_FIGURE).unlink(missing_ok=True)
         return {"figure": None, "outliers": [], "why_not": why_not}
     report.write_png(report.trends_figure(found), out / TRENDS_FIGURE)
     rows = [{"image": i, "series": s, "deviation": d} for i, s, d in found.outliers()]
