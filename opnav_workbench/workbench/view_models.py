@@ -238,9 +238,15 @@ def ring_columns(place_px: ArrayLike | None, radius_px: float) -> Columns:
 STAR_SIZES = {"predicted": 15, "used": 10, "rejected": 11, "missing": 13}  # screen px
 BODY_POINT_SIZE = 20  # screen px, of a body too small for its limb to be drawn
 MARK_PX, HALO_PX = 1.6, 2.0  # screen px: lines of marks, and what their dark edge has more
-HALO: dict[str, Any] = {"line_color": "#000000", "line_alpha": 0.55}
+HALO_ALPHA = 0.55
+HALO: dict[str, Any] = {"line_color": "#000000", "line_alpha": HALO_ALPHA}
 LABEL_BACKGROUND = "#101418"  # under labels, so that they stay readable over bright bodies
 NO_PICTURE = np.zeros((1, 1), np.uint32)
+
+
+# What the analyst and the page move: on a canvas of its own, so that thousands of marks below are not drawn anew with it.
+OVER = "overlay"
+CROWD = 500  # marks of one kind: with more of them halos would hide the picture, and cost half of its paint
 
 
 def _source(*columns: str) -> Any:
@@ -307,6 +313,12 @@ class PictureModels:
         old = source.data
         if old.keys() != columns.keys() or not all(_same(old[key], columns[key]) for key in columns):
             source.data = columns
+            if name in STAR_SIZES:
+                self._thin_halos(name, len(columns["pixel"]))
+
+    def _thin_halos(self, kind: str, count: int) -> None:
+        for glyph in self._halos[kind]:
+            glyph.line_alpha = 0.0 if count > CROWD else HALO_ALPHA
 
     def use_theme(self, name: str) -> None:
         """Give every mark the style that a theme has for it."""
@@ -408,8 +420,9 @@ class PictureModels:
     def _add_tools(self) -> None:
         segments = self.sources["segments"] = _source("x0", "y0", "x1", "y1", "color", "dash", "width")
         self.picture.segment(
-            "x0", "y0", "x1", "y1", source=segments, line_color="color", line_dash="dash", line_width="width"
-        )
+            "x0", "y0", "x1", "y1", source=segments, line_color="color", line_dash="dash", line_width="width",
+            level=OVER,
+        )  # fmt: skip
         self._add_text("tool_labels", "tools", "focus")
         for kind in ("circle", "focus"):
             source = self.sources[kind] = _source("pixel", "line", "radius")
@@ -420,14 +433,15 @@ class PictureModels:
                 radius="radius",
                 source=source,
                 fill_color=None,
+                level=OVER,
                 **HALO,
                 line_width=2 + HALO_PX,
             )
             ring = self.picture.circle(
-                "pixel", "line", radius="radius", source=source, fill_color=None, line_width=2
+                "pixel", "line", radius="radius", source=source, fill_color=None, line_width=2, level=OVER
             )
             cross = self.picture.scatter(
-                "pixel", "line", source=source, marker="cross", size=9 if kind == "circle" else 0
+                "pixel", "line", source=source, marker="cross", size=9 if kind == "circle" else 0, level=OVER
             )
             self._glyphs[kind] = [ring.glyph]
             cross.glyph.line_color = THEMES[DEFAULT_THEME][kind].color
@@ -441,11 +455,20 @@ class PictureModels:
             {**HALO, "line_width": MARK_PX + HALO_PX},
             {"line_color": color, "line_width": MARK_PX},
         ):
-            self.picture.segment("x0", "y0", "x1", "y1", source=lines, **look)
-            self.picture.circle("pixel", "line", radius="radius", source=ring, fill_color=None, **look)
+            self.picture.segment("x0", "y0", "x1", "y1", source=lines, level=OVER, **look)
+            self.picture.circle(
+                "pixel", "line", radius="radius", source=ring, fill_color=None, level=OVER, **look
+            )
             for source, marker, size in ((ends, "square", 7), (ring, "cross", 9)):
                 self.picture.scatter(
-                    "pixel", "line", source=source, marker=marker, size=size, fill_color=None, **look
+                    "pixel",
+                    "line",
+                    source=source,
+                    marker=marker,
+                    size=size,
+                    fill_color=None,
+                    level=OVER,
+                    **look,
                 )
         lines.name, ends.name, ring.name = "opnav-inspect", "opnav-inspect-ends", "opnav-inspect-ring"
         self._add_compass(color)
@@ -456,18 +479,19 @@ class PictureModels:
         arrows.name, names.name = "opnav-compass", "opnav-compass-names"
         self.picture.segment(
             "pixel", "line", "end_pixel", "end_line", source=arrows, name="overlay:compass",
-            **{**HALO, "line_width": MARK_PX + HALO_PX},
+            level=OVER, **{**HALO, "line_width": MARK_PX + HALO_PX},
         )  # fmt: skip
         arrow: Any = Arrow(
             x_start="pixel", y_start="line", x_end="end_pixel", y_end="end_line", source=arrows,
             end=VeeHead(size=8, fill_color=color, line_color=None), name="overlay:compass", tags=["own-colors"],
+            level=OVER,
         )  # fmt: skip
         arrow.line_color, arrow.line_width = color, MARK_PX
         self.picture.add_layout(arrow)
         self.picture.text(
             "pixel", "line", "text", source=names, name="overlay:compass", text_font_size="11px",
             text_color=color, text_align="center", text_baseline="middle",
-            background_fill_color=LABEL_BACKGROUND, background_fill_alpha=0.85, padding=1,
+            background_fill_color=LABEL_BACKGROUND, background_fill_alpha=0.85, padding=1, level=OVER,
         )  # fmt: skip
 
 

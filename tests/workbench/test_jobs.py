@@ -152,3 +152,15 @@ def test_a_body_found_is_one_undo(star_hands):
 def test_a_decision_to_come_is_one_line_in_a_notebook():
     pending = SelectionPending("a.fit: 4 stars wait.")
     assert pending._render_traceback_() == ["SelectionPending: a.fit: 4 stars wait."]
+
+
+def test_a_decision_is_painted_before_the_pointing_follows_it(star_hands):
+    star_hands.press("p")
+    painted = []
+    star_hands.controller.on_render = lambda html: "panel" in html and painted.append(star_hands.steps[-1])
+    star_hands.press("a")
+    assert painted == ["accept_stars", "repoint"]
+    assert "accepted; " in star_hands.said
+    assert "pointing: " in star_hands.said  # both are told in the end
+    star_hands.press("Ctrl+z")
+    assert "accept_stars" not in star_hands.steps  # one undo takes both back

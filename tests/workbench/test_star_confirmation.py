@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.star_boxes import star_rows
 from opnav_workbench.workbench.stars_tab import short_name
 
 
@@ -146,3 +147,15 @@ def test_without_stars_the_page_says_what_to_do(hands_on, demo_truths):
     assert "Find stars" in hands.panel
     hands.press("A")
     assert hands.kind == "error"
+
+
+def test_rows_of_the_stars_say_what_their_boxes_do(star_hands):
+    session = star_hands.session
+    rows, boxes = star_rows(session.context, session.inputs, session.state), session.star_boxes()
+    assert rows.ids == tuple(box.id for box in boxes)
+    assert rows.status == tuple(box.status for box in boxes)
+    assert np.array_equal(rows.place_px, [box.place_px for box in boxes])
+    assert np.array_equal(rows.snr, [box.snr for box in boxes], equal_nan=True)
+    turned = rows.taken(np.argsort(-rows.mag))
+    assert (np.diff(turned.mag) <= 0.0).all()
+    assert turned.ids[0] == rows.ids[int(rows.mag.argmax())]
