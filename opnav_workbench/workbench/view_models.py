@@ -9,7 +9,7 @@ Tools    lines, labels and rings of the tabs' tools, as columns for the figure
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from bokeh.core.properties import Bool, Float, List, String
@@ -245,7 +245,7 @@ NO_PICTURE = np.zeros((1, 1), np.uint32)
 
 
 # What the analyst and the page move: on a canvas of its own, so that thousands of marks below are not drawn anew with it.
-OVER = "overlay"
+OVER: Final = "overlay"
 CROWD = 500  # marks of one kind: with more of them halos would hide the picture, and cost half of its paint
 
 
