@@ -7,7 +7,7 @@ A body counts as detected where it stands out of its whole search area by more t
 areas, and where its model explains what is seen there.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -280,12 +280,11 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
         else:
             expected[name] = answer
     found: dict[str, DetectedBody] = {}
-    shift = np.zeros(2)
+    shift, light = np.zeros(2), None
     for name in sorted(expected, key=lambda name: -expected[name].radius_px):
         expectation = expected[name]
         if found and name not in search.circles:
             expectation = replace(expectation, center_px=expectation.center_px + shift)
-        light = _light_of(picture, found.values()) if found else None
         result = detect_body(
             picture, expectation, search.method, solve_range=search.solve_range, subtract_dn=light
         )
@@ -295,6 +294,8 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
         if not found:
             shift = result.place.center_px - picture.center_px(name)
         found[name] = result
+        if len(expected) > 1:
+            light = _with_light(light, picture, result)
     others = {
         model.target.name: picture.center_px(model.target.name) + shift
         for model in picture.models
@@ -309,14 +310,12 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
     )
 
 
-def _light_of(picture: BodyPicture, found: Iterable[DetectedBody]) -> FloatArray:
+def _with_light(light: FloatArray | None, picture: BodyPicture, body: DetectedBody) -> FloatArray:
+    """Return light (n_line, n_pixel) with that of one more body, at its place and as bright as it was found."""
     window = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
-    light = np.zeros((window[3], window[2]))
-    for body in found:
-        name = body.expectation.name
-        scale = body.place.scale
-        light += scale * model_picture(picture, window, {name: body.place.center_px}, only=(name,))
-    return light
+    name = body.expectation.name
+    own = body.place.scale * model_picture(picture, window, {name: body.place.center_px}, only=(name,))
+    return own if light is None else light + own
 
 
 def _psf_reach_px(picture: BodyPicture) -> float:

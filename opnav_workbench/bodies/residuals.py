@@ -196,8 +196,9 @@ def size_ratios(
 
 def _linear_estimate(fit: SceneFit, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return changes (k,) of the logarithm of range, all else solved for again, and their sigmas."""
-    columns = np.concatenate([sizes, fit.columns]).reshape(len(sizes) + len(fit.columns), -1)
-    weighted = columns * fit.weight.ravel()
+    used = fit.weight > 0.0
+    columns = np.concatenate([sizes[:, used], fit.columns[:, used]])
+    weighted = columns * fit.weight[used]
     inverse = np.linalg.pinv(symmetric(weighted @ columns.T), rcond=1e-14, hermitian=True)
     k = len(sizes)
-    return (inverse @ (weighted @ fit.residual_dn.ravel()))[:k], np.sqrt(np.diag(inverse)[:k])
+    return (inverse @ (weighted @ fit.residual_dn[used]))[:k], np.sqrt(np.diag(inverse)[:k])

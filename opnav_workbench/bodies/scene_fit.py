@@ -13,13 +13,16 @@ are differences. Normal equations are scaled to a unit diagonal.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TypedDict
 
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.picture import BodyPicture, placed_models, sunlight_electrons
 from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
-from opnav_workbench.render import MovingBody, render_moving
+from opnav_workbench.camera import Camera
+from opnav_workbench.psf import Psf
+from opnav_workbench.render import BodyModel, render_moving, render_touched
 
 __all__ = [
     "SceneFit",
@@ -120,7 +123,7 @@ def light_scene(
     derivatives: bool = True,
 ) -> SceneLight:
     """Render the bodies of a state, alone in the scene, with their derivatives."""
-    moving = _rendered(picture, window, state, derivatives=derivatives)
+    moving = render_moving(**_scene(picture, window, state), derivatives=derivatives)
     gain = picture.gain_e_per_dn
     each = np.stack([body.electrons for body in moving]) / gain
     occulted = np.array([body.body.occulted_fraction for body in moving])
@@ -128,7 +131,7 @@ def light_scene(
         [(scale / gain) * body.slopes for scale, body in zip(state.scales, moving, strict=True)]
     )
     if derivatives and len(moving) > 1 and np.any(occulted > 0.0):
-        d_center = _center_differences(picture, window, state, np.tensordot(state.scales, each, axes=1))
+        d_center = _center_differences(picture, window, state, each)
     return SceneLight(
         each=each,
         d_center=d_center,
@@ -138,39 +141,52 @@ def light_scene(
     )
 
 
-def _rendered(
-    picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState, *, derivatives: bool
-) -> tuple[MovingBody, ...]:
+class _Scene(TypedDict):
+    """What a state is rendered from."""
+
+    models: list[BodyModel]
+    camera: Camera
+    camera_from_j2000: FloatArray
+    observer_velocity_km_s: FloatArray
+    psf: Psf
+    sunlight_e: float
+    window: tuple[int, int, int, int]
+
+
+def _scene(picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState) -> _Scene:
     models = {
         model.target.name: model
         for model in placed_models(picture, state.places, state.range_scales, state.names)
     }
-    return render_moving(
-        [models[name] for name in state.names],
-        picture.camera,
-        picture.camera_from_j2000,
-        picture.observer_velocity_km_s,
+    return _Scene(
+        models=[models[name] for name in state.names],
+        camera=picture.camera,
+        camera_from_j2000=picture.camera_from_j2000,
+        observer_velocity_km_s=picture.observer_velocity_km_s,
         psf=picture.psf,
         sunlight_e=sunlight_electrons(picture),
         window=window,
-        derivatives=derivatives,
     )
 
 
-def _total_light(picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState) -> FloatArray:
-    bodies = _rendered(picture, window, state, derivatives=False)
-    light = sum(scale * body.electrons for scale, body in zip(state.scales, bodies, strict=True))
-    return np.asarray(light / picture.gain_e_per_dn)
+def _change(
+    picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState, index: int, each: FloatArray
+) -> FloatArray:
+    """Return by how much all light (n_line, n_pixel) differs from `each` (n, ...), now that one body has moved."""
+    drawn = render_touched(**_scene(picture, window, state), moved=index)
+    return np.asarray(
+        sum(state.scales[k] * (body.electrons / picture.gain_e_per_dn - each[k]) for k, body in drawn.items())
+    )
 
 
 def _center_differences(
-    picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState, here: FloatArray
+    picture: BodyPicture, window: tuple[int, int, int, int], state: SceneState, each: FloatArray
 ) -> FloatArray:
-    """Differences of the light of all bodies, `here` (n_line, n_pixel), with respect to their centers (2 n, ...)."""
+    """Differences of the light of all bodies, `each` (n, ...), with respect to their centers (2 n, ...)."""
     n, still = len(state.names), np.zeros(len(state.names))
     steps = CENTER_STEP_PX * np.eye(2 * n).reshape(-1, n, 2)
-    moved = [_total_light(picture, window, state.moved(step, still)) for step in steps]
-    return np.stack([(there - here) / CENTER_STEP_PX for there in moved])
+    moved = [_change(picture, window, state.moved(step, still), k // 2, each) for k, step in enumerate(steps)]
+    return np.stack(moved) / CENTER_STEP_PX
 
 
 def range_derivatives(
@@ -181,13 +197,12 @@ def range_derivatives(
     wanted: BoolArray,
 ) -> FloatArray:
     """Return differences of the light of all bodies with respect to the logarithm of range, for those wanted (k, ...)."""
-    n = len(state.names)
-    here, out = light.total(state.scales), []
-    for index in np.flatnonzero(wanted):
+    n, out = len(state.names), []
+    for index in np.flatnonzero(wanted).tolist():
         step = EDGE_STEP_PX / max(0.5 * float(light.diameter_px[index]), 1.0)
-        change = np.where(np.arange(n) == index, step, 0.0)
-        out.append((_total_light(picture, window, state.moved(np.zeros((n, 2)), change)) - here) / step)
-    return np.reshape(out, (-1, *here.shape))
+        nearer = state.moved(np.zeros((n, 2)), np.where(np.arange(n) == index, step, 0.0))
+        out.append(_change(picture, window, nearer, index, light.each) / step)
+    return np.reshape(out, (-1, *light.each.shape[1:]))
 
 
 # ---- Normal equations of pictures: columns (p, n_line, n_pixel), weights and data (n_line, n_pixel).
@@ -197,8 +212,9 @@ RIDGE = 1e-10  # of a unit diagonal: keeps a parameter that nothing depends on f
 
 def normal_matrix(columns: FloatArray, weight: FloatArray) -> FloatArray:
     """Return the information matrix (p, p)."""
-    flat = columns.reshape(len(columns), -1)
-    return symmetric((flat * weight.ravel()) @ flat.T)
+    used = np.flatnonzero(weight)
+    flat = columns.reshape(len(columns), -1)[:, used]
+    return symmetric((flat * weight.ravel()[used]) @ flat.T)
 
 
 def right_hand_side(columns: FloatArray, weight: FloatArray, data: FloatArray) -> FloatArray:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Rendering,
         render_bodies,
         render_moving,
+        render_touched,
     )
     from opnav_workbench.render.maps import AlbedoMap
     from opnav_workbench.render.scattering import (
@@ -58,6 +59,7 @@ else:  # loaded on first use: most calls need a few of these
             "Rendering": "focal_plane",
             "render_bodies": "focal_plane",
             "render_moving": "focal_plane",
+            "render_touched": "focal_plane",
             "AlbedoMap": "maps",
             "Hapke": "scattering",
             "Lambert": "scattering",
@@ -87,4 +89,5 @@ __all__ = [
     "law_from_mapping",
     "render_bodies",
     "render_moving",
+    "render_touched",
 ]

@@ -291,6 +291,10 @@ class PlacedBody:
         nearer = np.linalg.norm(self.camera_km) < np.linalg.norm(other.camera_km)
         return bool(nearer and separation < self.angular_radius_rad + other.angular_radius_rad)
 
+    def touches(self, other: "PlacedBody") -> bool:
+        """Tell whether this body may hide another, or cast its shadow on it."""
+        return self.may_occult(other) or self.may_shade(other)
+
     def may_shade(self, other: "PlacedBody") -> bool:
         """Tell whether this body may cast its shadow on another."""
         offset = self.position_km - other.position_km

@@ -16,7 +16,7 @@ The light itself (flux, center, moments) is integrated over the surface, indepen
 change from regime to regime.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -33,7 +33,7 @@ from opnav_workbench.render.disk import SHIFT_STEP_PX, CameraView, add_disk
 from opnav_workbench.render.grid import Window
 from opnav_workbench.targets import TargetState
 
-__all__ = ["MovingBody", "RenderedBody", "Rendering", "render_bodies", "render_moving"]
+__all__ = ["MovingBody", "RenderedBody", "Rendering", "render_bodies", "render_moving", "render_touched"]
 
 
 # ---- One body drawn: its regime, its light, and how that changes as the body moves.
@@ -83,6 +83,12 @@ class PlacedScene:
     models: tuple[BodyModel, ...]
     psfs: tuple[Psf, ...]
     placed: dict[int, PlacedBody]
+
+    def may_change(self, one: int, other: int) -> bool:
+        """Tell whether a body may hide or shade another; of points, it may whatever lies where."""
+        if one not in self.placed:
+            return False
+        return other not in self.placed or self.placed[one].touches(self.placed[other])
 
 
 def place_scene(
@@ -336,9 +342,36 @@ def render_moving(
         In the order of the models.
     """
     stage = place_scene(models, camera, camera_from_j2000, observer_velocity_km_s, psf, window)
-    moving = []
-    for index in range(len(stage.models)):
-        pictures = np.zeros((3 if derivatives else 1, stage.view.window[3], stage.view.window[2]))
-        body = draw_body_light(stage, index, pictures, sunlight_e)
-        moving.append(MovingBody(np.maximum(pictures[0], 0.0), pictures[1:], body))
-    return tuple(moving)
+    return tuple(
+        _moving_body(stage, index, sunlight_e, derivatives=derivatives) for index in range(len(stage.models))
+    )
+
+
+def render_touched(
+    models: Sequence[BodyModel],
+    camera: Camera,
+    camera_from_j2000: ArrayLike,
+    observer_velocity_km_s: ArrayLike,
+    *,
+    psf: Psf | Sequence[Psf],
+    sunlight_e: float,
+    window: Window | None = None,
+    moved: int,
+) -> Mapping[int, "MovingBody"]:
+    """Render, by index, a body that was moved and those whose light it may change: what it hides or shades.
+
+    Parameters are those of `render_bodies`; the rest of the scene looks as it did before the body moved. Light alone,
+    without derivatives.
+    """
+    stage = place_scene(models, camera, camera_from_j2000, observer_velocity_km_s, psf, window)
+    return {
+        index: _moving_body(stage, index, sunlight_e, derivatives=False)
+        for index in range(len(stage.models))
+        if index == moved or stage.may_change(moved, index)
+    }
+
+
+def _moving_body(stage: PlacedScene, index: int, sunlight_e: float, *, derivatives: bool) -> MovingBody:
+    pictures = np.zeros((3 if derivatives else 1, stage.view.window[3], stage.view.window[2]))
+    body = draw_body_light(stage, index, pictures, sunlight_e)
+    return MovingBody(np.maximum(pictures[0], 0.0), pictures[1:], body)

@@ -18,6 +18,7 @@ from opnav_workbench.bodies import (
     model_picture,
 )
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.render import focal_plane
 
 FINDERS = [find_cross_correlation, find_least_squares]
 TRUE = np.array([480.3, 530.7])
@@ -165,6 +166,24 @@ def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     assert np.all(np.linalg.eigvalsh(joint.covariance_px2) > 0.0)
     # The edge that one cuts into the other ties their errors; apart they are independent.
     assert np.abs(joint.correlation[:2, 2:]).max() > 0.03
+
+
+def test_renderings_of_a_joint_fit_grow_as_its_bodies_do(body_stage, monkeypatch):
+    counts = []
+    draw = focal_plane.draw_body_light
+    monkeypatch.setattr(focal_plane, "draw_body_light", lambda *a: counts.append(1) or draw(*a))
+
+    def drawn(n):
+        places = [(150.0 + 200.0 * (i % 4), 200.0 + 200.0 * (i // 4)) for i in range(n)]
+        models = [body_stage.body(12.0, 30.0, place, name=f"B{i}") for i, place in enumerate(places)]
+        light = body_stage.light(*models)
+        picture = body_stage.picture(light, models, np.random.default_rng(2), offset_px=(3.0, 2.0))
+        counts.clear()
+        joint = find_jointly(picture, [f"B{i}" for i in range(n)])
+        assert all(center.status == "ok" for center in joint.centers)
+        return len(counts)
+
+    assert drawn(8) <= 4 * drawn(2) + 2
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.render import Lambert, render_bodies, render_moving
+from opnav_workbench.render import Lambert, render_bodies, render_moving, render_touched
 
 STEP_PX = 0.5
 ANGLE_DEG = 70.0
@@ -27,6 +27,30 @@ def test_bodies_add_up_to_their_picture(stage):
     )
     assert [b.body.name for b in both] == ["BODY", "FAR"]
     assert both[0].slopes.shape == (0, 64, 64)
+
+
+def test_one_moved_body_changes_itself_and_what_it_touches(stage):
+    """What is drawn anew beside what stays is the whole scene drawn anew."""
+    window = (350, 550, 120, 120)
+
+    def scene(near_px):
+        return [
+            stage.model(30.0, ANGLE_DEG, place_px=near_px),
+            stage.model(12.0, ANGLE_DEG, place_px=(412.1, 612.3), name="FAR"),
+            stage.model(9.0, ANGLE_DEG, place_px=(440.0, 560.0), name="APART"),
+        ]
+
+    before = moving(stage, *scene((400.4, 600.7)), window=window, derivatives=False)
+    after = moving(stage, *scene((401.0, 600.9)), window=window, derivatives=False)
+    drawn = render_touched(
+        scene((401.0, 600.9)), stage.camera, stage.camera_from_j2000, stage.velocity_km_s,
+        psf=stage.psf, sunlight_e=1.0, window=window, moved=0,
+    )  # fmt: skip
+    assert set(drawn) == {0, 1}
+    assert not np.array_equal(before[1].electrons, after[1].electrons)
+    for index, whole in enumerate(after):
+        one = drawn[index] if index in drawn else before[index]
+        np.testing.assert_array_equal(one.electrons, whole.electrons)
 
 
 @pytest.mark.parametrize("diameter_px", [0.6, 2.5, 5.0, 30.0, 200.0])
