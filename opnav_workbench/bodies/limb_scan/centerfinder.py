@@ -140,7 +140,7 @@ def _undetermined(disk: MeasuredDisk, choice: ScanSelection) -> BodyCenter:
     said = [f"{n} scans: {text}" for n, text in sorted(zip(counts, reasons, strict=True), reverse=True)]
     message = f"{int(choice.chosen.sum())} usable scans do not determine a center"
     near, light = disk.fit.pixels, disk.fit.light_dn()
-    saturated = disk.picture.saturated[near.line, near.pixel]
+    saturated = disk.picture.saturated[near.index]
     if light[saturated].sum() > MOSTLY * light.sum():
         flags = int(BodyFlag.OVEREXPOSED)
         return BodyCenter.without_center(disk.name, METHOD, "saturated", message, *said[:3], flags=flags)
