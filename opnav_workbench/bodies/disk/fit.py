@@ -700,12 +700,27 @@ class _Fitter:
         )
         weight = self.problem.rim_weight
         albedo = solution.nodes[:, :-1] @ weight / weight.sum()
-        self.piece_albedo = np.maximum(1.0 + albedo / self.brightness, 0.1)
-        brightness = float(theta[Unknown.BRIGHTNESS])
+        brightness = self._brightness(solution)
         self.brightness = float(
             np.clip(brightness, self.brightness / MOST_BRIGHTER, self.brightness * MOST_BRIGHTER)
         )
+        own = float(solution.theta[Unknown.BRIGHTNESS])
+        self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
         return part * float(np.hypot(*center))
+
+    def _brightness(self, solution: MarginalSolution) -> float:
+        """Return how bright the tabulated light has to be for the light that a solution means.
+
+        What the law, the shading or the mean of the field make brighter is then no brightness of another kind.
+        """
+        system, made = self.linear.system, self.made
+        beyond = [*SHARES, *SHADING, Unknown.BLUR]
+        known = np.array([*made.shape.law, *made.strain[2:], made.shape.blur_px2])
+        unit = system.shared[Unknown.BRIGHTNESS]
+        light = np.tensordot(solution.theta[beyond] - known, system.shared[beyond], axes=1)
+        light += np.einsum("jk,kjc->jc", solution.nodes[:, :-1], system.own[:-1])
+        power = max(float(np.sum(unit**2)), np.finfo(float).tiny)
+        return float(solution.theta[Unknown.BRIGHTNESS] + np.sum(unit * light) / power)
 
     def _bounded_blur(self, blur_px2: float) -> float:
         whole = self.problem.psf_variance_px2
