@@ -35,7 +35,7 @@ class LandmarkPatch:
     correlation : (2 r + 1, 2 r + 1) array
         Normalized, for shifts of -r .. r px about where the pose has the landmark.
     shift_px : (2,) array
-        Of the fit, (pixel, line) from there; nan where no fit holds.
+        Of the measured center, (pixel, line) from there; nan where none was measured.
     """
 
     id: str
@@ -71,10 +71,15 @@ def landmark_patches(
     templates = drawn_templates(picture, wanted, model, WholeBody.of(model), int(solution.centers.window_px))
     templates = templates.with_share(solution.centers.law_share)
     planes = picture_planes(picture)
-    return tuple(_patch(identity, planes, templates, row) for row, identity in enumerate(ids))
+    place_of = {identity: row for row, identity in enumerate(solution.centers.id.tolist())}
+    observed = solution.centers.observed_px[[place_of[identity] for identity in ids]]
+    shift = observed - templates.first - templates.offset_px
+    return tuple(_patch(identity, planes, templates, row, shift[row]) for row, identity in enumerate(ids))
 
 
-def _patch(identity: str, planes: PicturePlanes, templates: Templates, row: int) -> LandmarkPatch:
+def _patch(
+    identity: str, planes: PicturePlanes, templates: Templates, row: int, shift_px: FloatArray
+) -> LandmarkPatch:
     score = correlate(planes, templates, row, SHOWN_RADIUS_PX)
     line, pixel = np.unravel_index(int(score.argmax()), score.shape)
     whole = np.array([pixel - SHOWN_RADIUS_PX, line - SHOWN_RADIUS_PX])
@@ -92,7 +97,7 @@ def _patch(identity: str, planes: PicturePlanes, templates: Templates, row: int)
         np.where(good, data, np.nan),
         model,
         score,
-        np.full(2, np.nan) if fit is None else fit.shift_px,
+        shift_px,
     )
 
 
