@@ -1,5 +1,6 @@
 """What isolation costs a whole run, in processor time of all its processes (``isolation.py`` prints the table)."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -7,11 +8,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from isolation import KINDS, copies, cost, write_pictures
+from isolation import END, RUNS, START, copies, cost, write_pictures
 
 PICTURES = 10
 MOST = 1.4  # of a run that solves ten; a process a picture would make it 2.5
-MOST_PLAIN = 1.1  # what is never tried costs nothing; this is how well times of a second repeat
+CHILDREN = "import os; print(os.times().children_user + os.times().children_system)"
 
 
 @pytest.mark.slow
@@ -22,7 +23,13 @@ def test_a_run_of_compressed_pictures(demo_truths, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_of_plain_pictures(tmp_path):
+@pytest.mark.parametrize(("kind", "tried"), [("plain.fit", False), ("squeezed.fits", True)])
+def test_what_is_proven_harmless_starts_no_process(tmp_path, kind, tried):
     write_pictures(tmp_path)
-    isolated, bare = cost("read", tmp_path / KINDS[0], PICTURES)
-    assert isolated / bare < MOST_PLAIN
+    run = subprocess.run(
+        [sys.executable, "-c", START + RUNS["read"] + END + CHILDREN, "yes", tmp_path / kind, "2"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (float(run.stdout) > 0.0) == tried
