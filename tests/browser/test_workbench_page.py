@@ -481,8 +481,10 @@ def test_what_the_night_left_is_opened_and_decided(spec, lab_queue, notebook, tm
         hand.notebook.until(f"bench.session.folder.name == {name!r}")
         assert in_lab("bench.session.state.pointing.n_stars") == rows[name]["pointing"]["n_stars"]
         assert in_lab("[entry.step for entry in bench.session.journal]") == [e["step"] for e in saved[name]]
-    stars = in_lab("[box.id for box in bench.session.star_boxes()]")
-    assert len(stars) == 15
+    stars = in_lab("[(box.id, box.status) for box in bench.session.star_boxes()]")
+    resumed = ImageSession.resume(out / name).star_boxes()
+    assert [tuple(star) for star in stars] == [(box.id, box.status) for box in resumed]
+    assert [status for _, status in stars].count("used") == 15
     hand.press("r")
     hand.shown(".ow-panel .menu", "cosmic ray")
     hand.press("1")
