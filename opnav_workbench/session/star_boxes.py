@@ -127,7 +127,7 @@ def star_rows(context: Context, inputs: Inputs, state: SessionState) -> StarRows
     stars = predicted_stars(state)
     predicted = stars.places(context.camera, best_attitude(inputs, state, with_identified=True))
     seen: BoolArray = np.asarray(has_center(state))
-    row = np.flatnonzero(context.camera.on_detector(predicted) | seen)
+    row = _shown(context, state, predicted)
     observed, snr = np.full_like(predicted, np.nan), np.full(len(stars), np.nan)
     if state.centers is not None:
         observed[seen], snr = state.centers.pixel_line[seen], np.asarray(state.centers.snr, float)
@@ -144,6 +144,11 @@ def star_rows(context: Context, inputs: Inputs, state: SessionState) -> StarRows
     )
 
 
+def _shown(context: Context, state: SessionState, predicted_px: FloatArray) -> NDArray[np.intp]:
+    """Return the rows of the stars expected or seen on the detector."""
+    return np.flatnonzero(context.camera.on_detector(predicted_px) | has_center(state))
+
+
 def star_boxes(
     context: Context, inputs: Inputs, state: SessionState, ids: Sequence[str] | None = None
 ) -> tuple[StarBox, ...]:
@@ -152,7 +157,7 @@ def star_boxes(
     predicted = stars.places(context.camera, best_attitude(inputs, state, with_identified=True))
     known = stars.id.tolist()
     if ids is None:
-        rows = star_rows(context, inputs, state).row.tolist()
+        rows = _shown(context, state, predicted).tolist()
     else:
         check_star_ids(stars, ids)
         place = {star: row for row, star in enumerate(known)}
