@@ -1,6 +1,7 @@
 """Pictures of many formats, made here by the documents of each or by other software, and files of the archives."""
 
 import json
+import struct
 import time
 
 import numpy as np
@@ -162,6 +163,68 @@ class TestDisplayPictures:
         assert "PNG" in error_of(gray)
         gray.with_suffix(".tif").write_bytes(b"II*\0" + bytes(40))
         assert "damaged TIFF file" in error_of(gray.with_suffix(".tif"))
+
+    @pytest.mark.parametrize(
+        ("dtype", "order", "sample_format"),
+        [
+            (np.uint32, "<", 1),
+            (np.int8, "<", 2),
+            (np.int32, ">", 2),
+            (np.uint16, ">", 1),
+            (np.float32, ">", 3),
+        ],
+    )
+    def test_tiff_samples_keep_their_sign(self, tmp_path, dtype, order, sample_format):
+        """Written by hand after the standard (TIFF 6.0), as instruments write them and no display does."""
+        values = np.linspace(0.0, 1.0, 240).reshape(12, 20)
+        low, high = (0, 1) if dtype == np.float32 else (np.iinfo(dtype).min, np.iinfo(dtype).max)
+        values = (low + values * (float(high) - float(low))).astype(dtype)
+        path = tmp_path / "a.tif"
+        path.write_bytes(tiff(values, order, sample_format=sample_format))
+        np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, values)
+
+    @pytest.mark.parametrize("orientation", range(1, 9))
+    def test_tiff_pixels_are_as_stored(self, tmp_path, orientation):
+        path = tmp_path / "a.tif"
+        path.write_bytes(tiff(PIXELS.astype(np.uint16), "<", orientation=orientation))
+        picture = read_image(path, KEYWORDS)
+        np.testing.assert_array_equal(picture.image_dn, PIXELS)
+        assert any("orientation tag" in message for message in picture.messages) == (orientation > 1)
+
+    @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+    def test_tiff_whose_zero_is_white(self, tmp_path, dtype):
+        path = tmp_path / "a.tif"
+        path.write_bytes(tiff(PIXELS.astype(dtype), "<", photometric=0))
+        expected = np.iinfo(dtype).max - PIXELS.astype(dtype)
+        np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, expected)
+
+    def test_tiff_that_is_not_read(self, tmp_path):
+        path = tmp_path / "a.tif"
+        path.write_bytes(tiff(PIXELS.astype(np.float64), "<", sample_format=3))
+        assert "save it with 16-bit integers or 32-bit reals, or as FITS" in error_of(path)
+
+
+def tiff(values, order, photometric=1, orientation=1, sample_format=1) -> bytes:
+    """One strip after an 8-byte head, its tags behind it."""
+    data = values.astype(values.dtype.newbyteorder(order)).tobytes()
+    lines, samples = values.shape
+    short = {
+        256: samples,
+        257: lines,
+        258: 8 * values.itemsize,
+        259: 1,
+        262: photometric,
+        274: orientation,
+        277: 1,
+    }
+    short |= {278: lines, 339: sample_format}
+    tags = {tag: (3, struct.pack(order + "HH", value, 0)) for tag, value in short.items()}
+    tags |= {tag: (4, struct.pack(order + "I", value)) for tag, value in ((273, 8), (279, len(data)))}
+    entries = b"".join(
+        struct.pack(order + "HHI", tag, tags[tag][0], 1) + tags[tag][1] for tag in sorted(tags)
+    )
+    head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8 + len(data))
+    return head + data + struct.pack(order + "H", len(tags)) + entries + bytes(4)
 
 
 class TestRaw:
@@ -358,6 +421,23 @@ def test_single_quotes_and_wrappers(tmp_path):
     picture = read_image(path, KEYWORDS)
     np.testing.assert_array_equal(picture.image_dn, PIXELS)
     assert (picture.header["NOTE"], picture.header["NAMES"]) == ('isn"t it', "CL1, CL2")
+
+
+@pytest.mark.parametrize("constant", ["-1.0E32", "16#F49DC5AE#"])
+def test_missing_samples_of_a_pds3_picture(tmp_path, constant):
+    """A special constant as a number, and as the bits of one (PDS Standards Reference 3.8, 12.3)."""
+    values = PIXELS.astype(">f4")
+    values[2, 3] = -1e32
+    label = (
+        "PDS_VERSION_ID = PDS3\r\nRECORD_BYTES = 1024 <BYTES>\r\n^IMAGE = 2\r\nOBJECT = IMAGE\r\n LINES = 12 <PIXEL>\r\n"
+        " LINE_SAMPLES = 20\r\n SAMPLE_TYPE = IEEE_REAL\r\n SAMPLE_BITS = 32\r\n"
+        f" MISSING_CONSTANT = {constant}\r\nEND_OBJECT\r\nEND\r\n"
+    )
+    path = tmp_path / "a.img"
+    path.write_bytes(label.encode().ljust(1024) + values.tobytes())
+    picture = read_image(path, KEYWORDS)
+    assert np.argwhere(picture.bad).tolist() == [[2, 3]]
+    np.testing.assert_array_equal(picture.image_dn[3:], PIXELS[3:])
 
 
 def test_bands_of_a_pds3_picture(tmp_path):

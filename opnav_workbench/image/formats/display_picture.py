@@ -2,7 +2,8 @@
 
 Pillow decodes them, first in a supervised process. Whole numbers stay what they are; the highest that a file can hold
 counts as saturated. Colors are channels: one is chosen in the mission file, or all of them are equal. Colors of more than
-8 bits are refused, as Pillow would cut them to 8.
+8 bits are refused, as Pillow would cut them to 8. Pixels are told as stored: what a tag says of showing them turned or
+mirrored is left aside, as how the detector lies is the camera file's matter.
 """
 
 import io
@@ -20,13 +21,22 @@ from opnav_workbench.supervised import tried
 
 __all__ = ["display_format", "read_display_picture"]
 
-STARTS = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
+STARTS = {
+    b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF",
+    b"II+\0": "TIFF", b"MM\0+": "TIFF",  # of more than 4 GB
+}  # fmt: skip
 GRAY = {"L", "I", "F", "I;16", "I;16B", "I;16L", "1"}
 COLORS = {
     "RGB": ("red", "green", "blue"), "RGBA": ("red", "green", "blue"), "LA": ("gray",), "YCbCr": ("red", "green", "blue"),
 }  # fmt: skip
 PNG_BIT_DEPTH, PNG_COLOR = 24, 25  # bytes of the first chunk
-TIFF_BITS_PER_SAMPLE = 258
+TIFF_BITS_PER_SAMPLE, TIFF_PHOTOMETRIC, TIFF_ORIENTATION, TIFF_SAMPLE_FORMAT = 258, 262, 274, 339
+WHITE_IS_ZERO = 0
+UNSIGNED, SIGNED = 1, 2  # sample formats
+AS_STORED = {  # what undoes the turn that Pillow makes of a tag
+    2: "FLIP_LEFT_RIGHT", 3: "ROTATE_180", 4: "FLIP_TOP_BOTTOM", 5: "TRANSPOSE", 6: "ROTATE_90", 7: "TRANSVERSE",
+    8: "ROTATE_270",
+}  # fmt: skip
 LONGEST_TEXT = 2000  # characters of a file's own words
 WORDS_KEPT = 200
 
@@ -45,7 +55,7 @@ def read_display_picture(file: Path, data: bytes) -> StoredPicture:
         It is damaged, too large, or of a kind whose values would be changed by reading.
     """
     # A tenth of a second that pictures of other formats shall not wait for.
-    from PIL import Image  # noqa: PLC0415
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415
 
     name, kind = file.name, display_format(data)
     damaged = f"damaged {kind} file ({{}}); copy or download it again."
@@ -54,13 +64,20 @@ def read_display_picture(file: Path, data: bytes) -> StoredPicture:
             check_size(name, picture.width * picture.height)
             _refuse_changed(name, picture, data)
             tried("image/picture_trial.py:try_display", str(file))
-            stored, header = np.asarray(_plain(picture)), _words(picture)
+            messages, orientation, is_negative = _tags(picture)
+            stored, header = _as_stored(_plain(picture), orientation, is_negative), _words(picture)
             mode, frames = picture.mode, getattr(picture, "n_frames", 1)
     except (ImageError, MemoryError):
         raise
+    except UnidentifiedImageError as error:
+        raise image_error(
+            name,
+            f"damaged {kind} file, or of a kind that is not read; save it with 16-bit integers or 32-bit reals, or as FITS.",
+        ) from error
     except Exception as error:  # whatever the library says of a damaged file
         raise image_error(name, damaged.format(str(error) or type(error).__name__)) from error
-    messages = [f"the first of {frames} pictures in the file"] if frames > 1 else []
+    if frames > 1:
+        messages.append(f"the first of {frames} pictures in the file")
     if kind == "JPEG":
         messages.append(
             "JPEG keeps no faint detail: centers of faint stars may be off by more than their sigmas"
@@ -82,6 +99,43 @@ def _refuse_changed(name: str, picture: Any, data: bytes) -> None:
         )
     if picture.mode not in GRAY and picture.mode not in COLORS and picture.mode != "P":
         raise image_error(name, f"has colors of kind {picture.mode}; save it in gray, or as RGB.")
+
+
+def _tags(picture: Any) -> tuple[list[str], int, bool]:
+    """Return what a file's tags say of showing it: remarks, the way that Pillow turns it, whether its zero is white."""
+    tags = picture.tag_v2 if picture.format == "TIFF" else {}
+    told = int((tags or picture.getexif()).get(TIFF_ORIENTATION, 1))
+    messages = (
+        [] if told not in AS_STORED else [f"its orientation tag ({told}) is left aside: pixels as stored"]
+    )
+    is_negative = tags.get(TIFF_PHOTOMETRIC) == WHITE_IS_ZERO
+    if is_negative:
+        messages.append("its zero is white: values are counted from the highest down")
+    return messages, told if tags else 1, is_negative
+
+
+def _as_stored(picture: Any, orientation: int, is_negative: bool) -> NDArray[Any]:
+    """Return a picture's values: of TIFF with the sign that its tags tell, not turned, and light high."""
+    from PIL import Image  # noqa: PLC0415
+
+    tags = dict(picture.tag_v2) if getattr(picture, "format", None) == "TIFF" else {}
+    picture.load()
+    if orientation in AS_STORED:
+        picture = picture.transpose(Image.Transpose[AS_STORED[orientation]])
+    values = np.asarray(picture)
+    kind, bits = (
+        tags.get(tag, (default,))
+        for tag, default in ((TIFF_SAMPLE_FORMAT, UNSIGNED), (TIFF_BITS_PER_SAMPLE, 8))
+    )
+    if values.dtype == np.int32 and kind[0] == UNSIGNED and bits[0] == 32:
+        values = values.view(np.uint32)
+    if values.dtype == np.uint8 and kind[0] == SIGNED:
+        values = values.view(np.int8)
+    if is_negative and picture.mode not in ("1", "L"):  # those Pillow has counted so itself
+        values = np.asarray(
+            values.max() - values if values.dtype.kind == "f" else np.iinfo(values.dtype).max - values
+        )
+    return values
 
 
 def _plain(picture: Any) -> Any:

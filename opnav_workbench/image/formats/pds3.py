@@ -16,6 +16,7 @@ from opnav_workbench.image.formats.stored import (
     Raster,
     StoredPicture,
     full_scale,
+    holds_constant,
     linear,
     read_raster,
 )
@@ -32,6 +33,14 @@ __all__ = [
 BYTE_ORDERS = {"MSB": ">", "SUN": ">", "MAC": ">", "LSB": "<", "PC": "<", "VAX": "<"}
 SAMPLE_TYPE = re.compile(
     r"(?:(?P<maker>MSB|SUN|MAC|LSB|PC|VAX|IEEE)_)?(?P<unsigned>UNSIGNED_)?(?P<kind>INTEGER|REAL|FLOAT)"
+)
+MISSING = (
+    "MISSING_CONSTANT",
+    "MISSING",
+    "INVALID_CONSTANT",
+    "NOT_APPLICABLE_CONSTANT",
+    "UNKNOWN_CONSTANT",
+    "CORE_NULL",
 )
 STORAGE: dict[str, BandOrder] = {
     "BAND_SEQUENTIAL": "BSQ",
@@ -72,6 +81,8 @@ def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel, keywords:
     samples = read_raster(name, data, raster)
     scale, zero = image.get("SCALING_FACTOR"), image.get("OFFSET")
     values = linear(name, samples, scale, zero, "PDS3 label whose SCALING_FACTOR or OFFSET")
+    for key in MISSING:
+        values[holds_constant(samples, image.get(key))] = np.nan
     return StoredPicture(values, dict(label.values))
 
 

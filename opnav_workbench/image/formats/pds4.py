@@ -5,7 +5,7 @@ Labels have no document type, and no entities of their own: one that has is refu
 Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element_Array, Special_Constants.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers import expat
@@ -13,8 +13,8 @@ from xml.parsers import expat
 import numpy as np
 
 from opnav_workbench.image.file_bytes import image_error
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, linear, read_raster
-from opnav_workbench.image.header import HeaderValue, header_number
+from opnav_workbench.image.formats.stored import Raster, StoredPicture, holds_constant, linear, read_raster
+from opnav_workbench.image.header import HeaderValue
 from opnav_workbench.image.pds_label import label_integer, label_value
 
 __all__ = ["Pds4Label", "is_pds4", "pds4_label", "read_pds4"]
@@ -175,11 +175,11 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
     stored = read_raster(name, data, raster)
     scale, zero = array.value("SCALING_FACTOR"), array.value("VALUE_OFFSET")
     image = linear(name, stored, scale, zero, "PDS4 label whose scaling_factor or value_offset")
-    for constant in _constants(array, MISSING):
-        image[stored == constant] = np.nan
+    for key in MISSING:
+        image[holds_constant(stored, array.value(key))] = np.nan
     saturated = np.zeros(stored.shape, dtype=bool)
-    for constant in _constants(array, SATURATED):
-        saturated |= stored == constant
+    for key in SATURATED:
+        saturated |= holds_constant(stored, array.value(key))
     return StoredPicture(image, label.values, saturated=saturated)
 
 
@@ -201,11 +201,3 @@ def _axes(name: str, array: _Element) -> list[int]:
 def _whole(name: str, element: _Element, key: str, least: int) -> int:
     value = element.value(key)
     return label_integer(name, {} if value is None else {key: value}, key, least=least)
-
-
-def _constants(array: _Element, keys: Iterable[str]) -> Iterator[float]:
-    """Yield those special constants that an array has."""
-    for key in keys:
-        value = header_number(array.value(key))
-        if value is not None:
-            yield value

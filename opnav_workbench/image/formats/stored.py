@@ -4,6 +4,7 @@ A raster is lines of samples in a run of bytes, as PDS labels, VICAR, ISIS cubes
 bytes that there are are checked before any array is made.
 """
 
+import re
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -14,9 +15,19 @@ from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.image.file_bytes import check_size, image_error, truncated_error
 from opnav_workbench.image.header import HeaderValue, KeywordMap, header_number
 
-__all__ = ["BandOrder", "Raster", "StoredPicture", "full_scale", "header_value", "linear", "read_raster"]
+__all__ = [
+    "BandOrder",
+    "Raster",
+    "StoredPicture",
+    "full_scale",
+    "header_value",
+    "holds_constant",
+    "linear",
+    "read_raster",
+]
 
 BandOrder: TypeAlias = Literal["BSQ", "BIL", "BIP"]
+BITS = re.compile(r"(?:0x|16#)([0-9a-f]{1,16})#?", re.IGNORECASE)  # of a number, as PDS4 and PDS3 write them
 MOST_LINE_BYTES = 1 << 24  # of prefixes and suffixes too: a line of a hundred thousand samples has less
 
 
@@ -65,6 +76,17 @@ def full_scale(image: NDArray[Any]) -> BoolArray | None:
     if image.dtype.kind not in "iu":
         return None
     return np.asarray(image == np.iinfo(image.dtype).max)
+
+
+def holds_constant(stored: NDArray[Any], constant: HeaderValue | None) -> BoolArray:
+    """Return which samples hold a special constant of a label: a number, or the bits of one (0xFF7FFFFB, 16#FF7FFFFB#)."""
+    bits = BITS.fullmatch(str(constant).strip())
+    number = header_number(constant)
+    if bits is not None and len(bits[1]) <= 2 * stored.dtype.itemsize:
+        unsigned = stored.dtype.newbyteorder("=").str[1:].replace("f", "u").replace("i", "u")
+        native = np.ascontiguousarray(stored, stored.dtype.newbyteorder("="))
+        return np.asarray(native.view(unsigned) == np.array(int(bits[1], 16), unsigned))
+    return np.zeros(stored.shape, dtype=bool) if number is None else np.asarray(stored == number)
 
 
 def linear(
