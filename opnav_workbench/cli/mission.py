@@ -119,8 +119,13 @@ def new(
     ] = None,
     line_time_s: Annotated[
         float | None,
-        typer.Option(help="Rolling shutter: from line to line, s; below 0: last first.", show_default=False),
+        typer.Option(
+            help="Rolling shutter, line scan: from line to line, s; below 0: last first.", show_default=False
+        ),
     ] = None,
+    line_scan: Annotated[
+        bool, typer.Option("--line-scan", help="A line scanner: its motion (--kernels) makes the lines.")
+    ] = False,
     catalog: Annotated[str, typer.Option(help="Star catalog of the whole sky.")] = "bundled",
     out: Annotated[Path | None, typer.Option(help="Folder; default: the name.", show_default=False)] = None,
     compare: Annotated[bool, typer.Option(help="Simulate a picture to compare.")] = True,
@@ -134,8 +139,10 @@ def new(
 
       opnav mission new probe --ik probe_cam.ti --image first_light.fit
       opnav mission new cubesat --fov-deg 20 --image night.fits
+
+      opnav mission new scanner --ik scan.ti --line-scan --line-time-s 0.004 --image strip.fit --kernels flight.tm
     """
-    numbers = Numbers(focal_mm, pixel_um, fov_deg, _size(size), line_time_s)
+    numbers = Numbers(focal_mm, pixel_um, fov_deg, _size(size), line_time_s, line_scan)
     folder = Path(name) if out is None else out
     wanted = Wanted(
         name, folder, image, tuple(ik or ()), kernels, instrument, numbers, target, catalog, compare
@@ -175,4 +182,8 @@ def _print_new(console: Console, made: NewMission, wanted: Wanted) -> None:
         console.print(f"Simulated to compare, in {folder}/simulated/: {shown(views)}", highlight=False)
     picture = shown(str(wanted.image)) if wanted.image else f"{folder}/simulated/star_field.fit"
     kernels = f" --kernels {shown(wanted.kernels)}" if wanted.kernels else ""
+    if wanted.numbers.scans and not wanted.kernels:
+        kernels = f" --kernels {folder}/kernels/star_fields.tm"
+        made_first = f"Next: opnav kernels make {folder}/star_fields.yaml --out {folder}/kernels"
+        console.print(f"{made_first}   (a scan is solved with its motion)", highlight=False)
     console.print(f"Next: opnav process {picture} --mission {folder}{kernels}", highlight=False)

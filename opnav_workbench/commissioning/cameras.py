@@ -28,8 +28,9 @@ class Numbers:
     fov_deg: float | None = None  # from edge to edge along pixel
     size: tuple[int, int] | None = None  # pixels, lines
     line_time_s: float | None = (
-        None  # of a rolling shutter, from a line to the next; negative: the last comes first
+        None  # of a rolling shutter or a line scan, from a line to the next; negative: the last comes first
     )
+    scans: bool = False  # whether the camera's motion makes the lines
 
     def size_with(self, shape: tuple[int, int] | None) -> tuple[int, int] | None:
         """Return pixels and lines: the size told, else that of a picture's shape."""
@@ -147,13 +148,29 @@ def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, num
     return _with_pointing(camera)
 
 
-def with_rows(camera: Camera, line_time_s: float | None) -> Camera:
-    """The camera with a rolling shutter, where a person knows of one."""
+def with_rows(camera: Camera, numbers: Numbers) -> Camera:
+    """The camera with a rolling shutter or as a line scanner, where a person knows of it.
+
+    Raises
+    ------
+    MissionError
+        A line scanner without the time from line to line.
+    """
+    line_time_s = numbers.line_time_s
     if line_time_s is None:
+        if numbers.scans:
+            raise MissionError(
+                "a line scan (--line-scan) has a time from line to line; give it: --line-time-s 0.004."
+            )
         return camera
-    rows = RowTiming(line_time_s)
     known = Origin("rows", "known", f"{line_time_s:g} s from line to line, as given")
-    return replace(camera, rows=rows, origins=(*camera.origins, known))
+    if not numbers.scans:
+        return replace(camera, rows=RowTiming(line_time_s), origins=(*camera.origins, known))
+    line = float(camera.center_pixel_line[1])
+    guess = Origin(
+        "rows.detector_line", "guessed", f"{line:g}, the boresight's: every line of the picture is that one"
+    )
+    return replace(camera, rows=RowTiming(line_time_s, line), origins=(*camera.origins, known, guess))
 
 
 def _with_pointing(camera: Camera) -> Camera:

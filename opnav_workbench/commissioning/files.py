@@ -10,8 +10,9 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera, Origin
 from opnav_workbench.camera.saving import yaml_document
-from opnav_workbench.constants import HOUR_S, SUN_ID, SUN_RADIUS_KM
+from opnav_workbench.constants import HOUR_S, RAD_PER_DEG, SUN_ID, SUN_RADIUS_KM
 from opnav_workbench.files import make_folder, write_text
+from opnav_workbench.geometry import matrix_from_quaternion, pointing_angles
 from opnav_workbench.photometry import Bandpass
 
 __all__ = ["Craft", "Place", "able_to_simulate", "write_camera", "write_mission", "write_scenario"]
@@ -35,6 +36,7 @@ SUN = {
     "gm_km3_s2": 132712440041.27942,
 }
 SPAN_S = 1800
+SCAN_SHARE = 0.6  # of a scan's lines, before and after its middle
 GUESSED_F_NUMBER, GUESSED_PEAK, GUESSED_BITS = 4.0, 0.3, 12
 
 
@@ -133,7 +135,7 @@ def write_scenario(
         "catalog": catalog,
         "magnitude_limit": 11.0,
         "seed": 1,
-        "attitude": {"predicted": aim},
+        "attitude": {"motion": {"from_kernels": True}} if _scans(camera) else {"predicted": aim},
         "pictures": [picture],
     }
     path = make_folder(folder / "pictures") / "star_fields.yaml"
@@ -149,7 +151,6 @@ def _kernels(craft: Craft, camera: Camera, place: Place, middle: datetime) -> di
     if camera.frame != craft.bus_frame:
         turned = {"name": camera.frame, "id": camera.instrument_id, "relative_to": craft.bus_frame}
         frames.append({**turned, "matrix": np.eye(3).tolist()})
-    ra, dec = PLEIADES_DEG
     return {
         "mission": craft.mission,
         "name": "star_fields",
@@ -166,10 +167,37 @@ def _kernels(craft: Craft, camera: Camera, place: Place, middle: datetime) -> di
         "bodies": [SUN],
         "pointing": {
             "instrument": _instrument_name(craft),
-            "windows": [{**span, "ra_deg": ra, "dec_deg": dec}],
+            "windows": [_window(camera, place, middle, span)],
         },
         "trajectories": [{"kind": "ephemeris", "target": "SUN"}, _straight_line(craft, place, middle)],
     }
+
+
+def _scans(camera: Camera) -> bool:
+    return camera.rows is not None and camera.rows.scans
+
+
+def _window(camera: Camera, place: Place, middle: datetime, span: dict[str, str]) -> dict[str, Any]:
+    """Where the camera looks: at one place, or along a scan of a pixel a line that has it in its middle."""
+    ra, dec = PLEIADES_DEG
+    if camera.rows is None or not camera.rows.scans:
+        return {**span, "ra_deg": ra, "dec_deg": dec}
+    twist = 0.0
+    if place.quaternion is not None:
+        angles = pointing_angles(matrix_from_quaternion(place.quaternion), camera.focal_from_camera)
+        ra, dec, twist = (angle / RAD_PER_DEG for angle in angles)
+    half_lines, line_s = SCAN_SHARE * camera.n_line, abs(camera.rows.line_time_s)
+    start, end = (middle + timedelta(seconds=sign * half_lines * line_s) for sign in (-1.0, 1.0))
+    way = float(
+        np.sign(camera.rows.line_time_s)
+    )  # a later line is one further on: the sky comes toward the lower lines
+    scan = {
+        "rate_deg_s": camera.pixel_scale_rad / line_s / RAD_PER_DEG,
+        "direction": [0.0, -way],
+        "start_px": [0.0, way * half_lines],
+    }
+    aim = {"ra_deg": float(ra), "dec_deg": float(dec), "twist_deg": float(twist)}
+    return {"start": start.isoformat(), "end": end.isoformat(), **aim, "scan": scan}
 
 
 def _instrument_name(craft: Craft) -> str:

@@ -24,7 +24,12 @@ from opnav_workbench.commissioning.files import (
     write_scenario,
 )
 from opnav_workbench.commissioning.header_words import HeaderWords, header_words
-from opnav_workbench.commissioning.orientation import Orientation, orientation_by_limb, orientation_by_stars
+from opnav_workbench.commissioning.orientation import (
+    Orientation,
+    orientation_by_limb,
+    orientation_by_stars,
+    scanning_cameras,
+)
 from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import MissionError, OpNavError
 from opnav_workbench.geometry import quaternion_from_matrix
@@ -48,6 +53,7 @@ FIRST_POSITION_KM = np.array([1.0, 0.5, 0.2]) * AU_KM
 STEM = "camera"  # of the camera file
 SIMULATED = "simulated"
 SOLVED_STARS = 4  # that a pointing is believed from
+LESS_STARS = 0.6  # of those of the best way, that the second may have
 NAME = re.compile(r"^[a-z][a-z0-9_-]{0,38}$")
 
 
@@ -206,7 +212,7 @@ def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
         camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers)
     else:
         camera = camera_of_numbers(wanted.name, -(INVENTED * 1000 + 100), shape, wanted.numbers)
-    camera = with_rows(camera, wanted.numbers.line_time_s)
+    camera = with_rows(camera, wanted.numbers)
     return replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
 
 
@@ -240,7 +246,9 @@ class _Maker:
         told = "no picture has shown how the detector lies; what was guessed stands under origins"
         camera = able_to_simulate(camera)
         self.write(camera, None, f"Without a picture: {told}.")
-        place = Place(FIRST_UTC, 1.0, FIRST_POSITION_KM, np.array([-10.0, 25.0, 5.0]))
+        rows = camera.rows
+        exposure_s = abs(rows.line_time_s) if rows is not None and rows.scans else 1.0
+        place = Place(FIRST_UTC, exposure_s, FIRST_POSITION_KM, np.array([-10.0, 25.0, 5.0]))
         pictures = write_scenario(self.wanted.folder, self.craft, STEM, camera, place, self.wanted.catalog)
         made = self.simulated(pictures)
         return NewMission(self.wanted.folder, camera, camera.origins, told, False, "", pictures, made)
@@ -253,7 +261,12 @@ class _Maker:
         with self.kernels():
             self.say("reading the picture")
             context = open_context(image, load_mission(self.wanted.folder), Settings())
-            found = self.orientation(context, words.keywords.get("target"))
+            scans = camera.rows is not None and camera.rows.scans
+            found = (
+                self.scan_orientation(context, image, keywords)
+                if scans
+                else self.orientation(context, words.keywords.get("target"))
+            )
             if found is not None:
                 camera = _turned(camera, found, image.name)
                 if found.inverse_quaternion:
@@ -300,6 +313,35 @@ class _Maker:
             seen = body_target(target, self.craft.number, et)
             return orientation_by_limb(context, seen, observer, frames[0])
         return None
+
+    def scan_orientation(self, context: Context, image: Path, keywords: dict[str, Any]) -> Orientation | None:
+        """By the motion that the kernels tell, which makes the lines, and the stars, which tell the pixels' sense.
+
+        Stars identified without any attitude need a frame, and a scan is none without its motion: so both ways that the
+        motion leaves are solved, and the one with more stars is kept.
+        """
+        found: list[tuple[int, Camera]] = []
+        ways = scanning_cameras(context.camera, mid_exposure_et(context)) if KernelSet.active() else []
+        for number, camera in enumerate(ways):
+            self.say(f"solving the scan, way {number + 1} of {len(ways)}")
+            self.write(camera, keywords, "Being tried on a picture.")
+            with suppress(OpNavError):
+                session = ImageSession.open(image, self.wanted.folder, catalog=self.wanted.catalog)
+                session.predict()
+                session.find_stars()
+                session.repoint()
+                pointing = session.state.pointing
+                if pointing is not None and pointing.n_stars >= SOLVED_STARS:
+                    found.append((pointing.n_stars, camera))
+        found.sort(key=lambda way: -way[0])
+        if not found or (len(found) > 1 and found[1][0] > LESS_STARS * found[0][0]):
+            return None
+        stars, camera = found[0]
+        hands = [np.sign(np.linalg.det(c.focal_from_camera)) for c in (camera, context.camera)]
+        changed = not np.allclose(camera.focal_from_camera, context.camera.focal_from_camera)
+        second = found[1][0] if len(found) > 1 else 0
+        text = f"{stars} stars lie where the motion of the scan puts them; in the second of {len(ways)} ways {second}"
+        return Orientation(camera, changed, hands[0] != hands[1], True, text)
 
     def solved(self, image: Path, words: HeaderWords) -> tuple[str, Place, ImageSession | None]:
         """Solve the picture with the new mission: what came out, where to simulate it, and the session, if solved."""

@@ -15,13 +15,14 @@ from scipy.signal import fftconvolve
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import Catalog
+from opnav_workbench.kernels import camera_attitude
 from opnav_workbench.scene import Observer, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.star_field import star_detections
 from opnav_workbench.stars.lost_in_space import index_of_catalog, solve_lost
 from opnav_workbench.targets import TargetState
 
-__all__ = ["Orientation", "eight_cameras", "orientation_by_limb", "orientation_by_stars"]
+__all__ = ["Orientation", "eight_cameras", "orientation_by_limb", "orientation_by_stars", "scanning_cameras"]
 
 NEAR_DEG = 10.0  # a header's or a kernel's attitude is better than this where it is one
 CLEARLY = 0.05  # by how much the best of eight drawings must be more alike the picture than the second
@@ -114,6 +115,28 @@ def _nearest(camera: Camera, focal_from_frame: FloatArray) -> Camera | None:
         if float(np.trace(between)) > 1.0 + 2.0 * np.cos(np.radians(NEAR_DEG)):
             return other
     return None
+
+
+# ---- Of a line scan.
+
+
+def scanning_cameras(camera: Camera, et: float) -> list[Camera]:
+    """Return those of the eight ways in which the camera's motion, by the loaded kernels, makes the lines of a scan.
+
+    The sky moves along the lines' axis then. Which sign that axis has no picture tells, as all lines are one line of the
+    detector: it is the one by which a later line is further on, as on a detector at rest.
+    """
+    rows = camera.rows
+    assert rows is not None
+    half_s = 0.5 * rows.line_time_s
+    before, after = (camera_attitude(camera.frame, et + time_s) for time_s in (-half_s, half_s))
+    moved = after @ before.T @ camera.boresight - camera.boresight
+    ways = []
+    for way in eight_cameras(camera):
+        pixel, line, _ = way.focal_from_camera @ moved
+        if -line > abs(pixel):
+            ways.append(way)
+    return ways
 
 
 # ---- By the limb.

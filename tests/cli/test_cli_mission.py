@@ -195,3 +195,41 @@ def test_a_new_mission_may_have_a_rolling_shutter(tmp_path):
     )
     assert refused[0] == 2
     assert refused[2].startswith("error: line_time_s is 0")
+
+
+@pytest.mark.slow
+def test_a_new_mission_may_be_a_line_scanner(tmp_path, monkeypatch):
+    """The scan flown has pixels along -Y and lines against +X, which neither the IK nor the guess says."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scan.ti").write_text(IK, encoding="ascii")
+    sky = patch_of_sky(tmp_path / "sky.npz")
+    scanner = ("--ik", "scan.ti", "--line-scan", *sky)
+    with pytest.raises(MissionError, match="give it: --line-time-s"):
+        run("mission", "new", "told", *scanner)
+    scanner += ("--line-time-s", "0.1")
+    code, said = run("mission", "new", "told", *scanner)
+    assert (code, "opnav kernels make told/star_fields.yaml" in said) == (0, True)  # a scan wants its motion
+    assert load_mission("told").camera_named("camera").rows == RowTiming(0.1, 255.5)
+    shutil.copytree("told", "flown")
+    camera = Camera.from_yaml("flown/cameras/camera.yaml")
+    replace(camera, focal_from_camera=PIXEL_ALONG_MINUS_Y).to_yaml("flown/cameras/camera.yaml")
+    plan = yaml.safe_load(Path("flown/star_fields.yaml").read_text(encoding="utf-8"))
+    plan["instruments"][0]["focal_from_camera"] = PIXEL_ALONG_MINUS_Y.tolist()
+    Path("flown/star_fields.yaml").write_text(yaml.safe_dump(plan), encoding="utf-8")
+    scenario = yaml.safe_load(Path("flown/pictures/star_fields.yaml").read_text(encoding="utf-8"))
+    scenario |= {"mission": "flown", "kernels": "flown/star_fields.yaml"}
+    simulate(load_picture_scenario(scenario), Path("flown"), jobs=1)
+    assert run("kernels", "make", "flown/star_fields.yaml", "--out", "kernels")[0] == 0
+
+    flown = ("--image", "flown/star_field.fit", "--kernels", "kernels/star_fields.tm")
+    code, said = run("mission", "new", "probe", *scanner, *flown)
+    assert code == 0
+    assert "lie where the motion of the scan puts them" in said
+    assert "the picture is mirrored" in said
+    made = Camera.from_yaml("probe/cameras/camera.yaml")
+    np.testing.assert_array_equal(made.focal_from_camera, PIXEL_ALONG_MINUS_Y)
+    assert (tmp_path / "probe/simulated/star_field.fit").is_file()
+    code, said = run(
+        "process", "flown/star_field.fit", "--mission", "probe", *flown[2:], "--out", "out", *sky
+    )
+    assert (code, "ok" in said) == (0, True)
