@@ -639,11 +639,11 @@ class _Fitter:
     def _step(self) -> float:
         """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
         before = self.shape, self.brightness, self.piece_albedo
-        start = self.linear.solution
+        begun, start = self.linear, self.linear.solution
         for halving in range(MOST_HALVINGS):
             if halving:
                 self.shape, self.brightness, self.piece_albedo = before
-            length = self._move(start, 0.5**halving)
+            length = self._move(begun, 0.5**halving)
             self._solve()
             if (
                 self.linear.solution.held_cost < start.held_cost + self._regrouping(length)
@@ -681,8 +681,9 @@ class _Fitter:
         figure = dict(zip(FIGURE, (shape.log_size, *shape.strain[:2]), strict=True))
         return {**dict.fromkeys(CENTER, 0.0), **{k: float(v) for k, v in figure.items()}}
 
-    def _move(self, solution: MarginalSolution, most: float) -> float:
-        theta, shape = solution.theta, self.shape
+    def _move(self, linear: _LinearDisk, most: float) -> float:
+        solution, shape = linear.solution, self.shape
+        theta = solution.theta
         if not np.isfinite(theta).all():
             raise CenterfindingError(f"{self.problem.name}: its limb tells nothing of its place here.")
         center, size = theta[CENTER], theta[Unknown.SIZE] - shape.log_size
@@ -700,7 +701,7 @@ class _Fitter:
         )
         weight = self.problem.rim_weight
         albedo = solution.nodes[:, :-1] @ weight / weight.sum()
-        brightness = self._brightness(solution)
+        brightness = self._brightness(linear)
         self.brightness = float(
             np.clip(brightness, self.brightness / MOST_BRIGHTER, self.brightness * MOST_BRIGHTER)
         )
@@ -708,12 +709,12 @@ class _Fitter:
         self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
         return part * float(np.hypot(*center))
 
-    def _brightness(self, solution: MarginalSolution) -> float:
+    def _brightness(self, linear: _LinearDisk) -> float:
         """Return how bright the tabulated light has to be for the light that a solution means.
 
         What the law, the shading or the mean of the field make brighter is then no brightness of another kind.
         """
-        system, made = self.linear.system, self.made
+        system, solution, made = linear.system, linear.solution, self.made
         beyond = [*SHARES, *SHADING, Unknown.BLUR]
         known = np.array([*made.shape.law, *made.strain[2:], made.shape.blur_px2])
         unit = system.shared[Unknown.BRIGHTNESS]

@@ -46,6 +46,9 @@ LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
 # Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
 # both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
 COARSE, FINE = (0.25, 96, 160, 2.0), (0.125, 160, 400, 1.0)
+CRESCENT_RAD = (
+    0.5 * np.pi
+)  # of phase: beyond, the terminator lies near the limb, and coarse depths draw a center along
 SPREADS = 24  # directions in which the spread function is taken
 PLANE_RADIUS_PX = (15.0, 25.0)  # smaller disks are spread in two dimensions, coarse and fine
 PLANE_STEPS = 2  # of depth: the grid's
@@ -170,6 +173,8 @@ def limb_light(
         As the last solution needs it.
     """
     step, fewest, most, apart = FINE if fine else COARSE
+    if picture.phase_rad(name) > CRESCENT_RAD:
+        step = FINE[0]
     model = displaced_model(picture, name, outline.center_px, range_scale)
     radius = 0.5 * outline.diameter_px
     directions = int(np.clip(TURN * radius / apart, fewest, most))
