@@ -85,8 +85,10 @@ class SkyIndex:
         """Return the places in the sky's order of every star within `radius_rad` of a direction, and of a few beyond it."""
         reach = radius_rad + GUARD_RAD
         first, last = _band_of(dec_rad - reach), _band_of(dec_rad + reach)
-        spans = sorted(ra_spans(ra_rad, dec_rad, reach))
-        if spans == [(0.0, 1.0)]:
+        spans = ra_spans(ra_rad, dec_rad, reach)
+        if len(spans) > 1:
+            spans.sort()
+        elif spans[0] == (0.0, 1.0):
             return self._between([float(first), float(last + 1)])
         return self._between(
             [band + edge for band in range(first, last + 1) for span in spans for edge in span]
@@ -118,6 +120,8 @@ def ra_spans(ra_rad: float, dec_rad: float, radius_rad: float) -> list[tuple[flo
     half = (math.asin(min(math.sin(radius_rad) / math.cos(dec_rad), 1.0)) + GUARD_RAD) / TURN_RAD
     center = (ra_rad / TURN_RAD) % 1.0
     low, high = center - half, center + half
+    if low >= 0.0 and high <= 1.0:  # as of nearly all; the rest of this takes as long again
+        return [(low, high)]
     if high - low >= 1.0:
         return [(0.0, 1.0)]
     spans = [(max(low, 0.0), min(high, 1.0))]
@@ -134,8 +138,8 @@ def sort_keys(ra_rad: FloatArray, dec_rad: FloatArray) -> FloatArray:
 
 def _band_of(dec_rad: float) -> int:
     """`_declination_band` of one star: arrays of one number take ten times as long."""
-    band = math.floor((min(max(dec_rad, -0.5 * math.pi), 0.5 * math.pi) + 0.5 * math.pi) / BAND_RAD)
-    return min(band, int(LAST_BAND))
+    band = int((dec_rad + 0.5 * math.pi) / BAND_RAD)  # toward 0: below the south pole, too, it is the first
+    return 0 if band < 0 else band if band < LAST_BAND else int(LAST_BAND)
 
 
 def _declination_band(dec_rad: FloatArray) -> FloatArray:
@@ -198,6 +202,9 @@ def by_magnitude(found: Candidates, mag: FloatArray) -> Candidates:
 KEEP_AFTER = 0.3
 
 
+NO_DIRECTIONS = np.empty((0, 3))
+
+
 class SkyOfMany:
     """Directions of stars in the order of the sky, and their ranks by brightness: kept where cones look at many.
 
@@ -246,7 +253,7 @@ class SkyOfMany:
             ranks = self._rank[found.rows]
             ranks.sort()
             rows = self._by_rank[ranks]
-        return Candidates(rows, np.empty((0, 3)))
+        return Candidates(rows, NO_DIRECTIONS)
 
 
 def _picked(values: FloatArray, rows: IntArray) -> FloatArray:

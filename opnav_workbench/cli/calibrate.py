@@ -23,7 +23,6 @@ from opnav_workbench.calibration import (
     StarPictures,
     calibrate_camera,
     camera_edits,
-    learn_effective_psf,
     solvable,
     stack_psf,
     with_distortion,
@@ -37,10 +36,11 @@ from opnav_workbench.processing import OpenedProcessing
 from opnav_workbench.processing.model import NO_TARGETS
 from opnav_workbench.processing.star_pictures import (
     SolvedPictures,
+    effective_psf_of,
+    isolation_px,
     psf_pictures,
     solve_star_pictures,
     star_pictures,
-    teaching_pictures,
 )
 from opnav_workbench.psf import EffectivePsf, GaussianPsf
 from opnav_workbench.version import __version__
@@ -166,11 +166,6 @@ calibrate = typer.Typer(
     rich_markup_mode="rich",
 )
 
-ISOLATION_SIGMAS, ISOLATION_PX = (
-    8.0,
-    5.0,
-)  # a neighbor nearer than this (pixels, and sigmas of the PSF) spoils a star
-TEACHING_SNR = 15.0  # fainter stars say little of light within a pixel
 DEFAULT_TERMS: dict[type, tuple[str, ...]] = {
     OwenDistortion: ("e2_per_mm2", "e5_per_mm", "e6_per_mm"),
     BrownDistortion: ("k1", "k2", "p1", "p2"),
@@ -247,25 +242,21 @@ def psf(
     opened = processing_of({**given, "targets": NO_TARGETS}).opened()
     solved = _solved_pictures(images, opened, least_stars=1)
     context = solved.sessions[0].context
-    isolation = max(ISOLATION_PX, ISOLATION_SIGMAS * context.camera.psf.sigma_px)
+    isolation = isolation_px(context.camera)
     pictures = psf_pictures(solved.sessions, min_snr, isolation)
     result = stack_psf(pictures, context.camera_psf, oversampling=oversampling)
     effective = _effective_psf(solved, result, isolation)
     _write_psf(opened, context.camera, solved, result, effective, out)
 
 
-def _effective_psf(
-    solved: SolvedPictures, result: PsfCalibration, isolation_px: float
-) -> EffectivePsf | None:
+def _effective_psf(solved: SolvedPictures, result: PsfCalibration, isolation: float) -> EffectivePsf | None:
     """What the pictures say of light within a pixel; None where every star of the camera shows that itself."""
-    context = solved.sessions[0].context
     if not float(np.mean(result.psf.sigma_px)) < MAX_EFFECTIVE_SIGMA_PX:
-        return context.camera.effective_psf
+        return solved.sessions[0].context.camera.effective_psf
     used = [
         session for session, kept in zip(solved.sessions, result.used_pictures, strict=True) if bool(kept)
     ]
-    pictures = teaching_pictures(used, TEACHING_SNR, isolation_px)
-    return learn_effective_psf(pictures, context.camera_psf, context.camera.effective_psf)
+    return effective_psf_of(used, isolation)
 
 
 def _solved_pictures(images: Sequence[Path], opened: OpenedProcessing, **options: Any) -> SolvedPictures:

@@ -25,9 +25,10 @@ from rich.progress import (
 
 from opnav_workbench import report
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
-from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, shown
+from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, named_progress, shown
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
+from opnav_workbench.headless.night_psf import MAX_PICTURES, learn_night_psf
 from opnav_workbench.headless.night_spec import NightSpec, load_night
 from opnav_workbench.headless.night_summary import (
     SUMMARY_FILE,
@@ -135,6 +136,9 @@ def nightly(
     an analyst's session is left alone. A picture is done again when its file, its options, its catalog or a kernel that
     covers it has other content.
 
+    Four or more pictures of an undersampled camera first teach the night one effective PSF, kept in OUT/.psf and used by all
+    of them (in a night file, learn_psf: false prevents it); opnav process -m takes the mission.yaml there, too.
+
     While it runs, OUT has night.log, status.json and night.prom (Prometheus); without a terminal a line a minute tells
     how it goes.
 
@@ -147,7 +151,7 @@ def nightly(
         need("lab", "a night runs a notebook for each picture: opnav nightly")
     console = Console(stderr=True, soft_wrap=True)
     plan = partial(
-        plan_night,
+        plan_night if why is not None else partial(_learned_and_planned, console),
         spec,
         out,
         only_new=only_new,
@@ -168,6 +172,15 @@ def nightly(
     status = night(plan(), notify=notify) if watch is None else _watch(console, plan, night, watch, notify)
     if status:
         raise typer.Exit(status)
+
+
+def _learned_and_planned(console: Console, spec: NightSpec, out: Path, **choice: Any) -> NightPlan:
+    """Plan a night that has learned the PSF of its undersampled cameras, where it can."""
+    with named_progress(console, MAX_PICTURES) as say:
+        learned = learn_night_psf(spec, out, say)
+    for one in learned:
+        console.print(shown(one.words), highlight=False)
+    return plan_night(spec, out, **choice)
 
 
 def _pool(console: Console, scheduler: str | None, jobs: int | None, *, warm: bool) -> NightPool:

@@ -11,6 +11,8 @@ is said and done in ``processing``.
     What a night leaves beside a picture's results.
 ``inputs``
     What a result depends on, by content; what of it has changed.
+``night_psf``
+    The effective PSF that the pictures of a night teach it.
 ``settling``
     A new folder put into its place; the attic.
 ``night_archive``

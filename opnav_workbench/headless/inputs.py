@@ -21,7 +21,7 @@ from opnav_workbench.mission import Mission
 from opnav_workbench.version import __version__
 from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
-__all__ = ["NightInputs", "changes", "fingerprint", "night_inputs", "picture_et"]
+__all__ = ["NightInputs", "changes", "fingerprint", "night_inputs", "picture_et", "with_named_files"]
 
 # Parameters that name files, which count by their contents.
 FILES = ("decisions", "target_stars")
@@ -122,12 +122,12 @@ def night_inputs(
     stars = catalog_contents(spec.catalog)
     common["catalog"] = ", ".join(name for name, _ in stars)  # in order: the first names the stars
     common |= {f"catalog {name}": value for name, value in stars}
-    common |= {f"mission {p.name}": sha256_of(p) for p in dict.fromkeys(_with_named_files(mission.path))}
+    common |= {f"mission {p.name}": sha256_of(p) for p in dict.fromkeys(with_named_files(mission.path))}
     opened = KernelSet.active()
     return NightInputs(common, () if opened is None else kernel_parts(opened))
 
 
-def _with_named_files(path: Path) -> Iterator[Path]:
+def with_named_files(path: Path) -> Iterator[Path]:
     """Yield a YAML file and all files that it names beside itself, and so on."""
     yield path
     if path.suffix not in (".yaml", ".yml"):
@@ -139,7 +139,7 @@ def _with_named_files(path: Path) -> Iterator[Path]:
     for text in _texts(content):
         named = path.parent / text
         if len(text) < 256 and "\n" not in text and named.is_file() and named != path:  # a file's name
-            yield from _with_named_files(named)
+            yield from with_named_files(named)
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -23,6 +23,7 @@ from opnav_workbench.files import inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import NightInputs, changes, night_inputs, picture_et
 from opnav_workbench.headless.night_archive import NightArchive
+from opnav_workbench.headless.night_psf import with_kept_psf
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
 from opnav_workbench.headless.notebook_run import load_papermill
@@ -161,7 +162,8 @@ def plan_night(
         A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures.
     """
     # Fields may have been set unchecked; mission, catalog and decisions are read.
-    mission = spec.changed("night").opened().mission
+    spec = with_kept_psf(spec.changed("night"), out)
+    mission = spec.opened().mission
     folder = make_folder(out).resolve()
     if not is_text(folder):
         raise SessionError(f"the path {folder} has bytes that are no UTF-8; give the night another folder.")

@@ -56,6 +56,11 @@ class NightSpec(Processing):
         description="Processes of pictures are copies of one that has loaded everything; false: each is a new Python, "
         "four times slower.",
     )
+    learn_psf: bool = Field(
+        default=True,
+        description="Whether pictures of an undersampled camera (PSF sigma below 0.6 px) teach the night one effective PSF "
+        "first, kept in OUT/.psf; false: every picture learns alone.",
+    )
     retries: int = Field(
         default=1,
         ge=0,

@@ -7,19 +7,42 @@ from pathlib import Path
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.calibration import MIN_STARS, PsfPicture, StarPictures, TeachingPicture
+from opnav_workbench.calibration import (
+    MIN_STARS,
+    PsfPicture,
+    StarPictures,
+    TeachingPicture,
+    learn_effective_psf,
+    stack_psf,
+)
+from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.processing.automatic import open_picture, solve_stars
 from opnav_workbench.processing.model import OpenedProcessing
+from opnav_workbench.psf import EffectivePsf
 from opnav_workbench.session import ImageSession
 from opnav_workbench.stars import Detections, ExpectedPlaces, StarFlag, detect
 
-__all__ = ["SolvedPictures", "psf_pictures", "solve_star_pictures", "star_pictures", "teaching_pictures"]
+__all__ = [
+    "SolvedPictures",
+    "effective_psf_of",
+    "isolation_px",
+    "psf_pictures",
+    "sessions_alike",
+    "solve_star_pictures",
+    "star_pictures",
+    "teaching_pictures",
+]
 
 PictureProgress = Callable[[str, str], None]
 
 NEIGHBOR_PART = 0.05  # a neighbor of less light than this does not show in a stack of many stars
 SAME_STAR_PX = 1.0  # of a detection and a fit: they err by parts of a pixel, and crowded stars are left out
+ISOLATION_SIGMAS, ISOLATION_PX = (
+    8.0,
+    5.0,
+)  # a neighbor nearer than this (sigmas of the PSF, pixels) spoils a star
+STACK_SNR, TEACHING_SNR = 50.0, 15.0  # fainter stars say little in a stack, and of light within a pixel
 UNFIT_FLAGS = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFlag.BAD_PIXELS
 
 
@@ -139,6 +162,35 @@ def psf_pictures(
             )
         )
     return tuple(pictures)
+
+
+def isolation_px(camera: Camera) -> float:
+    """Return how far the neighbors of a star must be that tells the PSF, px."""
+    return max(ISOLATION_PX, ISOLATION_SIGMAS * camera.psf.sigma_px)
+
+
+def sessions_alike(sessions: Sequence[ImageSession]) -> list[ImageSession]:
+    """Return the solved pictures whose stars have the shape of most: others are smeared, or out of focus."""
+    context = sessions[0].context
+    pictures = psf_pictures(sessions, STACK_SNR, isolation_px(context.camera))
+    try:
+        used = stack_psf(pictures, context.camera_psf).used_pictures
+    except CameraError:  # too few bright stars to tell
+        return list(sessions)
+    return [session for session, kept in zip(sessions, used, strict=True) if bool(kept)]
+
+
+def effective_psf_of(sessions: Sequence[ImageSession], isolation_px: float) -> EffectivePsf:
+    """Return what the stars of solved pictures of a camera say of its PSF, beside what the camera file knows.
+
+    Raises
+    ------
+    CameraError
+        As `learn_effective_psf`.
+    """
+    context = sessions[0].context
+    pictures = teaching_pictures(sessions, TEACHING_SNR, isolation_px)
+    return learn_effective_psf(pictures, context.camera_psf, context.camera.effective_psf)
 
 
 def _bright_and_isolated(found: Detections, min_snr: float, isolation_px: float) -> BoolArray:
