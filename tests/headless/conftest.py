@@ -1,11 +1,14 @@
 """A notebook that stands in for the processing, so that what happens around it can be tested in seconds."""
 
+import sys
 from pathlib import Path
 
 import nbformat
 import pytest
 
 from opnav_workbench.resources import notebooks_dir
+
+sys.path.insert(0, str(Path(__file__).parent))  # the exams beside the tests
 
 # What happens to a picture is written in its file.
 PROCESSING = """
