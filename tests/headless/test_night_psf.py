@@ -3,8 +3,8 @@
 import shutil
 
 import numpy as np
-import pytest
 import psf_night_exam as exam
+import pytest
 
 from opnav_workbench.camera import Camera
 from opnav_workbench.headless import night_psf
