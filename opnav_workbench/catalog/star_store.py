@@ -79,7 +79,7 @@ class SkyIndex:
 
     def rows(self, places: IntArray) -> IntArray:
         """Return the rows of the stars that stand at these places of the sky's order."""
-        return places if self._order is None else self._order[places]
+        return places if self._order is None else self._order.take(places)
 
     def places(self, ra_rad: float, dec_rad: float, radius_rad: float) -> IntArray:
         """Return the places in the sky's order of every star within `radius_rad` of a direction, and of a few beyond it."""
@@ -250,14 +250,14 @@ class SkyOfMany:
             rows = np.sort(found.rows)
             rows = rows[np.argsort(self._stars[2][rows], kind="stable")]
         else:
-            ranks = self._rank[found.rows]
+            ranks = self._rank.take(found.rows)  # of a few numbers in half the time of an index in brackets
             ranks.sort()
-            rows = self._by_rank[ranks]
+            rows = self._by_rank.take(ranks)
         return Candidates(rows, NO_DIRECTIONS)
 
 
 def _picked(values: FloatArray, rows: IntArray) -> FloatArray:
-    return values[rows]
+    return values.take(rows)
 
 
 class ArrayStore:
