@@ -150,6 +150,9 @@ def _declination_band(dec_rad: FloatArray) -> FloatArray:
 # ---- Where a catalog keeps its stars: what the one search of `IndexedCatalog` asks of any of them.
 
 
+NO_DIRECTIONS = np.empty((0, 3))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
     """Stars that a search looks at before any row of a table is built; columns (k,)."""
@@ -159,12 +162,12 @@ class Candidates:
     records: NDArray[Any] | None = None  # as the store read them, where it reads whole records
 
     def take(self, which: IntArray | BoolArray) -> "Candidates":
-        """Return some of them, by index or mask."""
+        """Return some of them, by index or mask; their directions have served, and copying them takes longest."""
         records = self.records
         if records is not None:
             # As plain bytes: numpy copies the fields of a record one by one, five times slower.
             records = records.view(f"V{records.itemsize}")[which].view(records.dtype)
-        return Candidates(self.rows[which], self.directions[which], records)
+        return Candidates(self.rows[which], NO_DIRECTIONS, records)
 
 
 class StarStore(Protocol):
@@ -200,9 +203,6 @@ def by_magnitude(found: Candidates, mag: FloatArray) -> Candidates:
 # Once cones have looked at this part of a catalog, what the next ones need is found for all its stars and kept: 0.7 s and
 # 40 bytes a star for two million. Pictures ask for a small cone or two and never pay that.
 KEEP_AFTER = 0.3
-
-
-NO_DIRECTIONS = np.empty((0, 3))
 
 
 class SkyOfMany:
