@@ -5,6 +5,7 @@ Flow      Python changes a model -> JSON patch -> every page;  a page changes a 
 Pages     each display has an id; a page never hears of its own changes, and Python's changes are not echoed back
 State     lives here: a page that opens or reloads asks for the whole document and gets it as it is now
 Patches   bokeh's own (bokeh.document.events): the newest value of each property once, grouped by who made it
+Pixels    beside the document: each page asks for what it lacks, piece by piece (sent_arrays.py)
 Carrier   an anywidget sends messages as they are (static/bridge.js is the other side), and BokehJS once a page, from the
           installed bokeh package, so that a notebook needs neither a network nor its own copy
 """
@@ -34,6 +35,7 @@ from bokeh.document.events import (
 from bokeh.model import Model
 
 from opnav_workbench.workbench.markup import page_files, with_still_picture
+from opnav_workbench.workbench.sent_arrays import ArrayStore
 from opnav_workbench.workbench.status_line import Status
 
 __all__ = ["Bridge"]
@@ -138,6 +140,7 @@ class Bridge:
         parts: Sequence[str] = BOKEH_PARTS,
     ) -> None:
         self.document = Document(title=TITLE)
+        self.arrays = ArrayStore()
         self.picture = picture
         self.parts = tuple(parts)
         self.status = Status(message="", changed=self._send_status) if status is None else status
@@ -301,6 +304,9 @@ class Bridge:
             "error": self._on_page_error,
             "closed": lambda m: self._pages.discard(str(m["page"])),
         }
+        if message["kind"] == "pull":
+            self._on_pull(message)
+            return
         with self.status.reporting():
             self._active = str(message["page"])
             handlers[str(message["kind"])](message)
@@ -315,6 +321,16 @@ class Bridge:
             head = {"kind": "document", "page": message["page"], **self._key_table()}
             self._send_payload(head, serialized.content, serialized.buffers)
             self._send_status()
+
+    def _on_pull(self, message: Message) -> None:
+        """Send a piece of an array to the page that lacks it; one that is gone is needed no more."""
+        token, first = str(message["token"]), int(message["first"])
+        array = self.arrays.get(token)
+        head = {"kind": "piece", "page": message["page"], "token": token, "first": first}
+        if array is None:
+            self._send(head | {"gone": True})
+        else:
+            self._send(head, [array.piece(first, int(message["count"]))])
 
     def _on_patch(self, message: Message) -> None:
         damaged = False
@@ -354,6 +370,7 @@ SCRIPTS = (
     "camera.js",
     "stretch.js",
     "measures.js",
+    "pixel_store.js",
     "image_layout.js",
     "small_plot.js",
     "inspect_card.js",

@@ -70,7 +70,7 @@ class WorkbenchController:
     ) -> None:
         self.queue, self.viewer = queue, viewer
         self.ahead = ahead
-        self._opening_ahead = threading.Lock()  # held by the one thread that does
+        self._works_ahead = False  # one thread does
         self.registry = ActionRegistry([*WORKBENCH_ACTIONS, *viewer.actions])
         self.runner = StepRunner(queue, viewer, status or Status())
         self.stars = StarsTab(self.runner, self.registry)
@@ -269,6 +269,7 @@ class WorkbenchController:
             tab.on_enter()
         self.runner.status.say(f"{item.name}: {len(session.standing)} steps. Press ? for the keys.")
         self.current_tab.look()
+        self.viewer.send_ahead(self._neighbors())
         self._open_ahead()
 
     def _show_failure(self, item: QueueItem) -> None:
@@ -281,20 +282,43 @@ class WorkbenchController:
         self.viewer.blank(message)
 
     def _open_ahead(self) -> None:
-        """Open the neighbors of the image at hand in a thread of their own, one after the other."""
-        if self.ahead and self.queue.next_to_open() is not None and not self._opening_ahead.locked():
-            threading.Thread(target=self._work_ahead, daemon=True).start()
+        """Open the neighbors of the image at hand in a thread of their own, one after the other, and send them ahead."""
+        with self.runner.lock:
+            if self.ahead and not self._works_ahead:
+                self._works_ahead = True
+                threading.Thread(target=self._work_ahead, daemon=True).start()
 
     def _work_ahead(self) -> None:
-        with self._opening_ahead:
-            while (item := self.queue.next_to_open()) is not None:
-                with suppress(
-                    Exception
-                ):  # the list shows that it failed; the page says why when its turn comes
-                    self._open(item)
-                with self.runner.lock:
-                    self.queue.close_far()
-                self.refresh()
+        near: list[ImageSession] = []
+        while not self._is_ahead_of(near):
+            self._open_next()
+            near = self._neighbors()
+            for session in near:
+                self.viewer.prepare(session)
+
+    def _is_ahead_of(self, prepared: list[ImageSession]) -> bool:
+        """Whether nothing is left to be done ahead; then what is prepared goes to the pages."""
+        with self.runner.lock:
+            if self.queue.next_to_open() is not None or self._neighbors() != prepared:
+                return False
+            self.viewer.send_ahead(prepared)
+            self._works_ahead = False
+            return True
+
+    def _open_next(self) -> None:
+        """Open one neighbor that is not."""
+        if (item := self.queue.next_to_open()) is None:
+            return
+        with suppress(Exception):  # the list shows that it failed; the page says why when its turn comes
+            self._open(item)
+        with self.runner.lock:
+            self.queue.close_far()
+        self.refresh()
+
+    def _neighbors(self) -> list[ImageSession]:
+        """The neighbors' sessions that are open."""
+        sessions = (self.queue.items[number].session for number in self.queue.neighbors())
+        return [session for session in sessions if session is not None]
 
     def _leave_tools(self) -> None:
         """Leave tools and menus, and take what the tab had drawn off the picture."""

@@ -2,13 +2,14 @@
 
 Flow      session -> pixels once, overlays at each `refresh` -> page;  page -> clicks and drags in (pixel, line)
 Pictures  the image itself, what the session's solutions explain (background, fitted stars, fitted bodies), and the
-          difference; the latter two are made when first asked for. Each one's pixels are sent once, as uint16 where
-          they are counts, else float32
+          difference; the latter two are made when first asked for. Each one's pixels go to a page once, as uint16
+          where they are counts, else float32, and those of the neighbors ahead while there is time
 
 Everything that needs no session happens in the page (static/image_view.js): no pixel is sent twice, and the readout
 never asks Python.
 """
 
+import itertools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from bokeh.models import ColumnDataSource
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray
@@ -38,6 +38,7 @@ from opnav_workbench.workbench.overlays import (
     vector_columns,
 )
 from opnav_workbench.workbench.readout import sky_readout
+from opnav_workbench.workbench.sent_arrays import ArrayStore, SentPicture
 from opnav_workbench.workbench.status_line import Status
 from opnav_workbench.workbench.stretch import DEFAULT_LIMITS, limits_of, picture_png
 from opnav_workbench.workbench.view_models import (
@@ -63,18 +64,18 @@ __all__ = ["ImageView", "difference_picture", "modeled_picture"]
 class PreparedPicture:
     """A picture's pixels as they are sent, its limits by name (DN), and its masks as runs."""
 
-    pixels: np.ndarray
+    sent: SentPicture
     limits: dict[str, Any]
     bad: dict[str, Any]
     saturated: dict[str, Any]
 
 
-def prepared_picture(session: ImageSession) -> PreparedPicture:
+def prepared_picture(session: ImageSession, arrays: ArrayStore) -> PreparedPicture:
     """Return what is sent of a session's picture."""
     frame = session.context.picture
     usable = ~(frame.bad | frame.saturated)
     return PreparedPicture(
-        _compact(frame.image_dn),
+        arrays.put(frame.image_dn),
         limits_of(frame.image_dn, usable),
         mask_runs(frame.bad),
         mask_runs(frame.saturated),
@@ -85,11 +86,10 @@ def prepared_picture(session: ImageSession) -> PreparedPicture:
 
 DATA_KEY = "data"  # key of the image itself
 OTHER = "other:"  # how keys of other images begin
-MAX_UINT16 = 65535
 
 
 class PictureSet:
-    """Pictures by key, in the bridge's document; their labels and limits in the view's state.
+    """Pictures by key; what pages must know of them stands in the view's state.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class PictureSet:
 
     def __init__(self, bridge: Bridge, state: Any) -> None:
         self._bridge, self._state = bridge, state
-        self._pixels: dict[str, Any] = {}
+        self._sent: dict[str, SentPicture] = {}
         self._entries: dict[str, dict[str, Any]] = {}
         self._makers: dict[str, tuple[Callable[[], FloatArray], bool]] = {}
 
@@ -116,18 +116,13 @@ class PictureSet:
         if image.shape != (n_line, n_pixel):
             raise OpNavError(f"picture {key!r} has shape {image.shape}; the image has {n_pixel} x {n_line}.")
         limits = self._entries[DATA_KEY]["limits"] if same_limits else limits_of(image, usable)
-        self.put_prepared(key, _compact(image), label, limits)
+        self.put_prepared(key, self._bridge.arrays.put(image), label, limits)
 
-    def put_prepared(self, key: str, pixels: np.ndarray, label: str, limits: dict[str, Any]) -> None:
+    def put_prepared(self, key: str, sent: SentPicture, label: str, limits: dict[str, Any]) -> None:
         """Add or replace a picture whose limits are known."""
-        with self._bridge.batch():
-            column = {"dn": [pixels]}
-            if key in self._pixels:
-                self._pixels[key].data = column
-            else:
-                self._pixels[key] = ColumnDataSource(column, name=f"opnav-pixels:{key}")
-                self._bridge.document.add_root(self._pixels[key])
-            self._publish({key: {"label": label or key, "limits": limits, "ready": True}})
+        self._sent[key] = sent
+        entry = {"label": label or key, "limits": limits, "ready": True, "pixels": sent.as_page_values()}
+        self._publish({key: entry})
 
     def offer(self, key: str, label: str, make: Callable[[], FloatArray], same_limits: bool) -> None:
         """Offer a picture that is made when the analyst first asks for it."""
@@ -142,7 +137,7 @@ class PictureSet:
 
     def pixels(self, key: str) -> np.ndarray:
         """Return a picture's pixels, as they were sent."""
-        return np.asarray(self._pixels[key].data["dn"][0])
+        return self._sent[key].full.values
 
     def outdate(self, begins: str = "") -> None:
         """The session has changed: what is made from it is made anew when it is asked for.
@@ -164,29 +159,19 @@ class PictureSet:
         """Offer pictures no more whose keys begin so."""
         for key in [key for key in self._makers if key.startswith(begins)]:
             del self._makers[key], self._entries[key]
-            if key in self._pixels:
-                self._pixels[key].data = {"dn": []}
+            self._sent.pop(key, None)
         if self._state.image.startswith(begins):
             self._state.image = DATA_KEY
         self._publish({})
 
     def forget(self) -> None:
         """Drop all pictures."""
-        for source in self._pixels.values():
-            source.data = {"dn": []}
-        self._entries, self._makers = {}, {}
+        self._sent, self._entries, self._makers = {}, {}, {}
         self._state.image = DATA_KEY
 
     def _publish(self, images: dict[str, dict[str, Any]]) -> None:
         self._entries |= images
         self._state.images = json.dumps(self._entries)
-
-
-def _compact(image: np.ndarray) -> np.ndarray:
-    """Return the smallest type that holds the picture: counts as uint16, anything else as float32."""
-    whole = np.isfinite(image).all() and (image == np.floor(image)).all()
-    counts = whole and image.min() >= 0 and image.max() <= MAX_UINT16
-    return np.ascontiguousarray(image.astype(np.uint16 if counts else np.float32))
 
 
 # ---- The image as the session's solutions explain it: background, fitted stars, fitted bodies.
@@ -228,6 +213,7 @@ def _add_model(model: FloatArray, first_px: tuple[int, int], part: FloatArray) -
 # ---- The picture of a session in the notebook: stretch, zoom, magnifier, readout, overlays and blink.
 
 SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies", "compass"]
+AHEAD_BYTES = 160_000_000  # of neighbors' pixels in a page: two of 4096 x 4096
 EMPTY_SIZE = 512  # a view without a session shows a blank square
 # Of a strip as it is shown: width over height, and what is shown over its lines.
 STRIP_SHAPE, STRIP_MARGIN = 3.0, 1.15
@@ -316,7 +302,7 @@ class ImageView:
             self.session = session
             self._begin_anew(session.context.picture.image_dn.shape)
             self.state.title = session.context.picture.path.stem
-            self.images.put_prepared(DATA_KEY, ready.pixels, "image", ready.limits)
+            self.images.put_prepared(DATA_KEY, ready.sent, "image", ready.limits)
             self.models.fill("bad", ready.bad)
             self.models.fill("saturated", ready.saturated)
             self.provide("model", "model", lambda: modeled_picture(session), same_limits=True)
@@ -326,7 +312,14 @@ class ImageView:
     def prepare(self, session: ImageSession) -> None:
         """Do ahead what showing a session costs; may be called in another thread."""
         if session not in self._prepared:
-            self._prepared[session] = prepared_picture(session)
+            self._prepared[session] = prepared_picture(session, self.bridge.arrays)
+
+    def send_ahead(self, sessions: Sequence[ImageSession]) -> None:
+        """Let the pages ask for other sessions' pixels too, once they have what is shown; as many as `AHEAD_BYTES` hold."""
+        ready = [self._prepared[one].sent for one in sessions if one in self._prepared]
+        held = itertools.accumulate(sent.n_bytes for sent in ready)
+        ahead = [sent.as_page_values() for sent, n in zip(ready, held, strict=True) if n <= AHEAD_BYTES]
+        self.state.ahead = json.dumps(ahead)
 
     def blank(self, message: str = "") -> None:
         """Show no picture but a message in its place."""

@@ -52,6 +52,9 @@ class Viewer(Protocol):
     def prepare(self, session: ImageSession) -> None:
         """Do ahead what showing a session costs; may be called in another thread."""
 
+    def send_ahead(self, sessions: Sequence[ImageSession]) -> None:
+        """Bring those that are prepared nearer to the pages, the likeliest to be shown next first."""
+
     def blank(self, message: str) -> None:
         """Show no picture but a message in its place."""
 

@@ -32,6 +32,9 @@ class FakeViewer:
     def prepare(self, session: ImageSession) -> None:
         pass
 
+    def send_ahead(self, sessions: Any) -> None:
+        self.ahead = list(sessions)
+
     def blank(self, message: str) -> None:
         self.message = message
 

@@ -18,7 +18,7 @@ def view(solved_sessions):
 
 
 def pixels(view, key="data"):
-    return view.bridge.document.get_model_by_name(f"opnav-pixels:{key}").data["dn"][0]
+    return view.images.pixels(key)
 
 
 @pytest.mark.slow

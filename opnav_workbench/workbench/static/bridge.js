@@ -1,7 +1,7 @@
 // One page's end of the bridge: shows the bokeh document that Python holds, and exchanges bokeh's JSON patches.
 //
-// to Python    open, patch, key, event, error, closed
-// from Python  bokeh, document, patch, refresh, keys, do, status, done
+// to Python    open, patch, pull, key, event, error, closed
+// from Python  bokeh, document, patch, piece, refresh, keys, do, status, done
 
 const GATHER_MS = 40; // changes of a pan or a zoom go out together
 const LOAD_MS = 30000; // BokehJS must have come by then
@@ -57,6 +57,7 @@ class Page {
     this.host = this.root.appendChild(document.createElement("div"));
     this.status = new StatusLine(this.root);
     this.status.say("Loading ...");
+    this.pixels = new PixelStore((piece) => this.send({ kind: "pull", ...piece }), (token, all) => this.view?.arrived(token, all));
   }
 
   async start() {
@@ -136,6 +137,7 @@ class Page {
     const { kind } = message;
     if (kind === "document") return this.show(message, buffers);
     if (kind === "bokeh") return this.scripts?.(buffers.map(asBuffer));
+    if (kind === "piece") return this.pixels.receive(message, buffers);
     if (kind === "status") return this.status.say(message.text, message.level);
     if (kind === "done") return this.status.done(message.sequence);
     if (kind === "refresh") return this.send({ kind: "open" });

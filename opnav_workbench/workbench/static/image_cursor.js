@@ -56,9 +56,10 @@ class ImageCursor extends ImageActions {
     const [i, j] = [Math.round(pixel), Math.round(line)];
     const on = i >= 0 && j >= 0 && i < n_pixel && j < n_line;
     place.textContent = `pixel ${pixel.toFixed(2)}  line ${line.toFixed(2)}`;
-    const dn = on ? this.pixels()?.[j * n_pixel + i] : undefined;
+    const values = this.pixels();
+    const dn = on ? values?.[j * n_pixel + i] : undefined;
     const kind = on ? ["bad", "saturated"].filter((mask) => this.masked(mask, i, j)).join(", ") : "";
-    value.textContent = dn === undefined ? "off the detector" : `${dnText(dn)} DN${kind && `  (${kind})`}${this.second.valueText(i, j)}`;
+    value.textContent = !on ? "off the detector" : dn === undefined ? "the pixels are on their way" : `${dnText(dn)} DN${kind && `  (${kind})`}${this.second.valueText(i, j)}`;
     const sky = this.camera && skyAt(this.camera, pixel, line);
     const [right, north] = sky ? skyText(sky) : ["", ""];
     ra.textContent = sky ? `RA ${right}` : "";

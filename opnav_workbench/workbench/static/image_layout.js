@@ -134,7 +134,8 @@ class ImageLayout {
     this.secondCross = make("div", "opnav-cross", this.second);
     this.curtain = make("div", "opnav-curtain", this.stage);
     this.captions = ["left", "right"].map((side) => make("div", `opnav-caption opnav-caption-${side}`, this.stage));
-    for (const node of [this.cross, this.second, this.secondCross, this.curtain, ...this.captions]) node.hidden = true;
+    this.coming = make("div", "opnav-caption opnav-coming", this.picture);
+    for (const node of [this.coming, this.cross, this.second, this.secondCross, this.curtain, ...this.captions]) node.hidden = true;
     this.zoom = make("div", "opnav-zoom", this.stage);
     for (const [name, text] of [["home", "All"], ["zoom_in", "+"], ["zoom_out", "−"]])
       button(this.zoom, text, view.hint(name), () => view.do(name));
@@ -172,6 +173,12 @@ class ImageLayout {
     this.lock.textContent = `Lock: ${view.state.lock}`;
     this.lock.hidden = !view.partner().startsWith("other:");
     this.box.classList.toggle("opnav-comparing", Boolean(view.state.compare) || view.state.image.startsWith("other:"));
+  }
+
+  // How much of the picture's pixels is here, 0..1; undefined: all.
+  arriving(share) {
+    this.coming.hidden = share === undefined;
+    this.coming.textContent = `full depth is on its way: ${Math.round(100 * (share ?? 1))} %`;
   }
 
   // Shows the state in menus and switches.

@@ -79,6 +79,7 @@ class ImagePage extends ImageCursor {
 
   update() {
     this.images = JSON.parse(this.state.images);
+    this.ahead = JSON.parse(this.state.ahead);
     if (this.setupText !== this.state.setup) {
       this.setupText = this.state.setup; // of another picture
       this.setup = JSON.parse(this.setupText);
@@ -90,6 +91,7 @@ class ImagePage extends ImageCursor {
     this.layout.update();
     this.showGroups();
     this.second.update();
+    this.page.pixels.want(this.needed());
     this.paint();
     if (this.cursor) this.tell(...this.cursor);
     this.updateTools();
@@ -97,7 +99,7 @@ class ImagePage extends ImageCursor {
 
   updateTools() {
     const { state, tools } = this;
-    const of = `${state.title} ${this.shownKey()}`;
+    const of = `${state.title} ${this.shownKey()} ${Boolean(this.pixels())}`;
     if (of !== this.toolsOf && this.figure) {
       this.toolsOf = of;
       tools.otherPicture();
@@ -110,14 +112,38 @@ class ImagePage extends ImageCursor {
 
   // -- painting
 
+  // All of a picture's pixels; undefined while they are on their way.
   pixels(key = this.shownKey()) {
-    return this.model(`opnav-pixels:${key}`)?.data?.dn?.[0];
+    return this.page.pixels.values(this.images[key]?.pixels?.full);
+  }
+
+  // What is to be asked of Python, most urgent first: a large picture's coarse form, so that it is seen, then its pixels.
+  needed() {
+    const asked = [this.blinkKey, this.state.image, "data", this.state.partner, ...Object.keys(this.images)];
+    const shown = [...new Set(asked)].map((key) => this.images[key]).filter((one) => one?.ready && one.pixels);
+    const whole = (one) => this.page.pixels.values(one.full);
+    return [...shown.map((one) => one.pixels), ...this.ahead].flatMap((one) => (one.coarse && !whole(one) ? [one.coarse, one.full] : [one.full]));
+  }
+
+  // An array has come: shown at once, or made ready to be while nobody waits.
+  arrived(token, all) {
+    if (!all) return this.tellArriving();
+    const next = this.ahead.find(({ full }) => full.token === token);
+    if (!next) return this.soon("update");
+    const [n_line, n_pixel] = next.full.shape;
+    const block = Math.max(1, Math.ceil((0.99 * n_pixel) / this.model("opnav-picture").frame_width));
+    whenIdle(() => this.mip(this.page.pixels.values(next.full), block, [n_pixel, n_line]));
+  }
+
+  tellArriving() {
+    const full = this.images.data?.pixels?.full;
+    this.layout.arriving(this.pixels() || this.state.message ? undefined : this.page.pixels.share(full));
   }
 
   // The picture shown; the frame itself while another one is being made.
   shownKey() {
     const wanted = this.blinkKey ?? this.state.image;
-    return this.images[wanted]?.ready && this.model(`opnav-pixels:${wanted}`) ? wanted : "data";
+    return this.images[wanted]?.ready && this.pixels(wanted) ? wanted : "data";
   }
 
   limits() {
@@ -148,7 +174,6 @@ class ImagePage extends ImageCursor {
 
   paint() {
     const values = this.pixels();
-    if (values?.length !== this.setup.size[0] * this.setup.size[1]) return; // of the picture before, or none
     const [low, high] = this.limits();
     const { stretch, colormap, inverted } = this.state;
     const look = JSON.stringify([stretch, colormap, inverted, this.shading(), low, high]);
@@ -156,10 +181,26 @@ class ImagePage extends ImageCursor {
       this.look = look;
       this.table = colorTable({ stretch, inverted, ...this.shading() }, this.palettes[colormap] ?? this.palettes.gray);
     }
+    this.tellArriving();
+    if (!values) return this.paintCoarse([low, high]);
     if (this.fillSight("opnav-shown", values, [low, high])) this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
     this.second.paint();
     this.paintOverview(values, [low, high]);
     this.magnify();
+    this.drawCompass();
+    this.tellScale();
+  }
+
+  // What is known of the picture before its pixels are here; never the picture before.
+  paintCoarse([low, high]) {
+    const coarse = this.images.data?.pixels?.coarse;
+    const values = this.page.pixels.values(coarse);
+    for (const name of ["opnav-shown", "opnav-overview"])
+      if (values) this.fill(name, { values, width: coarse.shape[1], height: coarse.shape[0] }, low, high, coarse.block);
+      else this.empty(name);
+    this.empty("opnav-magnified");
+    this.painted = this.overviewOf = undefined;
+    this.page.root.dataset.painted = values ? "coarse" : "";
     this.drawCompass();
     this.tellScale();
   }
@@ -203,8 +244,8 @@ class ImagePage extends ImageCursor {
   }
 
   // The whole picture in blocks, made once for each size of them.
-  mip(values, block) {
-    const [n_pixel, n_line] = this.setup.size;
+  mip(values, block, [n_pixel, n_line] = this.setup.size) {
+    if (!values) return;
     if (block === 1) return { values, width: n_pixel, height: n_line };
     if (!this.mips.has(values)) this.mips.set(values, new Map());
     const made = this.mips.get(values);
@@ -217,6 +258,10 @@ class ImagePage extends ImageCursor {
     const image = this.ndarray(words.buffer, { dtype: "uint32", shape: [height, width] });
     const data = { image: [image], x: [x], y: [y], dw: [width * block], dh: [height * block] };
     this.model(name).setv({ data }, { sync: false });
+  }
+
+  empty(name) {
+    this.model(name).setv({ data: { image: [], x: [], y: [], dw: [], dh: [] } }, { sync: false });
   }
 
   // North, east and the Sun in the picture's corner.
@@ -322,6 +367,8 @@ class ImagePage extends ImageCursor {
     this.look_at(cx + (x - cx) / factor, cy + (y - cy) / factor, (x_range.end - x_range.start) / factor);
   }
 }
+
+const whenIdle = (task) => (globalThis.requestIdleCallback ?? ((late) => setTimeout(late, 50)))(task);
 
 // The page's hooks: see bridge.js.
 function prepareViews(page, doc) {

@@ -43,7 +43,8 @@ class InspectCard {
     this.hint.textContent = CARD_HINTS[name];
     this.node.dataset.tool = name;
     this.dock();
-    this[name]();
+    if (this.view.pixels()) this[name]();
+    else this.tell([["pixels", "on their way"]]);
     if (!this.docked && !this.moved) this.corner();
   }
 

@@ -43,10 +43,16 @@ function binned(values, n_pixel, n_line, k) {
   const sums = new Float32Array(width * height);
   const counts = new Uint16Array(width * height);
   for (let line = 0, i = 0; line < n_line; line++) {
-    const row = Math.floor(line / k) * width;
-    for (let pixel = 0; pixel < n_pixel; pixel++, i++) {
-      const at = row + ((pixel / k) | 0);
-      if (values[i] === values[i]) { sums[at] += values[i]; counts[at] += 1; }
+    const first = Math.floor(line / k) * width;
+    for (let column = 0; column < width; column++) {
+      const end = Math.min((column + 1) * k, n_pixel) + line * n_pixel;
+      let [sum, count] = [0, 0];
+      for (; i < end; i++) {
+        const value = values[i];
+        if (value === value) { sum += value; count += 1; }
+      }
+      sums[first + column] += sum;
+      counts[first + column] += count;
     }
   }
   for (let at = 0; at < sums.length; at++) sums[at] /= counts[at]; // 0/0: no value
@@ -57,9 +63,7 @@ function binned(values, n_pixel, n_line, k) {
 function cutOut({ values, width, height }, [x0, y0, x1, y1]) {
   if (x0 <= 0 && y0 <= 0 && x1 >= width && y1 >= height) return { values, width, height };
   const [across, down] = [x1 - x0, y1 - y0];
-  const Plain = values instanceof Uint16Array ? Uint16Array : Float32Array; // BokehJS's own arrays cannot be cut
-  const flat = new Plain(values.buffer, values.byteOffset, values.length);
-  const part = new Plain(across * down);
-  for (let row = 0; row < down; row++) part.set(flat.subarray((y0 + row) * width + x0, (y0 + row) * width + x0 + across), row * across);
+  const part = new values.constructor(across * down);
+  for (let row = 0; row < down; row++) part.set(values.subarray((y0 + row) * width + x0, (y0 + row) * width + x0 + across), row * across);
   return { values: part, width: across, height: down };
 }
