@@ -57,7 +57,8 @@ class Page {
     this.host = this.root.appendChild(document.createElement("div"));
     this.status = new StatusLine(this.root);
     this.status.say("Loading ...");
-    this.pixels = new PixelStore((piece) => this.send({ kind: "pull", ...piece }), (token, all) => this.view?.arrived(token, all));
+    const pull = (piece) => this.send({ kind: "pull", ...piece });
+    this.pixels = new PixelStore(pull, (token, all) => this.view?.arrived(token, all), signal);
   }
 
   async start() {

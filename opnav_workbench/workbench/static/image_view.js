@@ -91,7 +91,7 @@ class ImagePage extends ImageCursor {
     this.layout.update();
     this.showGroups();
     this.second.update();
-    this.page.pixels.want(this.needed());
+    this.page.pixels.want(this.needed(), this.asSent(this.ahead));
     this.paint();
     if (this.cursor) this.tell(...this.cursor);
     this.updateTools();
@@ -121,8 +121,12 @@ class ImagePage extends ImageCursor {
   needed() {
     const asked = [this.blinkKey, this.state.image, "data", this.state.partner, ...Object.keys(this.images)];
     const shown = [...new Set(asked)].map((key) => this.images[key]).filter((one) => one?.ready && one.pixels);
+    return this.asSent(shown.map(({ pixels }) => pixels));
+  }
+
+  asSent(pictures) {
     const whole = (one) => this.page.pixels.values(one.full);
-    return [...shown.map((one) => one.pixels), ...this.ahead].flatMap((one) => (one.coarse && !whole(one) ? [one.coarse, one.full] : [one.full]));
+    return pictures.flatMap((one) => (one.coarse && !whole(one) ? [one.coarse, one.full] : [one.full]));
   }
 
   // An array has come: shown at once, or made ready to be while nobody waits.

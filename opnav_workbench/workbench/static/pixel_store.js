@@ -1,20 +1,24 @@
 // Pixels of pictures, asked of Python piece by piece (sent_arrays.py): first what is shown, then what will be shown next.
 
 const PIECE_BYTES = 1 << 21; // so that keys and marks pass between two of them
-const ON_THE_WAY = 2; // pieces asked for and not here yet
+const ON_THE_WAY = 2; // pieces asked for and not here yet; of what is not shown yet only one
+const HANDS_OFF_MS = 400; // so long after a key or a click nothing is asked for ahead
 const LATE_MS = 30000; // then a piece is asked for again
 const ARRAYS = { uint16: Uint16Array, float32: Float32Array };
 
 class PixelStore {
-  constructor(ask, arrived) {
-    Object.assign(this, { ask, arrived, held: new Map(), list: [], asked: new Map() });
+  constructor(ask, arrived, signal) {
+    Object.assign(this, { ask, arrived, held: new Map(), list: [], asked: new Map(), touched: 0 });
+    const touch = () => { this.touched = performance.now(); };
+    for (const name of ["keydown", "pointerdown", "wheel"]) document.addEventListener(name, touch, { signal, capture: true, passive: true });
   }
 
-  // What is needed, most urgent first: {token, dtype, shape}; what is not listed is let go.
-  want(list) {
-    const tokens = new Set(list.map(({ token }) => token));
+  // What is needed now, and what may be next, most urgent first: {token, dtype, shape}; what is not listed is let go.
+  want(now, next) {
+    this.list = [...now, ...next];
+    this.urgent = new Set(now.map(({ token }) => token));
+    const tokens = new Set(this.list.map(({ token }) => token));
     for (const token of this.held.keys()) if (!tokens.has(token)) this.held.delete(token);
-    this.list = list;
     this.pull();
   }
 
@@ -40,14 +44,20 @@ class PixelStore {
     for (const spec of this.list) {
       const one = this.held.get(spec.token) ?? this.begin(spec);
       while (one.missing.length) {
-        if (this.asked.size >= ON_THE_WAY) return;
+        if (this.asked.size >= (this.urgent.has(spec.token) ? ON_THE_WAY : 1)) return;
+        const wait = this.urgent.has(spec.token) ? 0 : this.touched + HANDS_OFF_MS - performance.now();
+        if (wait > 0) return this.later(wait);
         const first = one.missing.shift();
         this.asked.set(`${spec.token}:${first}`, { token: spec.token, first, since: performance.now() });
         this.ask({ token: spec.token, first, count: PIECE_BYTES });
-        clearTimeout(this.timer);
-        this.timer = setTimeout(() => this.pull(), LATE_MS + 1000);
+        this.later(LATE_MS + 1000);
       }
     }
+  }
+
+  later(wait) {
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.pull(), wait);
   }
 
   begin({ token, dtype, shape }) {

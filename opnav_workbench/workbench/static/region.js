@@ -314,9 +314,9 @@ function render({ model, el }) {
     }
   };
   const paint = () => {
-    const wanted = document.createElement("div");
-    wanted.className = "ow-body";
-    wanted.innerHTML = model.get("html");
+    const parsed = document.createElement("template"); // inert: pictures that stand already are not loaded once more
+    parsed.innerHTML = `<div class="ow-body">${model.get("html")}</div>`;
+    const wanted = parsed.content.firstElementChild;
     const lost = root()?.contains(document.activeElement);
     morph(body, wanted);
     if (lost && !root().contains(document.activeElement)) root().focus({ preventScroll: true });
