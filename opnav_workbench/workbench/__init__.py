@@ -63,6 +63,8 @@ The picture
     Another image laid over the one at hand, by the sky or by pixels.
 ``stretch``
     From DN to shades: stretches, limits, colour maps, PNGs.
+``sent_arrays``
+    Pixels on their way to the pages, piece by piece.
 ``bridge``
     One bokeh document kept in step with every page.
 

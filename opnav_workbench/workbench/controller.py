@@ -242,14 +242,9 @@ class WorkbenchController:
     def _open(self, item: QueueItem) -> None:
         """Open an image, predict its stars where nothing was done yet, and do what showing it costs."""
         session = self.queue.open(item)
-        self._prepare(session)
+        self.viewer.prepare(session)
         if session.state.a_priori is None:
             session.predict()
-
-    def _prepare(self, session: ImageSession) -> None:
-        """Do ahead what showing a session costs."""
-        self.viewer.prepare(session)
-        session.context.typical_noise_dn  # noqa: B018  kept; the star boxes' shades need it
 
     def _arrived(self, item: QueueItem, error: BaseException | None) -> None:
         """Show an image whose opening has ended, if the analyst still waits for it."""
@@ -299,7 +294,8 @@ class WorkbenchController:
             self._open_next()
             near = self._neighbors()
             for session in near:
-                self._prepare(session)
+                with suppress(Exception):  # told when its turn comes
+                    self.viewer.prepare(session)
 
     def _is_ahead_of(self, prepared: list[ImageSession]) -> bool:
         """Whether nothing is left to be done ahead; then what is prepared goes to the pages."""

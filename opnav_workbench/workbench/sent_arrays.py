@@ -31,7 +31,7 @@ class SentArray:
 
     def piece(self, first: int, count: int) -> memoryview:
         """Return bytes of it, from the `first` on."""
-        return memoryview(self.values).cast("B")[max(first, 0) : max(first, 0) + max(count, 0)]
+        return self.values.data.cast("B")[max(first, 0) : max(first, 0) + max(count, 0)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,9 +89,10 @@ def block_means(image: np.ndarray, block: int) -> np.ndarray:
     known = np.isfinite(image) if image.dtype.kind == "f" else None
     if known is None or known.all():
         lines, pixels = (np.diff([*range(0, n, block), n]) for n in image.shape)
-        return (_block_sums(image, block) / np.outer(lines, pixels)).astype(np.float32)
+        return np.asarray(_block_sums(image, block) / np.outer(lines, pixels), dtype=np.float32)
     with np.errstate(invalid="ignore"):  # a block without a number
-        return (_block_sums(np.where(known, image, 0.0), block) / _block_sums(known, block)).astype(np.float32)
+        means = _block_sums(np.where(known, image, 0.0), block) / _block_sums(known, block)
+    return np.asarray(means, dtype=np.float32)
 
 
 def _block_sums(image: np.ndarray, block: int) -> np.ndarray:

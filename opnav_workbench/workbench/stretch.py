@@ -187,7 +187,9 @@ def picture_png(image_dn: FloatArray, low_dn: float, high_dn: float) -> bytes:
     """Return a picture (n_line, n_pixel) as a small gray PNG, reduced and with few shades so that notebooks stay small."""
     n_line, n_pixel = image_dn.shape
     factor = max(1, -(-max(n_line, n_pixel) // STILL_LONGEST_PX))
-    shade = np.rint(shades(block_means(image_dn, factor), low_dn, high_dn) * (STILL_SHADES - 1)).astype(np.uint8)
+    shade = np.rint(shades(block_means(image_dn, factor), low_dn, high_dn) * (STILL_SHADES - 1)).astype(
+        np.uint8
+    )
     picture = Image.fromarray(shade, mode="P")
     picture.putpalette(
         [round(255 * level / (STILL_SHADES - 1)) for level in range(STILL_SHADES) for _ in "rgb"]
