@@ -262,6 +262,11 @@ class Camera(CameraResponse):
         return cls(**cahvor.camera_fields_from_cahvor(a, h, v, o, r, linearity, focal_length_mm) | fields)
 
     @property
+    def scans(self) -> bool:
+        """Whether its own motion makes the lines of its pictures: a line scanner."""
+        return self.rows is not None and self.rows.scans
+
+    @property
     def boresight(self) -> FloatArray:
         """Unit vector (3,) toward the sky at `center_pixel_line`, camera frame."""
         return np.asarray(self.focal_from_camera[2])

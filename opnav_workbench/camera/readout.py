@@ -58,7 +58,7 @@ def read_out(
     ):
         return camera
     detector, step, start = (np.array(v) for v in ((camera.n_pixel, camera.n_line), binning, first))
-    if camera.rows is not None and camera.rows.scans and size is not None:
+    if camera.scans and size is not None:
         detector[1] = max(detector[1], start[1] + step[1] * size[1])
     count = (detector - start) // np.maximum(step, 1) if size is None else np.array(size)
     if not (

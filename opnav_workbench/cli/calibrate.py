@@ -39,6 +39,7 @@ from opnav_workbench.processing.star_pictures import (
     effective_psf_of,
     isolation_px,
     psf_pictures,
+    sessions_kept,
     solve_star_pictures,
     star_pictures,
 )
@@ -253,10 +254,7 @@ def _effective_psf(solved: SolvedPictures, result: PsfCalibration, isolation: fl
     """What the pictures say of light within a pixel; None where every star of the camera shows that itself."""
     if not float(np.mean(result.psf.sigma_px)) < MAX_EFFECTIVE_SIGMA_PX:
         return solved.sessions[0].context.camera.effective_psf
-    used = [
-        session for session, kept in zip(solved.sessions, result.used_pictures, strict=True) if bool(kept)
-    ]
-    return effective_psf_of(used, isolation)
+    return effective_psf_of(sessions_kept(solved.sessions, result.used_pictures), isolation)
 
 
 def _solved_pictures(images: Sequence[Path], opened: OpenedProcessing, **options: Any) -> SolvedPictures:

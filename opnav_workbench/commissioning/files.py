@@ -135,7 +135,7 @@ def write_scenario(
         "catalog": catalog,
         "magnitude_limit": 11.0,
         "seed": 1,
-        "attitude": {"motion": {"from_kernels": True}} if _scans(camera) else {"predicted": aim},
+        "attitude": {"motion": {"from_kernels": True}} if camera.scans else {"predicted": aim},
         "pictures": [picture],
     }
     path = make_folder(folder / "pictures") / "star_fields.yaml"
@@ -171,10 +171,6 @@ def _kernels(craft: Craft, camera: Camera, place: Place, middle: datetime) -> di
         },
         "trajectories": [{"kind": "ephemeris", "target": "SUN"}, _straight_line(craft, place, middle)],
     }
-
-
-def _scans(camera: Camera) -> bool:
-    return camera.rows is not None and camera.rows.scans
 
 
 def _window(camera: Camera, place: Place, middle: datetime, span: dict[str, str]) -> dict[str, Any]:

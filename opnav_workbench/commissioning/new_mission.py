@@ -261,10 +261,9 @@ class _Maker:
         with self.kernels():
             self.say("reading the picture")
             context = open_context(image, load_mission(self.wanted.folder), Settings())
-            scans = camera.rows is not None and camera.rows.scans
             found = (
                 self.scan_orientation(context, image, keywords)
-                if scans
+                if camera.scans
                 else self.orientation(context, words.keywords.get("target"))
             )
             if found is not None:

@@ -21,10 +21,19 @@ from opnav_workbench.mission import Mission
 from opnav_workbench.version import __version__
 from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_text
 
-__all__ = ["NightInputs", "changes", "fingerprint", "night_inputs", "picture_et", "with_named_files"]
+__all__ = [
+    "NightInputs",
+    "changes",
+    "fingerprint",
+    "named_file",
+    "night_inputs",
+    "picture_et",
+    "with_named_files",
+]
 
 # Parameters that name files, which count by their contents.
 FILES = ("decisions", "target_stars")
+LONGEST_NAME = 256  # characters, of a file
 SHOWN_DIGITS = 12
 
 
@@ -137,9 +146,17 @@ def with_named_files(path: Path) -> Iterator[Path]:
     except (OSError, YamlError, UnicodeDecodeError):  # what needs it says what is wrong with it
         return
     for text in _texts(content):
-        named = path.parent / text
-        if len(text) < 256 and "\n" not in text and named.is_file() and named != path:  # a file's name
+        named = named_file(path.parent, text)
+        if named is not None and named != path:
             yield from with_named_files(named)
+
+
+def named_file(folder: Path, text: str) -> Path | None:
+    """Return the file that a YAML file's text names, relative to its folder; None where it is no file's name."""
+    if len(text) >= LONGEST_NAME or "\n" in text:
+        return None
+    named = folder / text
+    return named if named.is_file() else None
 
 
 def _texts(value: Any) -> Iterator[str]:

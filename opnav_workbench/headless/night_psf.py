@@ -22,7 +22,7 @@ from opnav_workbench.calibration import MAX_EFFECTIVE_SIGMA_PX
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import OpNavError, SessionError
 from opnav_workbench.files import digest, make_folder, read_json, sha256_of, write_json, write_text
-from opnav_workbench.headless.inputs import with_named_files
+from opnav_workbench.headless.inputs import named_file, with_named_files
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.mission import CameraChoice, Mission, load_mission
@@ -45,7 +45,6 @@ MIN_PICTURES, MAX_PICTURES = 4, 24  # fewer do not tell how pictures differ; mor
 MAX_PIXELS = 8_000_000  # of all pictures that teach, which are held together
 LOOKED_AT = 200  # pictures whose headers are read to find those of a camera
 AGAIN_FROM = 2.0  # times the pictures of the last try, where that taught nothing
-LONGEST_NAME = 256  # characters
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,5 +256,5 @@ def _with_full_paths(value: Any, base: Path) -> Any:
         return {name: _with_full_paths(item, base) for name, item in value.items()}
     if isinstance(value, list):
         return [_with_full_paths(item, base) for item in value]
-    is_name = isinstance(value, str) and 0 < len(value) < LONGEST_NAME and "\n" not in value
-    return str((base / value).resolve()) if is_name and (base / value).is_file() else value
+    named = named_file(base, value) if isinstance(value, str) else None
+    return value if named is None else str(named.resolve())

@@ -29,6 +29,7 @@ __all__ = [
     "isolation_px",
     "psf_pictures",
     "sessions_alike",
+    "sessions_kept",
     "solve_star_pictures",
     "star_pictures",
     "teaching_pictures",
@@ -177,7 +178,12 @@ def sessions_alike(sessions: Sequence[ImageSession]) -> list[ImageSession]:
         used = stack_psf(pictures, context.camera_psf).used_pictures
     except CameraError:  # too few bright stars to tell
         return list(sessions)
-    return [session for session, kept in zip(sessions, used, strict=True) if bool(kept)]
+    return sessions_kept(sessions, used)
+
+
+def sessions_kept(sessions: Sequence[ImageSession], kept: BoolArray) -> list[ImageSession]:
+    """Return those of the sessions that a stack has kept (m,)."""
+    return [session for session, used in zip(sessions, kept, strict=True) if bool(used)]
 
 
 def effective_psf_of(sessions: Sequence[ImageSession], isolation_px: float) -> EffectivePsf:

@@ -60,7 +60,7 @@ def open_inputs(
     try:
         inputs = collect_inputs(context, source, catalog)
     except (NoAttitudeError, NoAttitudeKernelError) as silent:
-        if context.camera.rows is not None and context.camera.rows.scans:
+        if context.camera.scans:
             raise  # without its motion a line scan is no picture of the sky
         catalog = catalog or open_catalog(source.catalog)
         answer = _searched(context, catalog)

@@ -46,9 +46,8 @@ LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
 # Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
 # both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
 COARSE, FINE = (0.25, 96, 160, 2.0), (0.125, 160, 400, 1.0)
-CRESCENT_RAD = (
-    0.5 * np.pi
-)  # of phase: beyond, the terminator lies near the limb, and coarse depths draw a center along
+# Of phase: beyond, the terminator lies near the limb, and coarse depths draw a center along.
+CRESCENT_RAD = 0.5 * np.pi
 SPREADS = 24  # directions in which the spread function is taken
 PLANE_RADIUS_PX = (15.0, 25.0)  # smaller disks are spread in two dimensions, coarse and fine
 PLANE_STEPS = 2  # of depth: the grid's

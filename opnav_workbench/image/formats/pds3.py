@@ -16,7 +16,7 @@ from opnav_workbench.image.formats.stored import (
     Raster,
     StoredPicture,
     full_scale,
-    holds_constant,
+    holds_constants,
     linear,
     read_raster,
 )
@@ -81,8 +81,7 @@ def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel, keywords:
     samples = read_raster(name, data, raster)
     scale, zero = image.get("SCALING_FACTOR"), image.get("OFFSET")
     values = linear(name, samples, scale, zero, "PDS3 label whose SCALING_FACTOR or OFFSET")
-    for key in MISSING:
-        values[holds_constant(samples, image.get(key))] = np.nan
+    values[holds_constants(samples, map(image.get, MISSING))] = np.nan
     return StoredPicture(values, dict(label.values))
 
 

@@ -13,7 +13,7 @@ from xml.parsers import expat
 import numpy as np
 
 from opnav_workbench.image.file_bytes import image_error
-from opnav_workbench.image.formats.stored import Raster, StoredPicture, holds_constant, linear, read_raster
+from opnav_workbench.image.formats.stored import Raster, StoredPicture, holds_constants, linear, read_raster
 from opnav_workbench.image.header import HeaderValue
 from opnav_workbench.image.pds_label import label_integer, label_value
 
@@ -175,11 +175,8 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
     stored = read_raster(name, data, raster)
     scale, zero = array.value("SCALING_FACTOR"), array.value("VALUE_OFFSET")
     image = linear(name, stored, scale, zero, "PDS4 label whose scaling_factor or value_offset")
-    for key in MISSING:
-        image[holds_constant(stored, array.value(key))] = np.nan
-    saturated = np.zeros(stored.shape, dtype=bool)
-    for key in SATURATED:
-        saturated |= holds_constant(stored, array.value(key))
+    image[holds_constants(stored, map(array.value, MISSING))] = np.nan
+    saturated = holds_constants(stored, map(array.value, SATURATED))
     return StoredPicture(image, label.values, saturated=saturated)
 
 

@@ -5,6 +5,7 @@ bytes that there are are checked before any array is made.
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -21,7 +22,7 @@ __all__ = [
     "StoredPicture",
     "full_scale",
     "header_value",
-    "holds_constant",
+    "holds_constants",
     "linear",
     "read_raster",
 ]
@@ -78,8 +79,17 @@ def full_scale(image: NDArray[Any]) -> BoolArray | None:
     return np.asarray(image == np.iinfo(image.dtype).max)
 
 
-def holds_constant(stored: NDArray[Any], constant: HeaderValue | None) -> BoolArray:
-    """Return which samples hold a special constant of a label: a number, or the bits of one (0xFF7FFFFB, 16#FF7FFFFB#)."""
+def holds_constants(stored: NDArray[Any], constants: Iterable[HeaderValue | None]) -> BoolArray:
+    """Return which samples hold any of a label's special constants; None stands for those that it does not have."""
+    out = np.zeros(stored.shape, dtype=bool)
+    for constant in constants:
+        if constant is not None:
+            out |= _holds(stored, constant)
+    return out
+
+
+def _holds(stored: NDArray[Any], constant: HeaderValue) -> BoolArray:
+    """Return which samples hold a constant: a number, or the bits of one (0xFF7FFFFB, 16#FF7FFFFB#)."""
     bits = BITS.fullmatch(str(constant).strip())
     number = header_number(constant)
     if bits is not None and len(bits[1]) <= 2 * stored.dtype.itemsize:
