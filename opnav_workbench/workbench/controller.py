@@ -10,9 +10,11 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from weakref import WeakSet
 
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session.context import typical_noise_dn
 from opnav_workbench.workbench.actions import (
     CIRCLE,
     LANDMARK_MENU,
@@ -71,6 +73,7 @@ class WorkbenchController:
         self.queue, self.viewer = queue, viewer
         self.ahead = ahead
         self._works_ahead = False  # one thread does
+        self._prepared: WeakSet[ImageSession] = WeakSet()  # what showing them costs is done
         self.registry = ActionRegistry([*WORKBENCH_ACTIONS, *viewer.actions])
         self.runner = StepRunner(queue, viewer, status or Status())
         self.stars = StarsTab(self.runner, self.registry)
@@ -242,9 +245,15 @@ class WorkbenchController:
     def _open(self, item: QueueItem) -> None:
         """Open an image, predict its stars where nothing was done yet, and do what showing it costs."""
         session = self.queue.open(item)
-        self.viewer.prepare(session)
+        self._prepare(session)
         if session.state.a_priori is None:
             session.predict()
+
+    def _prepare(self, session: ImageSession) -> None:
+        """Do what showing an image costs: its picture, and the noise that panels tell, a median of all pixels."""
+        self.viewer.prepare(session)
+        typical_noise_dn(session.context)
+        self._prepared.add(session)
 
     def _arrived(self, item: QueueItem, error: BaseException | None) -> None:
         """Show an image whose opening has ended, if the analyst still waits for it."""
@@ -269,7 +278,6 @@ class WorkbenchController:
             tab.on_enter()
         self.runner.status.say(f"{item.name}: {len(session.standing)} steps. Press ? for the keys.")
         self.current_tab.look()
-        self.viewer.send_ahead(self._neighbors())
         self._open_ahead()
 
     def _show_failure(self, item: QueueItem) -> None:
@@ -282,9 +290,12 @@ class WorkbenchController:
         self.viewer.blank(message)
 
     def _open_ahead(self) -> None:
-        """Open the neighbors of the image at hand in a thread of their own, one after the other, and send them ahead."""
+        """Send the neighbors of the image at hand ahead; those that are not ready a thread opens, one after the other."""
         with self.runner.lock:
-            if self.ahead and not self._works_ahead:
+            near = self._neighbors()
+            self.viewer.send_ahead(near)
+            done = self.queue.next_to_open() is None and all(one in self._prepared for one in near)
+            if self.ahead and not self._works_ahead and not done:
                 self._works_ahead = True
                 threading.Thread(target=self._work_ahead, daemon=True).start()
 
@@ -295,7 +306,7 @@ class WorkbenchController:
             near = self._neighbors()
             for session in near:
                 with suppress(Exception):  # told when its turn comes
-                    self.viewer.prepare(session)
+                    self._prepare(session)
 
     def _is_ahead_of(self, prepared: list[ImageSession]) -> bool:
         """Whether nothing is left to be done ahead; then what is prepared goes to the pages."""

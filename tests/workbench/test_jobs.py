@@ -8,6 +8,7 @@ import pytest
 
 from opnav_workbench.errors import ImageError, SelectionPending
 from opnav_workbench.session import ImageSession
+from opnav_workbench.session import context as session_context
 from opnav_workbench.workbench.controller import WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
 
@@ -113,6 +114,25 @@ def test_neighbors_are_opened_ahead(slow_queue):
     assert time.monotonic() - began < 0.2
     until(lambda: slow_queue.queue.items[2].status == "failed")  # told only when its turn comes
     assert bench.runner.status.kind != "error"
+
+
+def test_showing_what_is_ready_starts_and_finds_nothing(slow_queue, monkeypatch):
+    runs, work, show, medians = [], WorkbenchController._work_ahead, slow_queue.viewer.show, []
+    monkeypatch.setattr(WorkbenchController, "_work_ahead", lambda bench: (runs.append(bench), work(bench)))
+    known = session_context._TYPICAL_NOISE_DN
+    slow_queue.viewer.show = lambda session: (medians.append(session.context in known), show(session))
+    slow_queue.go_on.set()
+    bench = workbench_on(slow_queue, ahead=True)
+    until(lambda: slow_queue.queue.items[1].session is not None and not bench._works_ahead)
+    press(bench, "PageDown")
+    until(lambda: slow_queue.queue.items[2].status == "failed" and not bench._works_ahead)
+    n_runs = len(runs)
+    assert n_runs == 2  # the second picture, then the third
+    press(bench, "PageUp", "PageDown", "PageUp")
+    assert len(runs) == n_runs
+    assert slow_queue.viewer.ahead == [slow_queue.queue.items[1].session]
+    assert len(medians) == 5
+    assert all(medians)  # the noise of all pixels was found while the pictures were opened
 
 
 @pytest.mark.slow
