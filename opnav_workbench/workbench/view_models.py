@@ -248,6 +248,7 @@ NO_PICTURE = np.zeros((1, 1), np.uint32)
 # What the analyst and the page move: on a canvas of its own, so that thousands of marks below are not drawn anew with it.
 OVER: Final = "overlay"
 CROWD = 500  # marks of one kind: with more of them halos would hide the picture, and cost half of its paint
+CROWDED = "crowded"  # tag of halos that the page (static/image_actions.js) hides, since they are too many
 
 
 def _source(*columns: str) -> Any:
@@ -290,9 +291,9 @@ class PictureModels:
             _add_image(plot, f"opnav-{name}")
         self.sources: dict[str, Any] = {}
         self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
-        self._halos: dict[
-            str, list[Any]
-        ] = {}  # a dark edge below each, so that no mark is lost on a bright ground
+        # A dark edge below each, so that no mark is lost on a bright ground.
+        self._halos: dict[str, list[Any]] = {}
+        self._edges: dict[str, list[Any]] = {}  # of points: the renderers of their halos
         cursor = ColumnDataSource({"pixel": [0.0], "line": [0.0]}, name="opnav-cursor")
         self.magnifier.rect(
             "pixel", "line", 1, 1, source=cursor, fill_color=None, line_color="#E69F00", line_width=1.5
@@ -315,11 +316,8 @@ class PictureModels:
         if old.keys() != columns.keys() or not all(_same(old[key], columns[key]) for key in columns):
             source.data = columns
             if name in STAR_SIZES:
-                self._thin_halos(name, len(columns["pixel"]))
-
-    def _thin_halos(self, kind: str, count: int) -> None:
-        for glyph in self._halos[kind]:
-            glyph.line_alpha = 0.0 if count > CROWD else HALO_ALPHA
+                for edge in self._edges[name]:  # the page hides those that are too many
+                    edge.tags = [CROWDED] if len(columns["pixel"]) > CROWD else []
 
     def use_theme(self, name: str) -> None:
         """Give every mark the style that a theme has for it."""
@@ -403,12 +401,13 @@ class PictureModels:
                 plot.scatter(
                     "pixel", "line", source=source, name=f"overlay:{group}", size=size,
                     fill_color=None, marker=THEMES[DEFAULT_THEME][kind].shape, **look,
-                ).glyph
+                )
                 for plot in (self.picture, self.magnifier, self.second)
             ]
             for look in ({**HALO, "line_width": MARK_PX + HALO_PX}, {"line_width": MARK_PX})
         ]  # fmt: skip
-        self._halos[kind], self._glyphs[kind] = both
+        self._edges[kind] = both[0]
+        self._halos[kind], self._glyphs[kind] = ([one.glyph for one in renderers] for renderers in both)
 
     def _add_text(self, name: str, group: str, kind: str) -> None:
         source = self.sources[name] = _source("pixel", "line", "text", "x_offset", "y_offset", "side")

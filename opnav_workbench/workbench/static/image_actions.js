@@ -127,7 +127,8 @@ class ImageActions {
     for (const model of this.doc.all_models) {
       if (!model.name?.startsWith?.("overlay:")) continue;
       const group = model.name.slice("overlay:".length);
-      if (group !== "tools") quiet(model, { visible: this.state.groups.includes(group) });
+      const crowded = model.tags.includes("crowded"); // halos: see view_models.py
+      if (group !== "tools") quiet(model, { visible: this.state.groups.includes(group) && !crowded });
     }
   }
 
