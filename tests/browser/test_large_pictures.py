@@ -1,0 +1,95 @@
+"""Two pictures of 4096 x 4096 in the workbench: the second is in the page before it is asked for. Counted, not timed."""
+
+import numpy as np
+import pytest
+import spiceypy
+from astropy.io import fits
+
+from opnav_workbench.camera import Camera
+from opnav_workbench.cli.lab import LabParameters, put_notebook
+from opnav_workbench.geometry import radec_from_unit
+from opnav_workbench.processing import Processing
+from opnav_workbench.resources import kernels_meta_dir
+
+pytestmark = pytest.mark.slow
+
+SIZE = 4096
+# Pieces of 2 MiB of both pictures' 16 bit pixels, each with its coarse form before.
+PIECES = 2 * (1 + 2 * SIZE * SIZE // (1 << 21))
+# Presses PgDn; resolves to all that was seen between the key and the second picture's own pixels.
+PRESS = """() => new Promise(done => {
+  const text = (s) => document.querySelector(s)?.textContent ?? '', seen = new Set();
+  const root = document.querySelector('.opnav-bridge');
+  const pixels = () => Bokeh.documents.at(-1)?.get_model_by_name('opnav-shown')?.data.image[0];
+  const before = pixels();
+  const look = () => {
+    seen.add(root.dataset.painted.split(' ')[0] + text('.opnav-message'));
+    const there = text('.ow-header b') === 'large_1.fit' && pixels() && pixels() !== before;
+    there ? done([...seen]) : requestAnimationFrame(look);
+  };
+  const key = new KeyboardEvent('keydown', { key: 'PageDown', bubbles: true });
+  document.querySelector('.opnav-workbench').dispatchEvent(key);
+  look();
+})"""
+
+
+def large_pictures(folder):
+    """Write two pictures, their mission and catalog; return their paths and how they are processed."""
+    generic, mission = kernels_meta_dir() / "generic", folder / "mission"
+    (mission / "cameras").mkdir(parents=True)
+    middle = f"[{SIZE / 2 - 0.5}, {SIZE / 2 - 0.5}]"
+    camera = (generic / "cameras/pinhole.yaml").read_text().replace("[511.5, 511.5]", middle)
+    (mission / "cameras/pinhole.yaml").write_text(camera.replace("1024", str(SIZE)))
+    cubesat = "  - file: cameras/cubesat.yaml\n    match: {INSTRUME: CUBESAT}\n"
+    (mission / "mission.yaml").write_text((generic / "mission.yaml").read_text().replace(cubesat, ""))
+    rng = np.random.default_rng(5)
+    places = rng.uniform(5.0, SIZE - 6.0, (40, 2))
+    ra, dec = radec_from_unit(Camera.from_yaml(mission / "cameras/pinhole.yaml").unproject(places))
+    mag, names = np.linspace(7.0, 10.0, 40), [f"ST {n}" for n in range(40)]
+    np.savez(folder / "stars.npz", ra_deg=np.degrees(ra), dec_deg=np.degrees(dec), mag=mag, id=names)
+    facts = {"DATE-AVG": "2030-01-01T00:00:00", "EXPTIME": 1.0, "INSTRUME": "PINHOLE"}
+    facts |= {f"QUAT{i}": float(value) for i, value in enumerate(spiceypy.m2q(np.eye(3)))}
+    facts |= {
+        "SUNPOSX": 1.4e8,
+        "SUNPOSY": 3e7,
+        "SUNPOSZ": 1e6,
+        "SUNVELX": 5.0,
+        "SUNVELY": 29.0,
+        "SUNVELZ": 1.0,
+    }
+    paths = []
+    for number in range(2):
+        image = rng.normal(600.0, 3.0, (SIZE, SIZE)).astype(np.uint16)
+        paths.append(folder / f"large_{number}.fit")
+        fits.writeto(paths[-1], image, fits.Header(facts))
+    how = Processing(mission=str(mission / "mission.yaml"), catalog=f"npz:{folder / 'stars.npz'}")
+    return tuple(map(str, paths)), how
+
+
+def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
+    folder = lab.root / "large"
+    folder.mkdir()
+    put_notebook(folder, LabParameters(*large_pictures(folder)))
+    page = chromium.new_context(viewport={"width": 1280, "height": 800}).new_page()
+    asked = []
+
+    def count(frame):
+        text = frame if isinstance(frame, str) else frame.decode("latin1")
+        asked.extend(["piece"] * text.count('"kind":"pull"'))
+
+    page.on("websocket", lambda socket: socket.on("framesent", count))
+    page.goto(f"{lab.address}/lab/tree/large/workbench.ipynb?token={lab.token}")
+    page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=90_000)
+    for _ in range(300):
+        page.wait_for_timeout(100)
+        if len(asked) >= PIECES:
+            break
+    page.wait_for_timeout(500)  # the last one arrives
+    before = len(asked)
+    assert before >= PIECES
+    seen = page.evaluate(PRESS)
+    assert seen == ["data"]  # all its pixels at once: no message, no coarse picture, no blank one
+    page.wait_for_timeout(300)
+    assert len(asked) == before
+    page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
+    page.context.close()
