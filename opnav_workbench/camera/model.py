@@ -13,7 +13,7 @@ Source: W. Owen, "Methods of optical navigation", AAS 11-215 (2011).
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -345,6 +345,17 @@ class Camera(CameraResponse):
             self.pixel_from_mm @ self.distortion.jacobian(ideal) @ gnomonic @ self.focal_from_camera
         )
 
+    def standing(self, camera_from_j2000: ArrayLike) -> "Camera":
+        """Return the camera as it stands at an attitude (3, 3); another one only where its lines have their own times.
+
+        Its mapping then depends on the attitude: it flies the path that the kernels tell, however it is mounted. Directions
+        that were turned by an attitude are for the camera standing at it.
+        """
+        if self.sweep is None:
+            return self
+        sweep = self.sweep.standing(np.asarray(camera_from_j2000, dtype=np.float64))
+        return self if sweep is self.sweep else replace(self, sweep=sweep)
+
     def attitude_jacobian(self, in_camera: ArrayLike) -> FloatArray:
         """Return d(pixel, line)/d(small rotation of the camera), (..., 2, 3) px/rad.
 
@@ -358,12 +369,18 @@ class Camera(CameraResponse):
         (..., 2, 3) array
             With respect to the rotation vector eps about the camera frame's axes that takes v to v + eps x v: the error of
             an attitude, ``true = rotation_from_vector(eps) @ camera_from_j2000``, as in `PointingSolution.covariance_rad2`.
+            Where lines have their own times, all of them are turned alike: the path turns with the camera (`standing`).
         """
         vectors = np.asarray(in_camera, dtype=np.float64)
         x, y, z = np.moveaxis(vectors, -1, 0)
         zero = np.zeros_like(x)
         turned = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(*x.shape, 3, 3)
-        return np.asarray(self.project_jacobian(vectors) @ turned)
+        jacobian = self.project_jacobian(vectors) @ turned
+        if self.sweep is None:
+            return np.asarray(jacobian)
+        # A turn of the camera as it stands at the line's own time, told at mid-picture.
+        turns = self.sweep.turns(self.project(vectors)[..., 1])
+        return np.asarray(jacobian @ np.swapaxes(turns, -1, -2))
 
     def unproject(self, pixel_line: ArrayLike) -> FloatArray:
         """Return the unit vectors (..., 3), camera frame, that points (..., 2) of (pixel, line) look along.

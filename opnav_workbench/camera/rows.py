@@ -7,15 +7,18 @@ Times  s from the middle of the middle line's exposure, which is the time of the
 Rolling shutter   a direction v falls on the line l that it has when l is exposed: ``line(R(t_l) v) = l``
 Line scan         every line of the picture is the same line d of the detector: ``line(R(t_l) v) = d``
 
-with R(t) the camera's turn since mid-picture, ``camera(t) from camera(0)``. Both are solved by Newton's method; a pointing
-that is solved then turns all lines together, and leaves their relative motion as kernels tell it.
+with R(t) the camera's turn since mid-picture, ``camera(t) from camera(0)``. Both are solved by Newton's method.
+
+What kernels tell wrongly of a camera is how it is mounted: it flies the path that they have, turned by a rotation E that
+stays the same in the camera's frame. With E the turns themselves become ``E R(t) E^T`` (`RowSweep.standing`): a camera that
+is twisted against its path is drawn along the same strip of the sky, not along one turned with it.
 
 Reference: Geyer, Meingast & Sastry 2005, "Geometric models of rolling-shutter cameras"; Gupta & Hartley 1997, IEEE TPAMI
 19, 963 (linear pushbroom cameras).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -82,6 +85,8 @@ class RowSweep:
         Ascending, from `middle_line`'s.
     turn_rad : (k, 3) array
         Rotation vectors of ``camera(t) from camera(0)``, camera frame; before and after them the turn goes on evenly.
+    camera_from_j2000 : (3, 3) array
+        Attitude at mid-picture for which they are.
     follows
         The body whose motion is in the turn besides the camera's (`opnav_workbench.scene.following`); empty: none's.
     """
@@ -91,12 +96,20 @@ class RowSweep:
     detector_line: float | None
     time_s: FloatArray
     turn_rad: FloatArray
+    camera_from_j2000: FloatArray
     follows: str = ""
     _spline: "scipy.interpolate.CubicSpline" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_spline", scipy.interpolate.CubicSpline(self.time_s, self.turn_rad))
         freeze_arrays(self)
+
+    def standing(self, camera_from_j2000: FloatArray) -> "RowSweep":
+        """Return how a camera turns that stands otherwise at mid-picture (3, 3), and flies the same path."""
+        if np.array_equal(camera_from_j2000, self.camera_from_j2000):
+            return self
+        turned = camera_from_j2000 @ self.camera_from_j2000.T
+        return replace(self, turn_rad=self.turn_rad @ turned.T, camera_from_j2000=np.array(camera_from_j2000))
 
     def turns(self, line: FloatArray) -> FloatArray:
         """Return ``camera(line's time) from camera(0)``, (..., 3, 3), at lines (...,)."""
@@ -197,7 +210,7 @@ def row_sweep(
     pixel_rad
         Angle of a pixel.
     attitude_at
-        ``camera_from_...`` (3, 3), any frame that rests, at times in s from the middle of the picture.
+        ``camera_from_j2000`` (3, 3) at times in s from the middle of the picture.
 
     Raises
     ------
@@ -225,4 +238,4 @@ def row_sweep(
             "a line scan is made by the camera's motion, and the camera does not move during the picture; give the CK "
             "of the scan (--kernels)."
         )
-    return RowSweep(timing.line_time_s, 0.5 * (n_line - 1), timing.detector_line, times, turns)
+    return RowSweep(timing.line_time_s, 0.5 * (n_line - 1), timing.detector_line, times, turns, middle)

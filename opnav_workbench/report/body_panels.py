@@ -118,8 +118,9 @@ def shown_of_session(session: ImageSession, center: BodyCenter) -> ShownBody:
 
 def _east_north(session: ImageSession, direction: FloatArray) -> FloatArray:
     attitude = session.camera_from_j2000
+    camera = session.context.camera.standing(attitude)
     sky = np.stack(tangent_basis(*radec_from_unit(direction)))
-    motion = sky @ attitude.T @ session.context.camera.project_jacobian(attitude @ direction).T
+    motion = sky @ attitude.T @ camera.project_jacobian(attitude @ direction).T
     return np.asarray(motion / np.linalg.norm(motion, axis=1, keepdims=True))
 
 

@@ -40,6 +40,7 @@ def following(
     camera_from_j2000 : (3, 3) array_like
         At mid-picture.
     """
+    camera = camera.standing(camera_from_j2000)
     sweep, velocity = camera.sweep, target.velocity_km_s
     if sweep is None or sweep.follows or target.is_star or velocity is None:
         return camera

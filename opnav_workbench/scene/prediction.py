@@ -93,7 +93,7 @@ class StarPrediction:
 
     def places(self, camera: Camera, camera_from_j2000: FloatArray) -> FloatArray:
         """Return where the stars fall (n, 2), px, with another attitude than the one they were predicted with."""
-        return camera.project(self.directions @ camera_from_j2000.T)
+        return camera.standing(camera_from_j2000).project(self.directions @ camera_from_j2000.T)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,6 +165,7 @@ def predict_stars(
     margin_px
         Stars up to this far outside the detector are kept (with ``on_detector`` False).
     """
+    camera = camera.standing(camera_from_j2000)
     directions = apparent_stars(stars, et, observer)
     in_camera = directions @ camera_from_j2000.T
     pixel_line = camera.project(in_camera)

@@ -294,8 +294,8 @@ def _unresolved(
 
 def predicted_sigma_px(context: Context, inputs: Inputs, state: SessionState, target: TargetState) -> float:
     """Largest one-sigma (px) of the predicted place, from attitude and, where given, ephemeris."""
-    camera = context.camera
     rotation = best_attitude(inputs, state)
+    camera = context.camera.standing(rotation)
     vector = rotation @ np.asarray(target.position_km)
     by_attitude = camera.attitude_jacobian(rotation @ target.direction)
     covariance = by_attitude @ attitude_covariance(context, state) @ by_attitude.T

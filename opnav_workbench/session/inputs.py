@@ -499,8 +499,16 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
         lost=_lost_field(data.get("lost")),
         contradictions=tuple(data.get("contradictions", ())),
         shape_units=MappingProxyType(dict(data.get("shape_units", {}))),
-        sweep=None if data.get("sweep") is None else _rebuild(RowSweep, data["sweep"]),
+        sweep=None if data.get("sweep") is None else _stored_sweep(data),
     )
+
+
+def _stored_sweep(data: Mapping[str, Any]) -> RowSweep:
+    """Return how the camera turns; files of older versions leave the attitude to the a priori one."""
+    sweep: RowSweep = _rebuild(
+        RowSweep, {"camera_from_j2000": data["a_priori_camera_from_j2000"]} | dict(data["sweep"])
+    )
+    return sweep
 
 
 def _lost_field(values: Mapping[str, Any] | None) -> LostField | None:

@@ -250,7 +250,8 @@ def _observable(
     place = body.position_km + centers.place_km[row] @ body.body_from_j2000
     point = TargetState(name, place, velocity_km_s=body.velocity_km_s)
     camera = following(context.camera, body, inputs.observer.velocity_km_s, best_attitude(inputs, state))
-    a_priori = posed(centers, body, camera, inputs.a_priori_camera_from_j2000, inputs.observer.velocity_km_s)
+    before = inputs.a_priori_camera_from_j2000
+    a_priori = posed(centers, body, camera.standing(before), before, inputs.observer.velocity_km_s)
     x, y, z = centers.place_km[row]
     said = f"on {body.name} at {x:.6f}, {y:.6f}, {z:.6f} km, body-fixed"
     return observe(

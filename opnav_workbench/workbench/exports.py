@@ -11,7 +11,13 @@ from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path, write_text
 from opnav_workbench.geometry import geometric_direction, radec_from_unit
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.overlays import BodyMarks, body_marks, expected_attitude, star_marks
+from opnav_workbench.workbench.overlays import (
+    BodyMarks,
+    body_marks,
+    expected_attitude,
+    expected_camera,
+    star_marks,
+)
 
 __all__ = ["solved_wcs", "write_fits_with_wcs", "write_regions"]
 
@@ -92,7 +98,7 @@ def solved_wcs(session: ImageSession) -> WCS:
 
 def _sky(session: ImageSession, places: FloatArray) -> FloatArray:
     """Directions (n, 3) of places, J2000, stellar aberration removed."""
-    apparent = session.context.camera.unproject(places) @ expected_attitude(session)
+    apparent = expected_camera(session).unproject(places) @ expected_attitude(session)
     return geometric_direction(apparent, session.inputs.observer.velocity_km_s)
 
 

@@ -31,6 +31,7 @@ from opnav_workbench.workbench.overlays import (
     LONGEST_VECTOR,
     body_marks,
     expected_attitude,
+    expected_camera,
     mask_runs,
     sky_grid,
     star_facts,
@@ -367,7 +368,7 @@ class ImageView:
         if session is None:
             return
         with self.bridge.batch():
-            camera, attitude = session.context.camera, expected_attitude(session)
+            camera, attitude = expected_camera(session), expected_attitude(session)
             self.state.camera = json.dumps(sky_readout(camera, attitude).as_page_values())
             self.state.compass = json.dumps(compass_arrows(session))
             stars = star_marks(session)

@@ -18,7 +18,7 @@ from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.psf import box_integrals
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.overlays import expected_attitude
+from opnav_workbench.workbench.overlays import expected_attitude, expected_camera
 
 __all__ = ["Aperture", "compass_arrows", "measure_aperture"]
 
@@ -242,7 +242,7 @@ def compass_arrows(session: ImageSession) -> list[tuple[str, float, float]]:
 
     The Sun's is taken at the first target with a known Sun; it is left out where it points along the line of sight.
     """
-    camera, attitude = session.context.camera, expected_attitude(session)
+    camera, attitude = expected_camera(session), expected_attitude(session)
     middle = 0.5 * (np.array([camera.n_pixel, camera.n_line]) - 1.0)
     here = camera.unproject(middle[None])[0] @ attitude
     east = np.cross([0.0, 0.0, 1.0], here)
@@ -270,7 +270,7 @@ def _step_px(
         return None
     ends = np.stack([start, start + STEP_RAD * across / length])
     ends /= np.linalg.norm(ends, axis=1, keepdims=True)
-    first, last = session.context.camera.project(ends @ attitude.T)
+    first, last = expected_camera(session).project(ends @ attitude.T)
     step = last - first
     size = float(np.hypot(*step))
     return (float(step[0] / size), float(step[1] / size)) if np.isfinite(size) and size > 0.0 else None

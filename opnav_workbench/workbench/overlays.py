@@ -25,6 +25,7 @@ __all__ = [
     "Columns",
     "body_marks",
     "expected_attitude",
+    "expected_camera",
     "mask_runs",
     "predicted_body",
     "sky_grid",
@@ -57,6 +58,11 @@ class StarMarks:
 def expected_attitude(session: ImageSession) -> FloatArray:
     """Return the attitude (3, 3) with which things are expected: solved, else that of the field found, else a priori."""
     return best_attitude(session.inputs, session.state, with_identified=True)
+
+
+def expected_camera(session: ImageSession) -> Camera:
+    """Return the camera as it stands at `expected_attitude`."""
+    return session.context.camera.standing(expected_attitude(session))
 
 
 def star_marks(session: ImageSession) -> StarMarks:
@@ -281,7 +287,7 @@ def _projected(session: ImageSession, directions: FloatArray) -> FloatArray:
     if len(directions) == 0:
         return np.empty((0, 2))
     apparent = apparent_direction(directions, session.inputs.observer.velocity_km_s)
-    return session.context.camera.project(apparent @ expected_attitude(session).T)
+    return expected_camera(session).project(apparent @ expected_attitude(session).T)
 
 
 # ---- Lines of right ascension and declination over the picture, with labels.

@@ -82,6 +82,39 @@ def test_jacobians_are_those_of_differences(timing, motion):
     np.testing.assert_allclose(camera.unproject_jacobian(points), by_steps, atol=2e-11)
 
 
+@pytest.mark.parametrize(("timing", "motion"), [(ROLLING, attitude), (SCAN, scanning)])
+def test_a_camera_mounted_otherwise_flies_the_same_path(timing, motion):
+    mounted = Rotation.from_rotvec([2e-4, -3e-4, 6e-3]).as_matrix()
+    kept = camera_with(timing, motion)
+    camera = kept.standing(mounted @ motion(0.0))
+    points = np.random.default_rng(3).uniform(100.0, 900.0, (12, 2))
+    directions = camera.unproject(points) @ mounted @ motion(0.0)
+    places = [searched(camera, timing, lambda t: mounted @ motion(t), d) for d in directions]
+    np.testing.assert_allclose(places, points, atol=2e-3)
+    # turned in the camera's frame as before, a path of its own is flown: the test can fail
+    as_before = kept.project(directions @ (mounted @ motion(0.0)).T)
+    assert np.nanmax(np.abs(as_before - points)) > 0.1
+    there_and_back = camera.standing(motion(0.0))
+    np.testing.assert_allclose(there_and_back.sweep.turn_rad, kept.sweep.turn_rad, atol=1e-15)
+    assert kept.standing(motion(0.0)) is kept
+
+
+@pytest.mark.parametrize(("timing", "motion"), [(ROLLING, attitude), (SCAN, scanning)])
+def test_the_attitude_s_jacobian_turns_all_lines_alike(timing, motion):
+    middle = motion(0.0)
+    camera = camera_with(timing, motion)
+    directions = camera.unproject(np.random.default_rng(4).uniform(100.0, 900.0, (20, 2))) @ middle
+
+    def places(turn: np.ndarray) -> np.ndarray:
+        stands = Rotation.from_rotvec(turn).as_matrix() @ middle
+        return camera.standing(stands).project(directions @ stands.T)
+
+    steps = 1e-6 * np.eye(3)
+    by_steps = np.stack([places(step) - places(-step) for step in steps], axis=-1) / 2e-6
+    jacobian = camera.attitude_jacobian(directions @ middle.T)
+    np.testing.assert_allclose(jacobian, by_steps, atol=1e-4 * np.abs(by_steps).max())
+
+
 def test_behind_the_camera_is_nowhere():
     camera = camera_with(ROLLING, attitude)
     assert np.isnan(camera.project(-camera.boresight)).all()

@@ -238,7 +238,7 @@ def picture_of_session(session: ImageSession, target: str | None = None) -> Stac
         signal_dn=context.signal_dn,
         noise_dn=context.noise_dn,
         bad=context.bad | context.picture.saturated,
-        camera=context.camera,
+        camera=context.camera.standing(pointing.camera_from_j2000),
         camera_from_j2000=pointing.camera_from_j2000,
         observer_velocity_km_s=inputs.observer.velocity_km_s,
         psf=picture_psf(context, session.state),
@@ -266,7 +266,8 @@ def _catalog_covariance(session: ImageSession) -> FloatArray:
     assert state.a_priori is not None
     assert state.centers is not None
     used = np.flatnonzero(state.pointing.used)
-    attitude, camera = state.pointing.camera_from_j2000, session.context.camera
+    attitude = state.pointing.camera_from_j2000
+    camera = session.context.camera.standing(attitude)
     total = np.zeros((3, 3))
     for star in used:
         partials = camera.attitude_jacobian(attitude @ state.a_priori.directions[star])

@@ -255,9 +255,9 @@ def _finish(
     if used.all():
         residual, jacobian = linear.residual_px, linear.jacobian
     else:
-        in_camera = stars.directions @ attitude.T
-        residual = stars.observed_px - stars.camera.project(in_camera)
-        jacobian = stars.camera.attitude_jacobian(in_camera)
+        in_camera, camera = stars.directions @ attitude.T, stars.camera.standing(attitude)
+        residual = stars.observed_px - camera.project(in_camera)
+        jacobian = camera.attitude_jacobian(in_camera)
     covariance, formal = (
         _covariance(linear.rows(excess, design, model.tangent)[0], linear.rows(excess)[0])
         for excess in (excess_sigma_px, 0.0)
@@ -277,11 +277,11 @@ def _finish(
 def _linearize(
     stars: PointingProblem, model: StepModel, attitude: FloatArray, used: BoolArray, prior: FloatArray
 ) -> tuple[LinearizedProblem, FloatArray]:
-    in_camera = stars.directions[used] @ attitude.T
-    predicted = stars.camera.project(in_camera)
+    in_camera, camera = stars.directions[used] @ attitude.T, stars.camera.standing(attitude)
+    predicted = camera.project(in_camera)
     linear = LinearizedProblem(
         residual_px=stars.observed_px[used] - predicted,
-        jacobian=stars.camera.attitude_jacobian(in_camera),
+        jacobian=camera.attitude_jacobian(in_camera),
         covariance_px2=stars.covariance_px2[used],
         prior_rows=prior,
         prior_residual=stars.prior.residual(prior, attitude),
@@ -293,8 +293,8 @@ def _twist_information(
     stars: PointingProblem, attitude: FloatArray, used: BoolArray, excess: float
 ) -> float | None:
     """Inverse variance with which the stars alone determine the twist; None where one is out of sight."""
-    in_camera = stars.directions[used] @ attitude.T
-    along_axes = stars.camera.attitude_jacobian(in_camera) @ stars.camera.focal_from_camera.T
+    in_camera, camera = stars.directions[used] @ attitude.T, stars.camera.standing(attitude)
+    along_axes = camera.attitude_jacobian(in_camera) @ camera.focal_from_camera.T
     if not np.all(np.isfinite(along_axes)):
         return None
     rows = (_whitening(stars.covariance_px2[used], excess) @ along_axes).reshape(-1, 3)

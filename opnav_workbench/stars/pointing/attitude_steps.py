@@ -100,8 +100,10 @@ class ImagePlane:
         """See `StepModel`; a design without distortion leaves a part of the step itself."""
         return step_px
 
-    def design(self, jacobian: FloatArray, predicted_px: FloatArray) -> FloatArray:  # noqa: ARG002
+    def design(self, jacobian: FloatArray, predicted_px: FloatArray) -> FloatArray:
         """See `StepModel`; holds for an undistorted plane, and by iteration for a distorted one."""
+        if self.camera.sweep is not None:  # its picture is no plane that turns as a whole
+            return jacobian @ self.tangent
         design = np.zeros((len(predicted_px), 2, 3))
         design[:, 0, 0] = design[:, 1, 1] = 1.0
         offset = predicted_px - self.center_px

@@ -318,7 +318,7 @@ def _triads(directions: FloatArray, pairs: IntArray) -> FloatArray:
 
 def _consistent_pairs(stars: PointingProblem) -> int:
     """Number of pairs whose observed separation agrees with the predicted one."""
-    predicted = stars.camera.project(stars.directions @ stars.start.T)
+    predicted = stars.camera.standing(stars.start).project(stars.directions @ stars.start.T)
     count = 0
     for i, j in combinations(range(len(stars)), 2):
         expected, observed = predicted[j] - predicted[i], stars.observed_px[j] - stars.observed_px[i]

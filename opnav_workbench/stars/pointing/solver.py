@@ -102,6 +102,7 @@ def checked_input(
     if wanted.shape != (n,):
         raise PointingError(f"usable has shape {wanted.shape}, expected ({n},): one entry per star")
     attitude = _checked_attitude(a_priori)
+    camera = camera.standing(attitude)
     if start not in POINTING_STARTS:
         raise PointingError(f"unknown start {start!r}; use one of {', '.join(POINTING_STARTS)}")
     reasons = _reasons_unusable(wanted, observed, covariance, camera.project(sky @ attitude.T), start)
@@ -356,7 +357,7 @@ def _with_tails(
 def _solution(
     given: PointingInput, selection: StarSelection, fit: AttitudeFit, model: PointingModel
 ) -> PointingSolution:
-    camera = given.sightings.camera
+    camera = given.sightings.camera.standing(fit.attitude)
     used = np.zeros(len(given.reasons), dtype=bool)
     used[given.index] = selection.used
     residual = given.observed_px - camera.project(given.directions @ fit.attitude.T)
