@@ -6,6 +6,7 @@ plane, the camera's limit and the digitizer's bits. Rectangles of one value neve
 is made positive everywhere.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -71,6 +72,25 @@ class Planes:
     messages: tuple[str, ...]
 
 
+# How programs that save pictures of color cameras name the filters over the pixels.
+MOSAIC_KEYWORDS = ("BAYERPAT", "BAYRPAT", "COLORTYP")
+MOSAIC = re.compile("[RGB]{4}")
+
+
+def _mosaic(header: Header) -> tuple[str, ...]:
+    """Return a remark on a picture whose pixels see different colors, none of others."""
+    for keyword in MOSAIC_KEYWORDS:
+        pattern = str(header.get(keyword, "")).strip().upper()
+        if MOSAIC.fullmatch(pattern):
+            told = (
+                f"neighboring pixels lie under different color filters ({keyword} = {pattern}) and are read as gray: "
+                "centers follow the filters, by more than their sigmas tell; save one color's pixels as a picture, or "
+                "interpolate it to all pixels"
+            )
+            return (told,)
+    return ()
+
+
 def make_planes(
     name: str, source: StoredPicture, header: Header, keywords: KeywordMap, saturation_dn: float | None
 ) -> Planes:
@@ -86,7 +106,7 @@ def make_planes(
     error = _fitting_plane(name, source.error, "error", image.shape)
     quality = _fitting_plane(name, source.quality, "quality", image.shape)
     shape = image.shape
-    messages = [*source.messages, *remarks]
+    messages = [*source.messages, *remarks, *_mosaic(header)]
     dark = keywords.dark_columns.get(image.shape[1], 0)
     if 0 < dark < image.shape[1]:
         image = image[:, :-dark]

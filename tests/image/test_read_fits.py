@@ -127,6 +127,13 @@ class TestFrame:
         path = write(tmp_path / "b.fit", head=header(RADESYS="ICRS"))
         assert not any("ICRS" in m for m in read_image(path, KEYWORDS).messages)
 
+    @pytest.mark.parametrize(
+        ("card", "said"), [({"BAYERPAT": "rggb "}, True), ({"BAYERPAT": ""}, False), ({}, False)]
+    )
+    def test_a_mosaic_of_color_filters_is_told(self, tmp_path, card, said):
+        messages = read_image(write(tmp_path / "a.fit", head=header(**card)), KEYWORDS).messages
+        assert any("BAYERPAT = RGGB" in m for m in messages) is said
+
     def test_card_that_breaks_the_standard_is_left_out(self, tmp_path):
         path = write(tmp_path / "a.fit", head=header(ODD="fine"))
         path.write_bytes(path.read_bytes().replace(b"ODD     = 'fine    '", b"ODD     = 'fine     "))
