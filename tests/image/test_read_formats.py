@@ -198,6 +198,12 @@ class TestDisplayPictures:
         expected = np.iinfo(dtype).max - PIXELS.astype(dtype)
         np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, expected)
 
+    def test_bigtiff(self, tmp_path):
+        values = (PIXELS * 100).astype(np.uint16)
+        path = tmp_path / "a.tif"
+        path.write_bytes(bigtiff(values))
+        np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, values)
+
     def test_tiff_that_is_not_read(self, tmp_path):
         path = tmp_path / "a.tif"
         path.write_bytes(tiff(PIXELS.astype(np.float64), "<", sample_format=3))
@@ -225,6 +231,18 @@ def tiff(values, order, photometric=1, orientation=1, sample_format=1) -> bytes:
     )
     head = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8 + len(data))
     return head + data + struct.pack(order + "H", len(tags)) + entries + bytes(4)
+
+
+def bigtiff(values) -> bytes:
+    """As `tiff`, the low byte first, with places of 8 bytes: a head of 16, entries of 20."""
+    data = values.astype(values.dtype.newbyteorder("<")).tobytes()
+    lines, samples = values.shape
+    tags = {256: samples, 257: lines, 258: 8 * values.itemsize, 259: 1, 262: 1, 277: 1, 278: lines}
+    entries = {tag: (3, struct.pack("<H6x", value)) for tag, value in tags.items()}
+    entries |= {tag: (16, struct.pack("<Q", value)) for tag, value in ((273, 16), (279, len(data)))}
+    body = b"".join(struct.pack("<HHQ", tag, entries[tag][0], 1) + entries[tag][1] for tag in sorted(entries))
+    head = b"II" + struct.pack("<HHHQ", 43, 8, 0, 16 + len(data))
+    return head + data + struct.pack("<Q", len(entries)) + body + bytes(8)
 
 
 class TestRaw:
@@ -350,6 +368,23 @@ class TestPds4:
         np.testing.assert_array_equal(picture.bad, ~good)
         assert (picture.exposure_s, picture.utc) == (pytest.approx(0.09), "2000-02-25T05:16:12.701")
         assert self.KEYWORDS.value(picture.header, "target") == "Eros"
+
+    @pytest.mark.parametrize(
+        ("kind", "dtype", "bits"),
+        [
+            ("IEEE754MSBSingle", ">f4", 0xC2F60000),
+            ("IEEE754LSBSingle", "<f4", 0xC2F60000),
+            ("SignedMSB2", ">i2", 0x8001),
+        ],
+    )
+    def test_constants_given_as_bits(self, tmp_path, kind, dtype, bits):
+        values = PIXELS.astype(dtype)
+        values[3, 4] = np.array(bits, f"u{values.dtype.itemsize}").view(f"{values.dtype.str[1:]}")
+        (tmp_path / "a.dat").write_bytes(values.tobytes())
+        path = tmp_path / "a.xml"
+        special = f"<Special_Constants><missing_constant>0x{bits:X}</missing_constant></Special_Constants>"
+        path.write_bytes(pds4_label("a.dat", (12, 20), kind, more=special))
+        assert np.argwhere(read_image(path, self.KEYWORDS).bad).tolist() == [[3, 4]]
 
     def test_a_fits_file_that_a_label_describes(self, tmp_path):
         fits.PrimaryHDU(PIXELS.astype(">i2")).writeto(tmp_path / "a.fits")
