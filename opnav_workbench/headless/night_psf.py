@@ -40,6 +40,7 @@ __all__ = ["LearnedPsf", "learn_night_psf", "with_kept_psf"]
 
 PSF_FOLDER = ".psf"
 MISSION_FILE, RECORD_FILE = "mission.yaml", "learned.json"
+PSF_SUFFIX = "_effective_psf.npz"
 DIGEST_LETTERS = 12
 MIN_PICTURES, MAX_PICTURES = 4, 24  # fewer do not tell how pictures differ; more add little: the exam's night
 MAX_PIXELS = 8_000_000  # of all pictures that teach, which are held together
@@ -83,8 +84,16 @@ def with_kept_psf(spec: NightSpec, out: str | Path) -> NightSpec:
     mission = load_mission(spec.mission)
     if not _undersampled(mission):
         return spec
-    kept = _folder(out, mission) / MISSION_FILE
-    return spec.changed("night", mission=str(kept)) if kept.is_file() else spec
+    folder = _folder(out, mission)
+    if not (folder / MISSION_FILE).is_file():
+        return spec
+    if _record(folder).get("mission_file") != str(
+        mission.path
+    ):  # the mission has moved: what is kept names its files
+        names = [path.name.removesuffix(PSF_SUFFIX) for path in sorted(folder.glob(f"*{PSF_SUFFIX}"))]
+        _write_files(folder, mission, names)
+        write_json(folder / RECORD_FILE, _record(folder) | {"mission_file": str(mission.path)})
+    return spec.changed("night", mission=str(folder / MISSION_FILE))
 
 
 def learn_night_psf(
@@ -122,7 +131,7 @@ def learn_night_psf(
     teaching = _teaching(images, mission, choices)
     found = tuple(_learned(spec, name, pictures, say) for name, pictures in teaching.items())
     if found:
-        _keep(make_folder(folder), mission, choices, found, len(images))
+        _keep(make_folder(folder), mission, found, len(images))
     return found
 
 
@@ -198,20 +207,25 @@ def _folder(out: str | Path, mission: Mission) -> Path:
     return Path(out).resolve() / PSF_FOLDER / digest(told)[:DIGEST_LETTERS]
 
 
+def _record(folder: Path) -> dict[str, Any]:
+    """Return what is told of what was learned; empty where there is nothing, or it is damaged."""
+    if not (folder / RECORD_FILE).is_file():
+        return {}
+    try:
+        return dict(read_json(folder / RECORD_FILE, "delete it"))
+    except (SessionError, TypeError, ValueError):
+        return {}
+
+
 def _tried(folder: Path) -> int:
     """Return how many pictures the night had when it learned nothing; 0: not tried yet."""
-    if not (folder / RECORD_FILE).is_file():
-        return 0
-    try:
-        return int(read_json(folder / RECORD_FILE, "delete it")["pictures"])
-    except (SessionError, KeyError, TypeError, ValueError):  # damaged: tried again
-        return 0
+    tried = _record(folder).get("pictures", 0)
+    return tried if isinstance(tried, int) else 0
 
 
 def _keep(
     folder: Path,
     mission: Mission,
-    choices: Mapping[str, CameraChoice],
     found: Sequence[LearnedPsf],
     n_pictures: int,
 ) -> None:
@@ -224,21 +238,29 @@ def _keep(
         }
         for one in found
     }
-    write_json(folder / RECORD_FILE, {"version": __version__, "pictures": n_pictures, "cameras": told})
-    content = _with_full_paths(_content(mission.path), mission.path.parent)
+    told_of_it = {"version": __version__, "pictures": n_pictures, "cameras": told}
+    write_json(folder / RECORD_FILE, told_of_it | {"mission_file": str(mission.path)})
     for one in found:
-        if one.psf is None:
-            continue
-        source = choices[one.camera].file
-        one.psf.save(folder / f"{one.camera}_effective_psf.npz")
+        if one.psf is not None:
+            one.psf.save(folder / f"{one.camera}{PSF_SUFFIX}")
+    names = [one.camera for one in found if one.psf is not None]
+    if names:
+        _write_files(folder, mission, names)
+
+
+def _write_files(folder: Path, mission: Mission, names: Sequence[str]) -> None:
+    """Write camera files that name what was learned, and a mission file that names them."""
+    choices = _undersampled(mission)
+    content = _with_full_paths(_content(mission.path), mission.path.parent)
+    for name in names:
+        source = choices[name].file
         camera = _with_full_paths(_content(source), source.parent)
-        camera["psf"]["effective"] = f"{one.camera}_effective_psf.npz"
+        camera["psf"]["effective"] = f"{name}{PSF_SUFFIX}"
         _write_yaml(folder / source.name, camera)
         for entry in content["cameras"]:
             if Path(entry["file"]).resolve() == source.resolve():
                 entry["file"] = source.name
-    if any(one.psf is not None for one in found):
-        _write_yaml(folder / MISSION_FILE, content)
+    _write_yaml(folder / MISSION_FILE, content)
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def test_what_was_learned_is_used_with_the_same_files_only(tmp_path):
     mission = load_mission(mission_file)
     folder = night_psf._folder(tmp_path, mission)
     folder.mkdir(parents=True)
-    night_psf._keep(folder, mission, night_psf._undersampled(mission), (learned(),), 4)
+    night_psf._keep(folder, mission, (learned(),), 4)
     kept = load_mission(with_kept_psf(spec, tmp_path).mission)
     assert kept.camera_named("lorri_4x4").effective_psf is not None
     # All else is as it was, wherever the files are.
@@ -85,6 +85,15 @@ def test_what_was_learned_is_used_with_the_same_files_only(tmp_path):
     assert kept.target_surfaces.keys() == mission.target_surfaces.keys()
     assert kept.camera_named("lorri_1x1").name == mission.camera_named("lorri_1x1").name
     assert with_kept_psf(spec.changed(learn_psf=False), tmp_path).mission == spec.mission
+    # All moved together, as with a project's folder: what was learned names the files where they are now.
+    (tmp_path / "moved").mkdir()
+    for name in ("truth_mission", ".psf"):
+        shutil.move(tmp_path / name, tmp_path / "moved" / name)
+    tmp_path = tmp_path / "moved"
+    spec = spec.changed(mission=str(tmp_path / "truth_mission" / mission_file.name))
+    kept = load_mission(with_kept_psf(spec, tmp_path).mission)
+    assert kept.camera_named("lorri_4x4").effective_psf is not None
+    assert kept.target_surfaces.keys() == mission.target_surfaces.keys()
     camera = tmp_path / "truth_mission" / "cameras" / "lorri_4x4.yaml"
     camera.write_text(camera.read_text().replace("read_noise_dn: 1.1", "read_noise_dn: 1.2"))
     assert Camera.from_yaml(camera).read_noise_dn == 1.2
