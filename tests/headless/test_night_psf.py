@@ -93,7 +93,7 @@ def test_what_was_learned_is_used_with_the_same_files_only(tmp_path):
     spec = spec.changed(mission=str(tmp_path / "truth_mission" / mission_file.name))
     kept = load_mission(with_kept_psf(spec, tmp_path).mission)
     assert kept.camera_named("lorri_4x4").effective_psf is not None
-    assert kept.target_surfaces.keys() == mission.target_surfaces.keys()
+    assert kept.camera_named("lorri_1x1").name == "LORRI 1x1"
     camera = tmp_path / "truth_mission" / "cameras" / "lorri_4x4.yaml"
     camera.write_text(camera.read_text().replace("read_noise_dn: 1.1", "read_noise_dn: 1.2"))
     assert Camera.from_yaml(camera).read_noise_dn == 1.2
