@@ -8,13 +8,10 @@ Sources: Gaia DR3 documentation, section 20.1.1 (source_id); IVOA Table Access P
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode
 
 import numpy as np
-from astropy.io.votable import parse_single_table
-from astropy.io.votable.exceptions import VOWarning
-from astropy.table import Table
 
 from opnav_workbench.catalog.cache import (
     CachedStars,
@@ -26,6 +23,9 @@ from opnav_workbench.catalog.cache import (
 from opnav_workbench.catalog.star_store import MotionBound, StoredCatalog
 from opnav_workbench.catalog.vizier_tables import TABLES, plain_columns, stars_from_rows
 from opnav_workbench.errors import CatalogError, DownloadError
+
+if TYPE_CHECKING:
+    from astropy.table import Table
 
 __all__ = ["ARCHIVE", "MAG_LIMITS", "RULE", "archive_files", "check_piece", "piece_records", "stored_gaia"]
 
@@ -129,7 +129,10 @@ def _records(path: Path, piece: int) -> Records:
     return star_records(len(stars), number=number, band=0, **{name: getattr(stars, name) for name in COPIED})
 
 
-def _table(path: Path) -> Table:
+def _table(path: Path) -> "Table":
+    from astropy.io.votable import parse_single_table  # noqa: PLC0415 (only a fetch reads such tables)
+    from astropy.io.votable.exceptions import VOWarning  # noqa: PLC0415 (the same)
+
     try:
         return parse_single_table(path, verify="ignore").to_table(use_names_over_ids=True)
     except (OSError, ValueError, TypeError, IndexError, KeyError, VOWarning) as error:

@@ -143,8 +143,11 @@ def ecsv_text(observables: Sequence[Observable], origins: Sequence[Origin] = ())
     >>> ecsv_text([]).splitlines()[0]
     '# %ECSV 1.0'
     """
+    from astropy.table import Table  # noqa: PLC0415 (a tenth of a short command; few need a table)
+
     stream = io.StringIO()
-    observables_table(observables, origins).write(stream, format="ascii.ecsv")
+    # Plain columns have units, too; quantities would say each a second time, in half of the text.
+    Table(observables_table(observables, origins), copy=False).write(stream, format="ascii.ecsv")
     return stream.getvalue()
 
 

@@ -415,6 +415,7 @@ class PictureModels:
             "pixel", "line", "text", source=source, name=f"overlay:{group}", text_font_size="11px",
             text_color=THEMES[DEFAULT_THEME][kind].color, background_fill_color=LABEL_BACKGROUND,
             background_fill_alpha=0.75, padding=1, x_offset="x_offset", y_offset="y_offset", text_align="side",
+            level="annotation",  # above all marks, below the tools
         )  # fmt: skip
 
     def _add_tools(self) -> None:
