@@ -19,6 +19,7 @@ __all__ = ["LARGEST_BYTES", "LONGEST_NUMBER", "YamlError", "compose", "plain_val
 
 LARGEST_BYTES = 4 << 20  # a table of states with a hundred thousand numbers
 DEEPEST = 40  # levels within levels; files of ours have eight
+OWN_LIMIT = "maximum nesting depth"  # in words of libyaml since PyYAML 6.0.4
 MOST_VALUES = 400_000  # with all that aliases repeat
 LONGEST_NUMBER = 40  # characters: twice the digits of a double, with sign and exponent
 CLEARER_CHARS = 50_000  # parsed a second time for the sake of the message; half a second
@@ -90,6 +91,8 @@ def compose(text: str) -> yaml.Node | None:
         _check_events(text)
         node: yaml.Node | None = yaml.compose(text, Loader=_Loader)
     except yaml.YAMLError as error:
+        if OWN_LIMIT in str(error):  # libyaml reads ahead of what is counted here
+            raise YamlError(f"nested deeper than {DEEPEST}") from error
         raise YamlError(" ".join(str(_clearer(text, error)).split())) from error
     if node is not None:
         _check_repeats(node)
