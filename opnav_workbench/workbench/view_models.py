@@ -367,8 +367,6 @@ class PictureModels:
             ]
             self._halos[kind], self._glyphs[kind] = both
         self._add_points("body_point", "bodies", BODY_POINT_SIZE)
-        self._add_text("grid_labels", "grid", "grid")
-        self._add_text("body_labels", "bodies", "body")
 
     def _plots(self, group: str) -> tuple[Any, ...]:
         return (self.picture,) if group == "grid" else (self.picture, self.magnifier, self.second)
@@ -387,6 +385,9 @@ class PictureModels:
             self._add_points(
                 kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size
             )
+        # All labels above all marks: among thousands of stars they could not be read.
+        self._add_text("grid_labels", "grid", "grid")
+        self._add_text("body_labels", "bodies", "body")
         self._add_text("star_labels", "magnitudes", "predicted")
         facts = self.sources["facts"] = _source(
             "pixel", "line", "id", "mag", "snr", "d_pixel", "d_line"
@@ -415,7 +416,6 @@ class PictureModels:
             "pixel", "line", "text", source=source, name=f"overlay:{group}", text_font_size="11px",
             text_color=THEMES[DEFAULT_THEME][kind].color, background_fill_color=LABEL_BACKGROUND,
             background_fill_alpha=0.75, padding=1, x_offset="x_offset", y_offset="y_offset", text_align="side",
-            level="annotation",  # above all marks, below the tools
         )  # fmt: skip
 
     def _add_tools(self) -> None:
