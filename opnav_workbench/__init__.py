@@ -18,7 +18,7 @@ docstring is its map: what it is, by which door to come in, one line for every m
 this list to its top; a package imports what stands below it.
 
 ``cli``
-    The ``opnav`` program.
+    The ``opnav`` program; ``python -m opnav_workbench`` is it, too (``__main__``).
 ``contracts``
     What files hold: their JSON Schemas, and a check of any file.
 ``workbench``

@@ -375,12 +375,13 @@ class Camera(CameraResponse):
         x, y, z = np.moveaxis(vectors, -1, 0)
         zero = np.zeros_like(x)
         turned = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=-1).reshape(*x.shape, 3, 3)
-        jacobian = self.project_jacobian(vectors) @ turned
         if self.sweep is None:
-            return np.asarray(jacobian)
+            return np.asarray(self._jacobian_at_rest(vectors) @ turned)
+        places = self.project(vectors)
+        jacobian = self.sweep.project_jacobian(vectors, places, self._jacobian_at_rest)
         # A turn of the camera as it stands at the line's own time, told at mid-picture.
-        turns = self.sweep.turns(self.project(vectors)[..., 1])
-        return np.asarray(jacobian @ np.swapaxes(turns, -1, -2))
+        turns = self.sweep.turns(places[..., 1])
+        return np.asarray(jacobian @ turned @ np.swapaxes(turns, -1, -2))
 
     def unproject(self, pixel_line: ArrayLike) -> FloatArray:
         """Return the unit vectors (..., 3), camera frame, that points (..., 2) of (pixel, line) look along.

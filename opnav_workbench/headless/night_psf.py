@@ -87,12 +87,12 @@ def with_kept_psf(spec: NightSpec, out: str | Path) -> NightSpec:
     folder = _folder(out, mission)
     if not (folder / MISSION_FILE).is_file():
         return spec
-    if _record(folder).get("mission_file") != str(
-        mission.path
-    ):  # the mission has moved: what is kept names its files
-        names = [path.name.removesuffix(PSF_SUFFIX) for path in sorted(folder.glob(f"*{PSF_SUFFIX}"))]
-        _write_files(folder, mission, names)
-        write_json(folder / RECORD_FILE, _record(folder) | {"mission_file": str(mission.path)})
+    record, here = _record(folder), {"mission_file": str(mission.path)}
+    if record | here != record:  # the mission has moved: what is kept names its files
+        _write_files(
+            folder, mission, [p.name.removesuffix(PSF_SUFFIX) for p in folder.glob(f"*{PSF_SUFFIX}")]
+        )
+        write_json(folder / RECORD_FILE, record | here)
     return spec.changed("night", mission=str(folder / MISSION_FILE))
 
 
@@ -212,8 +212,8 @@ def _record(folder: Path) -> dict[str, Any]:
     if not (folder / RECORD_FILE).is_file():
         return {}
     try:
-        return dict(read_json(folder / RECORD_FILE, "delete it"))
-    except (SessionError, TypeError, ValueError):
+        return read_json(folder / RECORD_FILE, "delete it")
+    except SessionError:
         return {}
 
 
@@ -238,8 +238,15 @@ def _keep(
         }
         for one in found
     }
-    told_of_it = {"version": __version__, "pictures": n_pictures, "cameras": told}
-    write_json(folder / RECORD_FILE, told_of_it | {"mission_file": str(mission.path)})
+    write_json(
+        folder / RECORD_FILE,
+        {
+            "version": __version__,
+            "pictures": n_pictures,
+            "cameras": told,
+            "mission_file": str(mission.path),
+        },
+    )
     for one in found:
         if one.psf is not None:
             one.psf.save(folder / f"{one.camera}{PSF_SUFFIX}")
@@ -250,10 +257,10 @@ def _keep(
 
 def _write_files(folder: Path, mission: Mission, names: Sequence[str]) -> None:
     """Write camera files that name what was learned, and a mission file that names them."""
-    choices = _undersampled(mission)
+    sources = {choice.file.stem: choice.file for choice in mission.cameras}
     content = _with_full_paths(_content(mission.path), mission.path.parent)
     for name in names:
-        source = choices[name].file
+        source = sources[name]
         camera = _with_full_paths(_content(source), source.parent)
         camera["psf"]["effective"] = f"{name}{PSF_SUFFIX}"
         _write_yaml(folder / source.name, camera)

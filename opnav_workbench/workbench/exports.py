@@ -14,8 +14,7 @@ from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.overlays import (
     BodyMarks,
     body_marks,
-    expected_attitude,
-    expected_camera,
+    expected_directions,
     star_marks,
 )
 
@@ -98,8 +97,7 @@ def solved_wcs(session: ImageSession) -> WCS:
 
 def _sky(session: ImageSession, places: FloatArray) -> FloatArray:
     """Directions (n, 3) of places, J2000, stellar aberration removed."""
-    apparent = expected_camera(session).unproject(places) @ expected_attitude(session)
-    return geometric_direction(apparent, session.inputs.observer.velocity_km_s)
+    return geometric_direction(expected_directions(session, places), session.inputs.observer.velocity_km_s)
 
 
 def _tangent_plane_deg(directions: FloatArray, here: FloatArray) -> FloatArray:

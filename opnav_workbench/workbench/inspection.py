@@ -18,7 +18,7 @@ from opnav_workbench.errors import OpNavError
 from opnav_workbench.geometry import apparent_direction
 from opnav_workbench.psf import box_integrals
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.overlays import expected_attitude, expected_camera
+from opnav_workbench.workbench.overlays import expected_directions, expected_places
 
 __all__ = ["Aperture", "compass_arrows", "measure_aperture"]
 
@@ -242,9 +242,9 @@ def compass_arrows(session: ImageSession) -> list[tuple[str, float, float]]:
 
     The Sun's is taken at the first target with a known Sun; it is left out where it points along the line of sight.
     """
-    camera, attitude = expected_camera(session), expected_attitude(session)
+    camera = session.context.camera
     middle = 0.5 * (np.array([camera.n_pixel, camera.n_line]) - 1.0)
-    here = camera.unproject(middle[None])[0] @ attitude
+    here = expected_directions(session, middle[None])[0]
     east = np.cross([0.0, 0.0, 1.0], here)
     named = {"N": (here, np.cross(here, east)), "E": (here, east)}
     target = next((t for t in session.inputs.targets.values() if t.sun_position_km is not None), None)
@@ -254,15 +254,13 @@ def compass_arrows(session: ImageSession) -> list[tuple[str, float, float]]:
         named["Sun"] = (seen, target.sun_position_km)
     arrows = []
     for name, (start, along) in named.items():
-        step = _step_px(session, attitude, start, along)
+        step = _step_px(session, start, along)
         if step is not None:
             arrows.append((name, *step))
     return arrows
 
 
-def _step_px(
-    session: ImageSession, attitude: FloatArray, start: FloatArray, along: FloatArray
-) -> tuple[float, float] | None:
+def _step_px(session: ImageSession, start: FloatArray, along: FloatArray) -> tuple[float, float] | None:
     """Direction in the picture of a step across the sky; None where there is none."""
     across = along - (along @ start) * start
     length = np.linalg.norm(across)
@@ -270,7 +268,7 @@ def _step_px(
         return None
     ends = np.stack([start, start + STEP_RAD * across / length])
     ends /= np.linalg.norm(ends, axis=1, keepdims=True)
-    first, last = expected_camera(session).project(ends @ attitude.T)
+    first, last = expected_places(session, ends)
     step = last - first
     size = float(np.hypot(*step))
     return (float(step[0] / size), float(step[1] / size)) if np.isfinite(size) and size > 0.0 else None

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.geometry import apparent_direction, geometric_direction
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.overlays import expected_attitude, expected_camera
+from opnav_workbench.workbench.overlays import expected_directions, expected_places
 
 __all__ = ["laid_over"]
 
@@ -43,10 +43,9 @@ def _places(other: ImageSession, onto: ImageSession, shape: tuple[int, ...]) -> 
     axes = [np.linspace(0.0, n - 1.0, max(2, int(np.ceil(n / NODE_PX)) + 1)) for n in shape]
     line, pixel = np.meshgrid(*axes, indexing="ij")
     nodes = np.stack([pixel.ravel(), line.ravel()], axis=1)
-    apparent = expected_camera(onto).unproject(nodes) @ expected_attitude(onto)
-    sky = geometric_direction(apparent, onto.inputs.observer.velocity_km_s)
+    sky = geometric_direction(expected_directions(onto, nodes), onto.inputs.observer.velocity_km_s)
     seen = apparent_direction(sky, other.inputs.observer.velocity_km_s)
-    found = expected_camera(other).project(seen @ expected_attitude(other).T).T.reshape(2, *line.shape)
+    found = expected_places(other, seen).T.reshape(2, *line.shape)
     fine = [np.arange(n) * (len(axis) - 1.0) / max(n - 1.0, 1.0) for n, axis in zip(shape, axes, strict=True)]
     at = np.meshgrid(*fine, indexing="ij")
     return np.stack([map_coordinates(part, at, order=1) for part in found])

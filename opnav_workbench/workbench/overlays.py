@@ -26,6 +26,8 @@ __all__ = [
     "body_marks",
     "expected_attitude",
     "expected_camera",
+    "expected_directions",
+    "expected_places",
     "mask_runs",
     "predicted_body",
     "sky_grid",
@@ -63,6 +65,16 @@ def expected_attitude(session: ImageSession) -> FloatArray:
 def expected_camera(session: ImageSession) -> Camera:
     """Return the camera as it stands at `expected_attitude`."""
     return session.context.camera.standing(expected_attitude(session))
+
+
+def expected_places(session: ImageSession, directions: FloatArray) -> FloatArray:
+    """Return where apparent J2000 directions (n, 3) are expected in the picture (n, 2), px; nan out of sight."""
+    return expected_camera(session).project(directions @ expected_attitude(session).T)
+
+
+def expected_directions(session: ImageSession, pixel_line: FloatArray) -> FloatArray:
+    """Return the apparent J2000 directions (n, 3) that are expected at places (n, 2) of the picture."""
+    return expected_camera(session).unproject(pixel_line) @ expected_attitude(session)
 
 
 def star_marks(session: ImageSession) -> StarMarks:
@@ -286,8 +298,7 @@ def _terminator_and_pole(session: ImageSession, target: TargetState) -> tuple[Fl
 def _projected(session: ImageSession, directions: FloatArray) -> FloatArray:
     if len(directions) == 0:
         return np.empty((0, 2))
-    apparent = apparent_direction(directions, session.inputs.observer.velocity_km_s)
-    return expected_camera(session).project(apparent @ expected_attitude(session).T)
+    return expected_places(session, apparent_direction(directions, session.inputs.observer.velocity_km_s))
 
 
 # ---- Lines of right ascension and declination over the picture, with labels.

@@ -239,8 +239,7 @@ def ring_columns(place_px: ArrayLike | None, radius_px: float) -> Columns:
 STAR_SIZES = {"predicted": 15, "used": 10, "rejected": 11, "missing": 13}  # screen px
 BODY_POINT_SIZE = 20  # screen px, of a body too small for its limb to be drawn
 MARK_PX, HALO_PX = 1.6, 2.0  # screen px: lines of marks, and what their dark edge has more
-HALO_ALPHA = 0.55
-HALO: dict[str, Any] = {"line_color": "#000000", "line_alpha": HALO_ALPHA}
+HALO: dict[str, Any] = {"line_color": "#000000", "line_alpha": 0.55}
 LABEL_BACKGROUND = "#101418"  # under labels, so that they stay readable over bright bodies
 NO_PICTURE = np.zeros((1, 1), np.uint32)
 
@@ -291,9 +290,8 @@ class PictureModels:
             _add_image(plot, f"opnav-{name}")
         self.sources: dict[str, Any] = {}
         self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
-        # A dark edge below each, so that no mark is lost on a bright ground.
+        # Renderers of a dark edge below each, so that no mark is lost on a bright ground.
         self._halos: dict[str, list[Any]] = {}
-        self._edges: dict[str, list[Any]] = {}  # of points: the renderers of their halos
         cursor = ColumnDataSource({"pixel": [0.0], "line": [0.0]}, name="opnav-cursor")
         self.magnifier.rect(
             "pixel", "line", 1, 1, source=cursor, fill_color=None, line_color="#E69F00", line_width=1.5
@@ -316,13 +314,13 @@ class PictureModels:
         if old.keys() != columns.keys() or not all(_same(old[key], columns[key]) for key in columns):
             source.data = columns
             if name in STAR_SIZES:
-                for edge in self._edges[name]:  # the page hides those that are too many
-                    edge.tags = [CROWDED] if len(columns["pixel"]) > CROWD else []
+                for halo in self._halos[name]:  # the page hides those that are too many
+                    halo.tags = [CROWDED] if len(columns["pixel"]) > CROWD else []
 
     def use_theme(self, name: str) -> None:
         """Give every mark the style that a theme has for it."""
-        for kind, glyphs in self._halos.items():
-            for glyph in glyphs:
+        for kind, halos in self._halos.items():
+            for glyph in (halo.glyph for halo in halos):
                 glyph.line_dash = THEMES[name][kind].dash
                 if hasattr(glyph, "marker"):
                     glyph.marker = THEMES[name][kind].shape
@@ -360,12 +358,12 @@ class PictureModels:
             source = self.sources[kind] = _source("pixel", "line")
             both = [
                 [
-                    plot.multi_line("pixel", "line", source=source, name=f"overlay:{group}", **look).glyph
+                    plot.multi_line("pixel", "line", source=source, name=f"overlay:{group}", **look)
                     for plot in self._plots(group)
                 ]
                 for look in ({**HALO, "line_width": width + HALO_PX}, {"line_width": width})
             ]
-            self._halos[kind], self._glyphs[kind] = both
+            self._keep_marks(kind, *both)
         self._add_points("body_point", "bodies", BODY_POINT_SIZE)
 
     def _plots(self, group: str) -> tuple[Any, ...]:
@@ -407,8 +405,10 @@ class PictureModels:
             ]
             for look in ({**HALO, "line_width": MARK_PX + HALO_PX}, {"line_width": MARK_PX})
         ]  # fmt: skip
-        self._edges[kind] = both[0]
-        self._halos[kind], self._glyphs[kind] = ([one.glyph for one in renderers] for renderers in both)
+        self._keep_marks(kind, *both)
+
+    def _keep_marks(self, kind: str, halos: list[Any], marks: list[Any]) -> None:
+        self._halos[kind], self._glyphs[kind] = halos, [mark.glyph for mark in marks]
 
     def _add_text(self, name: str, group: str, kind: str) -> None:
         source = self.sources[name] = _source("pixel", "line", "text", "x_offset", "y_offset", "side")

@@ -90,8 +90,7 @@ def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
     seen = page.evaluate(PRESS)
     assert seen == ["data"]  # all its pixels at once: no message, no coarse picture, no blank one
     page.wait_for_timeout(300)
-    assert (
-        len(asked) - before < PIECES // 4
-    )  # late ones of the busy page at most: not the picture, which came before
+    # late ones of the busy page at most: not the picture, which came before
+    assert len(asked) - before < PIECES // 4
     page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
     page.context.close()
