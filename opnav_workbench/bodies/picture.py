@@ -16,13 +16,12 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.camera import Camera
-from opnav_workbench.constants import AU_KM
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.geometry import geometric_direction, unit
+from opnav_workbench.geometry import geometric_direction
 from opnav_workbench.image import estimate_background
 from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.render import BodyModel, LunarLambert, ScatteringLaw, ShapeModel, render_bodies
-from opnav_workbench.scene import BodyPrediction, Observer, predict_body
+from opnav_workbench.scene import AssistedBody, BodyPrediction, Observer, assisted_target, predict_body
 from opnav_workbench.stars import NoiseModel
 from opnav_workbench.targets import TargetState
 
@@ -33,7 +32,6 @@ __all__ = [
     "RayFan",
     "displaced_model",
     "model_picture",
-    "picture_axes",
     "picture_from_circle",
     "pixel_rays",
     "placed_models",
@@ -381,7 +379,6 @@ def model_picture(
 # ---- A body's picture without kernels.
 
 LIMB_MARGIN = 1.3  # of the circle's radius: what is left out of the background
-CIRCLE_SIGMA = 0.1  # of the range that follows from a circle
 LUNAR_WEIGHT = 0.5  # between Lambert and Lommel-Seeliger: what is known least matters least
 
 
@@ -453,26 +450,11 @@ def picture_from_circle(
     (100.0, 504002)
     """
     image = np.asarray(image_dn, dtype=np.float64)
-    extent = _extent(radii_km, shape)
-    toward = camera.unproject(circle.center_px[None])[0]
-    if not np.isfinite(toward).all():
-        raise CenterfindingError(
-            f"a circle about {circle.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
-        )
-    axes = picture_axes(camera, circle.center_px, toward)
-    distance = _range(camera, circle, toward, extent) if range_km is None else range_km
-    position = toward * distance
-    sideways = np.cos(sun_angle_rad) * axes[0] + np.sin(sun_angle_rad) * axes[1]
-    to_sun = np.sin(phase_rad) * unit(sideways) - np.cos(phase_rad) * toward
-    north = unit(np.cos(north_angle_rad) * axes[0] + np.sin(north_angle_rad) * axes[1])
-    target = TargetState(
-        name,
-        position,
-        radii_km=None if radii_km is None else np.asarray(radii_km, dtype=np.float64),
-        body_from_j2000=_body_axes(*sub_observer_rad) @ np.stack([np.cross(north, -toward), north, -toward]),
-        sun_position_km=to_sun * AU_KM,
-        covariance_km2=None if range_km is not None else (CIRCLE_SIGMA * distance) ** 2 * np.eye(3),
-    )
+    body = AssistedBody(
+        circle.center_px, _extents(radii_km, shape), phase_rad, sun_angle_rad, circle.radius_px, range_km,
+        north_angle_rad, np.asarray(sub_observer_rad),
+    )  # fmt: skip
+    target = assisted_target(name, body, camera, np.eye(3), np.zeros(3))
     signal, noise = _signal(image, background_dn, circle, bad)
     return BodyPicture(
         signal_dn=signal,
@@ -489,34 +471,13 @@ def picture_from_circle(
     )
 
 
-def _extent(radii_km: ArrayLike | None, shape: ShapeModel | None) -> float:
-    """Return the mean radius, km."""
+def _extents(radii_km: ArrayLike | None, shape: ShapeModel | None) -> FloatArray:
+    """Return semi-axes (3,), km; of a shape, those of a sphere of its volume."""
     if shape is not None:
-        return float(np.cbrt(0.75 * shape.volume_km3 / np.pi))
-    radii = np.asarray(radii_km, dtype=np.float64) if radii_km is not None else np.zeros(0)
-    if radii.shape != (3,) or not np.all(np.isfinite(radii) & (radii > 0.0)):
+        return np.full(3, np.cbrt(0.75 * shape.volume_km3 / np.pi))
+    if radii_km is None:
         raise CenterfindingError("a body needs three positive radii_km, or a shape; give one of them.")
-    return float(np.cbrt(radii.prod()))
-
-
-def picture_axes(camera: Camera, place: FloatArray, toward: FloatArray) -> FloatArray:
-    """Return directions (2, 3) across the line of sight along which pixel and line increase, rad/px."""
-    slopes = camera.unproject_jacobian(place[None])[0].T
-    return np.asarray(slopes - np.outer(slopes @ toward, toward))
-
-
-def _range(camera: Camera, circle: Circle, toward: FloatArray, radius_km: float) -> float:
-    axes = picture_axes(camera, circle.center_px, toward)
-    rad_per_px = float(np.sqrt(np.linalg.norm(np.cross(axes[0], axes[1]))))
-    return radius_km / float(np.sin(min(circle.radius_px * rad_per_px, 0.5 * np.pi)))
-
-
-def _body_axes(longitude: float, latitude: float) -> FloatArray:
-    """Return the matrix from east, north and up at a place of the body to its fixed axes."""
-    cos_b, sin_b, cos_l, sin_l = np.cos(latitude), np.sin(latitude), np.cos(longitude), np.sin(longitude)
-    east = [-sin_l, cos_l, 0.0]
-    north = [-sin_b * cos_l, -sin_b * sin_l, cos_b]
-    return np.array([east, north, [cos_b * cos_l, cos_b * sin_l, sin_b]]).T
+    return np.asarray(radii_km, dtype=np.float64)
 
 
 def _signal(

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.picture import BodyPicture, picture_axes
+from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.geometry import unit
 from opnav_workbench.render import AlbedoMap, BodyModel
+from opnav_workbench.scene import picture_axes
 
 __all__ = ["STRAINS", "can_be_strained", "strain_axes", "strained_picture"]
 

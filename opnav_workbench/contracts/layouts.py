@@ -339,6 +339,9 @@ class Provenance(Layout):
     )
     decisions: list[dict[str, Any]] = Field(default=[], description="Verdicts of analysts on stars.")
     placed_stars: list[dict[str, Any]] = Field(default=[], description="Stars placed by hand.")
+    described_bodies: list[dict[str, Any]] = Field(
+        default=[], description="Bodies that analysts described in the picture."
+    )
     circles: list[dict[str, Any]] = Field(default=[], description="Circles that start bodies.")
     limb_scans: list[dict[str, Any]] = Field(default=[], description="Limb scans chosen by hand.")
     landmark_decisions: list[dict[str, Any]] = Field(
@@ -425,7 +428,7 @@ class ObserverState(Layout):
 
     position_km: Triple | None = Field(description="km.")
     velocity_km_s: Triple | None = Field(description="km/s.")
-    source: str = Field(description="kernels or header.")
+    source: str = Field(description="kernels, header or unknown.")
     velocity_sigma_km_s: Number = Field(
         default=None, description="1 sigma of each component of the velocity; km/s."
     )

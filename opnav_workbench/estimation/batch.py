@@ -357,7 +357,7 @@ def usable_observables(
     EstimationError
         Nothing is usable, or a parameter is of a body that nobody has seen.
     """
-    usable = [o for o in observables if o.observed_px is not None and o.status in statuses]
+    usable = [o for o in observables if o.has_residual and o.status in statuses]
     if not usable:
         raise EstimationError(
             f"none of {len(observables)} observables has a center with status {' or '.join(statuses)}; nothing to "
@@ -368,7 +368,17 @@ def usable_observables(
     if absent:
         raise EstimationError(f"{', '.join(absent)}: no observable of that body.")
     kept = {id(o) for o in usable}
-    return usable, tuple(f"{o.name} in {o.image}: {o.status}" for o in observables if id(o) not in kept)
+    return usable, tuple(f"{o.name} in {o.image}: {_why_left(o)}" for o in observables if id(o) not in kept)
+
+
+def _why_left(o: Observable) -> str:
+    if o.observed_px is None or o.has_residual:
+        return o.status
+    return (
+        "no ephemeris tells where it should be"
+        if o.has_direction
+        else "the attitude of its picture is unknown"
+    )
 
 
 def _problem(

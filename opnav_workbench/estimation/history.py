@@ -81,9 +81,7 @@ def b_plane_history(
     EstimationError
         No picture gives a solution; the last one's reason.
     """
-    usable = [
-        o for o in observables if o.observed_px is not None and o.status in options.get("statuses", ("ok",))
-    ]
+    usable = [o for o in observables if o.has_residual and o.status in options.get("statuses", ("ok",))]
     times = sorted({(o.et, o.image) for o in usable})
     found = []
     for count, (et, image) in enumerate(times, start=1):

@@ -36,6 +36,7 @@ from opnav_workbench.image.background import (
     estimate_background,
     pixel_noise,
 )
+from opnav_workbench.image.contradictions import unknown_velocity_sigma_km_s
 from opnav_workbench.image.extended import extended_light, sky_and_bodies
 from opnav_workbench.image.header import (
     Header,
@@ -67,4 +68,5 @@ __all__ = [
     "read_image",
     "read_quality",
     "sky_and_bodies",
+    "unknown_velocity_sigma_km_s",
 ]

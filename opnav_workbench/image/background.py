@@ -53,7 +53,7 @@ def darkest_sky(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> tuple[
     ----------
     image_dn, bad : (n_line, n_pixel) arrays
     noise_dn
-        Expected: the least that is believed is a hundredth of it.
+        Expected: the least that is believed is a hundredth of it, or what the picture's steps hide.
 
     Examples
     --------
@@ -74,7 +74,19 @@ def darkest_sky(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> tuple[
     level = np.median(blocks, axis=1)
     dark = float(np.quantile(level, DARKEST_SHARE))
     sky = blocks[level <= dark] - level[level <= dark, None]
-    return dark, max(MAD_TO_SIGMA * float(np.median(np.abs(sky))), FLATTEST * noise_dn)
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(sky)))
+    return dark, max(spread, _rounding_sigma_dn(blocks[level <= dark], image_dn[usable]), FLATTEST * noise_dn)
+
+
+def _rounding_sigma_dn(sky_dn: FloatArray, image_dn: FloatArray) -> float:
+    """Return the sigma of what rounding to the picture's steps has taken: where the sky is all of one step, its noise."""
+    levels = np.unique(sky_dn)
+    middle = float(np.median(sky_dn))
+    if len(levels) == 1:
+        above = image_dn[image_dn > middle]
+        return float(above.min() - middle) / np.sqrt(12.0) if above.size else 0.0
+    place = np.clip(int(np.searchsorted(levels, middle)), 1, len(levels) - 1)
+    return float(levels[place] - levels[place - 1]) / np.sqrt(12.0)
 
 
 # ---- A coarse mesh over a picture: tiles, their clipped statistics, and the way back to every pixel.

@@ -155,10 +155,15 @@ def believed_state(
             position_km, distance = np.zeros(3), MERCURY_PERIHELION_KM
     sigma = 0.0
     if velocity_km_s is not None and (wrong := _wrong_speed(float(np.linalg.norm(velocity_km_s)), distance)):
-        sigma = math.sqrt((2.0 * SUN_GM_KM3_S2 / distance + FASTEST_LEAVING_KM_S**2) / 3.0)
+        sigma = unknown_velocity_sigma_km_s(distance)
         said.append(f"{keywords[1]} state a velocity of {wrong}; it is not used")
         velocity_km_s = np.zeros(3)
     return BelievedState(position_km, velocity_km_s, sigma, tuple(said))
+
+
+def unknown_velocity_sigma_km_s(distance_km: float = MERCURY_PERIHELION_KM) -> float:
+    """Return the sigma of each axis of a velocity that nobody knows, at a distance from the Sun (`believed_state`)."""
+    return math.sqrt((2.0 * SUN_GM_KM3_S2 / distance_km + FASTEST_LEAVING_KM_S**2) / 3.0)
 
 
 def _wrong_speed(speed_km_s: float, distance_km: float) -> str:

@@ -139,6 +139,16 @@ class Observable:
         object.__setattr__(self, "center_cross_px2", MappingProxyType(cross))
         freeze_arrays(self)
 
+    @property
+    def has_direction(self) -> bool:
+        """Whether it was measured, and on the sky: not so where the attitude is unknown."""
+        return self.observed_px is not None and bool(np.isfinite(self.ra_deg))
+
+    @property
+    def has_residual(self) -> bool:
+        """Whether its direction was measured and an ephemeris told it, so that it can correct one."""
+        return self.has_direction and self.residual_px is not None
+
 
 # ---- Covariance of several bodies' O-C: bodies of one picture share its pointing error.
 

@@ -127,7 +127,7 @@ def write_tdm(
 
 def _segments(observables: Sequence[Observable]) -> list[list[Observable]]:
     """Groups of one spacecraft, target, method and quality, in time order, none with a time twice."""
-    usable = [o for o in observables if o.observed_px is not None and o.status in TDM_QUALITY]
+    usable = [o for o in observables if o.has_direction and o.status in TDM_QUALITY]
     groups: dict[tuple[str, ...], list[list[Observable]]] = {}
     for o in sorted(usable, key=lambda o: o.et):
         layers = groups.setdefault((o.observer, o.name, o.method, o.status), [])

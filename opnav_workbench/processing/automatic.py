@@ -73,9 +73,11 @@ def open_or_resume(image: str | Path, folder: str | Path, opened: OpenedProcessi
 
 
 def _opening(image: str | Path, opened: OpenedProcessing) -> dict[str, Any]:
-    settings = opened.settings
+    settings, by_hand = opened.settings, False
     if opened.decisions.images and is_file(image):
-        recorded = opened.decisions.recorded(sha256_of(image))
+        sha256 = sha256_of(image)
+        by_hand = opened.decisions.describe_bodies(Path(image), sha256)
+        recorded = opened.decisions.recorded(sha256)
         if recorded is not None:
             settings = Settings.from_dict(Settings().to_dict() | recorded.settings)
     return {
@@ -85,6 +87,7 @@ def _opening(image: str | Path, opened: OpenedProcessing) -> dict[str, Any]:
         "attitude": opened.how.attitude,
         "shapes": opened.how.shape_files,
         "settings": settings,
+        "by_hand": by_hand,
     }
 
 
@@ -129,8 +132,11 @@ def _steps(session: ImageSession, opened: OpenedProcessing) -> Iterator[tuple[st
     """Yield the policy's steps with their words; later ones depend on what earlier ones found."""
     yield "predicting", session.predict
     targets = _add_targets(session, opened)
-    yield "finding stars", lambda: _identify(session, opened)
-    yield "solving the pointing", lambda: _repoint_twice(session, opened)
+    if session.inputs.without_sky:  # no star is where anybody could look for it
+        yield "taking decisions", lambda: opened.decisions.apply(session)
+    else:
+        yield "finding stars", lambda: _identify(session, opened)
+        yield "solving the pointing", lambda: _repoint_twice(session, opened)
     yield from _target_steps(session, opened, targets)
 
 
@@ -196,6 +202,7 @@ def _repoint_twice(session: ImageSession, opened: OpenedProcessing) -> None:
 
 def _add_targets(session: ImageSession, opened: OpenedProcessing) -> list[str]:
     """Take the targets into the scene; one that nothing is known of costs the picture neither stars nor pointing."""
+    opened.decisions.apply_bodies(session)
     known = []
     for name in dict.fromkeys((*_wanted_targets(opened), *opened.decisions.bodies_of(session))):
         try:

@@ -7,6 +7,8 @@ Enter by `observer_from_kernels` (or `observer_from_header`), `body_target`, `pr
     The spacecraft as observer; bodies and stars as targets.
 ``prediction``
     Places of stars and bodies on the detector.
+``assisted``
+    Bodies that an analyst describes in the picture, where no ephemeris knows them.
 ``following``
     Bodies that move while the lines of a picture are exposed.
 ``body_geometry``
@@ -21,6 +23,7 @@ from opnav_workbench.lazy_names import names_on_demand
 from opnav_workbench.scene.following import following
 
 if TYPE_CHECKING:
+    from opnav_workbench.scene.assisted import AssistedBody, assisted_target, picture_axes
     from opnav_workbench.scene.body_geometry import BodyGeometry
     from opnav_workbench.scene.epoch_report import CameraPointing, GeometryReport, geometry_report
     from opnav_workbench.scene.prediction import (
@@ -37,11 +40,15 @@ if TYPE_CHECKING:
         observer_from_header,
         observer_from_kernels,
         star_target_at,
+        unknown_observer,
     )
 else:  # loaded on first use: most calls need a few of these
     __getattr__ = names_on_demand(
         __name__,
         {
+            "AssistedBody": "assisted",
+            "assisted_target": "assisted",
+            "picture_axes": "assisted",
             "BodyGeometry": "body_geometry",
             "CameraPointing": "epoch_report",
             "GeometryReport": "epoch_report",
@@ -57,10 +64,12 @@ else:  # loaded on first use: most calls need a few of these
             "observer_from_header": "states",
             "observer_from_kernels": "states",
             "star_target_at": "states",
+            "unknown_observer": "states",
         },
     )
 
 __all__ = [
+    "AssistedBody",
     "BodyGeometry",
     "BodyPrediction",
     "CameraPointing",
@@ -68,13 +77,16 @@ __all__ = [
     "Observer",
     "StarPrediction",
     "apparent_stars",
+    "assisted_target",
     "body_target",
     "camera_magnitudes",
     "following",
     "geometry_report",
     "observer_from_header",
     "observer_from_kernels",
+    "picture_axes",
     "predict_body",
     "predict_stars",
     "star_target_at",
+    "unknown_observer",
 ]

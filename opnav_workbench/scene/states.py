@@ -16,11 +16,18 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID, SUN_ID
 from opnav_workbench.errors import ImageError, KernelError
-from opnav_workbench.image import Picture, barycentric_from_heliocentric
+from opnav_workbench.image import Picture, barycentric_from_heliocentric, unknown_velocity_sigma_km_s
 from opnav_workbench.kernels import body_attitude, body_radii_km, state
 from opnav_workbench.targets import TargetState, star_target
 
-__all__ = ["Observer", "body_target", "observer_from_header", "observer_from_kernels", "star_target_at"]
+__all__ = [
+    "Observer",
+    "body_target",
+    "observer_from_header",
+    "observer_from_kernels",
+    "star_target_at",
+    "unknown_observer",
+]
 
 
 # ---- Where the spacecraft is and how fast it moves, with respect to the solar-system barycenter.
@@ -35,7 +42,7 @@ class Observer:
     position_km, velocity_km_s : (3,) arrays
         With respect to the solar-system barycenter, J2000.
     source
-        "kernels" or "header", for the record.
+        "kernels", "header" or "unknown", for the record.
     velocity_sigma_km_s
         Of each axis, where the velocity is not known; 0 where it is.
     """
@@ -83,6 +90,11 @@ def observer_from_header(picture: Picture, et: float) -> Observer:
         np.asarray(geometry.spacecraft_from_sun_km), np.asarray(geometry.spacecraft_velocity_km_s), et
     )
     return Observer(position, velocity, "header", geometry.velocity_sigma_km_s)
+
+
+def unknown_observer() -> Observer:
+    """Return a spacecraft that nobody knows anything of: at rest, with the sigma of a velocity that may be any."""
+    return Observer(np.zeros(3), np.zeros(3), "unknown", unknown_velocity_sigma_km_s())
 
 
 # ---- Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry.

@@ -33,8 +33,8 @@ from opnav_workbench.bodies import (
 )
 from opnav_workbench.bodies.picture import BodyPicture, sized_target
 from opnav_workbench.bodies.subarray import search_radius
-from opnav_workbench.errors import CameraError, KernelError, MissionError, SessionError
-from opnav_workbench.scene import BodyPrediction, predict_body
+from opnav_workbench.errors import CameraError, CenterfindingError, KernelError, MissionError, SessionError
+from opnav_workbench.scene import AssistedBody, BodyPrediction, predict_body
 from opnav_workbench.session.body_models import (
     body_model_if_known,
     body_picture,
@@ -47,6 +47,7 @@ from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import (
     attitude_covariance,
     best_attitude,
+    with_assisted,
     with_renewed_observables,
 )
 from opnav_workbench.session.state import (
@@ -67,6 +68,7 @@ __all__ = [
     "body_outcome",
     "choose_scans",
     "clear_circle",
+    "describe_body",
     "find_bodies",
     "find_body",
     "scans_outcome",
@@ -78,6 +80,7 @@ __all__ = [
 MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
 MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour, not the body
 SEARCH_SIGMAS = 4.0
+LIMB_FROM_PX = 30.0  # the terminator of a body lit as an analyst guesses tells nothing, its limb does
 # A shift of other bodies by less than this is within what a body is searched in anyway, in radii and px.
 COMMON_SHIFT, MIN_COMMON_SHIFT_PX = 0.5, 6.0
 
@@ -113,9 +116,9 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
         center = find_cross_correlation(picture, name, **options)
     else:
         center = find_least_squares(picture, name, solve_range=request.solve_range, **options)
-    # A body with a map of its albedo has a truer model than the likelihood's.
-    known = has_albedo_map(context, name)
-    return center if known else confirmed_center(picture, center, **options, disk=disk)
+    # A body with a map of its albedo has a truer model than the likelihood's, which knows no Sun that is guessed, either.
+    alone = has_albedo_map(context, name) or (method == "ellipse" and name in state.assisted)
+    return center if alone else confirmed_center(picture, center, **options, disk=disk)
 
 
 def _found_ellipse(
@@ -174,7 +177,9 @@ def chosen_method(
     if scan_numbers(state, request) is not None:
         return "limb_scan"  # whose scans an analyst has chosen
     known = has_albedo_map(context, request.name)
-    return choose_method(prediction.diameter_px, known_surface=known)
+    method = choose_method(prediction.diameter_px, known_surface=known)
+    by_eye = request.name in state.assisted and prediction.diameter_px >= LIMB_FROM_PX
+    return "ellipse" if method == "disk" and by_eye else method
 
 
 def scan_numbers(state: SessionState, request: BodyRequest) -> tuple[int, ...] | None:
@@ -239,6 +244,9 @@ def start_circle(state: SessionState, request: BodyRequest) -> Circle | None:
     if request.circle is not None:
         pixel, line, radius = request.circle
         return Circle(np.array([pixel, line]), radius)
+    described = state.assisted.get(request.name)
+    if request.name not in state.circles and described is not None and described.radius_px is not None:
+        return Circle(described.center_px, described.radius_px)
     return state.circles.get(request.name)
 
 
@@ -331,6 +339,37 @@ def add_target(
     name = parameters["name"]
     state = _others_found_again(context, inputs, _expecting(state, name), name)
     return with_renewed_observables(context, inputs, state)
+
+
+def describe_body(
+    context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
+) -> SessionState:
+    """Expect a body as the analyst describes it; it is found again where it had been, as others are."""
+    name = parameters["name"]
+    body = _described(name, parameters)
+    state = state.replace(assisted=MappingProxyType({**state.assisted, name: body}))
+    inputs = with_assisted(context, inputs, state)
+    state = _expecting(state, name)
+    for request in state.requests:
+        if request.name == name:
+            state = _found_again(context, inputs, state, request)
+    return with_renewed_observables(context, inputs, _others_found_again(context, inputs, state, name))
+
+
+def _described(name: str, parameters: dict[str, Any]) -> AssistedBody:
+    given = {key: parameters.get(key) for key in ("radius_px", "range_km")}
+    try:
+        return AssistedBody(
+            parameters["center_px"],
+            parameters["radii_km"],
+            np.radians(parameters["phase_deg"]),
+            np.radians(parameters["sun_deg"]),
+            north_angle_rad=np.radians(parameters["north_deg"]),
+            sub_observer_rad=np.radians(parameters["sub_observer_deg"]),
+            **given,
+        )
+    except CenterfindingError as error:
+        raise SessionError(f"{name}: {error}") from error
 
 
 def _expecting(state: SessionState, *names: str) -> SessionState:

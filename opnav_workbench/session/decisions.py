@@ -13,6 +13,8 @@
         - {star: "row:17", reason: faint but clean}
         circles:
         - {body: PLUTO, pixel: 512.0, line: 488.5, radius_px: 95.0}
+        bodies:
+        - {body: COMET, pixel: 700.0, line: 91.5, radius_px: 40.0, radii_km: [2.0, 1.6, 1.5], phase_deg: 60, sun_deg: 190}
         scans:
         - {body: PLUTO, numbers: [3, 4, 5, 20, 21], reason: even surface}
 
@@ -119,6 +121,30 @@ class BodyCircle(DecisionItem):
         given = [self.pixel is not None, self.line is not None, self.radius_px is not None]
         if any(given) if self.clear else not all(given):
             raise ValueError("give pixel, line and radius_px, or clear: true")
+        return self
+
+
+class DescribedBody(DecisionItem):
+    """A body as the analyst sees it, where no ephemeris knows it; see `ImageSession.describe_body`."""
+
+    body: NonEmptyText
+    pixel: float
+    line: float
+    radius_px: PositiveFloat | None = None
+    radii_km: (
+        PositiveFloat | Annotated[tuple[PositiveFloat, PositiveFloat, PositiveFloat], Field()] | None
+    ) = None
+    range_km: PositiveFloat | None = None
+    phase_deg: Annotated[float, Field(ge=0.0, le=180.0)]
+    sun_deg: float
+    north_deg: float = -90.0
+    sub_observer_deg: tuple[float, float] = (0.0, 0.0)
+    reason: str = ""
+
+    @model_validator(mode="after")
+    def _size_or_range(self) -> "DescribedBody":
+        if self.radius_px is None and self.range_km is None:
+            raise ValueError("give radius_px or range_km")
         return self
 
 
@@ -236,7 +262,7 @@ class PictureDecisions(StrictModel):
         What the session was opened with.
     settings
         Settings of the session that differ from the defaults.
-    reject, accept, place, two_stars, nudge, circles, scans, methods, together : sequences
+    reject, accept, place, two_stars, nudge, bodies, circles, scans, methods, together : sequences
     carried, landmarks, reject_landmarks, accept_landmarks, notes, steps : sequences
         Items, see the classes above.
     """
@@ -253,6 +279,7 @@ class PictureDecisions(StrictModel):
     place: tuple[PlacedStar, ...] = ()
     two_stars: tuple[MarkedStars, ...] = ()
     nudge: tuple[FieldNudge, ...] = ()
+    bodies: tuple[DescribedBody, ...] = ()
     circles: tuple[BodyCircle, ...] = ()
     scans: tuple[ScanSelection, ...] = ()
     methods: tuple[BodySearch, ...] = ()
@@ -285,7 +312,7 @@ class PictureDecisions(StrictModel):
 
 
 SECTIONS = (
-    "two_stars", "nudge", "place", "reject", "accept", "circles", "scans", "methods", "together",
+    "two_stars", "nudge", "place", "reject", "accept", "bodies", "circles", "scans", "methods", "together",
     "carried", "landmarks", "reject_landmarks", "accept_landmarks", "notes", "steps",
 )  # fmt: skip
 
@@ -316,6 +343,12 @@ def _marked_star_items(p: Parameters, at: int) -> RecordedItems:
 def _nudge_items(p: Parameters, at: int) -> RecordedItems:
     values = {"pixel": p["delta_pixel"], "line": p["delta_line"], "twist_deg": p["delta_twist_deg"]}
     return [("nudge", FieldNudge(**values, at=at))]
+
+
+def _described_items(p: Parameters, at: int) -> RecordedItems:
+    pixel, line = p["center_px"]
+    other = {key: value for key, value in p.items() if key not in ("name", "center_px")}
+    return [("bodies", DescribedBody(body=p["name"], pixel=pixel, line=line, at=at, **other))]
 
 
 def _circle_items(p: Parameters, at: int) -> RecordedItems:
@@ -376,6 +409,7 @@ ITEMS_OF_STEP: dict[str, Callable[[Parameters, int], RecordedItems]] = {
     "place_star": _placed_star_items,
     "two_star_pointing": _marked_star_items,
     "nudge": _nudge_items,
+    "describe_body": _described_items,
     "set_circle": _circle_items,
     "clear_circle": _cleared_circle_items,
     "choose_scans": _scan_items,
@@ -410,6 +444,12 @@ def _decide_landmarks(session: "ImageSession", items: list[LandmarkDecision], *,
     for body, reason in dict.fromkeys((item.body, item.reason) for item in items):
         ids = [item.landmark for item in items if (item.body, item.reason) == (body, reason)]
         decide(body, ids, reason)
+
+
+def _describe_bodies(session: "ImageSession", items: list[DescribedBody]) -> None:
+    for item in items:
+        other = item.model_dump(exclude={"at", "body", "pixel", "line"})
+        session.describe_body(item.body, (item.pixel, item.line), **other)
 
 
 def _set_circle(session: "ImageSession", items: list[BodyCircle]) -> None:
@@ -482,6 +522,7 @@ METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "place": _one_by_one(lambda s, i: s.place_star(i.star, (i.pixel, i.line))),
     "two_stars": _one_by_one(lambda s, i: s.two_star_pointing(i.places, i.stars, i.reason)),
     "nudge": _one_by_one(lambda s, i: s.nudge(i.pixel, i.line, i.twist_deg)),
+    "bodies": _describe_bodies,
     "circles": _set_circle,
     "scans": _one_by_one(lambda s, i: s.choose_scans(i.body, i.numbers, i.reason)),
     "methods": _find_bodies,
@@ -605,6 +646,19 @@ class Decisions(BaseModel):
                     made = True
         return made
 
+    def apply_bodies(self, session: "ImageSession") -> None:
+        """Describe the bodies that were described by hand; one that the session has stays as it is.
+
+        Raises
+        ------
+        SessionError
+            As `apply`.
+        """
+        for key, picture in self._entries_for(session):
+            for number, item in enumerate(picture.bodies):
+                if item.body not in session.state.assisted:
+                    self._perform(session, key, "bodies", number, [item])
+
     def apply_landmarks(self, session: "ImageSession", body: str) -> None:
         """Make the decisions on landmarks of a body that were looked for; those not in this picture are passed over.
 
@@ -628,9 +682,15 @@ class Decisions(BaseModel):
         return tuple(m.model_dump(exclude={"at", "body"}) for m in last.values())
 
     def bodies_of(self, session: "ImageSession") -> tuple[str, ...]:
-        """Return the bodies whose method is decided, in order."""
-        methods = (m.body for _, picture in self._entries_for(session) for m in picture.methods)
-        return tuple(dict.fromkeys(methods))
+        """Return the bodies that are described or whose method is decided, in order."""
+        entries = [picture for _, picture in self._entries_for(session)]
+        said = (item.body for picture in entries for item in (*picture.bodies, *picture.methods))
+        return tuple(dict.fromkeys(said))
+
+    def describe_bodies(self, path: Path, sha256: str) -> bool:
+        """Whether bodies of a picture are described by hand."""
+        keys = (EVERY_IMAGE, path.name, sha256)
+        return any(self.images[key].bodies for key in keys if key in self.images)
 
     def _entries_for(self, session: "ImageSession") -> list[tuple[str, PictureDecisions]]:
         """Return the entries that concern a picture, the most general first."""

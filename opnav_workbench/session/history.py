@@ -250,6 +250,10 @@ STEPS: dict[str, tuple[Step, OutcomeText]] = {
     "repoint": (_then_judged(pointing.repoint), pointing.repoint_outcome),
     "carry_pointing": (_then_judged(pointing.carry_pointing), pointing.carried_outcome),
     "add_target": (_on_demand(body_steps, "add_target"), lambda _, p: f"{p['name']} expected"),
+    "describe_body": (
+        _on_demand(body_steps, "describe_body"),
+        lambda _, p: f"{p['name']} described by hand",
+    ),
     "skip_target": (_on_demand(body_steps, "skip_target"), lambda _, p: f"{p['name']} left out"),
     "set_circle": (
         _on_demand(body_steps, "set_circle"),
@@ -292,6 +296,7 @@ STEPS_BY_HAND = frozenset(
         "accept_stars",
         "reject_landmarks",
         "accept_landmarks",
+        "describe_body",
         "set_circle",
         "clear_circle",
         "choose_scans",
@@ -333,6 +338,11 @@ class History:
         self._journal: list[JournalEntry] = []
 
     @property
+    def seen_inputs(self) -> Inputs:
+        """The inputs with what the analyst described in the picture."""
+        return pointing.with_assisted(self._context, self.inputs, self.state)
+
+    @property
     def state(self) -> SessionState:
         """The present, immutable state."""
         return self._state_after(len(self._standing))
@@ -355,7 +365,7 @@ class History:
     def state_after_step(self, step: str, parameters: dict[str, Any]) -> SessionState:
         """Return the state that a step would lead to, without taking it."""
         carry_out, _ = STEPS[step]
-        return carry_out(self._context, self.inputs, self.state, parameters)
+        return carry_out(self._context, self.seen_inputs, self.state, parameters)
 
     def record(self, step: str, parameters: dict[str, Any], state: SessionState, reason: str = "") -> None:
         """Take a step whose outcome is known; what was undone cannot be repeated after it."""
@@ -469,4 +479,5 @@ class History:
 
     def _replayed(self, state: SessionState, entry: JournalEntry) -> SessionState:
         carry_out, _ = STEPS[entry.step]
-        return carry_out(self._context, self.inputs, state, dict(entry.parameters))
+        inputs = pointing.with_assisted(self._context, self.inputs, state)
+        return carry_out(self._context, inputs, state, dict(entry.parameters))

@@ -37,6 +37,7 @@ from opnav_workbench.scene import (
     observer_from_header,
     observer_from_kernels,
     star_target_at,
+    unknown_observer,
 )
 from opnav_workbench.session.context import Context, faintest_magnitude
 from opnav_workbench.session.contradictions import attitude_contradiction, settled_time
@@ -49,6 +50,7 @@ else:  # shapes in kernels are asked for where there are kernels
 
 __all__ = [
     "ATTITUDE_SOURCES",
+    "IN_PICTURE_ALONE",
     "AttitudeOrigin",
     "AttitudeSource",
     "InputSource",
@@ -64,14 +66,17 @@ __all__ = [
     "with_inputs_added",
     "with_lost_field",
     "with_scene",
+    "with_shape",
     "with_sweep",
     "with_target",
     "with_wide_stars",
 ]
 
 
-AttitudeOrigin = Literal["kernels", "header", "none"]  # what told an a priori attitude; none: the stars did
+# What told an a priori attitude; none: the stars did; unknown: nothing, the camera's own axes stand for those of the sky.
+AttitudeOrigin = Literal["kernels", "header", "none", "unknown"]
 AttitudeSource = Literal["auto", AttitudeOrigin]
+IN_PICTURE_ALONE = "and bodies have places and ranges, but no right ascension and declination"
 ATTITUDE_SOURCES: tuple[AttitudeSource, ...] = get_args(AttitudeSource)
 
 
@@ -103,8 +108,8 @@ class Inputs:
     et
         Mid-exposure, TDB seconds past J2000.
     a_priori_camera_from_j2000 : (3, 3) array
-    attitude_source : {"kernels", "header", "none"}
-        What told the attitude; "none": neither of the two, but the stars (`lost`).
+    attitude_source : {"kernels", "header", "none", "unknown"}
+        What told the attitude; "none": neither of the two, but the stars (`lost`); "unknown": nothing does.
     stars
         Catalog rows around the a priori field.
     targets : mapping of str to TargetState
@@ -144,6 +149,11 @@ class Inputs:
         """Whether nothing but the stars tells the a priori attitude."""
         return self.attitude_source == "none"
 
+    @property
+    def without_sky(self) -> bool:
+        """Whether nothing tells the a priori attitude: the camera's own axes stand for it."""
+        return self.attitude_source == "unknown"
+
 
 # ---- From kernels, image header, catalog and target lists.
 
@@ -171,16 +181,19 @@ class InputSource:
         Catalog spec.
     target_stars
         Star list for stars that are targets.
-    attitude : {"auto", "kernels", "header", "none"}
-        ``none``: the stars alone shall tell it.
+    attitude : {"auto", "kernels", "header", "none", "unknown"}
+        ``none``: the stars alone shall tell it; ``unknown``: nothing does, and pictures are measured without the sky.
     shapes : mapping of str to ShapeFile
         Shape models that were given by name of the body; they outrank those of kernels and mission.
+    by_hand
+        Whether an analyst has described the picture's bodies: it then needs neither attitude nor spacecraft state.
     """
 
     catalog: str = "bundled"
     target_stars: Path | None = None
     attitude: str = "auto"
     shapes: Mapping[str, ShapeFile] = field(default_factory=lambda: MappingProxyType({}))
+    by_hand: bool = False
 
     def __post_init__(self) -> None:
         if self.attitude not in ATTITUDE_SOURCES:
@@ -218,7 +231,7 @@ def collect_inputs(
     inputs = Inputs(
         et=et,
         utc=text_from_et(et) if _to_middle_line_s(context) else time.utc,
-        observer=_observer(context, et),
+        observer=_observer(context, et, needless=source.by_hand or source.attitude == "unknown"),
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
         stars=StarTable.empty(),
@@ -233,6 +246,8 @@ def collect_inputs(
         sweep=sweep,
     )
     context = with_sweep(context, sweep)
+    if inputs.without_sky:
+        return inputs
     return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
 
 
@@ -249,21 +264,37 @@ def with_target(context: Context, source: InputSource, inputs: Inputs, name: str
             shape = ShapeFile(given.path.resolve(), given.unit)
         elif (by_kernels := dsk_files.shape_file_of(name)) is not None:
             shape = ShapeFile(by_kernels)
-    with_it = replace(inputs, targets=MappingProxyType({**inputs.targets, name: target}))
+    return with_shape(
+        replace(inputs, targets=MappingProxyType({**inputs.targets, name: target})), name, shape
+    )
+
+
+def with_shape(inputs: Inputs, name: str, shape: ShapeFile | None) -> Inputs:
+    """Add a body's shape model to the inputs, where there is one."""
     if shape is None:
-        return with_it
+        return inputs
     units = {**inputs.shape_units, **({} if shape.unit == "km" else {name: shape.unit})}
     return replace(
-        with_it,
+        inputs,
         shapes=MappingProxyType({**inputs.shapes, name: shape.path}),
         shape_units=MappingProxyType(units),
     )
 
 
-def with_scene(context: Context, source: InputSource, inputs: Inputs) -> tuple[Inputs, list[str]]:
-    """Add the mission's bodies that may hide, shade or outshine another; return which of them are known, too."""
-    names = []
+def with_scene(
+    context: Context, source: InputSource, inputs: Inputs, described: Sequence[str] = ()
+) -> tuple[Inputs, list[str]]:
+    """Add the mission's bodies that may hide, shade or outshine another; return which of them are known, too.
+
+    Parameters
+    ----------
+    described
+        Bodies that the analyst described.
+    """
+    names = list(described)
     for name in context.mission.default_targets:
+        if name in described:
+            continue
         if KernelSet.active() is not None:
             with suppress(OpNavError):  # nothing is known of it: it is not in the scene
                 inputs = with_target(context, source, inputs, name)
@@ -293,7 +324,7 @@ def with_wide_stars(
     context: Context, source: InputSource, inputs: Inputs, catalog: Catalog | None = None
 ) -> Inputs:
     """Add the brightest stars as far around the a priori field as the widest search goes, once, where there is one."""
-    if inputs.wide_stars is not None or not context.settings.wide_searches:
+    if inputs.wide_stars is not None or inputs.without_sky or not context.settings.wide_searches:
         return inputs
     reach_px = max(shift for shift, _ in context.settings.wide_searches)
     radius = context.camera.half_diagonal_rad + reach_px * context.camera.pixel_scale_rad
@@ -334,16 +365,23 @@ def _to_middle_line_s(context: Context) -> float:
     return 0.5 * rows.span_s(context.camera.n_line)
 
 
-def _observer(context: Context, et: float) -> Observer:
+def _observer(context: Context, et: float, *, needless: bool) -> Observer:
     kernels = KernelSet.active()
     spacecraft = context.mission.spacecraft_id
     if kernels is not None and any(c.body == spacecraft for c in kernels.coverage("SPK")):
         return observer_from_kernels(spacecraft, et)
-    return observer_from_header(context.picture, et)
+    try:
+        return observer_from_header(context.picture, et)
+    except ImageError:
+        if needless:
+            return unknown_observer()
+        raise
 
 
 def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, AttitudeOrigin]:
     kernels, frame_name = KernelSet.active(), context.camera.frame
+    if wanted == "unknown":
+        return np.eye(3), "unknown"
     if wanted == "none":
         raise NoAttitudeError("the stars alone shall tell the attitude.")
     if wanted == "kernels" or (

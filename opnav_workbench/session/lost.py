@@ -64,6 +64,8 @@ def open_inputs(
             raise  # without its motion a line scan is no picture of the sky
         catalog = catalog or open_catalog(source.catalog)
         answer = _searched(context, catalog)
+        if (answer is None or answer.camera_from_j2000 is None) and source.by_hand:
+            return context, collect_inputs(context, replace(source, attitude="unknown"), catalog)
         if answer is None or answer.camera_from_j2000 is None:
             raise type(silent)(f"{silent} {_why_not(context, answer)}") from silent
         context, said = _with_focal_length(context, answer)

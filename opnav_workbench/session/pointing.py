@@ -6,16 +6,17 @@ Observables rest on the attitude, so they are computed here and follow every new
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies import BodyCenter, JointCenters
-from opnav_workbench.constants import ARCSEC_PER_RAD, SPEED_OF_LIGHT_KM_S
+from opnav_workbench.constants import ARCSEC_PER_RAD, AU_KM, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable, center_cross, observe
-from opnav_workbench.scene import following, predict_body
+from opnav_workbench.scene import assisted_target, following, predict_body
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.orientation import far_words, turned_words
@@ -53,10 +54,12 @@ __all__ = [
     "carry_pointing",
     "current_observables",
     "field_is_sure",
+    "is_without_sky",
     "observables",
     "pointing_doubt",
     "repoint",
     "solved_attitude",
+    "with_assisted",
     "with_observables",
     "with_renewed_observables",
 ]
@@ -76,6 +79,28 @@ def best_attitude(inputs: Inputs, state: SessionState, *, with_identified: bool 
     if state.star_field is not None and (with_identified or state.star_field.search in (BY_HAND, MARKED)):
         return state.star_field.camera_from_j2000
     return inputs.a_priori_camera_from_j2000
+
+
+def with_assisted(context: Context, inputs: Inputs, state: SessionState) -> Inputs:
+    """Return inputs with the bodies that an analyst described, each where he put it with the best known attitude."""
+    if not state.assisted:
+        return inputs
+    velocity, attitude = inputs.observer.velocity_km_s, best_attitude(inputs, state)
+    sun_km = float(np.linalg.norm(inputs.observer.position_km)) or AU_KM  # the spacecraft is near the body
+    described = {
+        name: assisted_target(name, body, context.camera, attitude, velocity, sun_km)
+        for name, body in state.assisted.items()
+    }
+    return replace(inputs, targets=MappingProxyType({**inputs.targets, **described}))
+
+
+def is_without_sky(inputs: Inputs, state: SessionState) -> bool:
+    """Whether no attitude is known at all, so that nothing can be said of directions."""
+    return (
+        inputs.without_sky
+        and state.pointing is None
+        and best_attitude(inputs, state) is inputs.a_priori_camera_from_j2000
+    )
 
 
 def attitude_covariance(context: Context, state: SessionState) -> FloatArray:
@@ -109,6 +134,7 @@ def field_is_sure(state: SessionState) -> bool:
 
 def current_observables(context: Context, inputs: Inputs, state: SessionState) -> tuple[Observable, ...]:
     """Return every body's center as an observable with partials, whether they were asked for or not."""
+    inputs = with_assisted(context, inputs, state)
     return tuple(_observable(context, inputs, state, body) for body in state.bodies)
 
 
@@ -130,6 +156,16 @@ def with_renewed_observables(context: Context, inputs: Inputs, state: SessionSta
 
 
 def _observable(context: Context, inputs: Inputs, state: SessionState, center: BodyCenter) -> Observable:
+    without_sky = is_without_sky(inputs, state)
+    seen = _on_sky(context, inputs, state, center, "" if without_sky else pointing_doubt(state))
+    if center.name in state.assisted:
+        seen = replace(seen, **NO_RESIDUALS)
+    return replace(seen, **NO_DIRECTIONS, total_covariance_px2=center.covariance_px2) if without_sky else seen
+
+
+def _on_sky(
+    context: Context, inputs: Inputs, state: SessionState, center: BodyCenter, doubt: str
+) -> Observable:
     target = inputs.targets[center.name]
     a_priori = predict_body(target, inputs.observer, context.camera, inputs.a_priori_camera_from_j2000)
     solved = predict_body(target, inputs.observer, context.camera, best_attitude(inputs, state))
@@ -148,8 +184,32 @@ def _observable(context: Context, inputs: Inputs, state: SessionState, center: B
         reference_body=context.mission.reference_body,
         observer=context.mission.spacecraft_name,
         center_cross_px2=_center_cross(state, center),
-        pointing_doubt=pointing_doubt(state),
+        pointing_doubt=doubt,
     )
+
+
+# What of an observable needs an ephemeris, and what an attitude.
+NO_RESIDUALS: Mapping[str, Any] = dict.fromkeys(
+    (
+        "residual_px",
+        "residual_arcsec",
+        "residual_covariance_arcsec2",
+        "partials_px_per_km",
+        "target_partials_px_per_km",
+        "target_partials_px_per_km_s",
+        "diameter_partials_px_per_km",
+        "range_partials",
+    )
+)
+NO_DIRECTIONS: Mapping[str, Any] = dict(NO_RESIDUALS) | {
+    "ra_deg": np.nan,
+    "dec_deg": np.nan,
+    "apparent_ra_deg": np.nan,
+    "apparent_dec_deg": np.nan,
+    "sky_partials_px_per_rad": None,
+    "attitude_covariance_rad2": None,
+    "partials_px_per_rad": None,
+}
 
 
 def _center_cross(state: SessionState, center: BodyCenter) -> Mapping[str, FloatArray]:

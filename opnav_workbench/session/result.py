@@ -18,9 +18,15 @@ from opnav_workbench.geometry import quaternion_from_matrix
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.observables import Observable, Origin
 from opnav_workbench.observables.observing import is_outside
+from opnav_workbench.scene import AssistedBody
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs, InputSource
-from opnav_workbench.session.pointing import current_observables, field_is_sure, pointing_doubt
+from opnav_workbench.session.pointing import (
+    current_observables,
+    field_is_sure,
+    is_without_sky,
+    pointing_doubt,
+)
 from opnav_workbench.session.state import MEASURED_STATUSES, SessionState, has_center
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.version import __version__
@@ -166,7 +172,9 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
         "mission": context.mission.name,
         "camera": context.camera.name,
         **({} if (readout := context.mission.readout_told(frame.header)) is None else {"readout": readout}),
-        "status": overall_status(context.camera, state, observables),
+        "status": overall_status(
+            context.camera, state, observables, without_sky=is_without_sky(inputs, state)
+        ),
         "messages": list(state.messages),
         "identification": _identification(state),
         "pointing": _pointing(state.pointing),
@@ -178,14 +186,17 @@ def result_dict(context: Context, source: InputSource, inputs: Inputs, state: Se
     return stamped("result", found)
 
 
-def overall_status(camera: Camera, state: SessionState, observables: Sequence[Observable]) -> str:
+def overall_status(
+    camera: Camera, state: SessionState, observables: Sequence[Observable], *, without_sky: bool = False
+) -> str:
     """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing.
 
     ``ok`` is a sure pointing, its twist solved, with every target that was looked for either found for sure by one method
-    at least, or outside the field, where there is nothing to find.
+    at least, or outside the field, where there is nothing to find. Without any attitude (`is_without_sky`), what is
+    measured in the picture is a part.
     """
     if state.pointing is None:
-        return "failed"
+        return "partial" if without_sky and any(o.observed_px is not None for o in observables) else "failed"
     told = {o.name: [p for p in observables if p.name == o.name] for o in observables}
     found = not state.skipped_targets and all(_found_or_outside(camera, of_one) for of_one in told.values())
     complete = found and state.pointing.twist_solved and not pointing_doubt(state)
@@ -294,6 +305,20 @@ def origin_of(context: Context, source: InputSource) -> Origin:
     )
 
 
+def _described(name: str, body: AssistedBody) -> dict[str, Any]:
+    return {
+        "body": name,
+        "center_px": body.center_px,
+        "radius_px": body.radius_px,
+        "range_km": body.range_km,
+        "radii_km": body.radii_km,
+        "phase_deg": np.degrees(body.phase_rad),
+        "sun_deg": np.degrees(body.sun_angle_rad),
+        "north_deg": np.degrees(body.north_angle_rad),
+        "sub_observer_deg": np.degrees(body.sub_observer_rad),
+    }
+
+
 def _provenance(context: Context, source: InputSource, inputs: Inputs, state: SessionState) -> dict[str, Any]:
     return {
         "version": __version__,
@@ -309,6 +334,11 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
             for star, (verdict, reason) in state.decisions.items()
         ],
         "placed_stars": [{"star": star, "observed": place} for star, place in state.placed.items()],
+        **(
+            {"described_bodies": [_described(*one) for one in state.assisted.items()]}
+            if state.assisted
+            else {}
+        ),
         "circles": [
             {"body": name, "center_px": circle.center_px, "radius_px": circle.radius_px}
             for name, circle in state.circles.items()

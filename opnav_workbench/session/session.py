@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
-from opnav_workbench.errors import CatalogError, SelectionPending, SessionError
+from opnav_workbench.errors import CatalogError, KernelError, SelectionPending, SessionError
 from opnav_workbench.files import json_text, make_folder, plain_values, sha256_of
+from opnav_workbench.kernels import body_radii_km
 from opnav_workbench.kernels.shape_files import ShapeFile
 from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.mission import Mission, load_mission
@@ -135,6 +136,7 @@ class ImageSession:
         attitude: str = "auto",
         shapes: Mapping[str, ShapeFile] | None = None,
         settings: Settings | None = None,
+        by_hand: bool = False,
     ) -> Self:
         """Open a picture (`context.open_context`) and what kernels and catalog say of it (`inputs.collect_inputs`).
 
@@ -150,13 +152,17 @@ class ImageSession:
             The same catalog, already open: for many pictures one after the other.
         target_stars
             YAML star list whose stars can be targets; default the mission's own list.
-        attitude : {"auto", "kernels", "header", "none"}
+        attitude : {"auto", "kernels", "header", "none", "unknown"}
             Where the a priori attitude comes from; ``auto`` takes the kernels where the active `KernelSet` has a CK
             for the camera, else the header, and where these are silent the stars, as ``none`` does at once (`lost`).
+            ``unknown``: from nowhere; bodies described by hand (`describe_body`) are measured in the picture alone.
         shapes : mapping of str to ShapeFile, optional
             Shape models by body; they outrank those of kernels and mission.
         settings
             Thresholds; default those of `Settings`.
+        by_hand
+            The picture's bodies will be described by hand: where nothing tells attitude or spacecraft state, the picture
+            is opened without.
 
         Raises
         ------
@@ -166,7 +172,7 @@ class ImageSession:
         mission = mission if isinstance(mission, Mission) else load_mission(mission)
         context = open_context(path, mission, settings or Settings())
         stars = None if target_stars is None else Path(target_stars)
-        source = InputSource(catalog, stars, attitude, MappingProxyType(dict(shapes or {})))
+        source = InputSource(catalog, stars, attitude, MappingProxyType(dict(shapes or {})), by_hand)
         context, inputs = open_inputs(context, source, opened_catalog)
         return cls(context, source, inputs, opened_catalog)
 
@@ -227,8 +233,8 @@ class ImageSession:
 
     @property
     def inputs(self) -> Inputs:
-        """What kernels, header and catalog gave."""
-        return self._history.inputs
+        """What kernels, header and catalog gave, and the bodies that the analyst described."""
+        return self._history.seen_inputs
 
     @property
     def state(self) -> SessionState:
@@ -625,6 +631,66 @@ class ImageSession:
             if name not in self.state.targets:
                 self._step("add_target", {"name": name})
 
+    def describe_body(
+        self,
+        name: str,
+        center_px: Sequence[float],
+        radius_px: float | None = None,
+        *,
+        phase_deg: float,
+        sun_deg: float,
+        radii_km: Sequence[float] | float | None = None,
+        range_km: float | None = None,
+        north_deg: float = -90.0,
+        sub_observer_deg: Sequence[float] = (0.0, 0.0),
+        reason: str = "",
+    ) -> None:
+        """Describe a body as it is seen in the picture, where no ephemeris knows it (`body_steps.describe_body`).
+
+        It is then found and measured as any other; described again, it is found again. A body that kernels know stands
+        where the description has it.
+
+        Parameters
+        ----------
+        name
+            Any.
+        center_px : (float, float)
+            (pixel, line), on the detector or off it.
+        radius_px
+            How large it looks; needed without `range_km`.
+        phase_deg
+            Angle Sun - body - camera, deg.
+        sun_deg
+            Direction toward the Sun in the picture, deg from +pixel toward +line.
+        radii_km
+            Three semi-axes, or the radius of a sphere; default those of the kernels.
+        range_km
+            From the camera to the body's center.
+        north_deg
+            Direction of the north pole in the picture, deg from +pixel toward +line (-90: up).
+        sub_observer_deg : (float, float)
+            East longitude and latitude of the camera as seen from the body.
+
+        Raises
+        ------
+        SessionError
+            A value that cannot be, neither radius nor range, or radii that nobody knows.
+        """
+        parameters: dict[str, Any] = {
+            "name": name,
+            "center_px": [float(x) for x in center_px],
+            "radius_px": radius_px,
+            "range_km": range_km,
+            "radii_km": _three_radii_km(name, radii_km),
+            "phase_deg": phase_deg,
+            "sun_deg": sun_deg,
+            "north_deg": north_deg,
+            "sub_observer_deg": [float(x) for x in sub_observer_deg],
+        }
+        with self.lock:
+            self._know_shape(name)
+            self._step("describe_body", parameters, reason)
+
     def skip_target(self, name: str, reason: str) -> None:
         """Leave a requested target out, and say why; the result then is ``partial`` (`body_steps.skip_target`)."""
         self._step("skip_target", {"name": name, "reason": reason}, reason)
@@ -880,21 +946,29 @@ class ImageSession:
                 listener(self)
 
     def _stored_values(self) -> dict[str, Any]:
-        return storage.session_dict(self.context, self.source, self.inputs, self.journal, self.id)
+        return storage.session_dict(self.context, self.source, self._history.inputs, self.journal, self.id)
 
     # -- inputs that a step asks for -----------------------------------------------------------------------------
 
     def _know_target(self, name: str) -> None:
-        self._history.inputs = input_values.with_target(self.context, self.source, self.inputs, name)
+        if name not in self.state.assisted:
+            self._history.inputs = input_values.with_target(
+                self.context, self.source, self._history.inputs, name
+            )
+
+    def _know_shape(self, name: str) -> None:
+        self._history.inputs = input_values.with_shape(
+            self._history.inputs, name, self.source.shapes.get(name)
+        )
 
     def _fetch_wide_stars(self) -> bool:
         """Fetch the stars that a wide search needs; False where there are none to fetch."""
-        before = self.inputs
+        before = self._history.inputs
         with suppress(CatalogError):  # the catalog is not on this machine; what is not identified says so
             self._history.inputs = input_values.with_wide_stars(
                 self.context, self.source, before, self._catalog
             )
-        return self.inputs is not before
+        return self._history.inputs is not before
 
     def _is_lost(self, state: SessionState) -> bool:
         """Whether not even a proposal says where the field is."""
@@ -911,18 +985,31 @@ class ImageSession:
 
     def _take_lost_field(self, lost: LostField) -> None:
         self._history.inputs = input_values.with_lost_field(
-            self.context, self.source, self.inputs, lost, self._catalog
+            self.context, self.source, self._history.inputs, lost, self._catalog
         )
 
     def _bodies_in_scene(self) -> dict[str, Any]:
         """Name the mission's bodies that may hide, shade or outshine the one that is looked for."""
-        self._history.inputs, names = input_values.with_scene(self.context, self.source, self.inputs)
+        self._history.inputs, names = input_values.with_scene(
+            self.context, self.source, self._history.inputs, tuple(self.state.assisted)
+        )
         return {"scene": names} if names else {}
 
 
 def _id_list(ids: Sequence[str]) -> list[str]:
     # A single name is a sequence too, of letters; nobody means those.
     return [ids] if isinstance(ids, str) else [str(star) for star in ids]
+
+
+def _three_radii_km(name: str, radii_km: Sequence[float] | float | None) -> list[float]:
+    if isinstance(radii_km, Sequence):
+        return [float(radius) for radius in radii_km]
+    if radii_km is not None:
+        return 3 * [float(radii_km)]
+    try:
+        return [float(radius) for radius in body_radii_km(name)]
+    except KernelError as error:
+        raise SessionError(f"how large {name} is, nobody tells ({error}) Give radii_km.") from error
 
 
 def _circle_numbers(values: Sequence[float]) -> list[float]:

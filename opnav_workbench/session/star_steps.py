@@ -14,7 +14,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import SessionError
 from opnav_workbench.scene import StarPrediction, predict_body, predict_stars
 from opnav_workbench.session.context import Context
-from opnav_workbench.session.inputs import Inputs
+from opnav_workbench.session.inputs import IN_PICTURE_ALONE, Inputs
 from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.session.star_field import brightest, catalog_stars, identify_field
 from opnav_workbench.session.star_measurement import (
@@ -112,17 +112,20 @@ def predict(
         targets=state.targets,
         placed=state.placed,
         circles=state.circles,
+        assisted=state.assisted,
         scan_choices=state.scan_choices,
         user_notes=state.user_notes,
         skipped_targets=state.skipped_targets,
         notes=MappingProxyType({topic: notes for topic, notes in state.notes.items() if topic in topics}),
     )
     return fresh.replace(status=with_decisions(fresh, status)).with_notes(
-        "predict", *_no_attitude(inputs), *_empty_field(stars)
+        "predict", *_no_attitude(inputs), *([] if inputs.without_sky else _empty_field(stars))
     )
 
 
 def _no_attitude(inputs: Inputs) -> list[str]:
+    if inputs.without_sky:
+        return [f"the attitude is unknown: no star is predicted, {IN_PICTURE_ALONE}"]
     return [inputs.lost.message] if inputs.lost is not None and inputs.told_by_stars else []
 
 

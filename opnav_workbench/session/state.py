@@ -14,7 +14,7 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import SessionError
 from opnav_workbench.observables import Observable
-from opnav_workbench.scene import StarPrediction
+from opnav_workbench.scene import AssistedBody, StarPrediction
 from opnav_workbench.stars import ShapePrior, StarCenters
 from opnav_workbench.stars.pointing import PointingSolution
 
@@ -202,6 +202,8 @@ class SessionState:
         Centerfinder of stars that were fitted again with another one than the rest, by star id.
     circles : mapping of str to Circle
         Where the analyst saw a body, by name.
+    assisted : mapping of str to AssistedBody
+        Bodies as the analyst described them, by name; they outrank ephemerides.
     scan_choices : mapping of str to ScanChoice
         Limb scans that the analyst chose, by body.
     user_notes
@@ -231,6 +233,7 @@ class SessionState:
     placed: MappingProxyType[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
     star_methods: MappingProxyType[str, str] = field(default_factory=lambda: MappingProxyType({}))
     circles: "MappingProxyType[str, Circle]" = field(default_factory=lambda: MappingProxyType({}))
+    assisted: MappingProxyType[str, AssistedBody] = field(default_factory=lambda: MappingProxyType({}))
     scan_choices: MappingProxyType[str, ScanChoice] = field(default_factory=lambda: MappingProxyType({}))
     user_notes: tuple[str, ...] = ()
     star_field: FieldFound | None = None

@@ -1,0 +1,190 @@
+"""A body by hand, where no ephemeris knows it: a circle around it, its size or range, and how it is lit.
+
+The analyst says what is seen in the picture; with an attitude it becomes the body's state, as an ephemeris would give it.
+Without one the camera's own axes serve, and positions are good for the picture alone.
+
+Frame  the picture (angles from +pixel toward +line), and that of the attitude
+Units  km, px, rad
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.camera import Camera
+from opnav_workbench.constants import AU_KM
+from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.geometry import geometric_direction, unit
+from opnav_workbench.targets import TargetState
+
+__all__ = ["AssistedBody", "assisted_target", "picture_axes"]
+
+CIRCLE_SIGMA = 0.1  # of a circle's radius, and so of a range that follows from it
+NORTH_UP_RAD = -0.5 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AssistedBody:
+    """A body as an analyst sees it in the picture.
+
+    Attributes
+    ----------
+    center_px : (2,) array
+        (pixel, line); it may lie off the detector.
+    radii_km : (3,) array
+        Semi-axes along body x, y, z.
+    phase_rad
+        Angle Sun - body - camera, 0 to pi.
+    sun_angle_rad
+        Direction toward the Sun in the picture, from +pixel toward +line.
+    radius_px
+        How large the body looks; needed where `range_km` is not given.
+    range_km
+        Camera to body center; None: from `radius_px` and the mean radius.
+    north_angle_rad
+        Direction of the body's north pole in the picture, from +pixel toward +line (-pi/2: up).
+    sub_observer_rad : (2,) array
+        Longitude (east) and latitude of the camera as seen from the body.
+
+    Raises
+    ------
+    CenterfindingError
+        A value that is not finite or cannot be, or neither radius nor range.
+
+    Examples
+    --------
+    >>> body = AssistedBody([512.0, 600.0], [252.0, 252.0, 252.0], 0.8, 3.1, radius_px=291.0)
+    >>> body.mean_radius_km
+    252.0
+    """
+
+    center_px: FloatArray
+    radii_km: FloatArray
+    phase_rad: float
+    sun_angle_rad: float
+    radius_px: float | None = None
+    range_km: float | None = None
+    north_angle_rad: float = NORTH_UP_RAD
+    sub_observer_rad: FloatArray = (0.0, 0.0)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        for name, length in (("center_px", 2), ("radii_km", 3), ("sub_observer_rad", 2)):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != (length,) or not np.isfinite(array).all():
+                raise CenterfindingError(f"{name} is {array.tolist()}; give {length} finite numbers.")
+            object.__setattr__(self, name, array)
+        if not np.all(self.radii_km > 0.0):
+            raise CenterfindingError(f"radii_km is {self.radii_km.tolist()}; give three positive numbers.")
+        if not np.isfinite([self.sun_angle_rad, self.north_angle_rad]).all():
+            raise CenterfindingError("the angles toward Sun and north must be finite numbers.")
+        if not 0.0 <= self.phase_rad <= np.pi:
+            raise CenterfindingError(
+                f"the phase angle is {np.degrees(self.phase_rad):g} deg; give 0 (full) to 180 (dark)."
+            )
+        if self.radius_px is None and self.range_km is None:
+            raise CenterfindingError("how far the body is, nobody tells; give radius_px or range_km.")
+        for name in ("radius_px", "range_km"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0.0):
+                raise CenterfindingError(f"{name} is {value!r}; give a positive number.")
+        if self.range_km is not None and self.range_km <= self.mean_radius_km:
+            raise CenterfindingError(
+                f"range_km is {self.range_km:g}, inside a body of {self.mean_radius_km:g} km; it counts from the center."
+            )
+        freeze_arrays(self)
+
+    @property
+    def mean_radius_km(self) -> float:
+        """Radius of a sphere of the same volume."""
+        return float(np.cbrt(self.radii_km.prod()))
+
+
+def assisted_target(
+    name: str,
+    body: AssistedBody,
+    camera: Camera,
+    camera_from_j2000: FloatArray,
+    observer_velocity_km_s: FloatArray,
+    sun_range_km: float = AU_KM,
+) -> TargetState:
+    """Return the state of a body that stands, with this attitude, where the analyst put it.
+
+    Parameters
+    ----------
+    camera_from_j2000 : (3, 3) array
+        The identity where nobody knows it: "J2000" then is the camera's own frame.
+    observer_velocity_km_s : (3,) array
+        With respect to the solar-system barycenter: the aberration is taken off.
+    sun_range_km
+        How far the Sun is.
+
+    Returns
+    -------
+    TargetState
+        Its covariance is the circle's: a tenth of the radius across, and along where the range follows from it.
+
+    Raises
+    ------
+    CenterfindingError
+        The camera model does not cover the place.
+
+    Examples
+    --------
+    >>> from opnav_workbench.resources import kernels_meta_dir
+    >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
+    >>> body = AssistedBody([300.0, 400.0], [252.0] * 3, 0.8, 3.1, radius_px=50.0)
+    >>> round(assisted_target("ENCELADUS", body, camera, np.eye(3), np.zeros(3)).range_km)
+    504002
+    """
+    camera = camera.standing(camera_from_j2000)
+    toward = camera.unproject(body.center_px[None])[0]
+    if not np.isfinite(toward).all():
+        raise CenterfindingError(
+            f"{name}: {body.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
+        )
+    axes = picture_axes(camera, body.center_px, toward)
+    distance = body.range_km or _range(axes, body)
+    sideways = np.cos(body.sun_angle_rad) * axes[0] + np.sin(body.sun_angle_rad) * axes[1]
+    to_sun = np.sin(body.phase_rad) * unit(sideways) - np.cos(body.phase_rad) * toward
+    north = unit(np.cos(body.north_angle_rad) * axes[0] + np.sin(body.north_angle_rad) * axes[1])
+    seen_axes = np.stack([np.cross(north, -toward), north, -toward])
+    apparent = toward @ camera_from_j2000
+    direction = geometric_direction(apparent, observer_velocity_km_s)
+    return TargetState(
+        name,
+        direction * distance,
+        radii_km=body.radii_km,
+        body_from_j2000=_body_axes(*body.sub_observer_rad) @ seen_axes @ camera_from_j2000,
+        sun_position_km=to_sun @ camera_from_j2000 * sun_range_km,
+        covariance_km2=_covariance(body, direction, distance),
+    )
+
+
+def picture_axes(camera: Camera, place: FloatArray, toward: FloatArray) -> FloatArray:
+    """Return directions (2, 3) across the line of sight along which pixel and line increase, rad/px."""
+    slopes = camera.unproject_jacobian(place[None])[0].T
+    return np.asarray(slopes - np.outer(slopes @ toward, toward))
+
+
+def _range(axes: FloatArray, body: AssistedBody) -> float:
+    assert body.radius_px is not None
+    rad_per_px = float(np.sqrt(np.linalg.norm(np.cross(axes[0], axes[1]))))
+    return body.mean_radius_km / float(np.sin(min(body.radius_px * rad_per_px, 0.5 * np.pi)))
+
+
+def _covariance(body: AssistedBody, direction: FloatArray, distance: float) -> FloatArray:
+    """Return how far a circle by hand may be off, across the line of sight and along it."""
+    along = np.outer(direction, direction)
+    across = (CIRCLE_SIGMA * body.mean_radius_km) ** 2 * (np.eye(3) - along)
+    return np.asarray(
+        across if body.range_km is not None else across + (CIRCLE_SIGMA * distance) ** 2 * along
+    )
+
+
+def _body_axes(longitude: float, latitude: float) -> FloatArray:
+    """Return the matrix from east, north and up at a place of the body to its fixed axes."""
+    cos_b, sin_b, cos_l, sin_l = np.cos(latitude), np.sin(latitude), np.cos(longitude), np.sin(longitude)
+    east = [-sin_l, cos_l, 0.0]
+    north = [-sin_b * cos_l, -sin_b * sin_l, cos_b]
+    return np.array([east, north, [cos_b * cos_l, cos_b * sin_l, sin_b]]).T
