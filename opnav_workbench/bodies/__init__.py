@@ -15,6 +15,8 @@ which suits a body.
     A body's rendered picture correlated with the data over the whole search area.
 ``place``
     Where a body stands, before anything is fitted: its silhouette against the sky, then its lit limb.
+``lighting``
+    Where the Sun stands over a body, told by its disk.
 ``detection``
     Which bodies the picture shows, roughly where, and which of them have to be measured together.
 ``silhouette``
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
     from opnav_workbench.bodies.ellipse.point_fits import horizon_position
     from opnav_workbench.bodies.judgement import confirmed_center
     from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
+    from opnav_workbench.bodies.lighting import Lighting, fit_lighting
     from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
     from opnav_workbench.bodies.method import choose_method
     from opnav_workbench.bodies.picture import (
@@ -111,6 +114,8 @@ else:  # loaded on first use: most calls need a few of these
             "displaced_model": "picture",
             "model_picture": "picture",
             "picture_from_circle": "picture",
+            "Lighting": "lighting",
+            "fit_lighting": "lighting",
             "stated_psf_sigma": "picture",
             "BODY_STATUSES": "results",
             "BodyCenter": "results",
@@ -144,6 +149,7 @@ __all__ = [
     "DiskReading",
     "FreeEllipse",
     "JointCenters",
+    "Lighting",
     "LimbEllipse",
     "LimbScans",
     "MeasuredDisk",
@@ -165,6 +171,7 @@ __all__ = [
     "find_limb_scan",
     "find_unresolved",
     "find_unresolved_body",
+    "fit_lighting",
     "horizon_position",
     "judged_disk",
     "measure_disk",

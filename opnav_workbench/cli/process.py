@@ -107,26 +107,43 @@ def _pointing_cells(p: dict[str, Any] | None) -> list[str]:
     ]
 
 
+DIRECTION_FORMATS = (("ra_deg", ".6f"), ("dec_deg", "+.6f"))
+
+
 def _body_table(rows: Sequence[tuple[Outcome, dict[str, Any]]], wide: bool) -> Table:
+    ranges = any(_measured_without_ephemeris(body) for _, body in rows)
     names = ("pixel", "line", "σ", "σ", "O−C", "O−C", *(("RA°", "Dec°", "method") if wide else ()))
-    table = plain_table("Targets (O−C in px)", ("picture", "target", "status"), names)
+    names = (*names[:4], "range km", "σ", *names[6:]) if ranges else names
+    table = plain_table(
+        "Targets" if ranges else "Targets (O−C in px)", ("picture", "target", "status"), names
+    )
     for outcome, body in rows:
         cells = [shown(outcome.image.stem), shown(body["name"]), body["status"].replace("_", " ")]
-        table.add_row(*cells, *_body_cells(body)[: len(names)])
+        table.add_row(*cells, *_body_cells(body, ranges=ranges)[: len(names)])
     return table
 
 
-def _body_cells(body: dict[str, Any]) -> list[str]:
+def _measured_without_ephemeris(body: dict[str, Any]) -> bool:
+    return body["observed"] is not None and body["residual_px"] is None
+
+
+def _body_cells(body: dict[str, Any], *, ranges: bool) -> list[str]:
     if body["observed"] is None:
         return [*["–"] * 8, body["method"]]
     return [
         *(f"{value:.3f}" for value in body["observed"]),
         *(f"{body['covariance_px2'][i][i] ** 0.5:.3f}" for i in (0, 1)),
-        *(f"{value:+.3f}" for value in body["residual_px"]),
-        f"{body['ra_deg']:.6f}",
-        f"{body['dec_deg']:+.6f}",
+        *(_range_cells(body) if ranges else [f"{value:+.3f}" for value in body["residual_px"]]),
+        *(f"{body[name]:{how}}" if body[name] is not None else "–" for name, how in DIRECTION_FORMATS),
         body["method"],
     ]
+
+
+def _range_cells(body: dict[str, Any]) -> list[str]:
+    """Range and its sigma where the picture tells it; what was expected stands in the result."""
+    if body["measured_range_km"] is None:
+        return ["–", "–"]
+    return [f"{body['measured_range_km']:.6g}", f"{body['range_sigma_km']:.2g}"]
 
 
 # ---- ``opnav process``: pictures in, pointing and observables out.

@@ -84,9 +84,9 @@ def _rounding_sigma_dn(sky_dn: FloatArray, image_dn: FloatArray) -> float:
     middle = float(np.median(sky_dn))
     if len(levels) == 1:
         above = image_dn[image_dn > middle]
-        return float(above.min() - middle) / np.sqrt(12.0) if above.size else 0.0
+        return float((above.min() - middle) / np.sqrt(12.0)) if above.size else 0.0
     place = np.clip(int(np.searchsorted(levels, middle)), 1, len(levels) - 1)
-    return float(levels[place] - levels[place - 1]) / np.sqrt(12.0)
+    return float((levels[place] - levels[place - 1]) / np.sqrt(12.0))
 
 
 # ---- A coarse mesh over a picture: tiles, their clipped statistics, and the way back to every pixel.

@@ -21,7 +21,8 @@ from opnav_workbench.targets import TargetState
 __all__ = ["AssistedBody", "assisted_target", "picture_axes"]
 
 CIRCLE_SIGMA = 0.1  # of a circle's radius, and so of a range that follows from it
-NORTH_UP_RAD = -0.5 * np.pi
+STATED_RANGE_SIGMA = 1e-3  # of a range that is stated: a label's, or a plan's
+LIGHTING_SIGMA_RAD = float(np.radians(5.0))  # what the eye, or the light of a mottled disk, tells of the Sun
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,10 @@ class AssistedBody:
     range_km
         Camera to body center; None: from `radius_px` and the mean radius.
     north_angle_rad
-        Direction of the body's north pole in the picture, from +pixel toward +line (-pi/2: up).
+        Direction of the body's north pole in the picture, from +pixel toward +line (-pi/2: up); None: nobody knows how
+        the body lies.
+    lighting_sigma_rad
+        How far the Sun may stand from there, in each of two directions.
     sub_observer_rad : (2,) array
         Longitude (east) and latitude of the camera as seen from the body.
 
@@ -65,8 +69,9 @@ class AssistedBody:
     sun_angle_rad: float
     radius_px: float | None = None
     range_km: float | None = None
-    north_angle_rad: float = NORTH_UP_RAD
+    north_angle_rad: float | None = None
     sub_observer_rad: FloatArray = (0.0, 0.0)  # type: ignore[assignment]
+    lighting_sigma_rad: float = LIGHTING_SIGMA_RAD
 
     def __post_init__(self) -> None:
         for name, length in (("center_px", 2), ("radii_km", 3), ("sub_observer_rad", 2)):
@@ -74,14 +79,13 @@ class AssistedBody:
             if array.shape != (length,) or not np.isfinite(array).all():
                 raise CenterfindingError(f"{name} is {array.tolist()}; give {length} finite numbers.")
             object.__setattr__(self, name, array)
+        freeze_arrays(self)
+        self._check_size()
+        self._check_angles()
+
+    def _check_size(self) -> None:
         if not np.all(self.radii_km > 0.0):
             raise CenterfindingError(f"radii_km is {self.radii_km.tolist()}; give three positive numbers.")
-        if not np.isfinite([self.sun_angle_rad, self.north_angle_rad]).all():
-            raise CenterfindingError("the angles toward Sun and north must be finite numbers.")
-        if not 0.0 <= self.phase_rad <= np.pi:
-            raise CenterfindingError(
-                f"the phase angle is {np.degrees(self.phase_rad):g} deg; give 0 (full) to 180 (dark)."
-            )
         if self.radius_px is None and self.range_km is None:
             raise CenterfindingError("how far the body is, nobody tells; give radius_px or range_km.")
         for name in ("radius_px", "range_km"):
@@ -92,7 +96,18 @@ class AssistedBody:
             raise CenterfindingError(
                 f"range_km is {self.range_km:g}, inside a body of {self.mean_radius_km:g} km; it counts from the center."
             )
-        freeze_arrays(self)
+
+    def _check_angles(self) -> None:
+        if not np.isfinite([self.sun_angle_rad, self.north_angle_rad or 0.0]).all():
+            raise CenterfindingError("the angles toward Sun and north must be finite numbers.")
+        if not 0.0 <= self.phase_rad <= np.pi:
+            raise CenterfindingError(
+                f"the phase angle is {np.degrees(self.phase_rad):g} deg; give 0 (full) to 180 (dark)."
+            )
+        if not 0.0 <= self.lighting_sigma_rad <= 1.0:
+            raise CenterfindingError(
+                f"the Sun's sigma is {np.degrees(self.lighting_sigma_rad):g} deg; give 0 to 57."
+            )
 
     @property
     def mean_radius_km(self) -> float:
@@ -147,15 +162,15 @@ def assisted_target(
     distance = body.range_km or _range(axes, body)
     sideways = np.cos(body.sun_angle_rad) * axes[0] + np.sin(body.sun_angle_rad) * axes[1]
     to_sun = np.sin(body.phase_rad) * unit(sideways) - np.cos(body.phase_rad) * toward
-    north = unit(np.cos(body.north_angle_rad) * axes[0] + np.sin(body.north_angle_rad) * axes[1])
-    seen_axes = np.stack([np.cross(north, -toward), north, -toward])
     apparent = toward @ camera_from_j2000
     direction = geometric_direction(apparent, observer_velocity_km_s)
     return TargetState(
         name,
         direction * distance,
         radii_km=body.radii_km,
-        body_from_j2000=_body_axes(*body.sub_observer_rad) @ seen_axes @ camera_from_j2000,
+        body_from_j2000=None
+        if body.north_angle_rad is None
+        else _orientation(body, body.north_angle_rad, axes, toward) @ camera_from_j2000,
         sun_position_km=to_sun @ camera_from_j2000 * sun_range_km,
         covariance_km2=_covariance(body, direction, distance),
     )
@@ -176,10 +191,17 @@ def _range(axes: FloatArray, body: AssistedBody) -> float:
 def _covariance(body: AssistedBody, direction: FloatArray, distance: float) -> FloatArray:
     """Return how far a circle by hand may be off, across the line of sight and along it."""
     along = np.outer(direction, direction)
-    across = (CIRCLE_SIGMA * body.mean_radius_km) ** 2 * (np.eye(3) - along)
-    return np.asarray(
-        across if body.range_km is not None else across + (CIRCLE_SIGMA * distance) ** 2 * along
-    )
+    range_sigma_km = distance * (CIRCLE_SIGMA if body.range_km is None else STATED_RANGE_SIGMA)
+    across_km2 = (CIRCLE_SIGMA * body.mean_radius_km) ** 2
+    return np.asarray(across_km2 * (np.eye(3) - along) + range_sigma_km**2 * along)
+
+
+def _orientation(
+    body: AssistedBody, north_angle_rad: float, axes: FloatArray, toward: FloatArray
+) -> FloatArray:
+    """Return the matrix from the camera's frame to the body's."""
+    north = unit(np.cos(north_angle_rad) * axes[0] + np.sin(north_angle_rad) * axes[1])
+    return _body_axes(*body.sub_observer_rad) @ np.stack([np.cross(north, -toward), north, -toward])
 
 
 def _body_axes(longitude: float, latitude: float) -> FloatArray:

@@ -41,6 +41,7 @@ from opnav_workbench.session.state import BodyRequest, SessionState, best_center
 from opnav_workbench.targets import TargetState
 
 __all__ = [
+    "above_sky",
     "body_model_if_known",
     "body_picture",
     "has_albedo_map",
@@ -236,7 +237,7 @@ def _picture(
     models: tuple[BodyModel, ...],
     looked_for: TargetState,
 ) -> BodyPicture:
-    signal, noise = _above_sky(context)
+    signal, noise = above_sky(context)
     attitude = best_attitude(inputs, state)
     return BodyPicture(
         signal_dn=signal,
@@ -260,7 +261,7 @@ SUNK_SIGMAS = 3.0
 SWALLOWED_SIGMAS = 10.0  # a sky that differs by more from place to place is not one
 
 
-def _above_sky(context: Context) -> tuple[FloatArray, FloatArray]:
+def above_sky(context: Context) -> tuple[FloatArray, FloatArray]:
     """Return the light above the sky, and its noise; above its darkest part where a body was taken for sky."""
     level = context.background.level_dn
     usual = float(np.median(context.noise_dn))

@@ -31,11 +31,14 @@ from opnav_workbench.bodies import (
     judged_disk,
     measure_disk,
 )
+from opnav_workbench.bodies.lighting import fit_lighting
 from opnav_workbench.bodies.picture import BodyPicture, sized_target
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, CenterfindingError, KernelError, MissionError, SessionError
+from opnav_workbench.geometry import unit
 from opnav_workbench.scene import AssistedBody, BodyPrediction, predict_body
 from opnav_workbench.session.body_models import (
+    above_sky,
     body_model_if_known,
     body_picture,
     has_albedo_map,
@@ -87,6 +90,11 @@ COMMON_SHIFT, MIN_COMMON_SHIFT_PX = 0.5, 6.0
 
 def find_center(context: Context, inputs: Inputs, state: SessionState, request: BodyRequest) -> BodyCenter:
     """Find a body as the request says."""
+    center = _center_as_lit(context, inputs, state, request)
+    return _with_lighting(context, inputs, state, request, center) if state.assisted else center
+
+
+def _center_as_lit(context: Context, inputs: Inputs, state: SessionState, request: BodyRequest) -> BodyCenter:
     name = request.name
     prediction = predict_body(
         target_with_shape(context, inputs, name),
@@ -346,7 +354,7 @@ def describe_body(
 ) -> SessionState:
     """Expect a body as the analyst describes it; it is found again where it had been, as others are."""
     name = parameters["name"]
-    body = _described(name, parameters)
+    body = _described(context, name, parameters)
     state = state.replace(assisted=MappingProxyType({**state.assisted, name: body}))
     inputs = with_assisted(context, inputs, state)
     state = _expecting(state, name)
@@ -356,20 +364,77 @@ def describe_body(
     return with_renewed_observables(context, inputs, _others_found_again(context, inputs, state, name))
 
 
-def _described(name: str, parameters: dict[str, Any]) -> AssistedBody:
+def _described(context: Context, name: str, parameters: dict[str, Any]) -> AssistedBody:
+    """Return the body; how it is lit, its own disk tells where the analyst does not."""
     given = {key: parameters.get(key) for key in ("radius_px", "range_km")}
+    phase_deg, sun_deg = parameters["phase_deg"], parameters["sun_deg"]
     try:
-        return AssistedBody(
+        body = AssistedBody(
             parameters["center_px"],
             parameters["radii_km"],
-            np.radians(parameters["phase_deg"]),
-            np.radians(parameters["sun_deg"]),
+            np.radians(phase_deg or 0.0),
+            np.radians(sun_deg or 0.0),
             north_angle_rad=np.radians(parameters["north_deg"]),
             sub_observer_rad=np.radians(parameters["sub_observer_deg"]),
+            lighting_sigma_rad=np.radians(parameters["lighting_sigma_deg"]),
             **given,
         )
+        if phase_deg is not None and sun_deg is not None:
+            return body
+        if body.radius_px is None:
+            raise SessionError(
+                f"{name}: give radius_px, or phase_deg and sun_deg: how it is lit, its disk tells."
+            )
+        signal, _ = above_sky(context)
+        lit = fit_lighting(signal, context.bad, Circle(body.center_px, body.radius_px))
     except CenterfindingError as error:
         raise SessionError(f"{name}: {error}") from error
+    return replace(
+        body,
+        phase_rad=lit.phase_rad if phase_deg is None else body.phase_rad,
+        sun_angle_rad=lit.sun_angle_rad if sun_deg is None else body.sun_angle_rad,
+    )
+
+
+def _with_lighting(
+    context: Context, inputs: Inputs, state: SessionState, request: BodyRequest, center: BodyCenter
+) -> BodyCenter:
+    """Return a center whose covariance holds what it moves by where the Sun stands a sigma beside its description."""
+    body, target = state.assisted.get(request.name), inputs.targets[request.name]
+    if (
+        body is None
+        or center.pixel_line is None
+        or target.sun_position_km is None
+        or not body.lighting_sigma_rad
+    ):
+        return center
+    to_sun = unit(target.sun_position_km)
+    toward = unit(np.cross(to_sun, target.direction + 1e-9))
+    covariance, diameter, range_ = (
+        center.covariance_px2,
+        center.diameter_sigma_px**2,
+        center.range_sigma_km**2,
+    )
+    for across in (toward, np.cross(to_sun, toward)):
+        moved = []
+        for sign in (-1.0, 1.0):
+            turned = to_sun + sign * np.tan(body.lighting_sigma_rad) * across
+            there = replace(target, sun_position_km=unit(turned) * np.linalg.norm(target.sun_position_km))
+            otherwise = replace(inputs, targets=MappingProxyType({**inputs.targets, request.name: there}))
+            moved.append(_center_as_lit(context, otherwise, state, request))
+        found = [other for other in moved if other.pixel_line is not None]
+        steps = [other.pixel_line - center.pixel_line for other in found]
+        if steps:
+            step = max(steps, key=lambda one: float(one @ one))
+            covariance = covariance + np.outer(step, step)
+            diameter += max((other.diameter_px - center.diameter_px) ** 2 for other in found)
+            range_ += max((other.range_km - center.range_km) ** 2 for other in found)
+    return replace(
+        center,
+        covariance_px2=covariance,
+        diameter_sigma_px=float(np.sqrt(diameter)),
+        range_sigma_km=float(np.sqrt(range_)),
+    )
 
 
 def _expecting(state: SessionState, *names: str) -> SessionState:

@@ -14,7 +14,7 @@
         circles:
         - {body: PLUTO, pixel: 512.0, line: 488.5, radius_px: 95.0}
         bodies:
-        - {body: COMET, pixel: 700.0, line: 91.5, radius_px: 40.0, radii_km: [2.0, 1.6, 1.5], phase_deg: 60, sun_deg: 190}
+        - {body: COMET, pixel: 700.0, line: 91.5, radius_px: 40.0, radii_km: [2.0, 1.6, 1.5]}
         scans:
         - {body: PLUTO, numbers: [3, 4, 5, 20, 21], reason: even surface}
 
@@ -135,8 +135,9 @@ class DescribedBody(DecisionItem):
         PositiveFloat | Annotated[tuple[PositiveFloat, PositiveFloat, PositiveFloat], Field()] | None
     ) = None
     range_km: PositiveFloat | None = None
-    phase_deg: Annotated[float, Field(ge=0.0, le=180.0)]
-    sun_deg: float
+    phase_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = None
+    sun_deg: float | None = None
+    lighting_sigma_deg: Annotated[float, Field(ge=0.0, le=57.0)] = 5.0
     north_deg: float = -90.0
     sub_observer_deg: tuple[float, float] = (0.0, 0.0)
     reason: str = ""
@@ -684,8 +685,8 @@ class Decisions(BaseModel):
     def bodies_of(self, session: "ImageSession") -> tuple[str, ...]:
         """Return the bodies that are described or whose method is decided, in order."""
         entries = [picture for _, picture in self._entries_for(session)]
-        said = (item.body for picture in entries for item in (*picture.bodies, *picture.methods))
-        return tuple(dict.fromkeys(said))
+        described = [item.body for picture in entries for item in picture.bodies]
+        return tuple(dict.fromkeys((*described, *(m.body for picture in entries for m in picture.methods))))
 
     def describe_bodies(self, path: Path, sha256: str) -> bool:
         """Whether bodies of a picture are described by hand."""

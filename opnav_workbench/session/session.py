@@ -637,8 +637,9 @@ class ImageSession:
         center_px: Sequence[float],
         radius_px: float | None = None,
         *,
-        phase_deg: float,
-        sun_deg: float,
+        phase_deg: float | None = None,
+        sun_deg: float | None = None,
+        lighting_sigma_deg: float = 5.0,
         radii_km: Sequence[float] | float | None = None,
         range_km: float | None = None,
         north_deg: float = -90.0,
@@ -659,9 +660,11 @@ class ImageSession:
         radius_px
             How large it looks; needed without `range_km`.
         phase_deg
-            Angle Sun - body - camera, deg.
+            Angle Sun - body - camera, deg; default what the disk in the circle tells (`fit_lighting`).
         sun_deg
-            Direction toward the Sun in the picture, deg from +pixel toward +line.
+            Direction toward the Sun in the picture, deg from +pixel toward +line; default what the disk tells.
+        lighting_sigma_deg
+            How far the Sun may stand from there: what a center moves by is in its covariance.
         radii_km
             Three semi-axes, or the radius of a sphere; default those of the kernels.
         range_km
@@ -684,6 +687,7 @@ class ImageSession:
             "radii_km": _three_radii_km(name, radii_km),
             "phase_deg": phase_deg,
             "sun_deg": sun_deg,
+            "lighting_sigma_deg": lighting_sigma_deg,
             "north_deg": north_deg,
             "sub_observer_deg": [float(x) for x in sub_observer_deg],
         }

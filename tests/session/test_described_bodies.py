@@ -1,0 +1,215 @@
+"""Bodies that an analyst describes in the picture: measured without ephemeris, and without any attitude."""
+
+import json
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from opnav_workbench.errors import EstimationError, ImageError, SessionError
+from opnav_workbench.estimation import estimate
+from opnav_workbench.files import json_text
+from opnav_workbench.geometry import apparent_direction
+from opnav_workbench.observables.tdm import tdm_text
+from opnav_workbench.processing import process
+from opnav_workbench.scene import AssistedBody, assisted_target, predict_body
+from opnav_workbench.session import ImageSession
+from opnav_workbench.session.decisions import Decisions, load_decisions
+
+RADII_KM = (1188.3, 1188.3, 1188.3)
+
+
+def as_seen(session, name="PLUTO"):
+    """What an analyst with perfect eyes would say of a body that the kernels know: place, range, phase, Sun, pole (deg)."""
+    target, attitude = session.inputs.targets[name], session.camera_from_j2000
+    camera = session.context.camera
+    velocity = session.inputs.observer.velocity_km_s
+
+    def place(position_km):
+        return camera.project((attitude @ apparent_direction(position_km, velocity))[None])[0]
+
+    def angle(direction):
+        step = place(target.position_km + 1e-3 * target.range_km * direction) - center
+        return float(np.degrees(np.arctan2(step[1], step[0])))
+
+    center, sun = place(target.position_km), target.sun_position_km
+    to_sun, pole = sun / np.linalg.norm(sun), target.body_from_j2000[2]
+    below = target.body_from_j2000 @ -target.direction
+    return {
+        "center_px": center,
+        "range_km": target.range_km,
+        "phase_deg": float(np.degrees(np.arccos(-target.direction @ to_sun))),
+        "sun_deg": angle(to_sun + target.direction * (-target.direction @ to_sun)),
+        "north_deg": angle(pole - target.direction * (target.direction @ pole)),
+        "sub_observer_deg": np.degrees([np.arctan2(below[1], below[0]), np.arcsin(below[2])]).tolist(),
+    }
+
+
+def by_eye(truth, seen):
+    """The same as a person would say it: the circle 2 px off and a tenth too large, angles to ten degrees."""
+    pixel, line = truth.bodies["PLUTO"] + [1.6, -1.2]
+    return {
+        "center_px": (float(pixel), float(line)),
+        "radius_px": 1.1 * 23.6,
+        "radii_km": RADII_KM,
+        "phase_deg": 10.0 * round(seen["phase_deg"] / 10.0),
+        "sun_deg": 10.0 * round(seen["sun_deg"] / 10.0),
+    }
+
+
+@pytest.fixture
+def seen(near):
+    near.add_target("PLUTO")
+    return as_seen(near)
+
+
+@pytest.fixture
+def unknown(resolved_truths):
+    """The picture without kernels, and as if its header told no attitude."""
+    return ImageSession.open(resolved_truths[0].picture, "new_horizons", attitude="unknown")
+
+
+def test_a_described_body_is_the_ephemeris_state_that_looks_so(near, seen):
+    by_kernels = near.inputs.targets["PLUTO"]
+    body = AssistedBody(
+        seen["center_px"], by_kernels.radii_km, *np.radians([seen["phase_deg"], seen["sun_deg"]]),
+        range_km=seen["range_km"], north_angle_rad=np.radians(seen["north_deg"]),
+        sub_observer_rad=np.radians(seen["sub_observer_deg"]),
+    )  # fmt: skip
+    velocity = near.inputs.observer.velocity_km_s
+    told = assisted_target("PLUTO", body, near.context.camera, near.camera_from_j2000, velocity)
+    np.testing.assert_allclose(told.position_km, by_kernels.position_km, rtol=0, atol=2e-9 * told.range_km)
+    cosine = told.sun_position_km @ by_kernels.sun_position_km
+    cosine /= np.linalg.norm(told.sun_position_km) * np.linalg.norm(by_kernels.sun_position_km)
+    assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.02  # an angle in the picture, by differences
+    np.testing.assert_allclose(told.body_from_j2000, by_kernels.body_from_j2000, rtol=0, atol=1e-3)
+    circle = AssistedBody(
+        seen["center_px"], by_kernels.radii_km, 0.3, 0.2,
+        radius_px=0.5 * predict_body(
+            by_kernels, near.inputs.observer, near.context.camera, near.camera_from_j2000
+        ).diameter_px,
+    )  # fmt: skip
+    far = assisted_target("PLUTO", circle, near.context.camera, near.camera_from_j2000, velocity)
+    assert far.range_km == pytest.approx(by_kernels.range_km, rel=2e-4)
+
+
+def test_a_picture_without_any_attitude_gives_place_and_range(unknown, resolved_truths, seen, tmp_path):
+    truth = resolved_truths[0]
+    unknown.predict()
+    unknown.describe_body("PLUTO", **by_eye(truth, seen))
+    unknown.find_body("PLUTO")
+    center = unknown.state.bodies[-1]
+    off = center.pixel_line - truth.bodies["PLUTO"]
+    assert (center.method, center.status) == ("ellipse", "ok")
+    assert np.hypot(*off) < 0.2
+    assert off @ np.linalg.solve(center.covariance_px2, off) < 16.0
+    (observable,) = unknown.current_observables
+    assert abs(observable.measured_range_km - seen["range_km"]) < 4.0 * observable.range_sigma_km
+    assert observable.range_sigma_km < 0.02 * seen["range_km"]
+    # Nothing is said of the sky, nor against an ephemeris that is none.
+    assert observable.residual_px is None
+    assert observable.partials_px_per_km is None
+    assert np.isnan(observable.ra_deg)
+    result = json.loads(json_text(unknown.result()))
+    assert (result["status"], result["bodies"][0]["ra_deg"]) == ("partial", None)
+    assert any("the attitude is unknown" in message for message in result["messages"])
+    assert result["provenance"]["described_bodies"][0]["body"] == "PLUTO"
+    with pytest.raises(SessionError, match="direction"):
+        tdm_text([observable])
+    # Kept, resumed, taken back.
+    unknown.save(tmp_path / "kept")
+    again = ImageSession.resume(tmp_path / "kept")
+    np.testing.assert_array_equal(again.state.bodies[-1].pixel_line, center.pixel_line)
+    again.undo()
+    again.undo()
+    assert not again.state.assisted
+    assert "PLUTO" not in again.inputs.targets
+
+
+def test_a_file_of_decisions_is_all_that_a_night_needs(unknown, resolved_truths, seen, tmp_path):
+    truth = resolved_truths[0]
+    bare = _without_geometry(truth.picture, tmp_path / "bare.fit")
+    with pytest.raises(ImageError):
+        ImageSession.open(bare, "new_horizons", settings=None)
+    said = by_eye(truth, seen)
+    pixel, line = said["center_px"]
+    path = tmp_path / "bodies.yaml"
+    path.write_text(
+        f"images:\n  bare.fit:\n    bodies:\n    - {{body: PLUTO, pixel: {pixel}, line: {line}, "
+        f"radius_px: {said['radius_px']}, radii_km: 1188.3, phase_deg: {said['phase_deg']}, sun_deg: {said['sun_deg']}}}\n"
+    )
+    (outcome,) = process(bare, mission="new_horizons", decisions=path, out=tmp_path / "out")
+    (body,) = outcome.result["bodies"]
+    assert (outcome.result["status"], body["status"]) == ("partial", "ok")
+    assert np.hypot(*(np.array(body["observed"]) - truth.bodies["PLUTO"])) < 0.2
+    assert outcome.result["provenance"]["attitude_source"] == "unknown"
+    # What an analyst did by hand is such a file, and gives the same bits.
+    session = ImageSession.resume(tmp_path / "out/bare")
+    session.write_decisions(tmp_path / "recorded.yaml")
+    assert load_decisions(tmp_path / "recorded.yaml") == Decisions.from_session(session)
+    (repeated,) = process(bare, mission="new_horizons", decisions=tmp_path / "recorded.yaml", out=None)
+    assert repeated.result["bodies"] == outcome.result["bodies"]
+
+
+def _without_geometry(picture, path):
+    """The same picture with a header that tells its time, and nothing of attitude and trajectory; too few stars to tell."""
+    with fits.open(picture) as file:
+        kept = ("SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "EXTEND", "MISSION", "INSTRU", "SFORMAT")
+        times = [key for key in file[0].header if "UTC" in key or "ET" in key or "EXP" in key]
+        header = fits.Header([card for card in file[0].header.cards if card.keyword in (*kept, *times)])
+        fits.PrimaryHDU(file[0].data, header).writeto(path)
+    return path
+
+
+def test_with_a_pointing_a_described_body_has_a_direction_but_no_residual(near, resolved_truths, seen):
+    truth = resolved_truths[0]
+    near.describe_body("PLUTO", **by_eye(truth, seen))
+    near.find_body("PLUTO")
+    (observable,) = near.current_observables
+    assert observable.status == "ok"
+    assert observable.residual_px is None
+    true = near.camera_from_j2000.T @ near.context.camera.unproject(truth.bodies["PLUTO"][None])[0]
+    ra, dec = np.radians([observable.apparent_ra_deg, observable.apparent_dec_deg])
+    got = [np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]
+    assert np.linalg.norm(got - true) < 0.3 * near.context.camera.pixel_scale_rad
+    assert f"{observable.ra_deg:.6f}"[:9] in tdm_text([observable])
+    with pytest.raises(EstimationError, match="nothing to estimate"):
+        estimate([observable], ("spacecraft_position",))
+
+
+def test_a_described_body_stays_where_it_was_put_when_the_pointing_changes(unknown, resolved_truths, seen):
+    said = by_eye(resolved_truths[0], seen)
+    unknown.describe_body("PLUTO", **said)
+    for place in (lambda: None, lambda: unknown.nudge(5.0, -7.0, 0.3)):
+        place()
+        np.testing.assert_allclose(
+            unknown.predict_body("PLUTO").pixel_line, said["center_px"], rtol=0, atol=1e-6
+        )
+    # Said again, it is found again.
+    unknown.find_body("PLUTO", method="least_squares")
+    first = unknown.state.bodies[-1]
+    unknown.describe_body("PLUTO", **said | {"sun_deg": said["sun_deg"] + 90.0})
+    assert not np.array_equal(unknown.state.bodies[-1].pixel_line, first.pixel_line)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"radius_px": None}, "give radius_px or range_km"),
+        ({"radii_km": None}, "Give radii_km"),
+        ({"radii_km": (1.0, -1.0, 1.0)}, "three positive"),
+        ({"radii_km": (1.0, 1.0)}, "3 finite numbers"),
+        ({"phase_deg": 190.0}, "0 .full. to 180"),
+        ({"range_km": 10.0}, "inside a body"),
+        ({"center_px": (np.nan, 1.0)}, "2 finite numbers"),
+    ],
+)
+def test_what_cannot_be_is_told_and_leaves_nothing(unknown, resolved_truths, seen, change, message):
+    from opnav_workbench.kernels import KernelSet
+
+    before = len(unknown.journal)
+    assert KernelSet.active() is not None
+    with pytest.raises(SessionError, match=message):
+        unknown.describe_body(change.pop("name", "VULCAN"), **by_eye(resolved_truths[0], seen) | change)
+    assert len(unknown.journal) == before
+    assert not unknown.state.assisted
