@@ -4,6 +4,7 @@
 once, and the others are kept.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -134,14 +135,14 @@ def _body_cells(body: dict[str, Any], *, ranges: bool) -> list[str]:
         *(f"{value:.3f}" for value in body["observed"]),
         *(f"{body['covariance_px2'][i][i] ** 0.5:.3f}" for i in (0, 1)),
         *(_range_cells(body) if ranges else [f"{value:+.3f}" for value in body["residual_px"]]),
-        *(f"{body[name]:{how}}" if body[name] is not None else "–" for name, how in DIRECTION_FORMATS),
+        *(f"{body[name]:{how}}" if math.isfinite(body[name]) else "–" for name, how in DIRECTION_FORMATS),
         body["method"],
     ]
 
 
 def _range_cells(body: dict[str, Any]) -> list[str]:
     """Range and its sigma where the picture tells it; what was expected stands in the result."""
-    if body["measured_range_km"] is None:
+    if not math.isfinite(body["measured_range_km"]):
         return ["–", "–"]
     return [f"{body['measured_range_km']:.6g}", f"{body['range_sigma_km']:.2g}"]
 

@@ -81,11 +81,10 @@ def darkest_sky(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> tuple[
 def _rounding_sigma_dn(sky_dn: FloatArray, image_dn: FloatArray) -> float:
     """Return the sigma of what rounding to the picture's steps has taken: where the sky is all of one step, its noise."""
     levels = np.unique(sky_dn)
-    middle = float(np.median(sky_dn))
-    if len(levels) == 1:
-        above = image_dn[image_dn > middle]
-        return float((above.min() - middle) / np.sqrt(12.0)) if above.size else 0.0
-    place = np.clip(int(np.searchsorted(levels, middle)), 1, len(levels) - 1)
+    if len(levels) == 1:  # the finest step of the picture: coarser ones are of brighter light
+        steps = np.diff(np.unique(image_dn))
+        return float(steps.min() / np.sqrt(12.0)) if steps.size else 0.0
+    place = np.clip(int(np.searchsorted(levels, np.median(sky_dn))), 1, len(levels) - 1)
     return float((levels[place] - levels[place - 1]) / np.sqrt(12.0))
 
 

@@ -105,8 +105,8 @@ def tdm_text(
     segments = _segments(observables)
     if not segments:
         raise SessionError(
-            f"none of {len(observables)} observables has a center with status ok or uncertain; a tracking data "
-            "message needs one."
+            f"none of {len(observables)} observables has a center with status ok or uncertain and a direction on the sky; "
+            "a tracking data message needs one."
         )
     lines = [
         *_header_lines(options, origins),

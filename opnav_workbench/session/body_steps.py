@@ -374,7 +374,7 @@ def _described(context: Context, name: str, parameters: dict[str, Any]) -> Assis
             parameters["radii_km"],
             np.radians(phase_deg or 0.0),
             np.radians(sun_deg or 0.0),
-            north_angle_rad=np.radians(parameters["north_deg"]),
+            north_angle_rad=None if (north := parameters["north_deg"]) is None else np.radians(north),
             sub_observer_rad=np.radians(parameters["sub_observer_deg"]),
             lighting_sigma_rad=np.radians(parameters["lighting_sigma_deg"]),
             **given,
@@ -401,40 +401,43 @@ def _with_lighting(
 ) -> BodyCenter:
     """Return a center whose covariance holds what it moves by where the Sun stands a sigma beside its description."""
     body, target = state.assisted.get(request.name), inputs.targets[request.name]
-    if (
-        body is None
-        or center.pixel_line is None
-        or target.sun_position_km is None
-        or not body.lighting_sigma_rad
-    ):
+    if body is None or center.pixel_line is None or not body.lighting_sigma_rad:
         return center
-    to_sun = unit(target.sun_position_km)
-    toward = unit(np.cross(to_sun, target.direction + 1e-9))
-    covariance, diameter, range_ = (
-        center.covariance_px2,
-        center.diameter_sigma_px**2,
-        center.range_sigma_km**2,
-    )
-    for across in (toward, np.cross(to_sun, toward)):
-        moved = []
-        for sign in (-1.0, 1.0):
-            turned = to_sun + sign * np.tan(body.lighting_sigma_rad) * across
-            there = replace(target, sun_position_km=unit(turned) * np.linalg.norm(target.sun_position_km))
-            otherwise = replace(inputs, targets=MappingProxyType({**inputs.targets, request.name: there}))
-            moved.append(_center_as_lit(context, otherwise, state, request))
-        found = [other for other in moved if other.pixel_line is not None]
-        steps = [other.pixel_line - center.pixel_line for other in found]
-        if steps:
-            step = max(steps, key=lambda one: float(one @ one))
-            covariance = covariance + np.outer(step, step)
-            diameter += max((other.diameter_px - center.diameter_px) ** 2 for other in found)
-            range_ += max((other.range_km - center.range_km) ** 2 for other in found)
+    covariance, size_km2, size_px2 = np.asarray(center.covariance_px2), 0.0, 0.0
+    for pair in _suns_beside(target, body.lighting_sigma_rad):
+        lit = [replace(target, sun_position_km=sun_km) for sun_km in pair]
+        others = [replace(inputs, targets=MappingProxyType({**inputs.targets, request.name: t})) for t in lit]
+        found = [_center_as_lit(context, other, state, request) for other in others]
+        moved = [c for c in found if c.pixel_line is not None]
+        if not moved:
+            continue
+        steps = [np.asarray(c.pixel_line) - center.pixel_line for c in moved]
+        step = max(steps, key=lambda one: float(one @ one))
+        covariance = covariance + np.outer(step, step)
+        size_px2 += max((c.diameter_px - center.diameter_px) ** 2 for c in moved)
+        size_km2 += max((c.range_km - center.range_km) ** 2 for c in moved)
     return replace(
         center,
         covariance_px2=covariance,
-        diameter_sigma_px=float(np.sqrt(diameter)),
-        range_sigma_km=float(np.sqrt(range_)),
+        diameter_sigma_px=float(np.hypot(center.diameter_sigma_px, np.sqrt(size_px2))),
+        range_sigma_km=float(np.hypot(center.range_sigma_km, np.sqrt(size_km2))),
     )
+
+
+def _suns_beside(target: TargetState, sigma_rad: float) -> list[list[FloatArray]]:
+    """Return where the Sun may stand instead, on both sides: along the way to the line of sight, and across it."""
+    sun_km = np.asarray(target.sun_position_km)
+    to_sun, distance_km = unit(sun_km), float(np.linalg.norm(sun_km))
+    least = np.eye(3)[
+        np.argmin(np.abs(to_sun))
+    ]  # any direction serves where the Sun stands behind the camera
+    normal = np.cross(to_sun, target.direction)
+    across = unit(normal if np.linalg.norm(normal) > 1e-6 else np.cross(to_sun, least))
+    step = np.tan(sigma_rad)
+    return [
+        [distance_km * unit(to_sun + side * step * turn) for side in (-1.0, 1.0)]
+        for turn in (across, np.cross(to_sun, across))
+    ]
 
 
 def _expecting(state: SessionState, *names: str) -> SessionState:

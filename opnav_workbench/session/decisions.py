@@ -138,7 +138,7 @@ class DescribedBody(DecisionItem):
     phase_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = None
     sun_deg: float | None = None
     lighting_sigma_deg: Annotated[float, Field(ge=0.0, le=57.0)] = 5.0
-    north_deg: float = -90.0
+    north_deg: float | None = None
     sub_observer_deg: tuple[float, float] = (0.0, 0.0)
     reason: str = ""
 

@@ -315,7 +315,7 @@ def _described(name: str, body: AssistedBody) -> dict[str, Any]:
         "phase_deg": np.degrees(body.phase_rad),
         "sun_deg": np.degrees(body.sun_angle_rad),
         "lighting_sigma_deg": np.degrees(body.lighting_sigma_rad),
-        "north_deg": np.degrees(body.north_angle_rad),
+        "north_deg": None if body.north_angle_rad is None else np.degrees(body.north_angle_rad),
         "sub_observer_deg": np.degrees(body.sub_observer_rad),
     }
 

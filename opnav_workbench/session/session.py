@@ -642,7 +642,7 @@ class ImageSession:
         lighting_sigma_deg: float = 5.0,
         radii_km: Sequence[float] | float | None = None,
         range_km: float | None = None,
-        north_deg: float = -90.0,
+        north_deg: float | None = None,
         sub_observer_deg: Sequence[float] = (0.0, 0.0),
         reason: str = "",
     ) -> None:
@@ -670,7 +670,7 @@ class ImageSession:
         range_km
             From the camera to the body's center.
         north_deg
-            Direction of the north pole in the picture, deg from +pixel toward +line (-90: up).
+            Direction of the north pole in the picture, deg from +pixel toward +line (-90: up); default: not known.
         sub_observer_deg : (float, float)
             East longitude and latitude of the camera as seen from the body.
 

@@ -6,6 +6,7 @@ import spiceypy as spice
 
 from opnav_workbench.bodies import BodyFlag, BodyPicture, Circle
 from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
+from opnav_workbench.bodies.lighting import fit_lighting
 from opnav_workbench.bodies.picture import picture_from_circle
 from opnav_workbench.bodies.silhouette import body_outline
 from opnav_workbench.image import KeywordMap, column_level, estimate_background, read_image
@@ -63,6 +64,17 @@ def test_enceladus_full_disk(data_dir):
     )  # fmt: skip
     round_one = find_ellipse(sphere, "ENCELADUS", circle=circle)
     assert round_one.detail.rms_px > 1.3 * limb.rms_px
+
+
+def test_a_real_moon_tells_how_it_is_lit(data_dir):
+    """The analyst's phase of 48 deg and Sun at 184 deg, of the test above, from a circle alone, even a poor one."""
+    frame, _ = opened(data_dir, "cassini", "N1489034146_2.IMG")
+    signal = frame.image_dn - np.median(frame.image_dn[:128])
+    for circle in (Circle([512.0, 600.0], 291.0), Circle([530.0, 590.0], 310.0)):
+        lit = fit_lighting(signal, np.zeros(signal.shape, dtype=bool), circle)
+        assert np.degrees(lit.phase_rad) == pytest.approx(48.0, abs=4.0)  # measured: 48.5
+        assert np.degrees(lit.sun_angle_rad) % 360.0 == pytest.approx(184.0, abs=8.0)  # measured: 178
+        assert lit.unexplained < 0.02
 
 
 def test_earth_from_hayabusa2(data_dir):

@@ -6,7 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from opnav_workbench.errors import ImageError
-from opnav_workbench.image import Background, contained_bias_dn, estimate_background, pixel_noise
+from opnav_workbench.image import (
+    Background,
+    contained_bias_dn,
+    darkest_sky,
+    estimate_background,
+    pixel_noise,
+)
 
 SIGMA = 2.0
 SHAPES = [(1024, 1024), (256, 256), (128, 5024), (333, 517)]
@@ -227,3 +233,30 @@ class TestPixelNoise:
     def test_impossible_camera(self, read, gain):
         with pytest.raises(ImageError, match="gain"):
             pixel_noise(self.SKY, read, gain)
+
+
+class TestDarkestSky:
+    """The sky about a body that fills most of a picture, coded in steps that hide its noise."""
+
+    @pytest.mark.parametrize("step_dn", [3.0, 8.0])
+    def test_a_sky_of_one_step_has_the_noise_of_rounding(self, step_dn):
+        rng = np.random.default_rng(4)
+        image = np.full((256, 256), 2000.0) + 40.0 * rng.standard_normal((256, 256))
+        image[:64] = 22.0 + 0.2 * rng.standard_normal((64, 256))
+        coded = step_dn * np.round(image / step_dn)
+        level, noise = darkest_sky(coded, np.zeros(image.shape, dtype=bool), 1.0)
+        assert abs(level - 22.0) <= step_dn
+        # Of values anywhere in a step.
+        assert noise == pytest.approx(step_dn / np.sqrt(12.0), rel=0.01)
+
+    def test_a_sky_cut_at_zero(self):
+        image = np.zeros((256, 256))
+        image[64:] = 3.0 * np.random.default_rng(5).integers(1, 300, (192, 256))
+        _, noise = darkest_sky(image, np.zeros(image.shape, dtype=bool), 1.0)
+        assert noise == pytest.approx(3.0 / np.sqrt(12.0), rel=0.01)
+
+    def test_a_sky_of_fine_steps_keeps_its_own_noise(self):
+        image = np.full((256, 256), 2000.0)
+        image[:64] = 0.01 * np.round(np.random.default_rng(6).normal(700.0, 200.0, (64, 256)))
+        _, noise = darkest_sky(image, np.zeros(image.shape, dtype=bool), 3.0)
+        assert noise == pytest.approx(2.0, rel=0.05)
