@@ -42,6 +42,7 @@ FOCAL_PX = (
     1.0  # what another focal length may move a star at the picture's edge, and a camera file still be right
 )
 FOCAL_SIGMAS = 3.0
+WITHOUT_SKY = "Bodies are measured without any attitude, in the picture alone, with --attitude unknown."
 
 
 def open_inputs(
@@ -67,7 +68,7 @@ def open_inputs(
         if (answer is None or answer.camera_from_j2000 is None) and source.by_hand:
             return context, collect_inputs(context, replace(source, attitude="unknown"), catalog)
         if answer is None or answer.camera_from_j2000 is None:
-            raise type(silent)(f"{silent} {_why_not(context, answer)}") from silent
+            raise type(silent)(f"{silent} {_why_not(context, answer)} {WITHOUT_SKY}") from silent
         context, said = _with_focal_length(context, answer)
         lost = LostField(answer.camera_from_j2000, f"no a priori attitude: {answer.message}{said}")
         inputs = collect_inputs(context, source, catalog, lost)

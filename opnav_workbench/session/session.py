@@ -36,7 +36,12 @@ from opnav_workbench.session.folder_lock import FolderLock
 from opnav_workbench.session.history import JOURNAL_FILE, History, JournalEntry
 from opnav_workbench.session.inputs import Inputs, InputSource, LostField
 from opnav_workbench.session.lost import asked_field, lost_field, open_inputs
-from opnav_workbench.session.pointing import best_attitude, current_observables, solved_attitude
+from opnav_workbench.session.pointing import (
+    best_attitude,
+    current_observables,
+    is_without_sky,
+    solved_attitude,
+)
 from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import origin_of, result_dict
 from opnav_workbench.session.settings import Settings
@@ -270,6 +275,11 @@ class ImageSession:
     def camera_from_j2000(self) -> FloatArray:
         """Best known attitude (3, 3): solved, else where the analyst put the field, else a priori."""
         return best_attitude(self.inputs, self.state)
+
+    @property
+    def is_without_sky(self) -> bool:
+        """Whether no attitude is known at all, so that nothing in the picture has a right ascension."""
+        return is_without_sky(self.inputs, self.state) and self.state.star_field is None
 
     @property
     def current_observables(self) -> tuple[Observable, ...]:
@@ -694,6 +704,27 @@ class ImageSession:
         with self.lock:
             self._know_shape(name)
             self._step("describe_body", parameters, reason)
+
+    def move_described(self, name: str, center_px: Sequence[float], radius_px: float) -> None:
+        """Describe a body again that was described, with another circle; what else was said of it stays.
+
+        Raises
+        ------
+        SessionError
+            It was not described, or the circle cannot be.
+        """
+        said = next(
+            (
+                e.parameters
+                for e in reversed(self.standing)
+                if e.step == "describe_body" and e.parameters["name"] == name
+            ),
+            None,
+        )
+        if said is None:
+            raise SessionError(f"{name} was not described by hand; describe_body() does so.")
+        other = {key: value for key, value in said.items() if key not in ("name", "center_px", "radius_px")}
+        self.describe_body(name, center_px, radius_px, **other)
 
     def skip_target(self, name: str, reason: str) -> None:
         """Leave a requested target out, and say why; the result then is ``partial`` (`body_steps.skip_target`)."""

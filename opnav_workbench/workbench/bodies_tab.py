@@ -117,6 +117,8 @@ class BodyPage:
         Chosen among `methods`.
     circle
         The analyst's.
+    described
+        How a body is lit that the analyst describes, in words; empty for others.
     circling
         Whether a circle is being drawn.
     center
@@ -134,10 +136,33 @@ class BodyPage:
     solve_range: bool
     prediction: Prediction | None
     circle: DrawnCircle | None
+    described: str
     circling: bool
     center: CenterShown | None
     scans: ScanPage | None
     offered: tuple[str, ...]
+
+
+def name_and_radii(typed: str) -> tuple[str, list[float]]:
+    """Return a body's name and the radii (km) typed after it; none without the unit, since names end in numbers, too.
+
+    Examples
+    --------
+    >>> name_and_radii("nix 22 km"), name_and_radii("eros 17, 5.5, 5.5km"), name_and_radii("Wolf 359")
+    (('NIX', [22.0, 22.0, 22.0]), ('EROS', [17.0, 5.5, 5.5]), ('WOLF 359', []))
+    """
+    words = typed.upper().replace(",", " ").split()
+    if not words or not words[-1].endswith("KM"):
+        return typed.strip().upper(), []
+    words = [*words[:-1], *filter(None, [words[-1].removesuffix("KM")])]
+    for count in (3, 1):
+        try:
+            radii = [float(word) for word in words[-count:]]
+        except ValueError:
+            continue
+        if len(words) > count and np.isfinite(radii).all() and min(radii) > 0.0:
+            return " ".join(words[:-count]), 3 * radii if count == 1 else radii
+    raise SessionError(f"{typed!r}: write a name and its radius (NIX 22 km), or three semi-axes.")
 
 
 def body_chip(name: str, centers: Sequence[BodyCenter]) -> BodyChip:
@@ -263,10 +288,11 @@ class BodiesTab(Tab):
     def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
         super().__init__(runner, registry)
         self.body = ""
+        self._by_hand_km: dict[str, list[float]] = {}  # bodies that wait for their circle
         self.method = "auto"
         self.solve_range = False
         self.focus_scan = 0
-        self.circle_control = CircleControl(runner, self._body_or_raise)
+        self.circle_control = CircleControl(runner, self._body_or_raise, self._by_hand_km.get)
 
     # -- what stands -------------------------------------------------------------------------------------------
 
@@ -274,7 +300,9 @@ class BodiesTab(Tab):
     def names(self) -> list[str]:
         """Bodies expected in the picture, and those measured."""
         state = self.runner.session.state
-        return list(dict.fromkeys((*state.targets, *(center.name for center in state.bodies))))
+        return list(
+            dict.fromkeys((*state.targets, *(center.name for center in state.bodies), *self._by_hand_km))
+        )
 
     @property
     def chosen(self) -> str:
@@ -335,6 +363,7 @@ class BodiesTab(Tab):
         centers, prediction = by_name.get(name, []), self._prediction(name)
         by_hand = session.state.scan_choices.get(name) is not None
         boxing = self.runner.tool == BOX_SCANS
+        expected = None if name in session.state.assisted else prediction  # of no ephemeris: no residual
         return BodyPage(
             bodies=[body_chip(n, found) for n, found in by_name.items()],
             chosen=name,
@@ -343,8 +372,9 @@ class BodiesTab(Tab):
             solve_range=self.solve_range,
             prediction=prediction,
             circle=self.circle,
+            described=self.circle_control.lit(name),
             circling=self.runner.tool == CIRCLE,
-            center=center_shown(centers[-1], prediction, short=scans is not None) if centers else None,
+            center=center_shown(centers[-1], expected, short=scans is not None) if centers else None,
             scans=None
             if scans is None
             else scan_page(scans, self.focus_scan, by_hand=by_hand, boxing=boxing),
@@ -389,6 +419,8 @@ class BodiesTab(Tab):
     def find(self) -> None:
         """Find the center of the body at hand."""
         name, session = self._body_or_raise(), self.runner.session
+        if name in self._by_hand_km and name not in session.state.targets:
+            raise SessionError(f"{name} is described by its circle: K, then two clicks.")
 
         def work() -> None:
             session.find_body(name, self.method, solve_range=self.solve_range)
@@ -423,12 +455,22 @@ class BodiesTab(Tab):
         self.look()
 
     def _add(self, event: PageEvent) -> None:
-        name = str(event.get("value") or event.get("arg") or "").strip().upper()
-        if name:
+        name, radii = name_and_radii(str(event.get("value") or event.get("arg") or ""))
+        if radii:
+            self._begin_by_hand(name, radii)
+        elif name:
             self.body = name
             self.runner.run(
                 f"adding {name}", lambda: self.runner.session.add_target(name), f"{name} is expected."
             )
+
+    def _begin_by_hand(self, name: str, radii_km: list[float]) -> None:
+        """Take the circle that describes a body which no ephemeris knows."""
+        self.body = name
+        self._by_hand_km[name] = radii_km
+        self.circle_control.tool.drop()
+        if self.runner.tool != CIRCLE:
+            self.runner.toggle_tool(CIRCLE, f"{name}: {self.circle_control.tool.prompt}")
 
     def _choose_method(self, event: PageEvent) -> None:
         value = event.get("value")

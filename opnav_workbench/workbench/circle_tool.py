@@ -3,7 +3,7 @@
 The circle itself is immutable, in pixels and lines; each change of it is a session step.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,17 +133,26 @@ class CircleControl:
     ----------
     body
         Returns the name of the body at hand, or raises `SessionError`.
+    radii_km
+        Returns the radii of a body that the analyst is about to describe; None of any other.
     """
 
-    def __init__(self, runner: StepRunner, body: Callable[[], str]) -> None:
+    def __init__(
+        self,
+        runner: StepRunner,
+        body: Callable[[], str],
+        radii_km: Callable[[str], Sequence[float] | None] = lambda _: None,
+    ) -> None:
         self.runner = runner
+        self._radii_km = radii_km
         self.tool = CircleTool()
         self._body = body
 
     def of(self, name: str) -> DrawnCircle | None:
         """Return the analyst's circle of a body, if there is one."""
-        circle = self.runner.session.state.circles.get(name)
-        if circle is None:
+        state = self.runner.session.state
+        circle = state.circles.get(name) or state.assisted.get(name)
+        if circle is None or circle.radius_px is None:
             return None
         return DrawnCircle(float(circle.center_px[0]), float(circle.center_px[1]), float(circle.radius_px))
 
@@ -164,11 +173,38 @@ class CircleControl:
     def set(self, circle: DrawnCircle) -> None:
         """Make it the circle of the body at hand."""
         name, session = self._body(), self.runner.session
+        radii = self._radii_km(name)
+        if radii is not None or name in session.state.assisted:
+            self._describe(name, circle, radii)
+            return
         self.runner.run(
             "setting the circle",
             lambda: session.set_circle(name, circle.center_px, circle.radius_px),
             f"{name}: circle set, center {circle.pixel:.1f}, {circle.line:.1f}, radius {circle.radius_px:.1f} px; "
             "F finds the center from it.",
+        )
+
+    def _describe(self, name: str, circle: DrawnCircle, radii_km: Sequence[float] | None) -> None:
+        """Describe a body by its circle, or move the circle of one that is described."""
+        session = self.runner.session
+
+        def work() -> None:
+            if name in session.state.assisted:
+                session.move_described(name, circle.center_px, circle.radius_px)
+            else:
+                session.describe_body(name, circle.center_px, circle.radius_px, radii_km=radii_km)
+
+        self.runner.run("describing the body", work, lambda: f"{name}: {self.lit(name)}; F finds its center.")
+
+    def lit(self, name: str) -> str:
+        """How a described body is lit, and how far it is, in words; empty of any other."""
+        body = self.runner.session.state.assisted.get(name)
+        if body is None:
+            return ""
+        target = self.runner.session.inputs.targets[name]
+        return (
+            f"phase {np.degrees(body.phase_rad):.0f}°, Sun toward {np.degrees(body.sun_angle_rad) % 360.0:.0f}°, "
+            f"range {target.range_km:.4g} km"
         )
 
     def tapped(self, pixel: float, line: float) -> None:
@@ -207,6 +243,8 @@ class CircleControl:
     def _clear(self) -> None:
         name = self._body()
         self._present()
+        if name not in self.runner.session.state.circles:
+            raise SessionError(f"{name} is described by its circle alone; undo takes it back (Z).")
         self.runner.run(
             "clearing the circle", lambda: self.runner.session.clear_circle(name), f"{name}: no circle."
         )

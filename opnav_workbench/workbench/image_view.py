@@ -29,6 +29,7 @@ from opnav_workbench.workbench.inspection import compass_arrows, measure_apertur
 from opnav_workbench.workbench.laying import laid_over
 from opnav_workbench.workbench.overlays import (
     LONGEST_VECTOR,
+    SkyGrid,
     body_marks,
     expected_attitude,
     expected_camera,
@@ -369,7 +370,8 @@ class ImageView:
             return
         with self.bridge.batch():
             camera, attitude = expected_camera(session), expected_attitude(session)
-            self.state.camera = json.dumps(sky_readout(camera, attitude).as_page_values())
+            readout = None if session.is_without_sky else sky_readout(camera, attitude).as_page_values()
+            self.state.camera = json.dumps(readout)
             self.state.compass = json.dumps(compass_arrows(session))
             stars = star_marks(session)
             for kind in ("predicted", "missing", "used", "rejected"):
@@ -381,7 +383,7 @@ class ImageView:
             self._vectors = stars.vectors
             self._draw_vectors()
             self._draw_bodies(session)
-            grid = sky_grid(camera, attitude)
+            grid = SkyGrid([], [], []) if session.is_without_sky else sky_grid(camera, attitude)
             self.models.fill("grid", lines_columns(grid.lines_px))
             self.models.fill("grid_labels", label_columns(grid.places_px, grid.labels, (3.0, -3.0)))
             self.images.outdate()

@@ -246,7 +246,7 @@ def compass_arrows(session: ImageSession) -> list[tuple[str, float, float]]:
     middle = 0.5 * (np.array([camera.n_pixel, camera.n_line]) - 1.0)
     here = expected_directions(session, middle[None])[0]
     east = np.cross([0.0, 0.0, 1.0], here)
-    named = {"N": (here, np.cross(here, east)), "E": (here, east)}
+    named = {} if session.is_without_sky else {"N": (here, np.cross(here, east)), "E": (here, east)}
     target = next((t for t in session.inputs.targets.values() if t.sun_position_km is not None), None)
     if target is not None and target.sun_position_km is not None:
         velocity = session.inputs.observer.velocity_km_s

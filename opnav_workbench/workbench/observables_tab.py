@@ -136,14 +136,14 @@ class ObservableRow:
 def observable_row(o: Observable) -> ObservableRow:
     """Return an observable as a row of the table."""
     numbers: tuple[str, ...] = ()
-    if o.observed_px is not None and o.residual_px is not None:
+    if o.observed_px is not None:
         sigma = np.sqrt(np.diag(o.total_covariance_px2))
         arcsec = (
             "" if o.residual_arcsec is None else f"{o.residual_arcsec[0]:+.3f}, {o.residual_arcsec[1]:+.3f}"
         )
         numbers = (
             f"{o.observed_px[0]:.3f}, {o.observed_px[1]:.3f}",
-            f"{o.residual_px[0]:+.3f}, {o.residual_px[1]:+.3f}",
+            "" if o.residual_px is None else f"{o.residual_px[0]:+.3f}, {o.residual_px[1]:+.3f}",
             f"{sigma[0]:.3f}, {sigma[1]:.3f}",
             arcsec,
         )

@@ -23,6 +23,7 @@ from opnav_workbench.targets import TargetState
 
 __all__ = [
     "Columns",
+    "SkyGrid",
     "body_marks",
     "expected_attitude",
     "expected_camera",

@@ -60,6 +60,30 @@ def test_circle_by_drag(body_hands):
     assert body_hands.session.state.circles["PLUTO"].radius_px == 50.0
 
 
+def test_a_body_that_no_kernel_knows_is_described_by_its_circle(star_hands):
+    star_hands.press("3")
+    star_hands.send("add_body", value="vulcan 30, 20, 20")
+    assert "VULCAN 30, 20, 20" in star_hands.said  # no unit: a name
+    star_hands.send("add_body", value="vulcan 600 km")
+    assert star_hands.viewer.dragging
+    star_hands.press("f")
+    assert star_hands.said == "VULCAN is described by its circle: K, then two clicks."
+    steps = star_hands.steps
+    star_hands.drag(300.0, 40.0, 330.0, 80.0)
+    body = star_hands.session.state.assisted["VULCAN"]
+    np.testing.assert_allclose([*body.center_px, body.radius_px], [300.0, 40.0, 50.0])
+    assert body.radii_km.tolist() == [600.0, 600.0, 600.0]
+    assert "range" in star_hands.said
+    assert star_hands.viewer.circled == (300.0, 40.0, 50.0)
+    assert "described by hand: phase" in star_hands.panel
+    star_hands.press("ArrowRight", ">")
+    body = star_hands.session.state.assisted["VULCAN"]
+    np.testing.assert_allclose([*body.center_px, body.radius_px], [301.0, 40.0, 51.0])
+    star_hands.press("Ctrl+z", "Ctrl+z", "Ctrl+z")
+    assert star_hands.steps == steps
+    assert not star_hands.session.state.assisted
+
+
 def test_undo_drops_a_center_without_radius_before_any_step(body_hands):
     steps = body_hands.steps
     body_hands.press("k")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, ActionRegistry
 from opnav_workbench.workbench.image_view import ImageView
 from opnav_workbench.workbench.view_models import CROWD, CROWDED, THEMES, PictureModels
@@ -211,3 +212,17 @@ def test_halos_of_a_crowd_are_marked_for_the_page_to_hide(count, tags):
         source = models.sources[kind]
         points = [m for m in models.picture.renderers if getattr(m, "data_source", None) is source]
         assert [m.tags for m in points] == [tags, []]  # the halo below, the mark above
+
+
+def test_where_no_attitude_is_known_nothing_is_said_of_the_sky(demo_truths):
+    session = ImageSession.open(demo_truths[0].picture, "new_horizons", attitude="unknown")
+    session.predict()
+    session.describe_body("VULCAN", (100.0, 120.0), 30.0, radii_km=600.0, phase_deg=40.0, sun_deg=90.0)
+    view = ImageView(session)
+    assert json.loads(view.state.camera) is None
+    assert [name for name, *_ in json.loads(view.state.compass)] == ["Sun"]
+    assert not view.models.sources["grid_labels"].data["text"]
+    # Nor is any of it missing where the stars say it afterwards: a field put there by hand has a sky.
+    session.nudge(1.0, 0.0)
+    view.refresh()
+    assert {name for name, *_ in json.loads(view.state.compass)} == {"N", "E", "Sun"}
