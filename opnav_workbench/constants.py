@@ -1,4 +1,4 @@
-"""Constants of nature, of the sky and of statistics, each once and with its source.
+"""Constants of nature, of the sky, of statistics and of processes, each once and with its source.
 
 What belongs to one instrument, one body or one estimator stands there; what two modules share stands here.
 """
@@ -21,6 +21,7 @@ __all__ = [
     "MAD_TO_SIGMA",
     "MINUTE_S",
     "OBLIQUITY_J2000_RAD",
+    "ONE_THREAD",
     "PIXEL_VARIANCE_PX2",
     "RAD_PER_DEG",
     "RAD_PER_MAS",
@@ -79,3 +80,10 @@ MAD_TO_SIGMA = 1.4826
 FWHM_PER_SIGMA = 2.3548
 # Of a square pixel along each side, in px^2; of a value rounded to a whole number too, in that number's unit squared.
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+
+
+# ---- Processes.
+
+# One picture runs in one thread: its matrices are small, threads that wait for them cost half as much processor time again,
+# and sums do not depend on the number of cores.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")

@@ -13,14 +13,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+from opnav_workbench.constants import ONE_THREAD
 from opnav_workbench.files import json_text
 from opnav_workbench.headless.warm_server import WarmServer, WarmServerError, can_fork
 
 __all__ = ["Child", "ColdStarter", "Starter", "WarmStarter", "starter_of_this_process"]
 
 RUNNER = Path(__file__).with_name("notebook_run.py")
-# One picture runs in one thread: that is fastest for many at once, and sums do not depend on the number of cores.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 OF_A_PICTURE = ("image", "out")
 WARM_TRIES = 2  # servers that may be lost before they do anything
 

@@ -83,9 +83,9 @@ def _rounding_sigma_dn(sky_dn: FloatArray, image_dn: FloatArray) -> float:
     levels = np.unique(sky_dn)
     if len(levels) == 1:  # the finest step of the picture: coarser ones are of brighter light
         steps = np.diff(np.unique(image_dn))
-        return float(steps.min() / np.sqrt(12.0)) if steps.size else 0.0
+        return float(steps.min() * np.sqrt(PIXEL_VARIANCE_PX2)) if steps.size else 0.0
     place = np.clip(int(np.searchsorted(levels, np.median(sky_dn))), 1, len(levels) - 1)
-    return float((levels[place] - levels[place - 1]) / np.sqrt(12.0))
+    return float((levels[place] - levels[place - 1]) * np.sqrt(PIXEL_VARIANCE_PX2))
 
 
 # ---- A coarse mesh over a picture: tiles, their clipped statistics, and the way back to every pixel.

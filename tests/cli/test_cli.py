@@ -1,6 +1,7 @@
 """The program: help with examples, exit statuses, and what it prints."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from opnav_workbench.catalog import specs
 from opnav_workbench.cli import app
 from opnav_workbench.cli.program import COMMANDS, main
+from opnav_workbench.constants import ONE_THREAD
 from opnav_workbench.rehearsal import DEMO_KERNELS
 from opnav_workbench.version import __version__
 
@@ -53,6 +55,19 @@ def test_help_names_every_command():
 def test_version():
     answer = _invoke("--version")
     assert (answer.exit_code, answer.output.strip()) == (0, f"opnav_workbench {__version__}")
+
+
+@pytest.mark.parametrize(
+    ("command", "given", "left"), [("doctor", None, "1"), ("doctor", "3", "3"), ("lab", None, None)]
+)
+def test_a_command_computes_in_one_thread_unless_told_otherwise(capsys, monkeypatch, command, given, left):
+    """Threads that wait for small matrices cost half a picture's time again; kernels of a lab are the user's own."""
+    for variable in ONE_THREAD:
+        monkeypatch.setenv(variable, given or "")  # so that it is put back afterwards
+        if given is None:
+            monkeypatch.delenv(variable)
+    _main(capsys, monkeypatch, command, "--help")
+    assert {os.environ.get(variable) for variable in ONE_THREAD} == {left}
 
 
 def test_the_table_of_commands_is_complete():
