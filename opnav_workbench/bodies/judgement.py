@@ -208,8 +208,9 @@ def judged_center(
 
 def _with_range(center: BodyCenter, disk: MeasuredDisk, reading: CenterReading) -> BodyCenter:
     """Return the center with the range of a body of the model's size, as uncertain as that is."""
-    range_km = disk.picture.model(disk.name).target.range_km * float(np.exp(-reading.log_size))
-    sigma = float(np.hypot(reading.log_size_sigma, disk.fit.figure.size_sigma))
+    model = disk.picture.model(disk.name)
+    range_km = model.target.range_km * float(np.exp(-reading.log_size))
+    sigma = float(np.hypot(reading.log_size_sigma, model.figure.size_sigma))
     return replace(center, range_km=range_km, range_sigma_km=range_km * sigma)
 
 

@@ -569,7 +569,7 @@ def _scatter(residual: FloatArray) -> float:
 
 def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     """Move a place onto the limb; what was found stays where the limb is not seen."""
-    figure = picture.model(name).figure
+    figure = picture.model(name).seen_figure
     center, size = place.center_px, place.size_ratio
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
     spread, strain = (np.inf, np.inf), np.zeros(2)

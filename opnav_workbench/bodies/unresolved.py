@@ -459,7 +459,7 @@ def figure_covariance(picture: BodyPicture, name: str) -> FloatArray:
     sun, radius = picture.model(name).target.sun_position_km, 0.5 * picture.diameter_px(name)
     if not radius > 0.0:
         return np.zeros((2, 2))
-    figure = picture.model(name).figure
+    figure = picture.model(name).seen_figure
     out = (ALBEDO_LEVER * figure.albedo_sigma * radius) ** 2 * np.eye(2)
     if sun is not None:
         offset, _ = center_of_light_radii(picture.phase_rad(name))

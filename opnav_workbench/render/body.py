@@ -4,7 +4,7 @@ The light (flux, center and spread) is summed over the surface, independent of t
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 
 
 UNSTATED_SIZE, UNSTATED_AXES = 0.10, 0.05  # of a first approach
+LARGEST_SIGMA = 0.9  # what a part of a radius can be uncertain by
 SCALES = (1.0, 0.2, 0.04)  # even in the logarithm, to a figure that is known to 0.4 and 0.2 %
 
 
@@ -151,6 +152,20 @@ class BodyModel:
         """Whether the body has neither shape nor size."""
         radii = self.target.radii_km
         return self.shape is None and (radii is None or not np.all(radii > 0.0))
+
+    @property
+    def seen_figure(self) -> FigureUncertainty:
+        """The figure with the size as it looks: where the range is uncertain, the size in the picture is, too."""
+        covariance, along = self.target.covariance_km2, self.target.direction
+        if covariance is None:
+            return self.figure
+        range_sigma = float(np.sqrt(max(along @ covariance @ along, 0.0))) / self.target.range_km
+        size = float(np.hypot(self.figure.size_sigma, range_sigma))
+        return (
+            self.figure
+            if size == self.figure.size_sigma
+            else replace(self.figure, size_sigma=min(size, LARGEST_SIGMA))
+        )
 
 
 class PlacedBody:

@@ -382,7 +382,7 @@ class _DiskProblem:
         self.radius_px = radius_px
         model = picture.model(name)
         self.can_be_strained = can_be_strained(model)
-        self.figure: FigureUncertainty = model.figure
+        self.figure: FigureUncertainty = model.seen_figure
         self.law_prior = _law_prior(model)
         own = own_share(model.law, float(picture.phase_rad(name)))
         self.law_bounds = LAW_BOUNDS - [own, 0.0]
