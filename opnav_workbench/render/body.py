@@ -159,7 +159,7 @@ class BodyModel:
         covariance, along = self.target.covariance_km2, self.target.direction
         if covariance is None:
             return self.figure
-        range_sigma = float(np.sqrt(max(along @ covariance @ along, 0.0))) / self.target.range_km
+        range_sigma = np.sqrt(np.maximum(along @ covariance @ along, 0.0)) / self.target.range_km
         size = float(np.hypot(self.figure.size_sigma, range_sigma))
         return (
             self.figure

@@ -227,3 +227,28 @@ def test_what_cannot_be_is_told_and_leaves_nothing(unknown, resolved_truths, cha
         unknown.describe_body(change.pop("name", "VULCAN"), **by_eye(resolved_truths[0]) | change)
     assert len(unknown.journal) == before
     assert not unknown.state.assisted
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_enceladus_as_cassini_saw_it_from_a_circle_alone(data_dir, tmp_path):
+    """A flight picture without kernels; its sky is coded in steps that hide the noise.
+
+    The limb alone, with sky and Sun by hand, is at pixel 513.3, line 601.4, 143,200 km away (`test_ellipse_real`).
+    """
+    path = tmp_path / "bodies.yaml"
+    path.write_text(
+        'images:\n  "*":\n    bodies:\n    - {body: ENCELADUS, pixel: 520, line: 592, radius_px: 300, '
+        "radii_km: [256.6, 251.4, 248.3], north_deg: -63.2, sub_observer_deg: [180, 0]}\n"
+    )
+    picture = data_dir / "images" / "resolved" / "N1489034146_2.IMG"
+    (outcome,) = process(picture, mission="cassini", decisions=path)
+    (body,) = outcome.result["bodies"]
+    assert (outcome.result["status"], body["method"], body["status"]) == ("partial", "ellipse", "ok")
+    off = np.array(body["observed"]) - [513.3, 601.4]
+    assert np.hypot(*off) < 1.0
+    assert np.all(np.abs(off) < 2.0 * np.sqrt(np.diag(body["covariance_px2"])))
+    assert body["measured_range_km"] == pytest.approx(143_200.0, rel=0.005)
+    assert body["range_sigma_km"] < 500.0
+    (scans,) = process(picture, mission="cassini", decisions=path, method="limb_scan")[0].result["bodies"]
+    assert scans["scans_used"] > 10  # of 180; none, where the range of a circle was taken for an ephemeris'
