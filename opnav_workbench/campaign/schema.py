@@ -142,8 +142,8 @@ BODIES: tuple[Column, ...] = (
 PROVENANCE: tuple[Column, ...] = (
     Column("version", "text", "", "of the program"),
     Column("catalog", "text", "", "catalog spec"),
-    Column("attitude_source", "text", "", "kernels or header; none: the stars told it"),
-    Column("observer_source", "text", "", "kernels or header; none: the stars told it"),
+    Column("attitude_source", "text", "", "kernels or header; none: the stars told it; unknown: nothing did"),
+    Column("observer_source", "text", "", "kernels or header; none: the stars told it; unknown: nothing did"),
     Column("kernels", "json", "", "files and their SHA-256"),
     Column("settings", "json", "", "of the session"),
     Column("image_notes", "json", "", "what the reader said of the file"),

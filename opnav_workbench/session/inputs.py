@@ -150,6 +150,11 @@ class Inputs:
         return self.attitude_source == "none"
 
     @property
+    def has_a_priori_attitude(self) -> bool:
+        """Whether something else than the stars tells the attitude, so that stars may differ from it."""
+        return self.attitude_source in ("kernels", "header")
+
+    @property
     def without_sky(self) -> bool:
         """Whether nothing tells the a priori attitude: the camera's own axes stand for it."""
         return self.attitude_source == "unknown"

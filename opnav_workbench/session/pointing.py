@@ -294,7 +294,7 @@ def _solved(
 def _against_a_priori(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
     """Say where the a priori attitude and the stars cannot both be right: whether the picture is turned, or only far."""
     assert state.pointing is not None
-    if inputs.told_by_stars:  # it is of these very stars
+    if not inputs.has_a_priori_attitude:  # or it is of these very stars
         return state
     camera, pointing, source = context.camera, state.pointing, inputs.attitude_source
     turned = turned_words(camera, pointing, source)
@@ -320,7 +320,7 @@ def _widened(context: Context, inputs: Inputs, solution: PointingSolution) -> Po
 
 def _start(context: Context, inputs: Inputs, state: SessionState, a_priori: bool) -> dict[str, Any]:
     """How far the a priori attitude is to be trusted: not at all where the field was found far from it."""
-    if inputs.told_by_stars or not _near_a_priori(context, state):
+    if not inputs.has_a_priori_attitude or not _near_a_priori(context, state):
         return {"twist_sigma_rad": np.pi, "start": "svd"}
     camera = context.camera
     twist = {"twist_sigma_rad": camera.a_priori_sigma_rad[2]}
@@ -352,7 +352,7 @@ def solved_attitude(context: Context, inputs: Inputs, state: SessionState) -> So
         )
     if state.pointing is None or pointing_doubt(state):
         raise SessionError(f"{context.picture.name} has no pointing to carry: {pointing_doubt(state)}.")
-    if inputs.told_by_stars:
+    if not inputs.has_a_priori_attitude:
         raise SessionError(
             f"{context.picture.name} has no pointing to carry: only its stars tell its attitude; give kernels or a header "
             "with attitudes."
@@ -370,7 +370,7 @@ def carry_pointing(
     context: Context, inputs: Inputs, state: SessionState, parameters: dict[str, Any]
 ) -> SessionState:
     """Take the pointing from the stars of other pictures; stars of its own, in a field that is sure, count with it."""
-    if inputs.told_by_stars:
+    if not inputs.has_a_priori_attitude:
         raise SessionError(
             "no pointing can be carried here: neither kernels nor header tell how the camera moved since the other pictures."
         )

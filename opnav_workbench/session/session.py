@@ -16,6 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Self
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.catalog import Catalog
 from opnav_workbench.errors import CatalogError, KernelError, SelectionPending, SessionError
@@ -650,7 +653,7 @@ class ImageSession:
         phase_deg: float | None = None,
         sun_deg: float | None = None,
         lighting_sigma_deg: float = 5.0,
-        radii_km: Sequence[float] | float | None = None,
+        radii_km: ArrayLike | None = None,
         range_km: float | None = None,
         north_deg: float | None = None,
         sub_observer_deg: Sequence[float] = (0.0, 0.0),
@@ -1036,15 +1039,15 @@ def _id_list(ids: Sequence[str]) -> list[str]:
     return [ids] if isinstance(ids, str) else [str(star) for star in ids]
 
 
-def _three_radii_km(name: str, radii_km: Sequence[float] | float | None) -> list[float]:
-    if isinstance(radii_km, Sequence):
-        return [float(radius) for radius in radii_km]
-    if radii_km is not None:
-        return 3 * [float(radii_km)]
-    try:
-        return [float(radius) for radius in body_radii_km(name)]
-    except KernelError as error:
-        raise SessionError(f"how large {name} is, nobody tells ({error}) Give radii_km.") from error
+def _three_radii_km(name: str, radii_km: ArrayLike | None) -> list[float]:
+    """Return semi-axes as plain numbers: three, those of a sphere, or those that the kernels have."""
+    if radii_km is None:
+        try:
+            radii_km = body_radii_km(name)
+        except KernelError as error:
+            raise SessionError(f"how large {name} is, nobody tells ({error}) Give radii_km.") from error
+    radii = [float(radius) for radius in np.atleast_1d(np.asarray(radii_km, dtype=np.float64))]
+    return 3 * radii if len(radii) == 1 else radii
 
 
 def _circle_numbers(values: Sequence[float]) -> list[float]:

@@ -103,6 +103,9 @@ def _expected_stars(
 def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> FieldMatch:
     """Search within the a priori limits, then, where that is not sure, as far as there are stars for."""
     assert state.a_priori is not None
+    if inputs.without_sky and inputs.lost is None:
+        message = "the attitude is unknown: no star is looked for; search the whole sky (search_sky, or L)."
+        return replace(_unidentified(state, ""), messages=(message,))
     settings, detections = context.settings, star_detections(context)
     near = _matched_pattern(
         context, inputs, state, detections, state.a_priori, settings.max_shift_px, settings.max_twist_deg
@@ -114,7 +117,9 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and not inputs.told_by_stars:
         return _from_sky_search(context, inputs, state, detections, inputs.lost)
     if near.confidence < MIN_CONFIDENCE:
-        mirrored = "" if inputs.told_by_stars else _mirrored_pattern(context, inputs, state, detections)
+        mirrored = (
+            _mirrored_pattern(context, inputs, state, detections) if inputs.has_a_priori_attitude else ""
+        )
         if mirrored:
             return _unidentified(state, mirrored, remedy=CAMERA_FILE)
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
@@ -198,6 +203,8 @@ def _mirrored_pattern(context: Context, inputs: Inputs, state: SessionState, det
 
 
 def _wrong_attitude(context: Context, inputs: Inputs, attitude: FloatArray) -> str:
+    if not inputs.has_a_priori_attitude and inputs.lost is not None:
+        return f"no a priori attitude: {inputs.lost.message}"
     boresight = context.camera.boresight
     off = angle_between(attitude.T @ boresight, inputs.a_priori_camera_from_j2000.T @ boresight)
     return (

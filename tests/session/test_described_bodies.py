@@ -115,6 +115,9 @@ def test_a_picture_without_any_attitude_gives_place_and_range(unknown, resolved_
     result = json.loads(json_text(unknown.result()))
     assert (result["status"], result["bodies"][0]["ra_deg"]) == ("partial", None)
     assert any("the attitude is unknown" in message for message in result["messages"])
+    unknown.find_stars()
+    assert any("no star is looked for" in message for message in unknown.state.messages)
+    unknown.undo()
     assert result["provenance"]["described_bodies"][0]["body"] == "PLUTO"
     with pytest.raises(SessionError, match="direction"):
         tdm_text([observable])

@@ -105,6 +105,27 @@ def test_stars_tell_an_attitude_that_nobody_told(paint, sky, attitude, tmp_path)
     np.testing.assert_array_equal(again.camera_from_j2000, session.camera_from_j2000)
 
 
+def test_a_body_by_hand_takes_the_attitude_that_the_sky_told(paint, sky):
+    """Opened without any attitude; then the whole sky is asked, and the body stays where the analyst put it."""
+    path, true, n_stars = paint((0.7, -0.5, 140.0), attitude="silent")
+    session = ImageSession.open(path, MISSION, catalog=sky[0], attitude="unknown")
+    session.predict()
+    session.describe_body(
+        "VULCAN", (100.0, 80.0), 20.0, radii_km=np.array([30.0]), phase_deg=40.0, sun_deg=0.0
+    )
+    assert session.is_without_sky
+    for _ in range(2):
+        session.find_stars()
+        session.repoint()
+    assert not session.is_without_sky
+    assert session.state.pointing.n_stars >= 0.7 * n_stars
+    assert error_px(session, true) < 0.2
+    assert not any("attitude of the unknown" in message for message in session.state.messages)
+    np.testing.assert_allclose(session.predict_body("VULCAN").pixel_line, [100.0, 80.0], rtol=0, atol=1e-6)
+    seen = true @ session.inputs.targets["VULCAN"].direction  # but for the aberration, which was not painted
+    assert np.hypot(*(CAMERA.project(seen[None])[0] - [100.0, 80.0])) < 30.0
+
+
 def test_header_proven_wrong(paint, sky):
     path, true, n_stars = paint((1.0, 0.9, -70.0))
     session = solved(ImageSession.open(path, MISSION, catalog=sky[0], settings=Settings(widest_shift_px=0.0)))
