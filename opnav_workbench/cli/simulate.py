@@ -2,6 +2,7 @@
 
 import math
 import os
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -71,6 +72,18 @@ def simulate(
     if any(report.bodies for report in reports):
         console.print(_body_table(reports))
     console.print(f"Pictures in {shown(str(out))}/: {_files(reports)}", highlight=False, soft_wrap=True)
+    console.print(f"Next: {shown(_next_command(content, out, reports))}", highlight=False, soft_wrap=True)
+
+
+def _next_command(scenario: PictureScenario, out: Path, reports: Sequence[PictureReport]) -> str:
+    """Return the command that solves the pictures, with the kernels and the catalog that they were made of."""
+    pictures = (
+        shlex.quote(str(reports[0].files[0])) if len(reports) == 1 else f"{shlex.quote(str(out))}/*.fit"
+    )
+    options = {"mission": scenario.mission, "kernels": scenario.kernels, "catalog": scenario.catalog}
+    usual = PictureScenario.model_fields["catalog"].default
+    said = [(name, value) for name, value in options.items() if value and value != usual]
+    return " ".join(["opnav process", pictures, *(f"--{name} {shlex.quote(value)}" for name, value in said)])
 
 
 def _run(

@@ -1,6 +1,7 @@
 """``opnav simulate``: tables, files, options and errors as a user sees them."""
 
 import json
+import shlex
 
 import pytest
 from typer.testing import CliRunner
@@ -47,6 +48,23 @@ def test_pictures_and_bodies_are_told_in_tables(file, tmp_path):
         assert word in answer.output
     assert (tmp_path / "out" / "first.fit").is_file()
     assert (tmp_path / "out" / "second_log.png").is_file()
+
+
+@pytest.mark.parametrize("only", ["fc1", pytest.param("", marks=pytest.mark.slow)])
+def test_what_is_simulated_is_solved_by_the_command_that_is_printed(only, tmp_path, monkeypatch):
+    """A mission out of the box, its files bare of any geometry that its archive has not: no option is to be guessed."""
+    monkeypatch.chdir(tmp_path)
+    answer = invoke("dawn/star_fields", "--out", "my pictures", *(("--only", only) if only else ()))
+    (line,) = (line for line in answer.output.splitlines() if line.startswith("Next: "))
+    program, *words = shlex.split(line.removeprefix("Next: "))
+    assert (program, words[0]) == ("opnav", "process")
+    pictures = sorted(tmp_path.glob(words[1]))
+    assert len(pictures) == (1 if only else 2)
+    arguments = ["process", *map(str, pictures), *words[2:], "--no-figure", "--out", "run"]
+    solved = CliRunner().invoke(app, arguments, env=WIDE)
+    assert solved.exit_code == 0, solved.output
+    for picture in pictures:
+        assert json.loads((tmp_path / "run" / picture.stem / "result.json").read_text())["status"] == "ok"
 
 
 def test_only_seed_and_jobs(file, tmp_path):
