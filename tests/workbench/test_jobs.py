@@ -4,11 +4,14 @@ import threading
 import time
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from opnav_workbench.errors import ImageError, SelectionPending
+from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session import context as session_context
+from opnav_workbench.simulation import PictureScenario, simulate
 from opnav_workbench.workbench.controller import WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
 
@@ -167,6 +170,35 @@ def test_a_body_found_is_one_undo(star_hands):
     assert star_hands.session.state.observables
     star_hands.press("Ctrl+z")
     assert star_hands.steps == before
+
+
+@pytest.mark.slow
+def test_a_choice_of_scans_is_one_undo(hands_on, tmp_path):
+    picture = {"name": "near", "utc": "2015-07-12T08:46:57", "camera": "lorri_4x4", "exposure_s": 0.02}
+    scenario = PictureScenario.model_validate(
+        {
+            "mission": "new_horizons",
+            "kernels": "new_horizons/pluto_approach",
+            "bodies": [{"name": "PLUTO"}],
+            "pictures": [picture],
+        }
+    )
+    simulate(scenario, tmp_path)
+    with KernelSet("new_horizons/pluto_approach"):
+        hands = hands_on(tmp_path / "near.fit")
+        hands.press("A", "p", "3")
+        hands.send("add_body", value="PLUTO")
+        hands.send("method", value="limb_scan")
+        hands.press("f")
+        before, found = hands.steps, hands.session.state.bodies[-1].pixel_line
+        hands.send("scans", value="0-60")
+        assert not np.array_equal(hands.session.state.bodies[-1].pixel_line, found)
+        hands.press("Ctrl+z")
+        assert hands.steps == before
+        np.testing.assert_array_equal(hands.session.state.bodies[-1].pixel_line, found)
+        hands.press("Ctrl+y")
+        assert hands.session.state.scan_choices["PLUTO"].numbers[-1] == 60
+        assert hands.session.state.observables
 
 
 def test_a_decision_to_come_is_one_line_in_a_notebook():

@@ -227,6 +227,13 @@ def test_notes_stand_in_the_journal(star_hands):
     assert star_hands.session.state.user_notes == ("smear in the <lower> left",)
     star_hands.press("4")
     assert "smear in the &lt;lower&gt; left" in star_hands.panel
+    for number in range(20):
+        star_hands.session.note(f"later {number}")
+    assert "&lt;lower&gt; left" not in star_hands.panel.partition("Journal")[2]
+    star_hands.send("older_entries")  # the earlier ones can be opened, and folded away
+    assert "predict" in star_hands.panel.partition("Journal")[2]
+    star_hands.send("older_entries")
+    assert "predict" not in star_hands.panel.partition("Journal")[2]
 
 
 @pytest.mark.slow
