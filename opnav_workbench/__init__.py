@@ -99,6 +99,8 @@ this list to its top; a package imports what stands below it.
     Arrays mapped into memory: the header of their files.
 ``processes``
     Many items on several processes, each of which opens what it needs once.
+``threads``
+    One thread for matrices while a picture is worked on.
 ``supervised``
     Work that may end its process, in a process of its own: kept warm, watched, with limits.
 ``resources``

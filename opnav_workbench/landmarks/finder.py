@@ -43,6 +43,7 @@ from opnav_workbench.landmarks.results import LandmarkCenters, LandmarkSolution,
 from opnav_workbench.landmarks.whitening import fitted_white, shift_covariances
 from opnav_workbench.render import BodyModel
 from opnav_workbench.targets import TargetState
+from opnav_workbench.threads import one_thread
 
 __all__ = [
     "drawn_templates",
@@ -81,6 +82,7 @@ class _Search:
     why: tuple[str, ...]
 
 
+@one_thread()
 def find_landmarks(
     picture: BodyPicture,
     maplets: Maplets,

@@ -26,6 +26,7 @@ from opnav_workbench.session import pointing, star_field, star_steps
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.state import HEADER_TOPIC, SessionState
+from opnav_workbench.threads import one_thread
 
 if TYPE_CHECKING:
     from opnav_workbench.session import body_steps, landmark_steps
@@ -362,6 +363,7 @@ class History:
         """Entries that `redo` would repeat, the next one first."""
         return tuple(taken.entry for taken in reversed(self._undone))
 
+    @one_thread()
     def state_after_step(self, step: str, parameters: dict[str, Any]) -> SessionState:
         """Return the state that a step would lead to, without taking it."""
         carry_out, _ = STEPS[step]
@@ -477,6 +479,7 @@ class History:
             state = taken.state = self._replayed(state, taken.entry)
         return state
 
+    @one_thread()
     def _replayed(self, state: SessionState, entry: JournalEntry) -> SessionState:
         carry_out, _ = STEPS[entry.step]
         inputs = pointing.with_assisted(self._context, self.inputs, state)

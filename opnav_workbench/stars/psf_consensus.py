@@ -31,6 +31,7 @@ from opnav_workbench.stars.least_squares import (
 )
 from opnav_workbench.stars.picture_fit import misfit_factor
 from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
+from opnav_workbench.threads import one_thread
 
 __all__ = ["estimate_psf_error", "evidence_of_stars", "fit_stars", "shape_from_stars", "strange_images"]
 
@@ -108,6 +109,7 @@ def well_exposed(centers: StarCenters, min_snr: float = WELL_EXPOSED_SNR) -> Boo
         return np.asarray(clean & (centers.snr >= min_snr))
 
 
+@one_thread()
 def fit_stars(
     image_dn: ArrayLike,
     noise_dn: ArrayLike,

@@ -29,6 +29,7 @@ from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
+from opnav_workbench.threads import one_thread
 
 __all__ = [
     "MeasuredDisk",
@@ -85,6 +86,7 @@ class MeasuredDisk:
         return self.picture.center_px(self.name) if self.circle is None else self.circle.center_px
 
 
+@one_thread()
 def measure_disk(
     picture: BodyPicture, name: str, method: str, circle: Circle | None, search_px: float | None
 ) -> MeasuredDisk | BodyCenter:
