@@ -24,6 +24,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
+from opnav_workbench.bodies.disk.hidden_albedo import hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import (
     LimbPlaces,
     cell_of,
@@ -80,7 +81,6 @@ LEAST_MOVE = 0.2  # of a step
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
 RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
-RIM_SHARE = 1.2  # of the PSF's width, by a rim that is dark or bright all around: `DiskFit.covariance_px2`
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
 SHADING_SCALES = (4.0, 1.0, 0.2)  # surfaces lean by more, or by less, than their axes say
@@ -246,16 +246,8 @@ class DiskFit:
 
     @property
     def covariance_px2(self) -> FloatArray:
-        """Covariance of the center (2, 2), marginal over all else.
-
-        A rim that is dark or bright all around looks like another size; where half of a limb is lit, size and center
-        along the Sun's direction go together. So the size is known no better than `RIM_SHARE` of the PSF's width times
-        the albedo's strength, whatever its own covariance says.
-        """
-        with_size = self.center_with_size_px
-        rim = RIM_SHARE * self.prior.albedo * self.system.sharp_px / (0.5 * self.smooth_outline.diameter_px)
-        own = self.solution.covariance[np.ix_(CENTER, CENTER)]
-        return np.asarray(own + rim**2 * np.outer(with_size, with_size) + self.valley_px2)
+        """Covariance of the center (2, 2), marginal over all else."""
+        return np.asarray(self.solution.covariance[np.ix_(CENTER, CENTER)] + self.valley_px2)
 
     @property
     def center_with_size_px(self) -> FloatArray:
@@ -398,6 +390,8 @@ class _DiskProblem:
         self.node_rad = np.linspace(0.0, deepest, NODES)
         self.rim_weight = np.exp(-self.node_rad / RIM_RAD)
         self.rough_px = self.figure.limb_roughness * radius_px
+        width = float(np.sqrt(self.psf_variance_px2))
+        self.hidden = hidden_albedo(radius_px, width, self.node_rad, self.pieces)
         angle = piece_angles(self.pieces)
         turn = np.abs(angle[:, None] - angle)
         self.turn = np.minimum(turn, TURN - turn)
@@ -785,7 +779,7 @@ class _Fitter:
             turn=problem.turn,
             brightness_dn=self.brightness,
             rough_length_rad=RELIEF_RAD,
-            sharp_px=problem.psf_px,
+            hidden=problem.hidden,
         )
 
 

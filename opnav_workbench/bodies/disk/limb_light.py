@@ -34,7 +34,7 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "limb_light", "own_share"]
+__all__ = ["PLANES", "LimbLight", "hats", "limb_light", "own_share"]
 
 PLANES = (
     "light", "by_depth", "by_angle", "blur", "wings", "halo",
@@ -220,8 +220,8 @@ def _sources(
     covered = covered[inside]
     out = np.zeros((len(changes) + 2 * len(node_rad), *depth_px.shape))
     out[: len(changes), inside] = changes * covered
-    hats = _hats(within, node_rad) * covered
-    out[len(changes) :, inside] = np.concatenate([changes[0] * hats, changes[-1] * hats])
+    parts = hats(within, node_rad) * covered
+    out[len(changes) :, inside] = np.concatenate([changes[0] * parts, changes[-1] * parts])
     return out
 
 
@@ -336,7 +336,7 @@ def _slopes(
     return by_mu0, by_mu
 
 
-def _hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
+def hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
     """Return hat functions (k, n) of the arc at shares of the limb's radius."""
     arc = np.arccos(np.clip(share, 0.0, 1.0))
     up = np.clip((arc - node_rad[:-1, None]) / np.diff(node_rad)[:, None], 0.0, 1.0)

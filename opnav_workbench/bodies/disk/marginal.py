@@ -16,10 +16,8 @@ import numpy as np
 from scipy import linalg
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo
 from opnav_workbench.bodies.scales import RIDGE, mixed_solution
-
-# Albedo that changes within the PSF's width of the limb moves what is taken for the limb by so much of that width.
-UNRESOLVED_SHARE = 0.6
 
 __all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
 
@@ -119,8 +117,10 @@ class LimbSystem:
         Angle between pieces of limb about the center, rad.
     brightness_dn
         Of the model: albedo is relative to it.
-    rough_length_rad, sharp_px
-        Over which the limb's heights are correlated; width of the PSF.
+    rough_length_rad
+        Over which the limb's heights are correlated.
+    hidden
+        Albedo between the nodes.
     """
 
     data: FloatArray
@@ -136,7 +136,7 @@ class LimbSystem:
     turn: FloatArray
     brightness_dn: float
     rough_length_rad: float
-    sharp_px: float
+    hidden: HiddenAlbedo
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -146,9 +146,7 @@ class LimbSystem:
         j, q = self.data.shape[0], len(self.own)
         albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
         albedo += self.brightness_dn**2 * self.broad
-        hidden = (UNRESOLVED_SHARE * prior.albedo * self.sharp_px) ** 2 * np.exp(
-            -self.turn / prior.length_rad
-        )
+        hidden = prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad)
         rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad) + hidden
         whole = np.zeros((j, q, j, q))
         whole[:, :-1, :, :-1] = albedo.reshape(j, q - 1, j, q - 1)
