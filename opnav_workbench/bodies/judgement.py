@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies.disk.fit import CENTER, DiskFit, Unknown
+from opnav_workbench.bodies.disk.fit import CENTER, Unknown
 from opnav_workbench.bodies.disk.marginal import FieldPrior
 from opnav_workbench.bodies.disk.measurement import (
     MeasuredDisk,
@@ -31,6 +31,7 @@ from opnav_workbench.bodies.results import (
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
 
 __all__ = [
+    "POOR_CHI2",
     "CenterReading",
     "confirmed_center",
     "crossing_reading",
@@ -167,10 +168,17 @@ def disk_reading(disk: MeasuredDisk, method: str, second: SecondReading | None) 
     """Return the likelihood's own center."""
     fit = disk.fit
     noise = fit.system.solve(NOISE_ALONE).covariance[np.ix_(CENTER, CENTER)]
-    chi2 = fit.solution.chi2 / _degrees(fit)
     log_size, sigma = fit.shape.log_size, fit.sigma(Unknown.SIZE)
     return CenterReading(
-        method, fit.center_px, fit.covariance_px2, noise, log_size, sigma, chi2, fit.converged, second
+        method,
+        fit.center_px,
+        fit.covariance_px2,
+        noise,
+        log_size,
+        sigma,
+        fit.chi2_reduced,
+        fit.converged,
+        second,
     )
 
 
@@ -214,10 +222,6 @@ def _with_range(center: BodyCenter, disk: MeasuredDisk, reading: CenterReading) 
     return replace(center, range_km=range_km, range_sigma_km=range_km * sigma)
 
 
-def _degrees(fit: DiskFit) -> int:
-    return max(int(np.count_nonzero(np.isfinite(fit.system.variance))) - len(Unknown), 1)
-
-
 def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
     picture, fit = disk.picture, disk.fit
     outline = fit.outline.points(fit.outline.angle_rad)
@@ -232,11 +236,11 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
         BodyFlag.CUT_BY_EDGE: bool(np.any(outline < -0.5) or np.any(outline > size - 0.5)),
         BodyFlag.THIN_CRESCENT: is_thin_crescent(picture, disk.name, disk.radius_px),
         BodyFlag.CIRCLE_MISFIT: abs(reading.log_size) > MISFIT_SIGMAS * size_sigma,
-        BodyFlag.POOR_FIT: fit.solution.chi2 > POOR_CHI2 * _degrees(fit),
+        BodyFlag.POOR_FIT: fit.chi2_reduced > POOR_CHI2,
         BodyFlag.AT_LIMIT: limit is not None and away > limit + 1.0,
         BodyFlag.WEAK_GEOMETRY: not sigma[1] < max(WEAK_PX, WEAK_SHARE * disk.radius_px),
         BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
-        BodyFlag.NOT_CONVERGED: not reading.converged,
+        BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(reading)),
         BodyFlag.UNCONFIRMED: not _confirmed(reading),
     }
     return flags_where({**conditions, **_lost_pixels(disk), **reading.conditions})

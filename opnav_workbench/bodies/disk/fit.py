@@ -15,14 +15,14 @@ PSF                                     variance and wings: `BodyPicture.psf_wid
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.hidden_albedo import hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import (
@@ -212,6 +212,8 @@ class DiskFit:
         Of each piece of limb, relative.
     reach_px : (float, float)
         Inward and outward of the pixels that were used.
+    beside : (c,) array of bool
+        Depths at which there is sky alone.
     lengths_px
         Of the center's steps.
     valley_px2 : (2, 2) array
@@ -232,6 +234,7 @@ class DiskFit:
     piece_albedo: FloatArray
     figure: FigureUncertainty
     reach_px: tuple[float, float]
+    beside: BoolArray
     lengths_px: tuple[float, ...]
     converged: bool
     valley_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
@@ -289,6 +292,13 @@ class DiskFit:
             nodes = self.solution.nodes[index, :-1]
             model += weight * np.einsum("nk,kn->n", nodes, self.columns[ALBEDO])
         return np.asarray(model)
+
+    @property
+    def chi2_reduced(self) -> float:
+        """Chi-squared a degree of freedom of the image, the sky beside it aside: what lies there is not the body's."""
+        system = replace(self.system, variance=np.where(self.beside, np.inf, self.system.variance))
+        cells = np.count_nonzero(np.isfinite(system.variance))
+        return system.solve(self.prior).chi2 / max(cells - SHARED, 1)
 
     @property
     def lit_share(self) -> float:
@@ -384,6 +394,7 @@ class _DiskProblem:
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.sharp_px = SHARP_SIGMAS * self.psf_px
+        self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
         self._squares: PixelSquares | None = None
         self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
@@ -488,6 +499,12 @@ def fit_disk(
     return _Fitter(problem, shape, start, prior).run()
 
 
+def _spread(places: Sequence[FloatArray], about: FloatArray) -> FloatArray:
+    """Return the mean square (2, 2) of places (2,) about one."""
+    away = np.array(places) - about
+    return np.asarray(away.T @ away / len(away))
+
+
 class _LinearDisk(NamedTuple):
     """A disk linearized about a shape: its system, samples with their columns as in `DiskFit`, and the solution."""
 
@@ -515,7 +532,7 @@ class _Fitter:
         self.lengths: list[float] = []
         self.converged = False
         self.doubt: FloatArray | float = 1.0
-        self.wandered_px = np.zeros(2)
+        self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
         if start is not None:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
@@ -563,9 +580,10 @@ class _Fitter:
             piece_albedo=self.piece_albedo,
             figure=self.problem.figure,
             reach_px=self.problem.reach,
+            beside=self.problem.beside,
             lengths_px=tuple(self.lengths),
             converged=self.converged,
-            valley_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px),
+            valley_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
         )
 
     def _solve(self) -> None:
@@ -603,12 +621,16 @@ class _Fitter:
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most, and return to the best place that was passed.
 
+        One that goes on wandering by less than its sigma is as good as settled: how far is in its covariance.
+
         A step may lead uphill (Chamberlain et al. 1982, doi:10.1007/BFb0120945): the light changes its noise with it.
         """
-        best, self.wandered_px = self._state(), np.zeros(2)
+        best, self.wandered_px, self.unrest_px2 = self._state(), np.zeros(2), np.zeros((2, 2))
+        passed = []
         for _ in range(most):
             length = self._step()
             self.lengths.append(length)
+            passed.append(self.shape.center_px)
             solution = self.linear.solution
             if solution.held_cost < best.linear.solution.held_cost:
                 best = self._state()
@@ -621,7 +643,11 @@ class _Fitter:
             self.shape, self.brightness, self.piece_albedo, self.made, self.linear = best
             self.wandered_px = best.shape.center_px - last_px
         lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
-        self.converged = lit and length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
+        settled = length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
+        if not settled:
+            self.unrest_px2 = _spread(passed[len(passed) // 2 :], self.shape.center_px)
+            settled = self._slack_px(NEAR_PX, 1.0) ** 2 > float(np.trace(self.unrest_px2))
+        self.converged = lit and settled
 
     def _state(self) -> _FitState:
         return _FitState(self.shape, self.brightness, self.piece_albedo, self.made, self.linear)
