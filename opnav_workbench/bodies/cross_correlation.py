@@ -22,6 +22,7 @@ from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.scene_fit import SceneFit, SceneLight, SceneState, light_scene, solve_brightness
 from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
 from opnav_workbench.stars.peaks import paraboloid_peak
+from opnav_workbench.threads import one_thread
 
 __all__ = ["find_cross_correlation"]
 
@@ -36,6 +37,7 @@ NO_PIXELS = "no usable pixels about its place"
 LAGS = [(line, pixel) for line in (-1, 0, 1) for pixel in (-1, 0, 1)]
 
 
+@one_thread()
 def find_cross_correlation(
     picture: BodyPicture,
     name: str,

@@ -29,6 +29,7 @@ from opnav_workbench.bodies.results import (
     flags_where,
 )
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
+from opnav_workbench.threads import one_thread
 
 __all__ = [
     "POOR_CHI2",
@@ -122,6 +123,7 @@ def difference_covariance(away_px: FloatArray) -> FloatArray:
     return np.asarray(DIFFERENCE_SHARE**2 * np.outer(away_px, away_px))
 
 
+@one_thread()
 def confirmed_center(
     picture: BodyPicture,
     center: BodyCenter,

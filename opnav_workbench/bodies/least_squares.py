@@ -19,6 +19,7 @@ from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag, JointCenters
 from opnav_workbench.bodies.scene_fit import SceneState, fit_scene
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.threads import one_thread
 
 __all__ = ["find_jointly", "find_least_squares"]
 
@@ -30,6 +31,7 @@ NO_PIXELS = "no usable pixels about its place"
 MIN_PIXELS_PER_PARAMETER = 2
 
 
+@one_thread()
 def find_jointly(
     picture: BodyPicture,
     names: Sequence[str],
@@ -119,6 +121,7 @@ def _collected(
 # ---- Center of a body by non-linear least squares of its rendered picture to the data.
 
 
+@one_thread()
 def find_least_squares(
     picture: BodyPicture,
     name: str,

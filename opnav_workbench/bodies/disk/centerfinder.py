@@ -21,6 +21,7 @@ from opnav_workbench.bodies.judgement import (
 )
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, DiskReading, SecondReading
+from opnav_workbench.threads import one_thread
 
 __all__ = ["METHOD", "find_disk", "judged_disk"]
 
@@ -30,6 +31,7 @@ METHOD = "disk"
 CROSSING_EXCESS = 2.0
 
 
+@one_thread()
 def find_disk(
     picture: BodyPicture,
     name: str,
@@ -71,6 +73,7 @@ def find_disk(
     return disk if isinstance(disk, BodyCenter) else judged_disk(disk, solve_range=solve_range)
 
 
+@one_thread()
 def judged_disk(disk: MeasuredDisk, *, solve_range: bool = True) -> BodyCenter:
     """Return the center of a measured disk, read a second time and judged; parameters as of `find_disk`."""
     second = crossing_reading(disk, disk.fit.center_px, disk.fit.covariance_px2)

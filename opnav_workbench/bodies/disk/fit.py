@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.hidden_albedo import hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import (
@@ -212,8 +212,8 @@ class DiskFit:
         Of each piece of limb, relative.
     reach_px : (float, float)
         Inward and outward of the pixels that were used.
-    beside : (c,) array of bool
-        Depths at which there is sky alone.
+    chi2_reduced
+        Chi-squared a degree of freedom of the image, the sky beside it aside: what lies there is not the body's.
     lengths_px
         Of the center's steps.
     valley_px2 : (2, 2) array
@@ -234,7 +234,7 @@ class DiskFit:
     piece_albedo: FloatArray
     figure: FigureUncertainty
     reach_px: tuple[float, float]
-    beside: BoolArray
+    chi2_reduced: float
     lengths_px: tuple[float, ...]
     converged: bool
     valley_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
@@ -292,13 +292,6 @@ class DiskFit:
             nodes = self.solution.nodes[index, :-1]
             model += weight * np.einsum("nk,kn->n", nodes, self.columns[ALBEDO])
         return np.asarray(model)
-
-    @property
-    def chi2_reduced(self) -> float:
-        """Chi-squared a degree of freedom of the image, the sky beside it aside: what lies there is not the body's."""
-        system = replace(self.system, variance=np.where(self.beside, np.inf, self.system.variance))
-        cells = np.count_nonzero(np.isfinite(system.variance))
-        return system.solve(self.prior).chi2 / max(cells - SHARED, 1)
 
     @property
     def lit_share(self) -> float:
@@ -580,11 +573,17 @@ class _Fitter:
             piece_albedo=self.piece_albedo,
             figure=self.problem.figure,
             reach_px=self.problem.reach,
-            beside=self.problem.beside,
+            chi2_reduced=self._chi2_reduced(),
             lengths_px=tuple(self.lengths),
             converged=self.converged,
             valley_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
         )
+
+    def _chi2_reduced(self) -> float:
+        whole = self.linear.system
+        system = replace(whole, variance=np.where(self.problem.beside, np.inf, whole.variance))
+        cells = np.count_nonzero(np.isfinite(system.variance))
+        return system.solve(self.prior).chi2 / max(cells - SHARED, 1)
 
     def _solve(self) -> None:
         self._solve_at(*self._columns())

@@ -40,6 +40,7 @@ from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline, Silhouette
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.targets import TargetState
+from opnav_workbench.threads import one_thread
 
 __all__ = ["find_ellipse"]
 
@@ -55,6 +56,7 @@ LEAST_DIAMETER_PX = 3.0
 MOSTLY_MISSING = 0.5  # of the limb: something else was found
 
 
+@one_thread()
 def find_ellipse(
     picture: BodyPicture,
     name: str,

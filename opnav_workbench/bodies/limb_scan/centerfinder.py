@@ -25,6 +25,7 @@ from opnav_workbench.bodies.limb_scan.view import LAG_PX, ScanView, view_scans
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import REJECTED, BodyCenter, BodyFlag, LimbScans, SecondReading
 from opnav_workbench.errors import CenterfindingError
+from opnav_workbench.threads import one_thread
 
 __all__ = ["find_limb_scan"]
 
@@ -37,6 +38,7 @@ MOSTLY = 0.5  # of the light on saturated pixels
 SIZE = 2  # of the outline's step
 
 
+@one_thread()
 def find_limb_scan(
     picture: BodyPicture,
     name: str,
