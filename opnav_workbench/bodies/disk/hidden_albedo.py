@@ -20,21 +20,22 @@ from opnav_workbench.bodies.disk.limb_light import hats
 __all__ = ["HiddenAlbedo", "hidden_albedo"]
 
 DEEPEST_WIDTHS = 4.0  # of the PSF: K is 2 % there
-DEPTHS, ALONG = 6, 3  # points of Gauss-Legendre: in depth, and along a piece
+ARCS, TURNS = 12, 5  # points of Gauss-Legendre: from the limb inward, and over each half of what two pieces lie apart
+FARTHEST = 4  # pieces: from there on less than a hundredth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HiddenAlbedo:
-    """The integral as a sum over m places on a piece of limb.
+    """The integral as a sum over pairs of places on two pieces of limb.
 
     Attributes
     ----------
-    weight : (m,) array
-        Of the field at each place, px.
-    apart_rad : (n // 2 + 1, m, m) array
-        From each place of a piece to those of the piece so many pieces on.
+    weight : (p,) array
+        Of each pair, px^2.
+    apart_rad : (l, p) array
+        Distance of each pair on the body, of pieces that are 0, 1, ... pieces apart.
     pieces
-        n.
+        That the limb has, n.
     """
 
     weight: FloatArray
@@ -46,9 +47,10 @@ class HiddenAlbedo:
 
     def covariance_px2(self, length_rad: float) -> FloatArray:
         """Return the covariance (n, n) of the pieces' steps for a field of a correlation length."""
-        by_lag = np.einsum("i,lij,j->l", self.weight, np.exp(-self.apart_rad / length_rad), self.weight)
+        by_lag = np.exp(-self.apart_rad / length_rad) @ self.weight
         lag = np.abs(np.subtract.outer(np.arange(self.pieces), np.arange(self.pieces)))
-        return np.asarray(by_lag[np.minimum(lag, self.pieces - lag)])
+        lag = np.minimum(lag, self.pieces - lag)
+        return np.where(lag <= FARTHEST, by_lag[np.minimum(lag, FARTHEST)], 0.0)
 
 
 def hidden_albedo(radius_px: float, width_px: float, node_rad: FloatArray, pieces: int) -> HiddenAlbedo:
@@ -63,26 +65,28 @@ def hidden_albedo(radius_px: float, width_px: float, node_rad: FloatArray, piece
     pieces
         That the limb has.
     """
-    point, share = np.polynomial.legendre.leggauss(DEPTHS)
-    deepest = min(DEEPEST_WIDTHS * width_px, radius_px * (1.0 - np.cos(node_rad[-1])))
-    depth = 0.5 * deepest * (point + 1.0)
-    kernel = 0.5 * deepest * share * np.exp(-0.25 * (depth / width_px) ** 2)
-    within = 1.0 - depth / radius_px
-    arc = np.concatenate([np.arccos(within), node_rad])
+    deepest = np.arccos(max(1.0 - DEEPEST_WIDTHS * width_px / radius_px, np.cos(node_rad[-1])))
+    point, share = np.polynomial.legendre.leggauss(ARCS)
+    arc = 0.5 * deepest * (point + 1.0)
+    within = np.cos(arc)
+    # An edge is moved by what lies at a depth, and depths grow with the sine of the arc.
+    kernel = np.exp(-0.25 * (radius_px * (1.0 - within) / width_px) ** 2)
+    kernel *= 0.5 * deepest * share * radius_px * np.sin(arc)
+    arc = np.concatenate([arc, node_rad])
     weight = np.concatenate([kernel, -hats(within, node_rad) @ kernel])
-    along, part = np.polynomial.legendre.leggauss(ALONG)
-    turn = along * (np.pi / pieces)
-    place = _on_body(arc[:, None], turn).reshape(-1, 3)
-    lags = np.arange(pieces // 2 + 1) * (2.0 * np.pi / pieces)
-    beside = _on_body(arc[None, :, None], turn + lags[:, None, None]).reshape(len(lags), -1, 3)
-    cosine = np.einsum("ic,ljc->lij", place, beside)
-    return HiddenAlbedo(
-        np.multiply.outer(weight, 0.5 * part).ravel(), np.arccos(np.clip(cosine, -1.0, 1.0)), pieces
-    )
+    turn, part = _turns_apart(pieces)
+    cosine = np.cos(arc)[:, None] * np.cos(arc), np.sin(arc)[:, None] * np.sin(arc)
+    between = cosine[0][..., None, None] * np.cos(turn) + cosine[1][..., None, None]
+    apart = np.arccos(np.clip(between, -1.0, 1.0))  # (arc, arc, lag, turn)
+    pairs = (weight[:, None] * weight)[..., None] * part
+    return HiddenAlbedo(pairs.ravel(), np.moveaxis(apart, 2, 0).reshape(FARTHEST + 1, -1), pieces)
 
 
-def _on_body(arc_rad: FloatArray, turn_rad: FloatArray) -> FloatArray:
-    """Return unit vectors (..., 3) at arcs from the limb and angles along it."""
-    cosine, sine = np.cos(arc_rad), np.sin(arc_rad)
-    x, y, z = np.broadcast_arrays(cosine * np.cos(turn_rad), cosine * np.sin(turn_rad), sine)
-    return np.stack([x, y, z], axis=-1)
+def _turns_apart(pieces: int) -> tuple[FloatArray, FloatArray]:
+    """Return angles (lags, t) by which rays of two pieces differ, and how often each does (t,)."""
+    point, share = np.polynomial.legendre.leggauss(TURNS)
+    half = 0.5 * (point + 1.0)
+    beside = np.concatenate([-half[::-1], half])
+    often = np.concatenate([share[::-1], share]) * 0.5 * (1.0 - np.abs(beside))
+    width = 2.0 * np.pi / pieces
+    return (np.arange(FARTHEST + 1)[:, None] + beside) * width, often
