@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies.disk.measurement import measure_disk
+from opnav_workbench.bodies import judged_disk, measure_disk
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.body_models import body_picture
@@ -48,3 +48,8 @@ def test_a_real_disk_is_where_its_limb_is(data_dir, case):
     assert np.hypot(*away) < MEASURED[case]
     assert away @ np.linalg.solve(covariance, away) < 9.0
     assert disk.fit.prior.on_slopes  # terrain, which a smooth body's light does not explain
+    center = judged_disk(disk)
+    assert center.status == "ok", center.messages
+    away = center.pixel_line - limb["limb_center_pixel_line"]
+    covariance = center.covariance_px2 + LIMB_PX**2 * np.eye(2)
+    assert away @ np.linalg.solve(covariance, away) < 9.0

@@ -34,6 +34,7 @@ def drawn_steps(length_rad, rng):
     return np.einsum("x,xpn->np", slope, change) / (slope @ slope)
 
 
+@pytest.mark.slow(keep=("0.3",))
 @pytest.mark.parametrize("length_rad", [0.1, 0.3, 0.6])
 def test_steps_are_those_of_edges_that_were_drawn(length_rad):
     steps = drawn_steps(length_rad, np.random.default_rng(7))
