@@ -21,7 +21,7 @@ from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.neighbours import near_bodies, without_others
-from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
+from opnav_workbench.bodies.picture import BodyPicture, Circle, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.place_search import search_place
 from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
@@ -426,12 +426,14 @@ def _radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Pr
 
     def profiles(outline: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
         seen = displaced_model(picture, name, outline.center_px, 1.0 / size_ratio)
-        wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        reach = outline.radius(angle)[:, None] + depth
-        places = outline.center_px + reach[..., None] * wheel[:, None]
-        rays = pixel_rays(picture, places.reshape(-1, 2))
+        limb = outline.radius(angle)
+        share = 1.0 + depth / limb[:, None]
+        lowest, most = float(share.min()), float(share.max())
+        fan = RayFan(picture, outline.center_px, angle, most * limb, lowest / most)
+        line = np.broadcast_to(np.arange(len(angle))[:, None], share.shape)
+        rays = fan.at(line.ravel(), share.ravel() / most)
         bodies = [PlacedBody(replace(seen, law=law), picture.camera.pixel_scale_rad) for law in laws]
-        light = np.stack([body.radiance(rays).reshape(reach.shape) for body in bodies])
+        light = np.stack([body.radiance(rays).reshape(share.shape) for body in bodies])
         variance = float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE
         sigma = float(np.sqrt(variance)) / RAY_STEP_PX
         return np.asarray(gaussian_filter1d(light, sigma, axis=2, mode="nearest"))

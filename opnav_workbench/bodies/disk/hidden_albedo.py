@@ -20,7 +20,10 @@ from opnav_workbench.bodies.disk.limb_light import hats
 __all__ = ["HiddenAlbedo", "hidden_albedo"]
 
 DEEPEST_WIDTHS = 4.0  # of the PSF: K is 2 % there
-ARCS, TURNS = 12, 5  # points of Gauss-Legendre: from the limb inward, and over each half of what two pieces lie apart
+ARCS, TURNS = (
+    12,
+    5,
+)  # points of Gauss-Legendre: from the limb inward, and over each half of what two pieces lie apart
 FARTHEST = 4  # pieces: from there on less than a hundredth
 
 
