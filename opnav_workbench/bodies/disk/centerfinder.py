@@ -81,16 +81,21 @@ def judged_disk(disk: MeasuredDisk, *, solve_range: bool = True) -> BodyCenter:
     if second is not None:
         if alike(disk.fit, disk.crossing):
             reading = _of_both(reading, second)
-        elif _explained(reading):
+        elif _better_supported(reading, second):
             reading = _with_difference(reading, second)
         else:
             reading = _crossings_instead(reading, second)
     return judged_center(disk, reading, _detail(disk.fit), solve_range=solve_range)
 
 
-def _explained(reading: CenterReading) -> bool:
-    """Tell whether a likelihood has come to rest at an image that is the picture's, within its noise and grain."""
-    return reading.converged and not reading.chi2_reduced > POOR_CHI2
+def _better_supported(reading: CenterReading, second: SecondReading) -> bool:
+    """Tell whether a likelihood is to be believed where the crossings differ.
+
+    It has come to rest at an image that is the picture's, within noise and grain, and knows the center better.
+    """
+    explained = reading.converged and not reading.chi2_reduced > POOR_CHI2
+    other = CROSSING_EXCESS * second.covariance_px2
+    return bool(explained and np.trace(reading.covariance_px2) <= np.trace(other))
 
 
 def _of_both(reading: CenterReading, second: SecondReading) -> CenterReading:
@@ -119,7 +124,7 @@ def _with_difference(
 
 
 def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterReading:
-    """Return the crossings' center where a likelihood that does not explain the pixels differs from it.
+    """Return the crossings' center where a likelihood that is less to be believed differs from it.
 
     Half of the local brightness is never far from the limb. That they differ is in the covariance.
     """

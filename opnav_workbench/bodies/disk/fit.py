@@ -213,7 +213,7 @@ class DiskFit:
     reach_px : (float, float)
         Inward and outward of the pixels that were used.
     chi2_reduced
-        Chi-squared a degree of freedom of the image, the sky beside it aside: what lies there is not the body's.
+        Chi-squared a degree of freedom, with the sky beside the body or without: what lies there is not the body's.
     lengths_px
         Of the center's steps.
     valley_px2 : (2, 2) array
@@ -580,10 +580,12 @@ class _Fitter:
         )
 
     def _chi2_reduced(self) -> float:
+        """Return that of all cells, or of those without the sky: a rough sky is no fault of the image."""
         whole = self.linear.system
-        system = replace(whole, variance=np.where(self.problem.beside, np.inf, whole.variance))
-        cells = np.count_nonzero(np.isfinite(system.variance))
-        return system.solve(self.prior).chi2 / max(cells - SHARED, 1)
+        image = replace(whole, variance=np.where(self.problem.beside, np.inf, whole.variance))
+        each = ((whole, self.linear.solution), (image, image.solve(self.prior)))
+        cells = [np.count_nonzero(np.isfinite(system.variance)) for system, _ in each]
+        return min(solution.chi2 / max(n - SHARED, 1) for n, (_, solution) in zip(cells, each, strict=True))
 
     def _solve(self) -> None:
         self._solve_at(*self._columns())
@@ -624,6 +626,7 @@ class _Fitter:
 
         A step may lead uphill (Chamberlain et al. 1982, doi:10.1007/BFb0120945): the light changes its noise with it.
         """
+        self._reweigh()
         best, self.wandered_px, self.unrest_px2 = self._state(), np.zeros(2), np.zeros((2, 2))
         passed = []
         for _ in range(most):
@@ -657,11 +660,10 @@ class _Fitter:
 
     def _step(self) -> float:
         """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
-        before = self.shape, self.brightness, self.piece_albedo
-        begun, start = self.linear, self.linear.solution
+        self._reweigh()
+        before, begun, start = self.shape, self.linear, self.linear.solution
         for halving in range(MOST_HALVINGS):
-            if halving:
-                self.shape, self.brightness, self.piece_albedo = before
+            self.shape = before
             length = self._move(begun, 0.5**halving)
             self._solve()
             if (
@@ -718,15 +720,22 @@ class _Fitter:
             self._bounded_blur(shape.blur_px2 + most * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
-        weight = self.problem.rim_weight
-        albedo = solution.nodes[:, :-1] @ weight / weight.sum()
+        return part * float(np.hypot(*center))
+
+    def _reweigh(self) -> None:
+        """Let brightness and pieces be as bright as the solution has them, where the outline is.
+
+        Noise, grain and albedo go with them: costs of two outlines compare only if they are the same for both.
+        """
+        linear, weight = self.linear, self.problem.rim_weight
+        albedo = linear.solution.nodes[:, :-1] @ weight / weight.sum()
         brightness = self._brightness(linear)
         self.brightness = float(
             np.clip(brightness, self.brightness / MOST_BRIGHTER, self.brightness * MOST_BRIGHTER)
         )
-        own = float(solution.theta[Unknown.BRIGHTNESS])
+        own = float(linear.solution.theta[Unknown.BRIGHTNESS])
         self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
-        return part * float(np.hypot(*center))
+        self._solve_at(linear.samples, linear.columns)
 
     def _brightness(self, linear: _LinearDisk) -> float:
         """Return how bright the tabulated light has to be for the light that a solution means.
