@@ -492,6 +492,10 @@ def fit_disk(
     return _Fitter(problem, shape, start, prior).run()
 
 
+def _degrees(system: LimbSystem) -> int:
+    return max(int(np.count_nonzero(np.isfinite(system.variance))) - SHARED, 1)
+
+
 def _spread(places: Sequence[FloatArray], about: FloatArray) -> FloatArray:
     """Return the mean square (2, 2) of places (2,) about one."""
     away = np.array(places) - about
@@ -584,8 +588,7 @@ class _Fitter:
         whole = self.linear.system
         image = replace(whole, variance=np.where(self.problem.beside, np.inf, whole.variance))
         each = ((whole, self.linear.solution), (image, image.solve(self.prior)))
-        cells = [np.count_nonzero(np.isfinite(system.variance)) for system, _ in each]
-        return min(solution.chi2 / max(n - SHARED, 1) for n, (_, solution) in zip(cells, each, strict=True))
+        return min(solution.chi2 / _degrees(system) for system, solution in each)
 
     def _solve(self) -> None:
         self._solve_at(*self._columns())
