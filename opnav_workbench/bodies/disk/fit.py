@@ -663,8 +663,8 @@ class _Fitter:
 
     def _step(self) -> float:
         """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
-        self._reweigh()
         before, begun, start = self.shape, self.linear, self.linear.solution
+        self._relight(begun)
         for halving in range(MOST_HALVINGS):
             self.shape = before
             length = self._move(begun, 0.5**halving)
@@ -726,11 +726,16 @@ class _Fitter:
         return part * float(np.hypot(*center))
 
     def _reweigh(self) -> None:
-        """Let brightness and pieces be as bright as the solution has them, where the outline is.
+        """Solve anew where the outline is, with pieces as bright as the solution has them.
 
-        Noise, grain and albedo go with them: costs of two outlines compare only if they are the same for both.
+        Noise, grain and albedo go with that: a start whose pieces are all alike would look better than any step from it.
         """
-        linear, weight = self.linear, self.problem.rim_weight
+        self._relight(self.linear)
+        self._solve_at(self.linear.samples, self.linear.columns)
+
+    def _relight(self, linear: _LinearDisk) -> None:
+        """Let the tables and the pieces of limb be as bright as a solution has them."""
+        weight = self.problem.rim_weight
         albedo = linear.solution.nodes[:, :-1] @ weight / weight.sum()
         brightness = self._brightness(linear)
         self.brightness = float(
@@ -738,7 +743,6 @@ class _Fitter:
         )
         own = float(linear.solution.theta[Unknown.BRIGHTNESS])
         self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
-        self._solve_at(linear.samples, linear.columns)
 
     def _brightness(self, linear: _LinearDisk) -> float:
         """Return how bright the tabulated light has to be for the light that a solution means.
