@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.fit import DiskShape, Unknown
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
-from opnav_workbench.bodies.judgement import CenterReading, crossing_reading, judged_center, second_reading
+from opnav_workbench.bodies.judgement import (
+    CenterReading,
+    crossing_reading,
+    difference_covariance,
+    judged_center,
+    second_reading,
+)
 from opnav_workbench.bodies.limb_scan.center_solution import FEWEST, OutlineStep, solve_outline
 from opnav_workbench.bodies.limb_scan.fan import N_SCANS, STEP_PX, ScanSampler
 from opnav_workbench.bodies.limb_scan.matching import ScanMatch, correlate_scans, match_scans
@@ -162,18 +168,19 @@ def _farther_reading(run: _Run) -> SecondReading:
 
 def _reading(run: _Run) -> CenterReading:
     fit, solved = run.disk.fit, run.solved
-    covariance = solved.covariance[:2, :2]
+    second = _farther_reading(run)
+    away = second.pixel_line - run.center_px
     chosen, used, covered = (int(n.sum()) for n in (run.choice.chosen, solved.used, run.choice.covered))
     return CenterReading(
         method=METHOD,
         center_px=run.center_px,
-        covariance_px2=covariance,
+        covariance_px2=solved.covariance[:2, :2] + difference_covariance(away),
         noise_covariance_px2=solved.noise_covariance[:2, :2],
         log_size=run.shape.log_size + float(solved.step[SIZE]),
         log_size_sigma=float(np.sqrt(solved.covariance[SIZE, SIZE])),
         chi2_reduced=solved.chi2_reduced,
         converged=fit.converged and float(np.hypot(*solved.step[:2])) < LONGEST_PX,
-        second=_farther_reading(run),
+        second=second,
         conditions={BodyFlag.OCCULTED: True} if covered else {},
         notes={
             BodyFlag.OCCULTED: f"{covered} scans left out",
