@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -32,6 +33,11 @@ OBJECTS_BETWEEN_COLLECTIONS = 10_000
 MISUSE: type[Exception] = next(
     kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
 )
+
+
+# A plugin of pydantic watches models; to look for one goes through all that is installed.
+NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}
+SPICE_LIBRARY_NAMES = {"win32": "cspice.dll", "darwin": "libcspice.dylib"}  # elsewhere libcspice.so
 
 
 class CommandEntry(NamedTuple):
@@ -198,8 +204,8 @@ def main() -> None:
     """Run the program; what was wrong is one line on standard error, and exit status 2."""
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     if sys.argv[1:2] != ["lab"]:  # whose kernels are the user's own
-        for variable, count in ONE_THREAD.items():
-            os.environ.setdefault(variable, count)
+        for variable, value in (ONE_THREAD | NO_PLUGINS | _packaged_spice()).items():
+            os.environ.setdefault(variable, value)
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that is no text must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -213,6 +219,17 @@ def main() -> None:
             error_console().print(f"[bold red]error:[/] {shown(reason)}", highlight=False)
         sys.exit(EXIT_BAD_INPUT)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _packaged_spice() -> dict[str, str]:
+    """Tell spiceypy to take the CSPICE that it was packaged with; it looks for others first, and runs a compiler for it."""
+    found = find_spec("spiceypy")
+    library = SPICE_LIBRARY_NAMES.get(sys.platform, "libcspice.so")
+    for folder in (found and found.submodule_search_locations) or ():
+        path = Path(folder) / "utils" / library
+        if path.is_file():
+            return {"CSPICE_SHARED_LIB": str(path)}
+    return {}  # a packager's own: spiceypy finds it
 
 
 def _flush() -> None:

@@ -127,7 +127,6 @@ class _Trailed(StrictModel):
 
 
 AnyPsf = Annotated[_Gaussian | _Moffat | _Empirical | _Field | _Trailed, Field(discriminator="model")]
-_Trailed.model_rebuild()
 
 
 class _Wrapped(StrictModel):

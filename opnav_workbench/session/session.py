@@ -45,7 +45,6 @@ from opnav_workbench.session.pointing import (
     is_without_sky,
     solved_attitude,
 )
-from opnav_workbench.session.reconstruction import Reconstruction, write_reconstructed_ck
 from opnav_workbench.session.result import origin_of, result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox, star_boxes
@@ -57,10 +56,11 @@ if TYPE_CHECKING:
     from astropy.table import QTable
 
     from opnav_workbench.landmarks import LandmarkPatch
-    from opnav_workbench.session import body_steps, landmark_steps
-else:  # a picture of stars needs nothing that finds bodies
+    from opnav_workbench.session import body_steps, landmark_steps, reconstruction
+else:  # a picture of stars needs nothing that finds bodies or writes kernels
     body_steps = module_on_demand("opnav_workbench.session.body_steps")
     landmark_steps = module_on_demand("opnav_workbench.session.landmark_steps")
+    reconstruction = module_on_demand("opnav_workbench.session.reconstruction")
 
 __all__ = ["ImageSession"]
 
@@ -939,7 +939,7 @@ class ImageSession:
         older = [load_decisions(path)] if exists(path) else []
         return write_decisions(path, [*older, Decisions.from_session(self, who)])
 
-    def write_ck(self, path: str | Path, *, without_twist: bool = False) -> Reconstruction:
+    def write_ck(self, path: str | Path, *, without_twist: bool = False) -> "reconstruction.Reconstruction":
         """Write the solved pointing as a CK (`reconstruction.write_reconstructed_ck`).
 
         A pointing whose stars did not determine the twist is written `without_twist` only: it keeps the a priori one.
@@ -950,7 +950,9 @@ class ImageSession:
             No pointing is solved yet; or LSK and SCLK are not open, or the file cannot be written.
         """
         results = [self.result()]
-        return write_reconstructed_ck(results, path, self.context.mission, without_twist=without_twist)
+        return reconstruction.write_reconstructed_ck(
+            results, path, self.context.mission, without_twist=without_twist
+        )
 
     # -- how a step is taken -------------------------------------------------------------------------------------
 

@@ -9,18 +9,24 @@ The batches are of fixed size, so results do not depend on the number of process
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.stars.boxes import Boxes, Pixels, cut_at, cut_boxes
 from opnav_workbench.stars.flags import StarFlag, combine_flags
 from opnav_workbench.stars.group_fit import FitSettings, FittedStars, fit_groups
 from opnav_workbench.stars.results import StarCenters, StarImages
 from opnav_workbench.stars.star_model import FLUX, LINE, PER_STAR, PIXEL, StarProfile
+
+if TYPE_CHECKING:
+    from scipy.sparse import csgraph
+else:  # for pictures whose stars overlap
+    csgraph = module_on_demand("scipy.sparse.csgraph")
 
 __all__ = ["fit_profile", "groups_of", "link_neighbors", "misfit_factor"]
 
@@ -79,8 +85,10 @@ def groups_of(labels: IntArray, chosen: BoolArray) -> list[IntArray]:
 
 
 def _connected_labels(n: int, pairs: IntArray) -> IntArray:
+    if not len(pairs):  # as they would be numbered
+        return np.arange(n)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1], np.int64)
 
 
 # ---- All stars of a frame fitted: neighbors together, hits masked and fitted again, results with their flags.
