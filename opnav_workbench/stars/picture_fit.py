@@ -85,8 +85,6 @@ def groups_of(labels: IntArray, chosen: BoolArray) -> list[IntArray]:
 
 
 def _connected_labels(n: int, pairs: IntArray) -> IntArray:
-    if not len(pairs):  # as they would be numbered
-        return np.arange(n)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     return np.asarray(csgraph.connected_components(graph, directed=False)[1], np.int64)
 

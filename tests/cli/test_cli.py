@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from importlib import import_module, metadata
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,6 +69,27 @@ def test_a_command_computes_in_one_thread_unless_told_otherwise(capsys, monkeypa
             monkeypatch.delenv(variable)
     _main(capsys, monkeypatch, command, "--help")
     assert {os.environ.get(variable) for variable in ONE_THREAD} == {left}
+
+
+@pytest.mark.parametrize("given", [None, "/elsewhere/libcspice.so"])
+def test_a_command_looks_for_no_library_and_no_plugins(capsys, monkeypatch, given):
+    """Spiceypy would run the linker and a compiler to find a CSPICE, though one lies beside it; the user's own stays."""
+    for variable in ("CSPICE_SHARED_LIB", "PYDANTIC_DISABLE_PLUGINS"):
+        monkeypatch.setenv(variable, given or "")
+        if given is None:
+            monkeypatch.delenv(variable)
+    _main(capsys, monkeypatch, "doctor", "--help")
+    library, plugins = os.environ["CSPICE_SHARED_LIB"], os.environ["PYDANTIC_DISABLE_PLUGINS"]
+    assert (library, plugins) == (given, given) if given else Path(library).is_file() and plugins == "__all__"
+
+
+@pytest.mark.slow
+def test_a_star_frame_loads_nothing_that_few_pictures_need():
+    seldom = {
+        f"opnav_workbench.session.{name}" for name in ("reconstruction", "body_steps", "landmark_steps")
+    }
+    loaded = _loaded_by("import opnav_workbench.cli.process")
+    assert loaded.isdisjoint(seldom | {"scipy.sparse.csgraph", "scipy.sparse.linalg"})
 
 
 def test_the_table_of_commands_is_complete():
