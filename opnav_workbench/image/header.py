@@ -127,9 +127,10 @@ class HeaderGeometry:
 ABSENT_TEXTS = frozenset({"", "N/A", "NA", "UNK", "UNKNOWN", "NULL", "NONE", "TBD"})
 ABSENT_NUMBERS = (-1e32, -999.0)  # New Horizons; many PDS3 products use the second
 SAME_NUMBER = 1e-9  # relative: -1E+32 as printed and as read
+EXPOSURES_TO_MIDDLE = {"middle": 0.0, "start": 0.5, "end": -0.5}
 CHOICES = {
     "quaternion_sense": ("camera_to_j2000", "j2000_to_camera"),
-    "time_reference": ("middle", "start"),
+    "time_reference": tuple(EXPOSURES_TO_MIDDLE),
     "quality_table": tuple(QUALITY_TABLES),
 }
 LENGTHS = {"quaternion": 4, "sun_position": 3, "sun_velocity": 3}
@@ -146,7 +147,12 @@ class KeywordMap:
     et, utc, sclk
         Time of the picture: TDB seconds past J2000, UTC text, spacecraft clock.
     time_reference
-        What `et` and `utc` refer to; a start time is shifted by half the exposure.
+        What `et` and `utc` refer to; the start or the end of the exposure is shifted by half of it.
+    time_offset_s
+        Added to `et` and `utc`: where a header's time is that of another event, so much before the one that it stands for.
+    frame, frame_interval, frame_interval_extra_s
+        Of one of several frames that share a time: its number, counted from 1, and the seconds from one to the next, which
+        are longer than said by the last.
     begin, end
         When the exposure began and ended, in UTC or in seconds of any clock: what exposure and time are held against.
         Unless named, the standards' own words: ``DATE-BEG`` and ``DATE-END`` (FITS), ``START_TIME`` and ``STOP_TIME`` (PDS).
@@ -193,7 +199,11 @@ class KeywordMap:
     et: str | None = None
     utc: str | None = None
     sclk: str | None = None
-    time_reference: Literal["middle", "start"] = "middle"
+    time_reference: Literal["middle", "start", "end"] = "middle"
+    time_offset_s: float = 0.0
+    frame: str | None = None
+    frame_interval: str | None = None
+    frame_interval_extra_s: float = 0.0
     begin: str | None = None
     end: str | None = None
     quaternion: Sequence[str] | None = None
@@ -227,8 +237,30 @@ class KeywordMap:
             _refuse_keyword(good, name, value, f"a list of {length} keywords")
         scale = self.exposure_scale
         _refuse_keyword(0.0 < scale < math.inf, "exposure_scale", scale, "a positive number of seconds")
+        for name in ("time_offset_s", "frame_interval_extra_s"):
+            _refuse_keyword(
+                math.isfinite(getattr(self, name)), name, getattr(self, name), "a number of seconds"
+            )
         for item in fields(self):
             object.__setattr__(self, item.name, _frozen(getattr(self, item.name)))
+
+    def to_middle_s(self, exposure_s: float) -> float:
+        """Return how long after `et` and `utc` the middle of an exposure is.
+
+        Examples
+        --------
+        >>> KeywordMap(time_reference="end", time_offset_s=-2.0).to_middle_s(0.5)
+        -2.25
+        """
+        parts = EXPOSURES_TO_MIDDLE[self.time_reference]
+        return self.time_offset_s + (parts * exposure_s if parts else 0.0)
+
+    def to_frame_s(self, header: Header) -> float | None:
+        """Return how long after the first of several frames this one began; None where only its number is told."""
+        number, interval = (header_number(self.value(header, name)) for name in ("frame", "frame_interval"))
+        if number is None:
+            return 0.0
+        return None if interval is None else (number - 1.0) * (interval + self.frame_interval_extra_s)
 
     def value(self, header: Header, name: str) -> HeaderValue | None:
         """Return what the header says for a field of this map, None where it says nothing or "missing"."""

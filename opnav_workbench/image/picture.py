@@ -217,7 +217,7 @@ def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) ->
     known = et if et is not None else stated
     if known is None:
         return _StatedTime(None, None, (*impossible, _without_time(name, header, keywords)), None, impossible)
-    shift_s = _half_exposure(name, keywords, exposure_s)
+    shift_s = _to_middle_s(name, header, keywords, exposure_s)
     off = 0.0 if stated is None else known - stated
     agree = abs(off) <= time_tolerance_s(text, keywords.value(header, "et"))
     keep = agree and shift_s == 0.0 and text is not None and ISO_CALENDAR.fullmatch(str(text))
@@ -292,15 +292,21 @@ def _seconds(value: HeaderValue | None) -> float | None:
     return seconds if seconds is not None and math.isfinite(seconds) else None
 
 
-def _half_exposure(name: str, keywords: KeywordMap, exposure_s: float) -> float:
-    if keywords.time_reference == "middle":
-        return 0.0
-    if math.isnan(exposure_s):
+def _to_middle_s(name: str, header: Header, keywords: KeywordMap, exposure_s: float) -> float:
+    if math.isnan(exposure_s) and keywords.time_reference != "middle":
         raise image_error(
             name,
-            "the header gives the start of the exposure, not its length; name that keyword in the mission.",
+            f"the header gives the {keywords.time_reference} of the exposure, not its length; name that keyword in the "
+            "mission.",
         )
-    return 0.5 * exposure_s
+    to_frame_s = keywords.to_frame_s(header)
+    if to_frame_s is None or not math.isfinite(to_frame_s):
+        raise image_error(
+            name,
+            f"its time is that of the first of several frames, and {keywords.frame} and {keywords.frame_interval} do not "
+            "tell when this one began; correct the header.",
+        )
+    return keywords.to_middle_s(exposure_s) + to_frame_s
 
 
 def _without_time(name: str, header: Header, keywords: KeywordMap) -> str:

@@ -354,7 +354,7 @@ def _keyword_cards(record: FlightRecord) -> Iterator[Card]:
     names = KeywordMap(**record.mission.keywords)
     rows = record.camera.rows
     lasts_s = record.exposure_s + (0.0 if rows is None else rows.span_s(record.camera.n_line))
-    stamp = record.et - (0.5 * lasts_s if names.time_reference == "start" else 0.0)
+    stamp = record.et - names.to_middle_s(lasts_s)
     single = (
         (names.exposure_s, record.exposure_s / names.exposure_scale),
         (names.et, stamp),

@@ -1,10 +1,13 @@
 """ISIS cubes: samples in tiles or bands, with special values for what is missing or saturated.
 
 A cube of several bands is one picture only where a channel is chosen. A map projection is no picture of a camera.
+ISIS has words of its own for what archives' labels say; they stand under the mission's words too (`in_words_of`), so that a
+mission's cubes are read as its archive's files are.
 
 Source: the cube format of ISIS (Integrated Software for Imagers and Spectrometers, USGS), and its table of special pixels.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -13,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import check_size, image_error
 from opnav_workbench.image.formats.stored import Raster, StoredPicture, linear, read_raster
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.header import HeaderValue, KeywordMap
 from opnav_workbench.image.pds_label import label_integer, label_items, label_value
 
-__all__ = ["IsisLabel", "detached_core", "is_isis_cube", "isis_label", "read_isis_cube"]
+__all__ = ["IsisLabel", "detached_core", "in_words_of", "is_isis_cube", "isis_label", "read_isis_cube"]
 
 CORE = ("ISISCUBE", "CORE")
 MAP = ("ISISCUBE", "MAPPING")
@@ -48,11 +52,12 @@ SATURATED_BITS = {"REAL": (np.uint32, 0xFF7FFFFE), "DOUBLE": (np.uint64, 0xFFEFF
 
 
 class IsisLabel(NamedTuple):
-    """What a cube's label says: values by name (the first of equals), those of its core, whether it is a map."""
+    """What a cube's label says: values by name (the first of equals), its core's, whether it is a map, its exposure."""
 
     values: dict[str, HeaderValue]
     core: dict[str, HeaderValue]
     is_map: bool
+    exposure_s: float | None = None
 
 
 def is_isis_cube(data: bytes) -> bool:
@@ -65,12 +70,66 @@ def isis_label(data: bytes) -> IsisLabel:
     """Return what the label at the begin of a cube says."""
     values: dict[str, HeaderValue] = {}
     core: dict[str, HeaderValue] = {}
-    is_map = False
+    is_map, exposure_s = False, None
     for item in label_items(data):
         is_map = is_map or item.inside[:2] == MAP
         inside = core if item.inside[:2] == CORE else values
         inside.setdefault(item.name, label_value(item.text))
-    return IsisLabel(values, core, is_map)
+        if item.name == "EXPOSUREDURATION" and exposure_s is None:
+            exposure_s = _seconds(item.text)
+    return IsisLabel(values, core, is_map, exposure_s)
+
+
+def _seconds(text: str) -> float | None:
+    """Return a duration with its unit, seconds unless it has one, in seconds; None of what is none."""
+    told = DURATION.match(text)
+    if told is None:
+        return None
+    return float(told["number"]) * (1e-3 if (told["unit"] or "").lower().startswith("m") else 1.0)
+
+
+# ---- ISIS' words under those of the archives.
+
+DURATION = re.compile(
+    r"\s*(?P<number>[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?)\s*(<\s*(?P<unit>\w+)\s*>)?", re.IGNORECASE
+)
+ARCHIVE_WORDS = {
+    "SPACECRAFTNAME": ("SPACECRAFT_NAME", "INSTRUMENT_HOST_NAME", "TELESCOP"),
+    "INSTRUMENTID": ("INSTRUMENT_ID", "INSTRUMENT_NAME"),
+    "TARGETNAME": ("TARGET_NAME",),
+    "FILTERNAME": ("FILTER_NAME",),
+    "NAIFFRAMECODE": ("NAIFID",),
+    "FPUBINNINGMODE": ("MESS:FPU_BIN",),
+    "SPACECRAFTCLOCKSTARTCOUNT": ("SPACECRAFT_CLOCK_START_COUNT",),
+    "SPACECRAFTCLOCKSTOPCOUNT": ("SPACECRAFT_CLOCK_STOP_COUNT",),
+}
+
+
+def in_words_of(label: IsisLabel, keywords: KeywordMap) -> dict[str, HeaderValue]:
+    """Return what a cube's label says, besides its own words in those of the archives and of a mission, where it has none.
+
+    ``StartTime`` is what the archive's label has for the picture's time: the middle or the start, as the mission says, and
+    where that is the middle, the one between it and ``StopTime``.
+    """
+    values = label.values
+    said = {name: values[word] for word, names in ARCHIVE_WORDS.items() if word in values for name in names}
+    if keywords.exposure_s and label.exposure_s is not None:
+        said[keywords.exposure_s] = label.exposure_s / keywords.exposure_scale
+    if keywords.utc and "STARTTIME" in values:
+        said[keywords.utc] = _picture_time(values, keywords)
+    if keywords.target and "TARGETNAME" in values:
+        said[keywords.target] = values["TARGETNAME"]
+    return said | values
+
+
+def _picture_time(values: Mapping[str, HeaderValue], keywords: KeywordMap) -> HeaderValue:
+    start, stop = values["STARTTIME"], values.get("STOPTIME")
+    if keywords.time_reference != "middle" or stop is None:
+        return start
+    try:
+        return text_from_et(0.5 * (et_from_text(str(start)) + et_from_text(str(stop))))
+    except ValueError:  # told where the picture's time is read
+        return start
 
 
 def read_isis_cube(name: str, label: IsisLabel, data: bytes) -> StoredPicture:

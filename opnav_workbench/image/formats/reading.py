@@ -11,7 +11,13 @@ from pathlib import Path
 from opnav_workbench.image.file_bytes import GZIP_START, file_bytes, image_error, unpacked
 from opnav_workbench.image.formats.display_picture import display_format, read_display_picture
 from opnav_workbench.image.formats.fits_picture import is_fits, read_fits
-from opnav_workbench.image.formats.isis_cube import detached_core, is_isis_cube, isis_label, read_isis_cube
+from opnav_workbench.image.formats.isis_cube import (
+    detached_core,
+    in_words_of,
+    is_isis_cube,
+    isis_label,
+    read_isis_cube,
+)
 from opnav_workbench.image.formats.pds3 import (
     is_variable_length,
     read_pds_raw,
@@ -57,7 +63,7 @@ def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, St
     if is_pds3(data):
         return _read_pds3(file, data, keywords)
     if is_isis_cube(data):
-        return _read_isis(file, data)
+        return _read_isis(file, data, keywords)
     if is_pds4(data):
         label = pds4_label(file.name, data)
         pixels = _file_beside(file, label.file)
@@ -153,13 +159,12 @@ def _read_pds3(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Pat
     return pixels, read_pds_raw(pixels.name, content, pointer.offset_bytes, label, keywords)
 
 
-def _read_isis(file: Path, data: bytes) -> tuple[Path, StoredPicture]:
+def _read_isis(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
     label = isis_label(data)
     core = detached_core(label)
-    if core is None:
-        return file, read_isis_cube(file.name, label, data)
-    pixels = _file_beside(file, core)
-    return pixels, read_isis_cube(pixels.name, label, file_bytes(pixels))
+    pixels = file if core is None else _file_beside(file, core)
+    source = read_isis_cube(pixels.name, label, data if core is None else file_bytes(pixels))
+    return pixels, replace(source, header=in_words_of(label, keywords))
 
 
 def _read_named_by_sidecar(file: Path, keywords: KeywordMap) -> tuple[Path, StoredPicture]:

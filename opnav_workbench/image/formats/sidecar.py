@@ -242,7 +242,7 @@ KEYWORDS_OF = {
 
 def _stated(sidecar: Sidecar, name: str, keywords: KeywordMap) -> dict[str, tuple[HeaderValue, ...]]:
     """Return what a sidecar states in words of the list, as the mission's keywords mean it."""
-    early_s = 0.5 * (sidecar.exposure_s or 0.0) if keywords.time_reference == "start" else 0.0
+    early_s = keywords.to_middle_s(sidecar.exposure_s or 0.0)
     stated: dict[str, tuple[HeaderValue, ...] | None] = {
         "utc": None if sidecar.utc is None else (_earlier(name, sidecar.utc, early_s),),
         "et": None if sidecar.et is None else (sidecar.et - early_s,),
