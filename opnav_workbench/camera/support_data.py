@@ -48,13 +48,15 @@ class SupportData:
     et
         Middle of the exposure, TDB s past J2000.
     camera_from_j2000 : (3, 3) array
-    position_km, velocity_km_s, sun_position_km : (3,) arrays or None
+    position_km, velocity_km_s, sun_position_km, sun_velocity_km_s : (3,) arrays or None
         Of the spacecraft and of the Sun, from the target, J2000.
     body_from_j2000 : (3, 3) array or None
     radii_km : (2,) array or None
         Equatorial and polar radius of the target.
     spacecraft, sensor
         Their names.
+    target_id
+        NAIF's number of the target; None where it is not told.
     """
 
     camera: Camera
@@ -63,10 +65,12 @@ class SupportData:
     position_km: FloatArray | None = None
     velocity_km_s: FloatArray | None = None
     sun_position_km: FloatArray | None = None
+    sun_velocity_km_s: FloatArray | None = None
     body_from_j2000: FloatArray | None = None
     radii_km: FloatArray | None = None
     spacecraft: str = ""
     sensor: str = ""
+    target_id: int | None = None
 
 
 # ---- Reading.
@@ -104,11 +108,19 @@ def _read(data: Mapping[str, Any]) -> SupportData:
         position_km=None if position is None else position[0],
         velocity_km_s=None if position is None else position[1],
         sun_position_km=None if sun is None else sun[0],
+        sun_velocity_km_s=None if sun is None else sun[1],
         body_from_j2000=_attitude(data["body_rotation"], et) if "body_rotation" in data else None,
         radii_km=None if radii is None else _vector([radii["semimajor"], radii["semiminor"]], 2) * _km(radii),
         spacecraft=str(data.get("name_platform", "")),
         sensor=str(data.get("name_sensor", "")),
+        target_id=_body_code(data.get("naif_keywords")),
     )
+
+
+def _body_code(keywords: Any) -> int | None:
+    code = keywords.get("BODY_CODE") if isinstance(keywords, Mapping) else None
+    code = code[0] if isinstance(code, list) and len(code) == 1 else code
+    return code if isinstance(code, int) else None
 
 
 def _km(values: Mapping[str, Any]) -> float:
@@ -265,7 +277,7 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
             "constant_frames": [camera.instrument_id],
             "constant_rotation": np.eye(3).ravel().tolist(),
         },
-        "naif_keywords": {},
+        "naif_keywords": {"BODY_CODE": target_frame} if target_frame else {},
         "detector_sample_summing": 1,
         "detector_line_summing": 1,
         "focal_length_model": {"focal_length": camera.focal_length_mm},
@@ -279,7 +291,7 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
         "focal2pixel_lines": [0.0, *matrix[1].tolist()],
         "optical_distortion": _told_distortion(camera),
         "instrument_position": _moving(needed["position_km"], data.velocity_km_s, data.et),
-        "sun_position": _moving(needed["sun_position_km"], None, data.et),
+        "sun_position": _moving(needed["sun_position_km"], data.sun_velocity_km_s, data.et),
     }
 
 

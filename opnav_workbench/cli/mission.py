@@ -95,6 +95,10 @@ def new(
         list[str] | None,
         typer.Option(help="Instrument kernel; ISIS addendum and FK too, one --ik each.", show_default=False),
     ] = None,
+    isd: Annotated[
+        Path | None,
+        typer.Option(help="Image support data (ALE's JSON) instead of a kernel.", show_default=False),
+    ] = None,
     instrument: Annotated[
         str | None, typer.Option(help="NAIF number or part of the name, of several.", show_default=False)
     ] = None,
@@ -130,7 +134,7 @@ def new(
     out: Annotated[Path | None, typer.Option(help="Folder; default: the name.", show_default=False)] = None,
     compare: Annotated[bool, typer.Option(help="Simulate a picture to compare.")] = True,
 ) -> None:
-    """Make a mission: its files, from an instrument kernel or numbers; the picture tells how the detector lies.
+    """Make a mission: its files, from an instrument kernel, image support data or numbers, and a picture.
 
     Tries the eight orientations of the detector against the stars, or the limb of a target, and says what it knew, derived
     and guessed.
@@ -140,12 +144,14 @@ def new(
       opnav mission new probe --ik probe_cam.ti --image first_light.fit
       opnav mission new cubesat --fov-deg 20 --image night.fits
 
+      opnav mission new mapped --isd frame.json --image frame.cub
+
       opnav mission new scanner --ik scan.ti --line-scan --line-time-s 0.004 --image strip.fit --kernels flight.tm
     """
     numbers = Numbers(focal_mm, pixel_um, fov_deg, _size(size), line_time_s, line_scan)
     folder = Path(name) if out is None else out
     wanted = Wanted(
-        name, folder, image, tuple(ik or ()), kernels, instrument, numbers, target, catalog, compare
+        name, folder, image, tuple(ik or ()), kernels, instrument, numbers, target, catalog, compare, isd
     )
     with error_console().status("") as status:
         made = make_mission(wanted, lambda words: status.update(shown(words)))

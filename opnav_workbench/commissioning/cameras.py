@@ -1,4 +1,4 @@
-"""The camera that took a picture, from instrument kernels or from a few numbers."""
+"""The camera that took a picture, from instrument kernels, image support data or a few numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.camera import AttitudeSigma, Camera, NoDistortion, Origin, RowTiming
+from opnav_workbench.camera.support_data import read_support_data
 from opnav_workbench.constants import RAD_PER_DEG
 from opnav_workbench.errors import CameraError, MissionError, OpNavError
 from opnav_workbench.kernels import KernelSet, instrument_ids, instrument_values
 
-__all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers", "with_rows"]
+__all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers", "camera_of_support_data", "with_rows"]
 
 SHOWN = 8  # instruments named in an error
 POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
@@ -146,6 +147,35 @@ def camera_of_numbers(name: str, number: int, shape: tuple[int, int] | None, num
         origins=origins,
     )
     return _with_pointing(camera)
+
+
+def camera_of_support_data(path: Path, name: str, shape: tuple[int, int] | None) -> tuple[Camera, str]:
+    """Return the camera that image support data of a picture describe, and the spacecraft's name.
+
+    Raises
+    ------
+    CameraError
+        They cannot be read, or are of a picture of another size.
+    """
+    told = read_support_data(path)
+    camera = told.camera
+    if shape is not None and (camera.n_line, camera.n_pixel) != shape:
+        raise CameraError(
+            f"{path.name} is of a picture of {camera.n_pixel} x {camera.n_line} pixels, and this one has {shape[1]} x "
+            f"{shape[0]}; give the image support data of this picture (--isd)."
+        )
+    known = Origin(
+        "optics, detector", "known", f"{path.name}, image support data of {told.sensor or 'a camera'}"
+    )
+    frame = Origin(
+        "frame",
+        "derived",
+        f"that of {path.name}: Z to the sky, X and Y as its focal plane; no kernel knows it",
+    )
+    camera = replace(
+        camera, name=name, frame=f"{name.upper()}_CAMERA", origins=(*camera.origins, known, frame)
+    )
+    return _with_pointing(camera), told.spacecraft
 
 
 def with_rows(camera: Camera, numbers: Numbers) -> Camera:

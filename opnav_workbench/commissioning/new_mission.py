@@ -14,7 +14,13 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera, Origin, PsfPrior
 from opnav_workbench.catalog import open_catalog
-from opnav_workbench.commissioning.cameras import Numbers, camera_of_kernels, camera_of_numbers, with_rows
+from opnav_workbench.commissioning.cameras import (
+    Numbers,
+    camera_of_kernels,
+    camera_of_numbers,
+    camera_of_support_data,
+    with_rows,
+)
 from opnav_workbench.commissioning.files import (
     Craft,
     Place,
@@ -75,6 +81,8 @@ class Wanted:
         Flight kernels of the picture: trajectory and attitude.
     instrument
         NAIF number or part of the name, where the kernels describe several cameras.
+    support_data
+        Image support data of a picture (ALE's JSON), instead of kernels.
     numbers
         Instead of kernels, or for what they lack.
     target
@@ -91,6 +99,7 @@ class Wanted:
     target: str | None = None
     catalog: str = "bundled"
     compare: bool = True
+    support_data: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +182,12 @@ def _whole_or_none(folder: Path) -> Iterator[None]:
 
 def _made(wanted: Wanted, say: Callable[[str], None]) -> NewMission:
     if wanted.image is None:
-        camera = _camera(wanted, None)
-        return _Maker(wanted, _craft(wanted, camera, ""), {}, say).without_picture(camera)
+        camera, told = _camera(wanted, None)
+        return _Maker(wanted, _craft(wanted, camera, told), {}, say).without_picture(camera)
     shape, header = _looked_at(wanted.image)
     words = header_words(header)
-    camera = _camera(wanted, shape)
-    maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft), words.match, say)
+    camera, told = _camera(wanted, shape)
+    maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft or told), words.match, say)
     made = maker.with_picture(camera, wanted.image, words)
     return replace(made, known_mission=_known_mission(header))
 
@@ -207,13 +216,17 @@ def _looked_at(image: Path) -> tuple[tuple[int, int], Header]:
     return (int(lines), int(pixels)), Header(stored.header)
 
 
-def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> Camera:
+def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> tuple[Camera, str]:
+    """The camera, and the spacecraft's name where what describes the camera tells it."""
+    if wanted.support_data is not None:
+        return camera_of_support_data(wanted.support_data, wanted.name, shape)
     if wanted.instrument_kernels:
         camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers)
     else:
         camera = camera_of_numbers(wanted.name, -(INVENTED * 1000 + 100), shape, wanted.numbers)
     camera = with_rows(camera, wanted.numbers)
-    return replace(camera, name=f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name)
+    name = f"{wanted.name} {camera.name}" if wanted.instrument_kernels else wanted.name
+    return replace(camera, name=name), ""
 
 
 def _craft(wanted: Wanted, camera: Camera, told: str) -> Craft:
@@ -348,10 +361,10 @@ class _Maker:
         self.say("solving the picture")
         try:
             session = ImageSession.open(image, self.wanted.folder, catalog=self.wanted.catalog)
-            inputs = session.inputs
+            inputs, exposure_s = session.inputs, session.context.picture.exposure_s
             place = Place(
                 inputs.utc.removesuffix("Z").removesuffix(" UTC"),
-                session.context.picture.exposure_s or place.exposure_s,
+                exposure_s if exposure_s > 0.0 else place.exposure_s,  # no word tells it: nan
                 np.asarray(inputs.observer.position_km),
                 np.asarray(inputs.observer.velocity_km_s),
                 quaternion_from_matrix(inputs.a_priori_camera_from_j2000),

@@ -11,6 +11,8 @@ function of that name, keeps the state it makes, and writes the journal.
     The frozen state, the analyst's decisions on its stars, and what is still to be decided.
 ``context``
     What stays the same through a session: picture, camera, background, noise.
+``beside``
+    Image support data beside a picture: attitude, states and body without kernels.
 ``inputs``
     What kernels, header, catalog and target lists gave.
 ``lost``

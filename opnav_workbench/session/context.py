@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,9 +20,17 @@ from opnav_workbench.image import (
     read_image,
     sky_and_bodies,
 )
+from opnav_workbench.image.formats.sidecar import find_sidecar
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.mission import Mission
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.stars import NoiseModel, ShapePrior
+
+if TYPE_CHECKING:
+    from opnav_workbench.session import beside
+    from opnav_workbench.session.beside import ToldBeside
+else:  # few pictures have anything beside them
+    beside = module_on_demand("opnav_workbench.session.beside")
 
 __all__ = [
     "DETECTION_SNR",
@@ -55,6 +64,8 @@ class Context:
         Pixels that no measurement may use.
     extended : (n_line, n_pixel) array of bool
         Pixels that the light of resolved bodies covers, where no star can be measured.
+    beside
+        Image support data beside the picture, where there are any.
     """
 
     picture: Picture
@@ -66,6 +77,7 @@ class Context:
     bad: BoolArray
     extended: BoolArray
     settings: Settings
+    beside: "ToldBeside | None" = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -131,6 +143,9 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     picture = read_image(path, KeywordMap(**mission.keywords))
     camera = with_focal_scale(mission.camera_for(picture.header), settings.focal_scale)
     _check_size(picture, camera)
+    told: ToldBeside | None = None
+    if find_sidecar(picture.path) is not None:
+        picture, told = beside.told_beside(picture, camera)
     saturated = picture.saturated
     if camera.saturation_dn is not None:
         saturated = saturated | (picture.image_dn >= camera.saturation_dn)
@@ -147,7 +162,7 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     bias = contained_bias_dn(background, *detector, camera.bias_dn)
     noise = pixel_noise(background, *detector, bias_dn=bias)
     signal = np.where(picture.bad, 0.0, picture.image_dn - background.level_dn)
-    return Context(picture, camera, mission, background, signal, noise, picture.bad, extended, settings)
+    return Context(picture, camera, mission, background, signal, noise, picture.bad, extended, settings, told)
 
 
 def with_focal_scale(camera: Camera, scale: float) -> Camera:

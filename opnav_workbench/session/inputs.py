@@ -45,8 +45,10 @@ from opnav_workbench.targets import TargetState
 
 if TYPE_CHECKING:
     from opnav_workbench.kernels import dsk_files
-else:  # shapes in kernels are asked for where there are kernels
+    from opnav_workbench.session import beside
+else:  # shapes in kernels are asked for where there are kernels; few pictures have anything beside them
     dsk_files = module_on_demand("opnav_workbench.kernels.dsk_files")
+    beside = module_on_demand("opnav_workbench.session.beside")
 
 __all__ = [
     "ATTITUDE_SOURCES",
@@ -476,7 +478,9 @@ def _star_target(context: Context, source: InputSource, inputs: Inputs, name: st
 
 
 def _body_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> TargetState:
-    """Return a body that the kernels know; where they do not, the error names the stars that are known, too."""
+    """Return a body that kernels know, or support data beside; where none do, the error names the known stars, too."""
+    if KernelSet.active() is None and (told := _told_body(context, inputs, name)) is not None:
+        return told
     try:
         return _spice_target(context, inputs, name)
     except KernelError as error:
@@ -488,6 +492,18 @@ def _body_target(context: Context, source: InputSource, inputs: Inputs, name: st
         raise KernelError(
             f"{error} The target stars of {path.name} are {', '.join(known[:NAMED_STARS])}{more}."
         ) from error
+
+
+def _told_body(context: Context, inputs: Inputs, name: str) -> TargetState | None:
+    """Return the body of image support data beside the picture, unless the header says that another one is its target."""
+    told, picture = context.beside, context.picture
+    if told is None:
+        return None
+    header_target = None if picture.keywords is None else picture.keywords.value(picture.header, "target")
+    if header_target is not None and str(header_target).casefold() != name.casefold():
+        return None
+    target = beside.body_beside(told, name, np.asarray(inputs.observer.velocity_km_s))
+    return None if target is None else context.mission.with_magnitude(target)
 
 
 def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:

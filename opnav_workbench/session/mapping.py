@@ -53,7 +53,7 @@ def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: 
         raise KernelError(
             f"the kernels do not give {target}'s size, rotation and light; load a PCK that does."
         )
-    radii = np.asarray(seen.radii_km)
+    radii, seen_since_s = np.asarray(seen.radii_km), apparent.light_time_s
     data = SupportData(
         camera=_camera(result, mission),
         et=et,
@@ -61,6 +61,7 @@ def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: 
         position_km=-apparent.position_km,
         velocity_km_s=-apparent.velocity_km_s,
         sun_position_km=np.asarray(seen.sun_position_km),
+        sun_velocity_km_s=np.asarray(state("SUN", et - seen_since_s, target).velocity_km_s),
         body_from_j2000=np.asarray(seen.body_from_j2000),
         radii_km=radii[[0, 2]],
         spacecraft=mission.spacecraft_name,

@@ -493,14 +493,16 @@ def _magnitude_error(
     context: Context, mag: FloatArray, centers: StarCenters, match: FieldMatch
 ) -> FloatArray:
     """Magnitude from the fitted flux minus the catalog's, about the frame's median (or the camera's zero point)."""
+    exposure_s = context.picture.exposure_s
+    timed = exposure_s > 0.0  # where no word tells it, the frame's median does without
     with np.errstate(invalid="ignore"):
         good = match.visible & (centers.snr > context.settings.min_snr) & (centers.flux_dn > 0.0)
-        rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / context.picture.exposure_s
+        rate = np.where(centers.flux_dn > 0.0, centers.flux_dn, np.nan) / (exposure_s if timed else 1.0)
     error = -2.5 * np.log10(rate) - mag
     whole = good & ~_has(centers.flags, StarFlag.SATURATED)
     if whole.sum() >= MIN_STARS_FOR_ZERO_POINT:
         error = error - np.median(error[whole])
-    elif context.camera.zero_point_mag is not None:
+    elif timed and context.camera.zero_point_mag is not None:
         error = error + context.camera.zero_point_mag
     else:
         error = np.zeros_like(error)

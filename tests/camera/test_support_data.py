@@ -10,7 +10,7 @@ from opnav_workbench.camera.support_data import SupportData, read_support_data, 
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import read_json, write_json
 from opnav_workbench.geometry import rotation_from_vector
-from opnav_workbench.kernels import KernelSet, camera_attitude, instrument_values
+from opnav_workbench.kernels import KernelSet, camera_attitude, instrument_values, state
 from opnav_workbench.mission import load_mission
 from opnav_workbench.resources import kernels_meta_dir
 
@@ -257,10 +257,15 @@ def test_a_mission_s_camera_sees_the_sky_where_the_picture_s_support_data_do(dat
     camera = load_mission(mission).camera_named(stem)
     with KernelSet([generic / "naif0012.tls", generic / "pck00011.tpc", *sorted(files)]):
         attitude = camera_attitude(camera.frame, theirs.et)
+        from_sun = state(load_mission(mission).spacecraft_id, theirs.et, "SUN")
 
     def apart_px(points):
         sky = theirs.camera.unproject(points) @ theirs.camera_from_j2000
         return float(np.abs(camera.project(sky @ attitude.T) - points).max())
 
+    velocity = (theirs.velocity_km_s - theirs.sun_velocity_km_s) - from_sun.velocity_km_s
+    # The rate of an apparent place: the acceleration of a moon is in it (`opnav_workbench.session.beside`).
+    assert np.linalg.norm(velocity) < (0.002 if mission == "dawn" else 3.3)
+    assert theirs.target_id == {"dawn": 2000001, "cassini": 602}[mission]
     assert apart_px(np.array([[511.5, 511.5]])) < 1e-6
     assert apart_px(grid(theirs.camera)) < edge_px

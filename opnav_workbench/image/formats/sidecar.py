@@ -15,6 +15,9 @@ and a row for each picture, told by ``file``.
     Of the spacecraft with respect to the Sun, J2000.
 ``sclk``, ``target``, ``instrument``
     Texts.
+
+Image support data of a Community Sensor Model (ALE's JSON) are a sidecar, too, and tell the time here; what they tell of
+attitude, states and body the session takes from them (`opnav_workbench.session.beside`).
 ``lines``, ``samples``, ``sample_type``, ``byte_order``, ``offset_bytes``, ``line_prefix_bytes``, ``line_suffix_bytes``
     The layout of a raw file; of several ``channels`` also how they are interleaved (``interleave``: BSQ, BIL, BIP).
 """
@@ -38,7 +41,15 @@ from opnav_workbench.image.header import HeaderValue, KeywordMap
 from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_nodes import LARGEST_BYTES, LONGEST_NUMBER, compose, plain_value
 
-__all__ = ["Sidecar", "find_sidecar", "is_sidecar", "read_raw", "read_sidecar", "with_sidecar"]
+__all__ = [
+    "Sidecar",
+    "find_sidecar",
+    "holds_support_data",
+    "is_sidecar",
+    "read_raw",
+    "read_sidecar",
+    "with_sidecar",
+]
 
 SUFFIXES = (".json", ".yaml", ".yml", ".csv")
 MOST_WORDS = 10_000
@@ -137,12 +148,19 @@ def read_sidecar(sidecar: Path, picture: str | None = None) -> Sidecar:
         raise image_error(
             sidecar.name, "a sidecar has words and their values: utc: 2030-01-01T00:00:00; write it so."
         )
+    if holds_support_data(words):
+        words = {"et": words.get("center_ephemeris_time")}
     try:
         return Sidecar.model_validate({_own_name(word): value for word, value in words.items()})
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         raise image_error(sidecar.name, f"{where}: {first['msg']}; correct the sidecar.") from error
+
+
+def holds_support_data(words: Any) -> bool:
+    """Tell whether a JSON file has image support data of a Community Sensor Model, as ALE writes them."""
+    return isinstance(words, Mapping) and str(words.get("name_model", "")).startswith("USGS_ASTRO_")
 
 
 def _own_name(word: str) -> str:
