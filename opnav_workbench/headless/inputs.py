@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from opnav_workbench.catalog import catalog_contents
@@ -56,10 +57,13 @@ class NightInputs:
         """Return what counts for a picture of this time (None: unknown), kernels by the names of their files."""
         return dict(self.common) | _by_file([part for part in self.kernels if part.matters_at(et)])
 
-    def fingerprint(self, image_sha256: str, et: float | None) -> str:
-        """Return the digest of a picture and of all that counts for it; names of kernels do not."""
+    def fingerprint(
+        self, image_sha256: str, et: float | None, beside: Mapping[str, str] = MappingProxyType({})
+    ) -> str:
+        """Return the digest of a picture, of what lies `beside` it and of all that counts; names of kernels do not."""
         parts = [part.sha256 for part in self.kernels if part.matters_at(et)]
-        return fingerprint({"image": image_sha256, "common": dict(self.common), "kernels": parts})
+        values = {"image": image_sha256, "common": dict(self.common), "kernels": parts}
+        return fingerprint(values | ({"beside": dict(beside)} if beside else {}))
 
 
 def _by_file(parts: list[KernelPart]) -> dict[str, str]:

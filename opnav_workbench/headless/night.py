@@ -35,6 +35,7 @@ from opnav_workbench.headless.records import (
     session_digest,
 )
 from opnav_workbench.headless.settling import settle, tidy_attic
+from opnav_workbench.image.formats.sidecar import find_sidecar
 from opnav_workbench.image.picture_files import FolderOwner, picture_names
 from opnav_workbench.mission import Mission
 from opnav_workbench.paths import is_text
@@ -201,13 +202,23 @@ def _planned(
 ) -> NightPicture:
     record = read_record(folder)
     basis = _basis(image, record, mission, spec)
-    mark = inputs.fingerprint(basis.image_sha256, basis.et) if basis.image_sha256 else ""
-    used = {"picture": basis.image_sha256, **inputs.of(basis.et)}
+    beside = _beside(image)
+    mark = inputs.fingerprint(basis.image_sha256, basis.et, beside) if basis.image_sha256 else ""
+    used = {"picture": basis.image_sha256, **beside, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
     state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
     if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:
         state, why = "arriving", (f"its file was written {age:.0f} s ago, and may not be whole",)
     return NightPicture(image, name, mark, state, why, basis)
+
+
+def _beside(image: Path) -> dict[str, str]:
+    """Return the digest of what lies beside a picture and tells of it: a sidecar, image support data."""
+    path = find_sidecar(image)
+    try:
+        return {} if path is None else {f"beside {path.name}": sha256_of(path)}
+    except OSError:  # gone again, or unreadable for now: processing will say it
+        return {}
 
 
 def _age_s(image: Path) -> float:
@@ -225,7 +236,7 @@ def _basis(image: Path, record: NightRecord | None, mission: Mission, spec: Nigh
     try:
         status = image.stat()
         stamp = (status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-        if record is not None and record.stamp == stamp:
+        if record is not None and record.stamp == stamp and find_sidecar(image) is None:
             return NightRecord(
                 str(image), "", "", image_sha256=record.image_sha256, stamp=stamp, et=record.et, limits=limits
             )

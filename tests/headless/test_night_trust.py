@@ -113,6 +113,18 @@ def test_a_catalog_of_other_content_under_the_old_name_is_noticed(images, out, t
     assert states(images, out, **how) == {"a": "new"}
 
 
+def test_what_lies_beside_a_picture_counts_as_the_picture_does(images, out):
+    """A sidecar tells its time and attitude; a picture beside which there is none knows of no difference."""
+    night(images, out)
+    (images / "a.json").write_text('{"utc": "2030-01-01T00:00:00"}')
+    plan = plan_night(spec_of(images), out)
+    assert [(p.state, p.why) for p in plan.pictures] == [("new", ("beside a.json: new",))]
+    night(images, out)
+    assert states(images, out) == {"a": "done"}
+    (images / "a.json").write_text('{"utc": "2030-01-01T00:00:01"}')
+    assert states(images, out) == {"a": "new"}
+
+
 # ---- Passing faults
 
 
