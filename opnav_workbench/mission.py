@@ -51,7 +51,7 @@ class Readout(StrictModel):
     first_pixel, first_line
         Where the window begins on the detector, counted from `first_is`.
     n_pixel, n_line
-        Size of the picture.
+        Size of the picture; one of them alone where the other is always the detector's, as of scans.
     line_time
         Time from a line to the next one, of a rolling shutter or line scanner; `rows` of its camera file tell the direction.
     line_time_scale
@@ -85,8 +85,11 @@ class Readout(StrictModel):
             0 if w is None or w not in header else _whole(header, w) - self.first_is
             for w in (self.first_pixel, self.first_line)
         ]
-        told = [w for w in (self.n_pixel, self.n_line) if w is not None and w in header]
-        size = (_whole(header, told[0]), _whole(header, told[1])) if len(told) == 2 else None
+        words_of_size = (self.n_pixel, self.n_line)
+        named = [w for w in words_of_size if w is not None]
+        size = None
+        if named and all(w in header for w in named):
+            size = tuple(None if w is None else _whole(header, w) for w in words_of_size)
         readout: dict[str, Any] = {"binning": steps, "first": (starts[0], starts[1]), "size": size}
         if self.line_time is not None and self.line_time in header:
             readout["line_time_s"] = _seconds(header, self.line_time) * self.line_time_scale
@@ -376,7 +379,7 @@ def _read_out(camera: Camera, readout: Mapping[str, Any] | None) -> Camera:
             camera,
             binning=(binning[0], binning[1]),
             first=(first[0], first[1]),
-            size=None if size is None else (int(size[0]), int(size[1])),
+            size=None if size is None else (int(size[0] or camera.n_pixel), int(size[1] or camera.n_line)),
             line_time_s=readout.get("line_time_s"),
         )
     except (IndexError, KeyError, TypeError, ValueError) as error:

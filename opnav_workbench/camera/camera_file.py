@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, Field, PositiveFloat
+from pydantic import BaseModel, BeforeValidator, Field, PositiveFloat, PositiveInt
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera.distortion import (
@@ -237,14 +237,15 @@ class _Rows(StrictModel):
 
     `line_time_s` goes from a line to the next one, and is negative where the last line comes first. `detector_line`, of a
     line scanner, is the detector's line (as the picture counts lines) that every line of the picture comes from;
-    without it the shutter rolls.
+    without it the shutter rolls. Through `tdi_lines` of a scanner the charge follows the scan (time delay and integration).
     """
 
     line_time_s: float
     detector_line: float | None = None
+    tdi_lines: PositiveInt = 1
 
     def build(self) -> RowTiming:
-        return RowTiming(self.line_time_s, self.detector_line)
+        return RowTiming(self.line_time_s, self.detector_line, self.tdi_lines)
 
 
 class _Detector(StrictModel):

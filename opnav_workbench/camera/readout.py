@@ -6,7 +6,6 @@ import numpy as np
 
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.priors import AttitudeSigma, PsfPrior
-from opnav_workbench.camera.rows import RowTiming
 from opnav_workbench.errors import CameraError
 
 __all__ = ["read_out"]
@@ -78,7 +77,8 @@ def read_out(
         line = rows.detector_line
         there = None if line is None else float((line - start[1] + 0.5) / step[1] - 0.5)
         each_s = rows.line_time_s * float(step[1])
-        rows = RowTiming(each_s if line_time_s is None else float(np.copysign(line_time_s, each_s)), there)
+        line_s = each_s if line_time_s is None else float(np.copysign(line_time_s, each_s))
+        rows = replace(rows, line_time_s=line_s, detector_line=there)
     return replace(
         camera,
         rows=rows,

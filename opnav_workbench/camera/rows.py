@@ -50,15 +50,23 @@ class RowTiming:
         From a line to the next one; negative where the last line comes first.
     detector_line
         Of a line scanner: the line of the detector that all lines of the picture come from; None: a rolling shutter.
+    tdi_lines
+        Of a scanner with time delay and integration: lines through which the charge follows the scan. An exposure then
+        lasts as many line times, and smears by one.
     """
 
     line_time_s: float
     detector_line: float | None = None
+    tdi_lines: int = 1
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.line_time_s) and self.line_time_s != 0.0):
             raise CameraError(
                 f"line_time_s is {self.line_time_s}; give the time from a line to the next one, s."
+            )
+        if self.tdi_lines < 1 or (self.tdi_lines > 1 and self.detector_line is None):
+            raise CameraError(
+                f"tdi_lines is {self.tdi_lines}; give how many lines of a line scanner (detector_line) a charge passes."
             )
 
     def span_s(self, n_line: int) -> float:

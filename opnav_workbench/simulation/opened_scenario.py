@@ -157,7 +157,7 @@ class OpenedScenario:
         scenario, entry, camera = self.scenario, picture.entry, self.camera(picture)
         et, seed = self._mid_exposure_et(picture), picture_seed(scenario.seed, entry.name)
         predicted = predicted_attitude(scenario.attitude.predicted, camera, et)
-        path = self._attitude_path(camera, predicted, et, entry.exposure_s, seed)
+        path = self._attitude_path(camera, predicted, et, _smearing_s(camera, entry.exposure_s), seed)
         if camera.rows is not None:
             with self.scenario.naming(("attitude", "motion")):
                 camera = replace(camera, sweep=self._sweep(camera, predicted, et, seed))
@@ -307,3 +307,8 @@ def _one_value(value: object) -> str | int | float:
     chosen = value[0] if isinstance(value, list | tuple) else value
     assert isinstance(chosen, str | int | float)
     return chosen
+
+
+def _smearing_s(camera: Camera, exposure_s: float) -> float:
+    """Return how much of an exposure smears: a charge that follows the scan does so but for a line."""
+    return exposure_s if camera.rows is None else exposure_s / camera.rows.tdi_lines

@@ -1,0 +1,130 @@
+"""MVIC's and LEISA's scans by the attitude that the spacecraft flew: kernels of real pictures, words of their headers."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from astropy.io import fits
+from scipy.spatial.transform import Rotation
+
+from opnav_workbench.camera import Camera, RowTiming, row_sweep
+from opnav_workbench.camera.readout import read_out
+from opnav_workbench.errors import CameraError
+from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc
+from opnav_workbench.mission import load_mission
+from opnav_workbench.resources import kernels_meta_dir
+from opnav_workbench.session import ImageSession
+from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate
+
+GENERIC = ("naif0012.tls", "pck00011.tpc", "new_horizons_1454.tsc", "nh_v220.tf", "nh_soc_misc_v002.tf")
+# Slice of kernels, header or words of it, mid-exposure, camera, lines a line time.
+SCANS = {
+    "mvic": ("mc3_0034948318_0x536_sci_1", "2007-02-28T06:00:23.454", "MVIC CH4", (1.0, 1.02)),
+    "leisa": ("lsb_0296962438_0x53c_eng", "2015-06-18T19:44:31.849", "LEISA", (0.85, 1.02)),
+}
+LEISA_WORDS = {
+    "MISSION": "New Horizons",
+    "INSTRU": "lei",
+    "EXPTIME": 1.0 / 1.16822,
+}  # its label's FrameRate, Hz
+
+
+def kernels(data_dir: Path, name: str) -> list[Path]:
+    slices = data_dir / "spice/slices" / SCANS[name][0]
+    return [
+        *(data_dir / "spice/generic" / file for file in GENERIC),
+        *sorted(p for p in slices.iterdir() if p.suffix in (".bsp", ".bc")),
+    ]
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("name", SCANS)
+def test_a_flight_scan_moves_a_line_in_the_line_time_that_its_header_tells(data_dir, name):
+    """The CK and the header have nothing to do with each other: the line time is right, and the scan's axis the lines'."""
+    _, utc, camera_name, (least, most) = SCANS[name]
+    header = LEISA_WORDS
+    if name == "mvic":
+        header = dict(fits.getheader(data_dir / "images/cropped/mc3_0034948318_0x536_sci_1_cropped.fits"))
+    camera = load_mission("new_horizons").camera_for(header)
+    assert (camera.name, camera.rows.tdi_lines) == (camera_name, 32 if name == "mvic" else 1)
+    camera = replace(camera, n_line=256)
+    with KernelSet(kernels(data_dir, name)):
+        et = et_from_utc(utc)
+        sweep = row_sweep(
+            camera.rows, 256, camera.pixel_scale_rad, lambda t: camera_attitude(camera.frame, et + t)
+        )
+    swept, middle = replace(camera, sweep=sweep), 0.5 * (camera.n_pixel - 1)
+    places = np.column_stack([np.full(250, middle), np.arange(250.0)])
+    steps = np.diff(swept.unproject(places), axis=0) / camera.pixel_scale_rad
+    moved = np.abs(steps @ camera.focal_from_camera.T)[:, :2]
+    assert least < np.median(moved[:, 1]) < most
+    assert (
+        np.median(moved[:, 0]) < 0.1 if name == "mvic" else np.median(moved[:, 0]) < 0.35
+    )  # LEISA's drifts across
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_a_scan_of_stars_flown_as_in_2007_is_solved(data_dir, tmp_path):
+    """Simulated with the flight CK at each line's own time; the camera is mounted 5 px and 0.05 deg off."""
+    files = []
+    for number, path in enumerate(kernels(data_dir, "mvic")):  # SPICE allows 80 letters in a metakernel
+        files.append(f"k{number}{path.suffix}")
+        (tmp_path / files[-1]).symlink_to(path.resolve())
+    listed = "\n".join(f"'{file}'" for file in files)
+    (tmp_path / "f.tm").write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = (\n{listed}\n)\n\\begintext\n")
+    picture = {
+        "name": "scan",
+        "utc": SCANS["mvic"][1],
+        "camera": "mvic_pan1",
+        "exposure_s": 32 * 0.0185,
+        "targets": [],
+    }
+    error = {"source": "error", "shift_px": [4.0, -3.0], "twist_deg": 0.05}
+    scenario = {
+        "mission": "new_horizons", "kernels": str(tmp_path / "f.tm"), "catalog": "bundled", "magnitude_limit": 10.5,
+        "seed": 3, "attitude": {"actual": error, "motion": {"from_kernels": True}}, "pictures": [picture],
+    }  # fmt: skip
+    (tmp_path / "pictures.yaml").write_text(yaml.safe_dump(scenario))
+    simulate(load_picture_scenario(tmp_path / "pictures.yaml"), tmp_path / "out", jobs=1)
+    truth = read_truth(tmp_path / "out/scan.fit")
+    assert np.median(truth.objects["smear"][truth.objects["on_detector"]].value) == pytest.approx(
+        1.0, abs=0.1
+    )
+    with KernelSet(tmp_path / "f.tm"):
+        session = ImageSession.open(tmp_path / "out/scan.fit", "new_horizons")
+        session.predict()
+        session.find_stars()
+        session.repoint()
+    pointing = session.state.pointing
+    assert (session.result()["status"], pointing.n_stars >= 30, pointing.rms_px < 0.05) == ("ok", True, True)
+    off = Rotation.from_matrix(pointing.camera_from_j2000 @ truth.camera_from_j2000.T).as_rotvec()
+    assert np.linalg.norm(off[1:]) / session.context.camera.pixel_scale_rad < 0.02
+    assert abs(off[0]) < np.radians(0.001)
+
+
+def test_lines_of_a_charge_that_follows_the_scan_belong_to_a_scanner():
+    for wrong in ({"tdi_lines": 0, "detector_line": 1.0}, {"tdi_lines": 32}):
+        with pytest.raises(CameraError, match="tdi_lines is"):
+            RowTiming(0.01, **wrong)
+    camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/mvic_red.yaml")
+    read = read_out(camera, size=(5024, 77), line_time_s=0.02)
+    assert (read.rows, read.n_line) == (RowTiming(0.02, 15.5, 32), 77)
+
+
+def test_a_header_may_tell_the_lines_of_a_scan_alone():
+    mission = load_mission("new_horizons")
+    words = {
+        "MISSION": "New Horizons",
+        "INSTRU": "mvi",
+        "SCANTYPE": "TDI",
+        "DETECTOR": "NIR",
+        "EXPTIME": 0.64,
+    }
+    for more, lines in (({}, 1024), ({"NAXIS1": 5000, "NAXIS2": 77}, 77)):
+        camera = mission.camera_for(words | more)
+        assert (camera.name, camera.n_pixel, camera.n_line) == ("MVIC NIR", 5024, lines)
+        assert camera.rows == RowTiming(0.02, 15.5, 32)
+        assert mission.camera_as_read("mvic_nir", mission.readout_told(words | more)).n_line == lines
