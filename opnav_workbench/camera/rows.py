@@ -26,7 +26,7 @@ import scipy
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import CameraError
-from opnav_workbench.geometry.rotations import rotation_from_vector, vector_from_rotation
+from opnav_workbench.geometry.rotations import rotation_from_vector, unit, vector_from_rotation
 
 __all__ = ["RowSweep", "RowTiming", "row_sweep"]
 
@@ -97,6 +97,11 @@ class RowSweep:
         Attitude at mid-picture for which they are.
     follows
         The body whose motion is in the turn besides the camera's (`opnav_workbench.scene.following`); empty: none's.
+    toward : (3,) array or None
+        Direction of that body's center at mid-picture, camera frame, where it comes nearer or goes: about it directions
+        spread as `spread` says.
+    spread : (k,) array or None
+        Tangent of a direction's angle from `toward` at `time_s`, over that at mid-picture.
     """
 
     line_time_s: float
@@ -106,10 +111,13 @@ class RowSweep:
     turn_rad: FloatArray
     camera_from_j2000: FloatArray
     follows: str = ""
+    toward: FloatArray | None = None
+    spread: FloatArray | None = None
     _spline: "scipy.interpolate.CubicSpline" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_spline", scipy.interpolate.CubicSpline(self.time_s, self.turn_rad))
+        known = self.turn_rad if self.spread is None else np.column_stack([self.turn_rad, self.spread])
+        object.__setattr__(self, "_spline", scipy.interpolate.CubicSpline(self.time_s, known))
         freeze_arrays(self)
 
     def standing(self, camera_from_j2000: FloatArray) -> "RowSweep":
@@ -117,15 +125,31 @@ class RowSweep:
         if np.array_equal(camera_from_j2000, self.camera_from_j2000):
             return self
         turned = camera_from_j2000 @ self.camera_from_j2000.T
-        return replace(self, turn_rad=self.turn_rad @ turned.T, camera_from_j2000=np.array(camera_from_j2000))
+        return replace(
+            self,
+            turn_rad=self.turn_rad @ turned.T,
+            camera_from_j2000=np.array(camera_from_j2000),
+            toward=None if self.toward is None else turned @ self.toward,
+        )
 
     def turns(self, line: FloatArray) -> FloatArray:
-        """Return ``camera(line's time) from camera(0)``, (..., 3, 3), at lines (...,)."""
+        """Return ``camera(line's time) from camera(0)``, (..., 3, 3), at lines (...,); with `spread`, no rotation alone."""
         time = (np.asarray(line) - self.middle_line) * self.line_time_s
         known = np.clip(time, self.time_s[0], self.time_s[-1])
         beyond = np.nan_to_num(time - known)[..., None]
         vector = self._spline(known) + self._spline(known, 1) * beyond
-        return rotation_from_vector(np.nan_to_num(vector).reshape(-1, 3)).reshape(*np.shape(time), 3, 3)
+        turns = rotation_from_vector(np.nan_to_num(vector[..., :3]).reshape(-1, 3)).reshape(
+            *np.shape(time), 3, 3
+        )
+        if self.toward is None:
+            return turns
+        spread, along = vector[..., 3, None, None], np.outer(self.toward, self.toward)
+        return np.asarray(turns @ (spread * np.eye(3) + (1.0 - spread) * along))
+
+    def _back(self, line: FloatArray) -> FloatArray:
+        """Return ``camera(0) from camera(line's time)``."""
+        turns = self.turns(line)
+        return np.swapaxes(turns, -1, -2) if self.toward is None else np.linalg.inv(turns)
 
     def _rates(self, line: FloatArray) -> FloatArray:
         """Change of `turns` from a line to the next one."""
@@ -196,16 +220,26 @@ class RowSweep:
 
     def unproject(self, points: FloatArray, unproject: Mapping) -> FloatArray:
         """Return directions (..., 3) at mid-picture of points (..., 2)."""
-        seen = unproject(self.on_detector(points))
-        return np.asarray(np.einsum("...ji,...j->...i", self.turns(points[..., 1]), seen))
+        seen = np.einsum("...ij,...j->...i", self._back(points[..., 1]), unproject(self.on_detector(points)))
+        return np.asarray(seen if self.toward is None else unit(seen))
 
     def unproject_jacobian(self, points: FloatArray, unproject: Mapping, jacobian: Mapping) -> FloatArray:
         """Return d(direction at mid-picture)/d(pixel, line) (..., 3, 2)."""
         line, there = points[..., 1], self.on_detector(points)
-        slope = np.swapaxes(self.turns(line), -1, -2) @ jacobian(there)
-        turning = np.einsum("...ji,...j->...i", self._rates(line), unproject(there))
+        back, seen = self._back(line), unproject(there)
+        slope = back @ jacobian(there)
+        if self.toward is None:
+            turning = np.einsum("...ji,...j->...i", self._rates(line), seen)
+        else:
+            turning = -np.einsum("...ij,...jk,...kl,...l->...i", back, self._rates(line), back, seen)
         at_rest = slope[..., 1] if self.detector_line is None else 0.0
-        return np.stack([slope[..., 0], at_rest + turning], axis=-1)
+        along = np.stack([slope[..., 0], at_rest + turning], axis=-1)
+        if self.toward is None:
+            return along
+        ray = np.einsum("...ij,...j->...i", back, seen)
+        length = np.linalg.norm(ray, axis=-1)[..., None, None]
+        one = ray[..., None] / length
+        return np.asarray((along - one @ (np.swapaxes(one, -1, -2) @ along)) / length)
 
 
 def row_sweep(
