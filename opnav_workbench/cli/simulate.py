@@ -71,6 +71,11 @@ def simulate(
     console.print(_picture_table(reports))
     if any(report.bodies for report in reports):
         console.print(_body_table(reports))
+    for report in reports:
+        for caution in report.cautions:
+            console.print(
+                f"[yellow]{shown(report.name)}: {shown(caution)}[/]", highlight=False, soft_wrap=True
+            )
     console.print(f"Pictures in {shown(str(out))}/: {_files(reports)}", highlight=False, soft_wrap=True)
     console.print(f"Next: {shown(_next_command(content, out, reports))}", highlight=False, soft_wrap=True)
 

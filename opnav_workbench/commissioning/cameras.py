@@ -16,6 +16,7 @@ from opnav_workbench.kernels import KernelSet, instrument_ids, instrument_values
 __all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers", "camera_of_support_data", "with_rows"]
 
 SHOWN = 8  # instruments named in an error
+FEW = 3  # numbers of each
 POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
 MOST_CROSS_PX = 60.0
 
@@ -83,12 +84,25 @@ def camera_of_kernels(
         return _with_pointing(found[0])
     if not found:
         raise CameraError(f"no camera in these kernels: {'; '.join(refused[:3]) or 'no instrument'}")
-    named = ", ".join(f"{c.instrument_id} ({c.name}, {c.focal_length_mm:g} mm)" for c in found[:SHOWN])
-    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
     raise CameraError(
-        f"{len(found)} cameras in these kernels: {named}{more}; choose one by its number,"
+        f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
         f" --instrument {found[0].instrument_id} (filters and modes of a camera have numbers of their own)."
     )
+
+
+def _named(found: Sequence[Camera]) -> str:
+    """Name the cameras, each name once where there are several: what a mission has, not what its first camera has."""
+    groups: dict[str, list[Camera]] = {}
+    for camera in found:
+        groups.setdefault(camera.name, []).append(camera)
+    parts = [
+        f"{name} ({', '.join(str(c.instrument_id) for c in group[:FEW])}{' and more' if len(group) > FEW else ''})"
+        for name, group in groups.items()
+    ]
+    if len(groups) == 1:
+        parts = [f"{c.instrument_id} ({c.name}, {c.focal_length_mm:g} mm)" for c in found]
+    more = f" and {len(parts) - SHOWN} more" if len(parts) > SHOWN else ""
+    return ", ".join(parts[:SHOWN]) + more
 
 
 def _is_wanted(wanted: str, number: int, values: Any) -> bool:

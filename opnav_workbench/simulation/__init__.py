@@ -24,6 +24,8 @@ shows.
     Cards of a flight header: quantities, templates, world coordinates.
 ``flight_fits``
     FITS files that flight readers take for their own, with error and quality planes.
+``cautions``
+    What will spoil a picture, or was guessed to draw it: saturation, laws, nothing that solves it.
 ``output``
     A picture, its truth and its previews in files, and a report of them.
 ``scenario_file``

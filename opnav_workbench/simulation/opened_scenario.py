@@ -181,6 +181,7 @@ class OpenedScenario:
             dark_columns=dark_columns_of(self.mission, camera) if entry.level == "raw" else 0,
             seed=seed,
             header=self._header(picture),
+            without_law=self._without_law(picture),
         )
 
     def truth_settings(self, picture: ScenarioPicture) -> dict[str, Any]:
@@ -265,6 +266,11 @@ class OpenedScenario:
                 target = true_target(name, self.mission.spacecraft_id, et, self.scenario.perturbations)
                 models.append(surface.model(target, self.mission, camera, picture.entry.exposure_s))
         return tuple(models)
+
+    def _without_law(self, picture: ScenarioPicture) -> tuple[str, ...]:
+        """Return the bodies of a picture that are drawn by a law that nobody gave."""
+        given = {body.name.upper() for body in self.scenario.bodies if "law" in body.model_fields_set}
+        return tuple(n for n in self.targets(picture) if n.upper() not in given | self.surfaces.keys())
 
     def _body_track_px(
         self, name: str, picture: ScenarioPicture, camera: Camera, path: AttitudePath

@@ -21,6 +21,7 @@ from opnav_workbench.errors import MissionError
 from opnav_workbench.files import atomic_path
 from opnav_workbench.mission import Mission
 from opnav_workbench.render import RenderedBody
+from opnav_workbench.simulation.cautions import cautions
 from opnav_workbench.simulation.flight_fits import write_flight_fits
 from opnav_workbench.simulation.flight_header import FlightRecord, utc_text
 from opnav_workbench.simulation.picture import SimulatedPicture
@@ -113,6 +114,8 @@ class PictureReport:
         Of these.
     files
         The picture first.
+    cautions
+        What a person should know of the picture before it is used (`opnav_workbench.simulation.cautions`).
     """
 
     name: str
@@ -123,6 +126,7 @@ class PictureReport:
     brightest_mag: float | None
     bodies: tuple[BodyReport, ...]
     files: tuple[Path, ...]
+    cautions: tuple[str, ...] = ()
 
 
 def write_picture(
@@ -239,6 +243,7 @@ def _picture_report(picture: SimulatedPicture, truth: Truth, files: tuple[Path, 
         brightest_mag=float(np.min(picture.stars.mag[drawn])) if drawn.any() else None,
         bodies=tuple(_body_report(picture, body) for body in picture.rendering.bodies),
         files=files,
+        cautions=cautions(picture),
     )
 
 

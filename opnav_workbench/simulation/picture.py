@@ -69,6 +69,8 @@ class PictureInputs:
         Of this picture.
     header
         Further header cards.
+    without_law
+        Bodies whose scattering law nobody gave.
     """
 
     name: str
@@ -88,6 +90,7 @@ class PictureInputs:
     dark_columns: int = 0
     seed: int = 0
     header: Mapping[str, str | int | float] = field(default_factory=lambda: MappingProxyType({}))
+    without_law: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

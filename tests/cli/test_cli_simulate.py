@@ -46,6 +46,7 @@ def test_pictures_and_bodies_are_told_in_tables(file, tmp_path):
     assert "LORRI 4x4" in answer.output
     for word in ("first", "second", "PLUTO", "CHARON", "SNR", "diameter px", "first.fit", "first_linear.png"):
         assert word in answer.output
+    assert "first: CHARON is drawn by Lambert's law, as nobody says how it scatters light" in answer.output
     assert (tmp_path / "out" / "first.fit").is_file()
     assert (tmp_path / "out" / "second_log.png").is_file()
 

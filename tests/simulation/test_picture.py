@@ -15,6 +15,7 @@ from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.scene import Observer
 from opnav_workbench.simulation import ApparentPlaceEffects, DetectorEffects, PictureInputs, expose_picture
 from opnav_workbench.simulation.attitude_path import CameraMotion, moving_path
+from opnav_workbench.simulation.cautions import cautions
 from opnav_workbench.targets import TargetState
 
 ARCSEC = np.pi / 648000.0
@@ -260,3 +261,43 @@ def test_the_same_inputs_give_the_same_bits_and_another_seed_does_not(pinhole):
     assert first.image_dn.tobytes() == second.image_dn.tobytes()
     assert (first.image_dn != other.image_dn).mean() > 0.5
     assert first.noiseless_electrons.tobytes() == other.noiseless_electrons.tobytes()
+
+
+# ---- What a person should know of a picture before it is used.
+
+
+def told(pinhole, mags, flux_e=None, effects=NOISELESS, **values):
+    """Cautions of a picture with stars, and a disk of 40 px in a corner of its own, where that has light."""
+    body = BodyModel(ball(pinhole, [300.0, 800.0], 40.0), Lambert(), 0.5, flux_e=flux_e)
+    stars = stars_at(pinhole, PLACES[: len(mags)].reshape(-1, 2), mags)
+    bodies = () if flux_e is None else (body,)
+    return cautions(expose_picture(inputs(pinhole, stars, bodies=bodies, effects=effects, **values)))
+
+
+def test_a_picture_that_serves_is_not_warned_of(pinhole):
+    assert told(pinhole, [9.0, 9.5, 10.0, 10.0], 1e6, DetectorEffects()) == ()
+
+
+def test_saturation_is_told_with_the_exposure_that_would_not(pinhole):
+    """The brightest pixel decides: the exposure that is named leaves it just below the end of the converter."""
+    (said,) = told(pinhole, [9.0, 9.5, 10.0], 4e8, DetectorEffects())
+    assert "BALL is saturated in " in said
+    shorter = float(said.split("; ")[1].split(" s ")[0])
+    assert 0.0 < shorter < 1.0
+    assert told(pinhole, [9.0, 9.5, 10.0], 4e8 * 0.9 * shorter, DetectorEffects()) == ()
+    assert told(pinhole, [2.0, 9.5, 10.0], None, DetectorEffects()) == ("1 star is saturated",)
+
+
+def test_what_nothing_solves_is_told(pinhole):
+    assert told(pinhole, [16.0, 16.0, 16.0], None, DetectorEffects()) == (
+        "no star is bright enough to be found, and no body is on the detector: nothing solves this picture",
+    )
+    (said,) = told(pinhole, [9.0, 16.0], 1e6, DetectorEffects())
+    assert said.startswith(
+        "one star alone is bright enough to be found: no pointing will be solved, and BALL has places"
+    )
+
+
+def test_a_body_without_a_law_is_told(pinhole):
+    (said,) = told(pinhole, [9.0, 9.5, 10.0], 1e6, DetectorEffects(), without_law=("BALL",))
+    assert said.startswith("BALL is drawn by Lambert's law, as nobody says how it scatters light")
