@@ -269,8 +269,9 @@ class OpenedScenario:
 
     def _without_law(self, picture: ScenarioPicture) -> tuple[str, ...]:
         """Return the bodies of a picture that are drawn by a law that nobody gave."""
-        given = {body.name.upper() for body in self.scenario.bodies if "law" in body.model_fields_set}
-        return tuple(n for n in self.targets(picture) if n.upper() not in given | self.surfaces.keys())
+        bare = {body.name.upper() for body in self.scenario.bodies if "law" not in body.model_fields_set}
+        known = self.surfaces.keys() - bare
+        return tuple(name for name in self.targets(picture) if name.upper() not in known)
 
     def _body_track_px(
         self, name: str, picture: ScenarioPicture, camera: Camera, path: AttitudePath
