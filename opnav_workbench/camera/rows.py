@@ -149,7 +149,9 @@ class RowSweep:
     def _back(self, line: FloatArray) -> FloatArray:
         """Return ``camera(0) from camera(line's time)``."""
         turns = self.turns(line)
-        return np.swapaxes(turns, -1, -2) if self.toward is None else np.linalg.inv(turns)
+        return np.asarray(
+            np.swapaxes(turns, -1, -2) if self.toward is None else np.linalg.inv(turns), np.float64
+        )
 
     def _rates(self, line: FloatArray) -> FloatArray:
         """Change of `turns` from a line to the next one."""
