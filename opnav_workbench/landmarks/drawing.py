@@ -244,7 +244,7 @@ def _radiance(maplets: Maplets, scene: _Scene) -> FloatArray:
     laws = (scene.model.law, _other(scene.model.law))
     angles = (np.nan_to_num(cos_i), np.nan_to_num(cos_e), phase)
     shine = np.stack([law.reflectance(*angles) * maplets.albedo for law in laws], axis=1)
-    hidden, dark = _whole_body(maplets, scene)
+    hidden, dark = _whole_body(maplets, scene, to_camera, to_sun)
     heights = np.nan_to_num(maplets.heights_km)
     for row in range(len(maplets)):
         shine[row][:, dark[row] | _under_terrain(heights[row], maplets.scale_km[row], to_sun[row])] = 0.0
@@ -258,17 +258,34 @@ def _local(maplets: Maplets, place_km: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("nij,nj->ni", maplets.axes, unit(place_km - maplets.place_km)))
 
 
-def _whole_body(maplets: Maplets, scene: _Scene) -> tuple[BoolArray, BoolArray]:
-    """Tell which samples (n, m, m) the rest of the body hides, and which it shades."""
+def _whole_body(
+    maplets: Maplets, scene: _Scene, to_camera: FloatArray, to_sun: FloatArray
+) -> tuple[BoolArray, BoolArray]:
+    """Tell which samples (n, m, m) the rest of the body hides, and which it shades.
+
+    What a maplet covers it knows better than the body's coarser shape, whose boulders would cast second shadows there.
+    """
     shape = maplets.heights_km.shape
     if scene.whole is None:
         return np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     sparse = np.arange(0, shape[1] + SHADE_STRIDE - 1, SHADE_STRIDE).clip(max=shape[1] - 1)
     points = np.nan_to_num(maplets.points_km()[:, sparse][:, :, sparse])
-    found = scene.whole.hides_and_shades(points.reshape(-1, 3).T)
+    at = (sparse - 0.5 * (shape[1] - 1)) * maplets.scale_km[:, None]
+    free = [_within(at, maplets.half_width_km, toward).ravel() for toward in (to_camera, to_sun)]
+    found = scene.whole.hides_and_shades(points.reshape(-1, 3).T, *free)
     nearest = np.rint(np.arange(shape[1]) / SHADE_STRIDE).astype(np.int64).clip(max=len(sparse) - 1)
     hidden, dark = (f.reshape(points.shape[:3])[:, nearest][:, :, nearest] for f in found)
     return hidden, dark
+
+
+def _within(at_km: FloatArray, half_km: FloatArray, toward: FloatArray) -> FloatArray:
+    """Return how far (n, k, k) from samples at (n, k) along either side one is above the maplet, toward (n, 3)."""
+    out = np.full((*at_km.shape, at_km.shape[1]), 2.0 * np.sqrt(2.0) / FLAT_TANGENT * half_km.max(initial=0.0))
+    for axis, along in ((0, at_km[:, None, :]), (1, at_km[:, :, None])):
+        step = toward[:, axis, None, None]
+        edge = np.copysign(half_km[:, None, None], step) - along
+        out = np.minimum(out, edge / np.copysign(np.maximum(np.abs(step), FLAT_TANGENT), step))
+    return out
 
 
 def _under_terrain(heights: FloatArray, scale: float, toward: FloatArray) -> BoolArray:

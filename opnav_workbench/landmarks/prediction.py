@@ -202,13 +202,27 @@ class WholeBody:
             return None
         return cls(surface, camera_km, unit(sun_km), CLEARANCE * surface.bounding_km)
 
-    def hides_and_shades(self, points_km: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Tell which body-fixed points (3, n) are hidden from the camera, and which from the Sun."""
+    def hides_and_shades(
+        self,
+        points_km: FloatArray,
+        camera_free_km: FloatArray | float = 0.0,
+        sun_free_km: FloatArray | float = 0.0,
+    ) -> tuple[BoolArray, BoolArray]:
+        """Tell which body-fixed points (3, n) are hidden from the camera, and which from the Sun.
+
+        Parameters
+        ----------
+        camera_free_km, sun_free_km : (n,) arrays or float
+            How far from each point, toward camera and Sun, others know the terrain better than this surface does: nothing
+            there hides or shades.
+        """
         rays = points_km - self.camera_km[:, None]
         met = self.surface.first_hits(rays)
         hidden = np.zeros(points_km.shape[1], dtype=bool)
-        hidden[met.ray] = met.distance < 1.0 - self.lift_km / np.linalg.norm(rays[:, met.ray], axis=0)
-        return hidden, ~self.surface.sunlit(points_km + self.lift_km * self.to_sun[:, None])
+        free = np.broadcast_to(np.maximum(camera_free_km, self.lift_km), hidden.shape)
+        hidden[met.ray] = met.distance < 1.0 - free[met.ray] / np.linalg.norm(rays[:, met.ray], axis=0)
+        start = points_km + np.maximum(sun_free_km, self.lift_km) * self.to_sun[:, None]
+        return hidden, ~self.surface.sunlit(start)
 
 
 def predict_landmarks(
