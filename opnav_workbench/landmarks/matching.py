@@ -114,6 +114,7 @@ class PatchFit:
     weight: FloatArray
     operator: FloatArray
     noise_covariance_px2: FloatArray
+    halves: FloatArray | None = None
 
 
 def fit_patch(planes: PicturePlanes, templates: Templates, row: int, whole: IntArray) -> PatchFit | None:

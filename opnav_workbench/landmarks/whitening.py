@@ -35,6 +35,7 @@ __all__ = ["fitted_white", "shift_covariances"]
 GROUP = 40  # patches that share an autocorrelation: of 40,000 pixels
 AT_ONCE = 32  # patches: their planes stay in the cache
 GRADIENT_STEPS = 6  # preconditioned by the inverse of the spectrum: what is left are the edges
+DESIGNS, DESIGN_TOLERANCE_PX = 5, 0.01
 MOST_STEPS = 8  # of the fit, about the design of its start
 SURROUNDINGS_PX, LEAST_NEAR = 2.0, 0.05
 AROUND = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # px
@@ -140,11 +141,30 @@ def fitted_white(
         white = Whitening.of([fits[row] for row in group])
         for begin in range(0, len(group), AT_ONCE):
             part = group[begin : begin + AT_ONCE]
-            patches = [_Patch(planes, templates, row, fits[row]) for row in part]  # type: ignore[arg-type]
-            designs = np.array([patch.design() for patch in patches])
-            weighed = white.solved(designs, np.array([patch.used for patch in patches]))
-            for row, patch, design, by_weight in zip(part, patches, designs, weighed, strict=True):
-                out[row] = patch.fitted(design, by_weight)
+            for row, fit in zip(part, _fitted_part(planes, templates, part, fits, white), strict=True):
+                out[row] = fit
+    return out
+
+
+def _fitted_part(
+    planes: PicturePlanes,
+    templates: Templates,
+    rows: Sequence[int],
+    fits: Sequence[PatchFit | None],
+    white: Whitening,
+) -> list[PatchFit | None]:
+    """Return the fits of some rows, with weights made anew where the last fit led: those of the start pull toward it."""
+    patches = [_Patch(planes, templates, row, fits[row]) for row in rows]  # type: ignore[arg-type]
+    out: list[PatchFit | None] = [None] * len(rows)
+    open_ = list(range(len(rows)))
+    for _ in range(DESIGNS):
+        designs = np.array([patches[k].design() for k in open_])
+        weighed = white.solved(designs, np.array([patches[k].used for k in open_]))
+        for k, design, by_weight in zip(open_, designs, weighed, strict=True):
+            out[k] = patches[k].fitted(design, by_weight)
+        open_ = [k for k in open_ if out[k] is not None and patches[k].moved_px > DESIGN_TOLERANCE_PX]
+        if not open_:
+            break
     return out
 
 
@@ -159,7 +179,7 @@ class _Patch:
         self.used = good & templates.covered[row]
         self.sigma = np.sqrt(self.variance + _beyond_noise(first, self.variance))
         self.data = np.where(self.used, data / self.sigma, 0.0)
-        self.gain = first.gain
+        self.gain, self.moved_px = first.gain, np.inf
         self.slow = slow_columns(templates.size) / self.sigma
 
     def light(self, shift: FloatArray) -> FloatArray:
@@ -194,11 +214,24 @@ class _Patch:
             if np.abs(shift).max() > MOST_FIT_SHIFT_PX:
                 return None
             if np.abs(step[:2]).max() < STEP_TOLERANCE_PX:
-                return self._result(shift, light, operator[:2], width, design[-1])
+                self.moved_px = float(np.abs(shift - self.shift).max())
+                self.shift, self.gain = shift, float(light[0])
+                halves = self._halves(design, by_weight)
+                return self._result(shift, light, operator[:2], width, design[-1], halves)
         return None
 
+    def _halves(self, design: FloatArray, by_weight: FloatArray) -> FloatArray:
+        """Return what differences of the shifts of a patch's halves are made of (k, 2, size, size)."""
+        out = []
+        for inside in _halved(self.used):
+            parts = [_operator(design[:-1], by_weight[:-1] * half) for half in (inside, self.used & ~inside)]
+            if parts[0] is not None and parts[1] is not None:
+                out.append((parts[0] - parts[1])[:2])
+        return np.array(out).reshape(-1, 2, *self.used.shape)
+
     def _result(
-        self, shift: FloatArray, light: FloatArray, operator: FloatArray, width: FloatArray, wider: FloatArray
+        self, shift: FloatArray, light: FloatArray, operator: FloatArray, width: FloatArray, wider: FloatArray,
+        halves: FloatArray,
     ) -> PatchFit:
         model = np.tensordot(light, self.light(shift), axes=1)
         residual = np.where(self.used, self.data - model, 0.0)
@@ -214,7 +247,29 @@ class _Patch:
             inside.astype(np.float64),
             operator.reshape(2, *inside.shape),
             by_noise @ operator.T,
+            halves,
         )
+
+
+def _operator(design: FloatArray, by_weight: FloatArray) -> FloatArray | None:
+    """Return the planes (k, size, size) that read unknowns off residuals; None where the pixels do not tell them."""
+    weights = by_weight.reshape(len(by_weight), -1)
+    normal = weights @ design.reshape(len(design), -1).T
+    try:
+        return np.asarray(np.linalg.solve(normal, weights)).reshape(design.shape)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _halved(used: BoolArray) -> list[BoolArray]:
+    """Return the pixels in use on one side of their middle, along lines and along pixels."""
+    out = []
+    for axis in (0, 1):
+        count = np.cumsum(used.sum(axis=1 - axis))
+        edge = int(np.searchsorted(count, 0.5 * count[-1]))
+        side = np.arange(len(count)) <= edge
+        out.append(used & (side[:, None] if axis == 0 else side[None, :]))
+    return out
 
 
 def shift_covariances(fits: Sequence[PatchFit | None]) -> FloatArray:
