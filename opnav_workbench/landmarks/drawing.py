@@ -280,7 +280,9 @@ def _whole_body(
 
 def _within(at_km: FloatArray, half_km: FloatArray, toward: FloatArray) -> FloatArray:
     """Return how far (n, k, k) from samples at (n, k) along either side one is above the maplet, toward (n, 3)."""
-    out = np.full((*at_km.shape, at_km.shape[1]), 2.0 * np.sqrt(2.0) / FLAT_TANGENT * half_km.max(initial=0.0))
+    out = np.full(
+        (*at_km.shape, at_km.shape[1]), 2.0 * np.sqrt(2.0) / FLAT_TANGENT * half_km.max(initial=0.0)
+    )
     for axis, along in ((0, at_km[:, None, :]), (1, at_km[:, :, None])):
         step = toward[:, axis, None, None]
         edge = np.copysign(half_km[:, None, None], step) - along

@@ -16,8 +16,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy import fft, ndimage
+from scipy.special import digamma, polygamma
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, symmetric
 from opnav_workbench.landmarks.drawing import Templates
 from opnav_workbench.landmarks.matching import (
     LAGS,
@@ -39,6 +40,11 @@ DESIGNS, DESIGN_TOLERANCE_PX = 5, 0.01
 MOST_STEPS = 8  # of the fit, about the design of its start
 SURROUNDINGS_PX, LEAST_NEAR = 2.0, 0.05
 AROUND = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # px
+FEWEST_TOLD, FEW_WORTH = (
+    10,
+    8.0,
+)  # patches that tell how they differ; fewer: as patches of an exam do, in counts
+MOST_WORTH = 200.0  # counts of what all patches have in common: more change nothing
 FLOOR = (
     0.02  # of the mean of the spectrum: white noise, and what an autocorrelation of few pixels does not know
 )
@@ -230,7 +236,12 @@ class _Patch:
         return np.array(out).reshape(-1, 2, *self.used.shape)
 
     def _result(
-        self, shift: FloatArray, light: FloatArray, operator: FloatArray, width: FloatArray, wider: FloatArray,
+        self,
+        shift: FloatArray,
+        light: FloatArray,
+        operator: FloatArray,
+        width: FloatArray,
+        wider: FloatArray,
         halves: FloatArray,
     ) -> PatchFit:
         model = np.tensordot(light, self.light(shift), axes=1)
@@ -275,16 +286,68 @@ def _halved(used: BoolArray) -> list[BoolArray]:
 def shift_covariances(fits: Sequence[PatchFit | None]) -> FloatArray:
     """Return covariances (n, 2, 2) px^2 of shifts under correlated residuals, at least by the noise; nan without a fit."""
     out = np.full((len(fits), 2, 2), np.nan)
+    rows: list[int] = []
+    apart: list[FloatArray] = []
     for group in by_grain(fits):
-        white = Whitening.of([fits[row] for row in group])
-        for row in group:
-            fit = fits[row]
-            assert fit is not None
-            freedom = max(int((fit.weight > 0.0).sum()) - 6, 1)
-            variance = float(np.sum(fit.residual**2)) / freedom
-            by_model = variance * np.einsum("iyx,jyx->ij", fit.operator, white.spread(fit.operator))
-            out[row] = _larger(0.5 * (by_model + by_model.T), fit.noise_covariance_px2)
+        these = [fit for fit in (fits[row] for row in group) if fit is not None]
+        white = Whitening.of(these)
+        out[group] = [_carried(fit, fit.operator, white) for fit in these]
+        apart += [_disagreement(fit, white) for fit in these]
+        rows += group
+    for row, scale in zip(rows, _scales(apart), strict=True):
+        fit = fits[row]
+        assert fit is not None
+        out[row] = _larger(scale * out[row], fit.noise_covariance_px2)
     return out
+
+
+def _carried(fit: PatchFit, planes: FloatArray, white: Whitening) -> FloatArray:
+    """Return the covariance (2, 2) of what planes (2, size, size) read off a patch's residuals."""
+    freedom = max(int((fit.weight > 0.0).sum()) - 6, 1)
+    variance = float(np.sum(fit.residual**2)) / freedom
+    return symmetric(variance * np.einsum("iyx,jyx->ij", planes, white.spread(planes)))
+
+
+def _disagreement(fit: PatchFit, white: Whitening) -> FloatArray:
+    """Return squares, each of two degrees of freedom, of how far a patch's halves are from one another."""
+    out = []
+    for planes in () if fit.halves is None else fit.halves:
+        apart = np.einsum("iyx,yx->i", planes, fit.residual)
+        out.append(float(apart @ np.linalg.solve(_carried(fit, planes, white), apart)))
+    return np.array(out)
+
+
+def _scales(apart: Sequence[FloatArray]) -> FloatArray:
+    """Return factors of the covariances (n,), by what the halves of all patches say, and those of each.
+
+    Covariances are made of what errors are in the mean of many patches; where an edge of a shadow or a pattern that no map has
+    lies in one, its halves tell. Variances of patches are drawn from a scaled inverse chi-squared distribution whose size
+    and width come from the moments of the logarithms (Smyth 2004, doi:10.2202/1544-6115.1027, section 6.2).
+    """
+    freedom = np.array([2.0 * len(one) for one in apart])
+    ratio = np.array([one.mean() / 2.0 if len(one) else 1.0 for one in apart])
+    told = (freedom > 0.0) & (ratio > 0.0)
+    typical, worth = 1.0, FEW_WORTH
+    if told.sum() >= FEWEST_TOLD:
+        half = 0.5 * freedom[told]
+        log = np.log(ratio[told]) - digamma(half) + np.log(half)
+        spread = float(np.var(log, ddof=1) - np.mean(polygamma(1, half)))
+        worth = 2.0 * _inverse_trigamma(max(spread, polygamma(1, 0.5 * MOST_WORTH)))
+        typical = float(np.exp(log.mean() + digamma(0.5 * worth) - np.log(0.5 * worth)))
+    # The mean of the variance, not its most probable value: errors over sigmas then have unit variance.
+    return np.asarray((worth * typical + freedom * ratio) / np.maximum(worth + freedom - 2.0, 1.0))
+
+
+def _inverse_trigamma(value: float) -> float:
+    """Return x with trigamma(x) = value, by Newton's steps on 1 / trigamma, which is nearly a line."""
+    x = 0.5 + 1.0 / value
+    for _ in range(50):
+        now = float(polygamma(1, x))
+        step = now * (1.0 - now / value) / float(polygamma(2, x))
+        x += step
+        if -step < 1e-8 * x:
+            break
+    return x
 
 
 def _larger(a: FloatArray, b: FloatArray) -> FloatArray:
