@@ -321,8 +321,8 @@ def _scales(apart: Sequence[FloatArray]) -> FloatArray:
     """Return factors of the covariances (n,), by what the halves of all patches say, and those of each.
 
     Covariances are made of what errors are in the mean of many patches; where an edge of a shadow or a pattern that no map
-    has lies in one, its halves tell. Variances of patches are drawn from a scaled inverse chi-squared distribution whose size
-    and width come from the moments of the logarithms (Smyth 2004, doi:10.2202/1544-6115.1027, section 6.2).
+    has lies in one, its halves tell. Variances of patches are drawn from a scaled inverse chi-squared distribution whose
+    size and width come from the moments of the logarithms (Smyth 2004, doi:10.2202/1544-6115.1027, section 6.2).
     """
     freedom = np.array([2.0 * len(one) for one in apart])
     ratio = np.array([one.mean() / 2.0 if len(one) else 1.0 for one in apart])
