@@ -13,7 +13,16 @@ __all__ = ["FORMAT_KEY", "PRESENT_VERSION", "PROMISE", "as_of_today", "stamped",
 
 FORMAT_KEY = "format_version"
 PRESENT_VERSION: Mapping[str, int] = MappingProxyType(
-    {"result": 1, "session": 1, "status": 1, "observables": 1, "maplets": 1, "effective_psf": 1, "yaml": 1}
+    {
+        "result": 1,
+        "session": 1,
+        "status": 1,
+        "observables": 1,
+        "body": 1,
+        "maplets": 1,
+        "effective_psf": 1,
+        "yaml": 1,
+    }
 )
 _COMMON = (
     "Within one format_version fields may be added, and nothing else: none is removed or renamed, none gets another "

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.camera_file import CameraFile
 from opnav_workbench.catalog.user_files import StarList, read_star_list
-from opnav_workbench.contracts.layouts import ObservablesFile, ResultFile, SessionFile, StatusFile
+from opnav_workbench.contracts.layouts import BodyFile, ObservablesFile, ResultFile, SessionFile, StatusFile
 from opnav_workbench.errors import CameraError, CatalogError, MissionError, OpNavError, SessionError
 from opnav_workbench.headless.night_spec import NightSpec, load_night
 from opnav_workbench.kernels.making.scenario import Scenario, load_scenario
@@ -91,6 +91,7 @@ _ALL = (
     Kind("session", "session", SessionFile, version="session"),
     Kind("status", "status of a night", StatusFile, version="status"),
     Kind("observables", "observables", ObservablesFile, version="observables"),
+    Kind("body", "body of a sequence", BodyFile, version="body"),
 )
 KINDS: Mapping[str, Kind] = {kind.name: kind for kind in _ALL}
 

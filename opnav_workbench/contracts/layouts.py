@@ -1,4 +1,4 @@
-"""The layouts of the JSON files that the program writes: result, session, a night's status, observables.
+"""The layouts of the JSON files that the program writes: result, session, a night's status, observables, a body.
 
 A file may hold more than its layout names: within a version fields may be added (`opnav_workbench.format_versions`).
 Residuals are observed minus computed; null stands for what is not known.
@@ -21,6 +21,7 @@ from opnav_workbench.session.inputs import AttitudeOrigin, AttitudeSource
 from opnav_workbench.session.settings import Settings
 
 __all__ = [
+    "BodyFile",
     "ObservablesFile",
     "ResultFile",
     "SessionFile",
@@ -62,6 +63,17 @@ def _sound_covariance(matrix: list[list[float | None]]) -> list[list[float | Non
         raise ValueError("a covariance is symmetric")
     if has_negative_variance(values):
         raise ValueError("a covariance has no negative variance along any direction")
+    return matrix
+
+
+def _sound_scaled_covariance(matrix: list[list[float]]) -> list[list[float]]:
+    """Check a covariance of quantities with units of their own: by its correlations."""
+    values = np.array(matrix, dtype=float)
+    variance = np.diag(values)
+    if (variance < 0.0).any():
+        raise ValueError("a covariance has no negative variance")
+    sigma = np.sqrt(np.maximum(variance, 1e-300))
+    _sound_covariance((values / np.outer(sigma, sigma)).tolist())
     return matrix
 
 
@@ -560,3 +572,95 @@ class ObservablesFile(Layout):
     origins: list[OriginEntry] = Field(description="How they came about.")
     fields: dict[str, dict[str, Any]] = Field(description="Unit, shape and meaning of every field.")
     observables: list[ObservableEntry] = Field(description="One a body, method and picture.")  # type: ignore[valid-type]
+
+
+# ---- BODY.json of a sequence
+
+
+Row20 = Annotated[list[float], Field(min_length=20, max_length=20)]
+Covariance20 = Annotated[
+    list[Row20], Field(min_length=20, max_length=20), AfterValidator(_sound_scaled_covariance)
+]
+Sigma = Annotated[float, Field(gt=0.0)]
+Sigmas2 = Annotated[list[Sigma], Field(min_length=2, max_length=2)]
+Sigmas3 = Annotated[list[Sigma], Field(min_length=3, max_length=3)]
+Sizes3 = Sigmas3
+SHARED = (
+    "position, velocity, radii (logarithms), pole, meridian, spin, center of figure, limb, map (logarithms)"
+)
+
+
+class BodyImage(Layout):
+    """A picture's attitude, solved with the body."""
+
+    image: str = Field(min_length=1, description="Name of the picture.")
+    attitude_correction_rad: Triple = Field(
+        description="Small rotation about the camera frame's axes, solved after before; rad."
+    )
+    attitude_covariance_rad2: Covariance3 = Field(description="Of it; rad^2.")
+
+
+class BodyResidual(Layout):
+    """What remains of an outline or of a landmark."""
+
+    image: str = Field(min_length=1, description="Name of the picture.")
+    kind: str = Field(min_length=1, description="outline, or the landmark's name.")
+    residual_px: list[float] = Field(description="Observed minus computed; pixels.")
+    sigmas: Annotated[float, Field(ge=0.0)] | None = Field(
+        description="Its size, as the sigma of equal probability."
+    )
+    used: bool = Field(description="Whether it took part.")
+    reason: str = Field(description="Why not.")
+
+
+class LeftOut(Layout):
+    """A picture that tells nothing of the body."""
+
+    image: str = Field(min_length=1, description="Name of the picture.")
+    reason: str = Field(min_length=1, description="Why.")
+
+
+class BodyFile(Layout):
+    """A body's size, axes, pole, spin and center of figure, as a sequence of pictures tells them."""
+
+    format_version: Literal[1] = Field(description="Version of this layout.")
+    version: str = Field(description="Of opnav_workbench.")
+    body: str = Field(min_length=1, description="SPICE name.")
+    body_id: int = Field(description="SPICE id.")
+    epoch_et: float = Field(description="Of state and prime meridian, TDB seconds past J2000.")
+    radii_km: Sizes3 = Field(description="Semi-axes; km.")
+    radii_sigma_km: Sigmas3 = Field(description="1 sigma of each; km.")
+    a_priori_radii_km: Sizes3 = Field(description="As believed before; km.")
+    pole_ra_deg: float = Field(description="Right ascension of the pole, J2000; deg.")
+    pole_dec_deg: float = Field(ge=-90.0, le=90.0, description="Declination of the pole; deg.")
+    pole_sigma_deg: Sigmas2 = Field(description="1 sigma toward east and north; deg.")
+    prime_meridian_deg: float = Field(description="As in the PCK; deg.")
+    phase_sigma_deg: Sigma = Field(description="1 sigma of the rotation's phase at the epoch; deg.")
+    spin_rate_rad_s: float = Field(description="rad/s.")
+    spin_sigma_rad_s: Sigma = Field(description="1 sigma; rad/s.")
+    center_of_figure_km: Triple = Field(description="From the center of mass, body-fixed; km.")
+    center_of_figure_sigma_km: Sigmas3 = Field(description="1 sigma; km.")
+    state_correction: Annotated[list[float], Field(min_length=6, max_length=6)] = Field(
+        description="Of the body relative to the spacecraft, J2000, true minus believed; km, km/s."
+    )
+    covariance: Covariance20 = Field(description=f"Of what all pictures share: {SHARED}.")
+    a_priori_covariance: Covariance20 = Field(description="The same before.")
+    images: list[BodyImage] = Field(description="Pictures in use.")
+    residuals: list[BodyResidual] = Field(description="What remains.")
+    excess_px: float = Field(ge=0.0, description="Scatter of outlines beyond what they state; pixels.")
+    chi2: float = Field(ge=0.0, description="Of measurements and a priori knowledge together.")
+    degrees_of_freedom: int = Field(ge=0, description="Of chi2.")
+    converged: bool = Field(description="Whether the steps came to an end.")
+    observability: list[str] = Field(description="What the pictures tell and what they do not.")
+    messages: list[str] = Field(description="What must be known of the whole.")
+    left_out: list[LeftOut] = Field(description="Pictures that tell nothing.")
+
+    @model_validator(mode="after")
+    def _agrees(self) -> "BodyFile":
+        """Hold sigmas against the covariance that they are taken from."""
+        of_radii = [
+            self.covariance[k][k] ** 0.5 * size for k, size in zip(range(6, 9), self.radii_km, strict=True)
+        ]
+        if not np.allclose(of_radii, self.radii_sigma_km, rtol=1e-6):
+            raise ValueError("radii_sigma_km is not that of the covariance")
+        return self

@@ -24,6 +24,7 @@ from opnav_workbench.estimation.body import (
     solve_body_from_pictures,
 )
 from opnav_workbench.files import make_folder, write_json, write_text
+from opnav_workbench.format_versions import stamped
 from opnav_workbench.kernels import (
     KernelSet,
     body_attitude,
@@ -229,7 +230,7 @@ def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, Path, Pa
     write_text(
         lines, yaml.safe_dump({"target_surfaces": {found.body: {"size_sigma": size, "axes_sigma": axes}}})
     )
-    write_json(report, body_json(found))
+    write_json(report, stamped("body", body_json(found)))
     return pck, lines, report
 
 

@@ -9,6 +9,7 @@ import yaml
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
+from opnav_workbench.contracts.layouts import BodyFile
 from opnav_workbench.mission import MissionFile, load_mission
 
 WIDE = {"COLUMNS": "160", "NO_COLOR": "1", "TERM": "dumb"}
@@ -48,7 +49,13 @@ def test_a_body_is_solved_from_files_and_written_as_pck(pictures, tmp_path):
     assert answer.exit_code == 0, answer.output
     assert "radius a, km" in answer.output
     assert "the spin rate is not observed" in answer.output
+    answer = invoke("check", out / "PLUTO.json")
+    assert answer.exit_code == 0, answer.output
+    assert "body of a sequence, sound" in answer.output
     content = json.loads((out / "PLUTO.json").read_text())
+    assert not BodyFile.model_validate_json(json.dumps(content)).model_extra, (
+        "describe it in contracts.layouts"
+    )
     radii, sigma = np.array(content["radii_km"]), np.array(content["radii_sigma_km"])
     assert np.all(np.abs(radii - 1188.3) < 3.0 * sigma)
     assert np.all(sigma < 0.02 * 1188.3)

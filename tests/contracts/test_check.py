@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -222,6 +223,50 @@ def test_values_that_contradict_each_other(result, tmp_path, place, value, words
     assert re.search(words, fault)
 
 
+@pytest.fixture
+def body():
+    sigma = np.full(20, 1e-3)
+    sigma[3:6] = 1e-9
+    covariance = np.diag(sigma**2).tolist()
+    three, small = [0.28, 0.27, 0.25], [2.8e-4, 2.7e-4, 2.5e-4]
+    return {
+        "format_version": 1, "version": "0.1.0", "body": "BENNU", "body_id": 2101955, "epoch_et": 6e8, "radii_km": three,
+        "radii_sigma_km": small, "a_priori_radii_km": three, "pole_ra_deg": 85.0, "pole_dec_deg": -60.0,
+        "pole_sigma_deg": [0.1, 0.1], "prime_meridian_deg": 140.0, "phase_sigma_deg": 0.1, "spin_rate_rad_s": 4e-4,
+        "spin_sigma_rad_s": 1e-9, "center_of_figure_km": [0.0, 0.0, 0.0], "center_of_figure_sigma_km": small,
+        "state_correction": [0.1] * 6, "covariance": covariance, "a_priori_covariance": covariance,
+        "images": [{"image": "a", "attitude_correction_rad": [0.0, 0.0, 0.0],
+                    "attitude_covariance_rad2": np.diag([1e-12] * 3).tolist()}],
+        "residuals": [{"image": "a", "kind": "outline", "residual_px": [0.1] * 5, "sigmas": 0.4, "used": True,
+                       "reason": ""}],
+        "excess_px": 0.0, "chi2": 4.0, "degrees_of_freedom": 5, "converged": True, "observability": [], "messages": [],
+        "left_out": [],
+    }  # fmt: skip
+
+
+def test_sound_body(body, tmp_path):
+    assert checked(tmp_path, "BENNU.json", body) == ()
+    assert refusals(KINDS["body"], body) == []
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "words"),
+    [
+        (("pole_dec_deg",), 95.0, r"^pole_dec_deg: "),
+        (("radii_km",), [0.28, 0.27], r"^radii_km: "),
+        (("radii_sigma_km", 1), 3e-4, r"radii_sigma_km is not that of the covariance"),
+        (("covariance", 4, 4), -1e-18, r"^covariance: .*negative variance"),
+        # Of velocities, whose variances are far below those of positions.
+        (("covariance", 4, 5), 5e-18, r"^covariance: .*symmetric"),
+        (("images", 0, "attitude_correction_rad"), None, r"^images\.0\.attitude_correction_rad: "),
+        (("left_out",), [{"image": "b"}], r"^left_out\.0\.reason: "),
+    ],
+)
+def test_faults_of_a_body(body, tmp_path, place, value, words):
+    (fault,) = checked(tmp_path, "BENNU.json", changed(body, place, value))
+    assert re.search(words, fault)
+
+
 def test_every_fault_has_a_line(result, tmp_path):
     content = changed(changed(result, ("et",), "x"), ("stars", 0, "snr"), "x")
     assert len(checked(tmp_path, "result.json", content)) == 2
@@ -302,7 +347,7 @@ def test_command_writes_the_schemas(tmp_path):
 
 def test_every_field_is_described():
     """Of the files that the program writes, in the schema itself."""
-    for name in ("result", "session", "status", "observables"):
+    for name in ("result", "session", "status", "observables", "body"):
         schema = schema_of(KINDS[name])
         for part in [schema, *schema.get("$defs", {}).values()]:
             silent = [f for f, s in part.get("properties", {}).items() if not s.get("description")]
