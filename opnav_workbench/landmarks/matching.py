@@ -105,6 +105,8 @@ class PatchFit:
         d(shift) / d(residual).
     noise_covariance_px2 : (2, 2) array
         By the picture's noise alone.
+    halves : (k, 2, size, size) array or None
+        d(shift of one half of the patch - shift of the other) / d(residual), for k ways to halve it.
     """
 
     shift_px: FloatArray

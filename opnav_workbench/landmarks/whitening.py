@@ -13,6 +13,7 @@ Units  px, DN
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import fft, ndimage
@@ -162,16 +163,19 @@ def _fitted_part(
     """Return the fits of some rows, with weights made anew where the last fit led: those of the start pull toward it."""
     patches = [_Patch(planes, templates, row, fits[row]) for row in rows]  # type: ignore[arg-type]
     out: list[PatchFit | None] = [None] * len(rows)
-    open_ = list(range(len(rows)))
+    open_, last = list(range(len(rows))), dict[int, tuple[FloatArray, FloatArray]]()
     for _ in range(DESIGNS):
         designs = np.array([patches[k].design() for k in open_])
         weighed = white.solved(designs, np.array([patches[k].used for k in open_]))
-        for k, design, by_weight in zip(open_, designs, weighed, strict=True):
-            out[k] = patches[k].fitted(design, by_weight)
+        last |= {k: (design, by_weight) for k, design, by_weight in zip(open_, designs, weighed, strict=True)}
+        for k in open_:
+            out[k] = patches[k].fitted(*last[k])
         open_ = [k for k in open_ if out[k] is not None and patches[k].moved_px > DESIGN_TOLERANCE_PX]
         if not open_:
             break
-    return out
+    return [
+        None if fit is None else replace(fit, halves=patches[k].halves(*last[k])) for k, fit in enumerate(out)
+    ]
 
 
 class _Patch:
@@ -194,7 +198,7 @@ class _Patch:
         return np.concatenate([template[None], self.slow])
 
     def design(self) -> FloatArray:
-        """Return what shift, light and a wider PSF do (7, size, size), at the first fit."""
+        """Return what shift, light and a wider PSF do (7, size, size), where the fit is."""
         template, by_pixel, by_line = self.templates.at(self.row, self.shift)
         around = sum(self.templates.at(self.row, self.shift + step)[0] for step in AROUND)
         moved = np.stack([self.gain * by_pixel, self.gain * by_line]) / self.sigma
@@ -202,7 +206,7 @@ class _Patch:
         return np.where(self.used, np.concatenate([moved, self.light(self.shift), wider[None]]), 0.0)
 
     def fitted(self, design: FloatArray, by_weight: FloatArray) -> PatchFit | None:
-        """Return the fit with the operator of the first design."""
+        """Return the fit with the operator of one design; where it ends the next begins."""
         flat, weights = design.reshape(len(design), -1), by_weight.reshape(len(design), -1)
         normal = weights @ flat.T
         try:
@@ -222,11 +226,10 @@ class _Patch:
             if np.abs(step[:2]).max() < STEP_TOLERANCE_PX:
                 self.moved_px = float(np.abs(shift - self.shift).max())
                 self.shift, self.gain = shift, float(light[0])
-                halves = self._halves(design, by_weight)
-                return self._result(shift, light, operator[:2], width, design[-1], halves)
+                return self._result(shift, light, operator[:2], width, design[-1])
         return None
 
-    def _halves(self, design: FloatArray, by_weight: FloatArray) -> FloatArray:
+    def halves(self, design: FloatArray, by_weight: FloatArray) -> FloatArray:
         """Return what differences of the shifts of a patch's halves are made of (k, 2, size, size)."""
         out = []
         for inside in _halved(self.used):
@@ -236,13 +239,7 @@ class _Patch:
         return np.array(out).reshape(-1, 2, *self.used.shape)
 
     def _result(
-        self,
-        shift: FloatArray,
-        light: FloatArray,
-        operator: FloatArray,
-        width: FloatArray,
-        wider: FloatArray,
-        halves: FloatArray,
+        self, shift: FloatArray, light: FloatArray, operator: FloatArray, width: FloatArray, wider: FloatArray
     ) -> PatchFit:
         model = np.tensordot(light, self.light(shift), axes=1)
         residual = np.where(self.used, self.data - model, 0.0)
@@ -258,7 +255,6 @@ class _Patch:
             inside.astype(np.float64),
             operator.reshape(2, *inside.shape),
             by_noise @ operator.T,
-            halves,
         )
 
 
@@ -313,7 +309,7 @@ def _disagreement(fit: PatchFit, white: Whitening) -> FloatArray:
     out = []
     for planes in () if fit.halves is None else fit.halves:
         apart = np.einsum("iyx,yx->i", planes, fit.residual)
-        out.append(float(apart @ np.linalg.solve(_carried(fit, planes, white), apart)))
+        out.append(float(apart @ np.linalg.pinv(_carried(fit, planes, white), hermitian=True) @ apart))
     return np.array(out)
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from bumpy import Bumpy
 from scipy import ndimage
+from sun_table import SunTable
 
 from opnav_workbench.bodies import BodyPicture
 from opnav_workbench.camera import Camera
@@ -147,7 +148,7 @@ def main():
         else __import__("opnav_workbench.render", fromlist=["Lambert"]).Lambert()
     )
     sets = {}
-    rows = []
+    rows, table = [], SunTable()
     for number in range(arguments.pictures):
         light, place, sun, turn = truth_picture(number, camera, body, arguments.cache)
         ratio = RATIOS[number % len(RATIOS)]
@@ -163,6 +164,9 @@ def main():
         picture = believed_picture(light, place, sun, turn, camera, shape, law, number)
         found, error, seconds = score(picture, place, turn, sets[ratio], camera)
         ok = found.accepted
+        row_of = {name: i for i, name in enumerate(sets[ratio].id.tolist())}
+        up = sets[ratio].axes[[row_of[name] for name in found.centers.id.tolist()], 2]
+        table.add(found.centers, up, sun, error, ok & (found.centers.emission_deg <= 60.0))
         sigma = np.sqrt(np.diagonal(found.covariance_px2, axis1=1, axis2=2))
         ratios = error[ok] / sigma[ok]
         rows.append((error[ok], ratios, found.centers.emission_deg[ok], found.centers.incidence_deg[ok]))
@@ -188,6 +192,8 @@ def main():
         f"median {np.median(np.hypot(*e.T)):.3f} px, error/sigma {np.sqrt((q**2).mean()):.2f}, "
         f"false (above 1 px or 6 sigma) {100 * np.mean(false | (np.abs(q).max(axis=1) > 6)):.2f} %"
     )
+    for line in table.lines():
+        say(line)
 
 
 def near_camera():

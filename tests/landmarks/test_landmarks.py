@@ -27,9 +27,10 @@ from opnav_workbench.landmarks import (
     posed,
     predict_landmarks,
 )
-from opnav_workbench.landmarks.prediction import landmark_places
+from opnav_workbench.landmarks.drawing import draw_templates
+from opnav_workbench.landmarks.prediction import WholeBody, landmark_places
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.render import AlbedoMap, BodyModel, Lambert, LommelSeeliger
+from opnav_workbench.render import AlbedoMap, BodyModel, Lambert, LommelSeeliger, ShapeModel
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.stars import NoiseModel
 from opnav_workbench.targets import TargetState
@@ -204,6 +205,43 @@ def test_far_and_dark_sides_are_not_searched(scene):
     assert not told.usable[to_camera < 0.0].any()
     assert 0.15 < told.usable.mean() < 0.45
     assert {"turned away", "on the night side"} <= set(told.reason.tolist())
+
+
+# ---- What hides and shades
+
+
+def test_a_coarse_shape_casts_no_second_shadow_where_a_maplet_knows_the_terrain():
+    """A body whose shape bears a hill within a maplet that the maplet does not have, or has elsewhere."""
+    ball = ellipsoid_shape([0.25] * 3, 0.012)
+    maplets = make_maplets("BENNU", ball, 0.3, samples=25, scale_km=0.004)
+    camera = camera_of(64)
+    row = int(np.argmax(maplets.place_km @ [0.8, 0.5, 0.33]))
+    maplets, up = maplets.take([row]), maplets.axes[row, 2]
+    toward, sun = up + 0.3 * maplets.axes[0, 0], up + 1.2 * maplets.axes[0, 1]
+    toward, sun = toward / np.linalg.norm(toward), sun / np.linalg.norm(sun)
+    first = np.cross([0.0, 0.0, 1.0], -toward) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], -toward))
+    turn = camera.focal_from_camera.T @ np.stack([first, np.cross(-toward, first), -toward])
+    target = TargetState(
+        "BENNU", -toward * 0.0025 / camera.pixel_scale_rad, radii_km=np.full(3, 0.25), body_from_j2000=np.eye(3),
+        sun_position_km=1.6e8 * sun,
+    )  # fmt: skip
+
+    def drawn(hill_km, beside, wide_km=0.014):
+        away = np.linalg.norm(ball.vertices_km - maplets.place_km[0] - beside * maplets.axes[0, 1], axis=1)
+        grown = ball.vertices_km * (1.0 + hill_km / 0.25 * np.exp(-0.5 * (away / wide_km) ** 2))[:, None]
+        model = BodyModel(target, Lambert(), 1.0, ShapeModel(grown, ball.plates))
+        psf = GaussianPsf(PSF_PX, PSF_PX)
+        return draw_templates(maplets, model, WholeBody.of(model), camera, turn, np.zeros(3), psf, 31)
+
+    plain, hill = drawn(0.0, 0.0), drawn(0.03, 0.0)
+    assert plain.covered.mean() > 0.8
+    assert np.array_equal(hill.covered, plain.covered)
+    light = [templates.at(0, np.zeros(2))[0] for templates in (plain, hill)]
+    assert light[1] == pytest.approx(light[0], abs=1e-12)
+    # A hill beyond the maplet, between it and the Sun, does shade it.
+    beyond = drawn(0.08, 0.09, 0.03)
+    seen = beyond.covered[0] & plain.covered[0]
+    assert beyond.at(0, np.zeros(2))[0][seen].min() < 0.05 < light[0][seen].min()
 
 
 # ---- Centers and pose in a picture

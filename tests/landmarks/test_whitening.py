@@ -5,7 +5,7 @@ import pytest
 from scipy import fft, ndimage
 
 from opnav_workbench.landmarks.matching import LAGS
-from opnav_workbench.landmarks.whitening import Whitening
+from opnav_workbench.landmarks.whitening import FEWEST_TOLD, Whitening, _scales
 
 SIZE = 24
 
@@ -71,3 +71,27 @@ def test_weighed_by_it_a_gain_is_better_known(white):
     scale = errors.std()
     stated = scale / np.sqrt(np.sum(weighed * fine))
     assert by_weight.std() == pytest.approx(stated, rel=0.2)
+
+
+# ---- What the halves of patches say of their covariances
+
+
+@pytest.mark.parametrize("worth", [5.0, 12.0, np.inf])
+def test_errors_over_sigmas_are_one_however_patches_differ(worth):
+    """Patches whose errors are 2.5 times as large as stated in the mean, and more or less so each for itself."""
+    rng = np.random.default_rng(6)
+    variance = 2.5 * (np.ones(4000) if np.isinf(worth) else worth / rng.chisquare(worth, 4000))
+    apart = [size * rng.chisquare(2.0, 2) for size in variance]
+    scale = _scales(apart)
+    error = np.sqrt(variance) * rng.normal(size=4000)
+    assert np.sqrt(np.mean(error**2 / scale)) == pytest.approx(1.0, abs=0.06)
+    worst = np.argsort([one.sum() for one in apart])[-400:]
+    assert np.sqrt(np.mean(error[worst] ** 2 / scale[worst])) == pytest.approx(1.0, abs=0.15)
+    # Where all patches are alike, what differs is chance.
+    assert (np.std(scale) < 0.15) == np.isinf(worth)
+
+
+def test_few_patches_or_none_with_halves_leave_covariances_nearly_as_they_are():
+    assert _scales([np.zeros(0)] * 30) == pytest.approx(np.full(30, 8.0 / 6.0))
+    few = _scales([np.array([2.0, 2.0])] * (FEWEST_TOLD - 1))
+    assert few == pytest.approx(np.full(len(few), 1.2))
