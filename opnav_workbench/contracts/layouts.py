@@ -302,6 +302,9 @@ class Landmarks(Layout):
     common_covariance_px2: Covariance2 = Field(description="Of the error that all landmarks share; pixels^2.")
     laws: list[str] = Field(description="Scattering laws that maplets were drawn with.")
     law_share: Number = Field(description="Share of the second, as the picture has it.")
+    position_sigma_km: Number = Field(
+        default=None, description="1 sigma of the spacecraft's place, as the search was told; km."
+    )
     not_searched: dict[str, int] = Field(
         description="Landmarks that this picture cannot show, counted by reason."
     )

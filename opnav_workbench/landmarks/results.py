@@ -55,6 +55,8 @@ class LandmarkCenters:
         Side of the patches that were compared.
     laws, law_share
         Scattering laws of the templates, and the share of the second.
+    position_sigma_km
+        1 sigma of each axis of the spacecraft's place, as the search was told; None: the target's own covariance.
     """
 
     body: str
@@ -77,6 +79,7 @@ class LandmarkCenters:
     window_px: float = 0.0
     laws: tuple[str, str] = ("", "")
     law_share: float = 0.0
+    position_sigma_km: float | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -181,6 +181,7 @@ class LandmarkSearch(DecisionItem):
     body: NonEmptyText
     maplets: NonEmptyText | None = None
     search_radius_px: PositiveFloat | None = None
+    position_sigma_km: PositiveFloat | None = None
 
 
 class LandmarkDecision(DecisionItem):
@@ -375,9 +376,8 @@ def _joint_search_items(p: Parameters, at: int) -> RecordedItems:
 
 
 def _landmark_search_items(p: Parameters, at: int) -> RecordedItems:
-    item = LandmarkSearch(
-        body=p["name"], maplets=p["maplets"], search_radius_px=p.get("search_radius_px"), at=at
-    )
+    options = {key: p.get(key) for key in ("search_radius_px", "position_sigma_km")}
+    item = LandmarkSearch(body=p["name"], maplets=p["maplets"], at=at, **options)
     return [("landmarks", item)]
 
 
@@ -529,7 +529,9 @@ METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "methods": _find_bodies,
     "together": _one_by_one(lambda s, i: s.find_bodies(i.bodies, i.method)),
     "carried": _one_by_one(_carry_pointing),
-    "landmarks": _one_by_one(lambda s, i: s.find_landmarks(i.body, i.maplets, i.search_radius_px)),
+    "landmarks": _one_by_one(
+        lambda s, i: s.find_landmarks(i.body, i.maplets, i.search_radius_px, i.position_sigma_km)
+    ),
     "reject_landmarks": lambda s, items: _decide_landmarks(s, items, accept=False),
     "accept_landmarks": lambda s, items: _decide_landmarks(s, items, accept=True),
     "notes": _one_by_one(lambda s, i: s.note(i.text)),

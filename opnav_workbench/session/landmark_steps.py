@@ -95,7 +95,8 @@ def find_body_landmarks(
     """Find the landmarks of one body."""
     name = parameters["name"]
     picture, maplets = _drawn_from(context, inputs, state, parameters)
-    known = _known(context, state, inputs.targets[name])
+    sigma_km = parameters.get("position_sigma_km")
+    known = _known(context, state, inputs.targets[name], sigma_km)
     found = find_landmarks(
         picture,
         maplets,
@@ -103,6 +104,7 @@ def find_body_landmarks(
         position_covariance_km2=known.position_covariance_km2,
         search_radius_px=parameters.get("search_radius_px"),
     )
+    found = replace(found, centers=replace(found.centers, position_sigma_km=sigma_km))
     others = tuple(one for one in state.landmarks if one.centers.body != name)
     state = state.replace(landmarks=(*others, found))
     return judged(context, inputs, state)
@@ -136,8 +138,11 @@ def body_landmark_patches(
     return landmark_patches(*_drawn_from(context, inputs, state, parameters), solution, ids)
 
 
-def _known(context: Context, state: SessionState, target: TargetState) -> PoseKnowledge:
-    return PoseKnowledge(target.covariance_km2, attitude_covariance(context, state))
+def _known(
+    context: Context, state: SessionState, target: TargetState, position_sigma_km: float | None
+) -> PoseKnowledge:
+    told = target.covariance_km2 if position_sigma_km is None else position_sigma_km**2 * np.eye(3)
+    return PoseKnowledge(told, attitude_covariance(context, state))
 
 
 def judged(context: Context, inputs: Inputs, state: SessionState) -> SessionState:
@@ -155,7 +160,8 @@ def judged(context: Context, inputs: Inputs, state: SessionState) -> SessionStat
             if landmark_name(body, identity) in state.landmark_decisions
         }
         centers = predicted_again(solution.centers, landmarks)
-        judged = judge_landmarks(centers, landmarks, _known(context, state, target), decisions)
+        known = _known(context, state, target, centers.position_sigma_km)
+        judged = judge_landmarks(centers, landmarks, known, decisions)
         solutions.append(judged)
         said = judged.messages if judged.pose is None else ()
         state = state.with_notes(f"landmarks of {body}", *said)

@@ -132,6 +132,7 @@ def landmark_result(solution: "LandmarkSolution") -> dict[str, Any]:
         "common_covariance_px2": centers.common_covariance_px2,
         "laws": list(centers.laws),
         "law_share": centers.law_share,
+        "position_sigma_km": centers.position_sigma_km,
         "not_searched": dict(centers.not_searched),
         "pose": _pose(solution.pose),
         "messages": list(solution.messages),

@@ -822,7 +822,11 @@ class ImageSession:
             self._step("choose_scans", {"name": name, "numbers": chosen, "reason": reason}, reason)
 
     def find_landmarks(
-        self, name: str, maplets: str | Path | None = None, search_radius_px: float | None = None
+        self,
+        name: str,
+        maplets: str | Path | None = None,
+        search_radius_px: float | None = None,
+        position_sigma_km: float | None = None,
     ) -> None:
         """Find the landmarks of a body, and the camera's pose from them (`landmark_steps.find_body_landmarks`).
 
@@ -834,6 +838,9 @@ class ImageSession:
             File that ``opnav landmarks make`` wrote; default the mission's.
         search_radius_px
             How far from its prediction a landmark may lie; default from what attitude and position allow.
+        position_sigma_km
+            1 sigma of each axis of the spacecraft's place relative to the body: it sets how far is looked, and takes part in
+            the pose. Default the body's own covariance, where one is known.
         """
         with self.lock:
             self._know_target(name)
@@ -841,6 +848,8 @@ class ImageSession:
             parameters: dict[str, Any] = {"name": name, "maplets": str(path), "sha256": digest}
             if search_radius_px is not None:
                 parameters["search_radius_px"] = float(search_radius_px)
+            if position_sigma_km is not None:
+                parameters["position_sigma_km"] = _sigma_km(position_sigma_km)
             self._step("find_landmarks", parameters | self._bodies_in_scene())
 
     def reject_landmarks(self, name: str, ids: Sequence[str], reason: str) -> None:
@@ -1034,6 +1043,13 @@ class ImageSession:
             self.context, self.source, self._history.inputs, tuple(self.state.assisted)
         )
         return {"scene": names} if names else {}
+
+
+def _sigma_km(value: float) -> float:
+    """Return the sigma of a place; refuse what is none."""
+    if not 0.0 < value < np.inf:
+        raise SessionError(f"a position sigma of {value} km; give a number above zero.")
+    return float(value)
 
 
 def _id_list(ids: Sequence[str]) -> list[str]:

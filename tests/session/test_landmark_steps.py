@@ -36,7 +36,7 @@ class Stage:
         self.session = ImageSession.open(demo.picture, "new_horizons")
         camera = self.session.context.camera
         body = Bumpy.of(RADII, 192, octaves=range(2, 7), falloff=0.6, roughness=0.02, contrast=0.03)
-        pixel_km = 2.0 * RADII[1] / 130.0
+        pixel_km = self.pixel_km = 2.0 * RADII[1] / 130.0
         turn = self.session.inputs.a_priori_camera_from_j2000
         toward = camera.boresight @ turn
         self.place = -toward * pixel_km / camera.pixel_scale_rad
@@ -126,6 +126,29 @@ def test_decisions_stand_in_journal_result_and_file_and_are_taken_again(stage, f
     assert json.loads(found.to_json())["landmarks"] != rejected["landmarks"]
     with pytest.raises(SessionError, match="no landmark X"):
         found.reject_landmarks(BODY, ["X"], "")
+
+
+@pytest.mark.slow
+def test_a_position_sigma_takes_part_in_search_pose_journal_and_decisions(stage, found, tmp_path):
+    """Told that the place is known to a thousandth of a pixel, the pose stays there and the attitude takes the shift."""
+    held = stage.open()
+    sigma_km = 1e-3 * stage.pixel_km
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(SessionError, match="position sigma"):
+            held.find_landmarks(BODY, position_sigma_km=wrong)
+    held.find_landmarks(BODY, position_sigma_km=sigma_km)
+    pose = held.state.landmarks[0].pose
+    assert np.linalg.norm(pose.position_shift_km) < 0.05 * np.linalg.norm(
+        stage.target.position_km + stage.place
+    )
+    assert np.sqrt(np.diag(pose.position_covariance_km2)).max() <= 1.01 * sigma_km
+    assert np.diag(found.state.landmarks[0].pose.position_covariance_km2).max() > (100.0 * sigma_km) ** 2
+    assert json.loads(held.to_json())["landmarks"][0]["position_sigma_km"] == sigma_km
+    decisions = load_decisions(held.write_decisions(tmp_path / "d.yaml"))
+    again = ImageSession.open(stage.picture, stage.mission)
+    again._history.inputs = held.inputs
+    decisions.apply(again)
+    assert json.loads(again.to_json())["landmarks"] == json.loads(held.to_json())["landmarks"]
 
 
 @pytest.mark.slow
