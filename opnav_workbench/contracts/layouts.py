@@ -305,6 +305,10 @@ class Landmarks(Layout):
     position_sigma_km: Number = Field(
         default=None, description="1 sigma of the spacecraft's place, as the search was told; km."
     )
+    start_km: Triple | None = Field(
+        default=None,
+        description="Of the body from the spacecraft, J2000, where the search began with its silhouette; km.",
+    )
     not_searched: dict[str, int] = Field(
         description="Landmarks that this picture cannot show, counted by reason."
     )

@@ -33,7 +33,12 @@ from opnav_workbench.lazy_names import names_on_demand
 
 if TYPE_CHECKING:
     from opnav_workbench.landmarks.finder import find_landmarks, judge_landmarks, posed, predicted_again
-    from opnav_workbench.landmarks.lost import SilhouettePlace, find_lost_landmarks, place_from_silhouette
+    from opnav_workbench.landmarks.lost import (
+        SilhouettePlace,
+        find_lost_landmarks,
+        place_from_silhouette,
+        standing_at,
+    )
     from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
     from opnav_workbench.landmarks.maplets import Maplets
     from opnav_workbench.landmarks.patches import LandmarkPatch, landmark_patches
@@ -66,6 +71,7 @@ else:  # loaded on first use: most calls need a few of these
             "SilhouettePlace": "lost",
             "find_lost_landmarks": "lost",
             "place_from_silhouette": "lost",
+            "standing_at": "lost",
             "ellipsoid_shape": "making",
             "make_maplets": "making",
             "Maplets": "maplets",
@@ -111,4 +117,5 @@ __all__ = [
     "posed",
     "predict_landmarks",
     "predicted_again",
+    "standing_at",
 ]

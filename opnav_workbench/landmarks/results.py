@@ -57,6 +57,8 @@ class LandmarkCenters:
         Scattering laws of the templates, and the share of the second.
     position_sigma_km
         1 sigma of each axis of the spacecraft's place, as the search was told; None: the target's own covariance.
+    start_km : (3,) array or None
+        Of the body from the spacecraft, J2000, where the search began with its silhouette; None: where the target has it.
     """
 
     body: str
@@ -80,6 +82,7 @@ class LandmarkCenters:
     laws: tuple[str, str] = ("", "")
     law_share: float = 0.0
     position_sigma_km: float | None = None
+    start_km: FloatArray | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -182,6 +182,7 @@ class LandmarkSearch(DecisionItem):
     maplets: NonEmptyText | None = None
     search_radius_px: PositiveFloat | None = None
     position_sigma_km: PositiveFloat | None = None
+    lost: bool = False
 
 
 class LandmarkDecision(DecisionItem):
@@ -377,7 +378,7 @@ def _joint_search_items(p: Parameters, at: int) -> RecordedItems:
 
 def _landmark_search_items(p: Parameters, at: int) -> RecordedItems:
     options = {key: p.get(key) for key in ("search_radius_px", "position_sigma_km")}
-    item = LandmarkSearch(body=p["name"], maplets=p["maplets"], at=at, **options)
+    item = LandmarkSearch(body=p["name"], maplets=p["maplets"], lost=p.get("lost", False), at=at, **options)
     return [("landmarks", item)]
 
 
@@ -530,7 +531,7 @@ METHOD_OF_SECTION: dict[str, Callable[["ImageSession", list[Any]], None]] = {
     "together": _one_by_one(lambda s, i: s.find_bodies(i.bodies, i.method)),
     "carried": _one_by_one(_carry_pointing),
     "landmarks": _one_by_one(
-        lambda s, i: s.find_landmarks(i.body, i.maplets, i.search_radius_px, i.position_sigma_km)
+        lambda s, i: s.find_landmarks(i.body, i.maplets, i.search_radius_px, i.position_sigma_km, lost=i.lost)
     ),
     "reject_landmarks": lambda s, items: _decide_landmarks(s, items, accept=False),
     "accept_landmarks": lambda s, items: _decide_landmarks(s, items, accept=True),

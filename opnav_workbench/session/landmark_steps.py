@@ -24,10 +24,12 @@ from opnav_workbench.landmarks import (
     Maplets,
     PoseKnowledge,
     find_landmarks,
+    find_lost_landmarks,
     judge_landmarks,
     landmark_patches,
     posed,
     predicted_again,
+    standing_at,
 )
 from opnav_workbench.observables import Observable, observe
 from opnav_workbench.scene import following
@@ -97,13 +99,17 @@ def find_body_landmarks(
     picture, maplets = _drawn_from(context, inputs, state, parameters)
     sigma_km = parameters.get("position_sigma_km")
     known = _known(context, state, inputs.targets[name], sigma_km)
-    found = find_landmarks(
-        picture,
-        maplets,
-        attitude_covariance_rad2=known.attitude_covariance_rad2,
-        position_covariance_km2=known.position_covariance_km2,
-        search_radius_px=parameters.get("search_radius_px"),
-    )
+    attitude = known.attitude_covariance_rad2
+    if parameters.get("lost"):
+        found = find_lost_landmarks(picture, maplets, attitude_covariance_rad2=attitude)
+    else:
+        found = find_landmarks(
+            picture,
+            maplets,
+            attitude_covariance_rad2=attitude,
+            position_covariance_km2=known.position_covariance_km2,
+            search_radius_px=parameters.get("search_radius_px"),
+        )
     found = replace(found, centers=replace(found.centers, position_sigma_km=sigma_km))
     others = tuple(one for one in state.landmarks if one.centers.body != name)
     state = state.replace(landmarks=(*others, found))
@@ -150,7 +156,9 @@ def judged(context: Context, inputs: Inputs, state: SessionState) -> SessionStat
     solutions = []
     for solution in state.landmarks:
         body = solution.centers.body
-        target = inputs.targets[body]
+        target, start_km = inputs.targets[body], solution.centers.start_km
+        if start_km is not None:  # nobody knew where it is
+            target = standing_at(replace(target, covariance_km2=None), start_km)
         attitude, velocity = best_attitude(inputs, state), inputs.observer.velocity_km_s
         view = (target, following(context.camera, target, velocity, attitude), attitude, velocity)
         landmarks = posed(solution.centers, *view)

@@ -133,6 +133,7 @@ def landmark_result(solution: "LandmarkSolution") -> dict[str, Any]:
         "laws": list(centers.laws),
         "law_share": centers.law_share,
         "position_sigma_km": centers.position_sigma_km,
+        "start_km": centers.start_km,
         "not_searched": dict(centers.not_searched),
         "pose": _pose(solution.pose),
         "messages": list(solution.messages),

@@ -827,6 +827,8 @@ class ImageSession:
         maplets: str | Path | None = None,
         search_radius_px: float | None = None,
         position_sigma_km: float | None = None,
+        *,
+        lost: bool = False,
     ) -> None:
         """Find the landmarks of a body, and the camera's pose from them (`landmark_steps.find_body_landmarks`).
 
@@ -841,6 +843,9 @@ class ImageSession:
         position_sigma_km
             1 sigma of each axis of the spacecraft's place relative to the body: it sets how far is looked, and takes part in
             the pose. Default the body's own covariance, where one is known.
+        lost
+            Nobody knows where the body is: begin with its lit silhouette, which must be whole in the picture, in place of
+            its believed position and of both options above.
         """
         with self.lock:
             self._know_target(name)
@@ -850,6 +855,12 @@ class ImageSession:
                 parameters["search_radius_px"] = float(search_radius_px)
             if position_sigma_km is not None:
                 parameters["position_sigma_km"] = _sigma_km(position_sigma_km)
+            if lost and (search_radius_px is not None or position_sigma_km is not None):
+                raise SessionError(
+                    "a lost body has no place to search about; give neither radius nor position sigma."
+                )
+            if lost:
+                parameters["lost"] = True
             self._step("find_landmarks", parameters | self._bodies_in_scene())
 
     def reject_landmarks(self, name: str, ids: Sequence[str], reason: str) -> None:

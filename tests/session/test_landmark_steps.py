@@ -152,6 +152,32 @@ def test_a_position_sigma_takes_part_in_search_pose_journal_and_decisions(stage,
 
 
 @pytest.mark.slow
+def test_a_lost_body_is_found_from_its_silhouette_whatever_was_believed(stage, tmp_path):
+    session = stage.open()
+    # 60 pixels beside its place, and a third nearer.
+    side = np.cross(stage.target.position_km, [0.0, 0.0, 1.0])
+    wrong = 0.67 * stage.target.position_km + 60.0 * stage.pixel_km * side / np.linalg.norm(side)
+    target = dataclasses.replace(stage.target, position_km=wrong)
+    session._history.inputs = dataclasses.replace(session.inputs, targets=MappingProxyType({BODY: target}))
+    session.predict()
+    session.find_landmarks(BODY)
+    assert session.state.landmarks[0].accepted.sum() < 5
+    with pytest.raises(SessionError, match="lost body"):
+        session.find_landmarks(BODY, search_radius_px=20.0, lost=True)
+    session.find_landmarks(BODY, lost=True)
+    solution = session.state.landmarks[0]
+    assert solution.accepted.mean() > 0.8
+    off = stage.place - solution.pose.position_km
+    assert off @ np.linalg.solve(solution.pose.position_covariance_km2, off) < 16.0
+    folder = session.save(tmp_path / "run")
+    assert check_file(folder / "result.json").faults == ()
+    again = ImageSession.resume(folder)
+    assert json.loads(again.to_json())["landmarks"] == json.loads(session.to_json())["landmarks"]
+    decisions = load_decisions(session.write_decisions(tmp_path / "d.yaml"))
+    assert [one.lost for one in next(iter(decisions.images.values())).landmarks][-1:] == [True]
+
+
+@pytest.mark.slow
 def test_files_are_sound_hold_every_landmark_and_resume_the_same(found, tmp_path):
     table = found.observables()
     n = int(found.state.landmarks[0].accepted.sum())
