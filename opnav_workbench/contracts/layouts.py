@@ -641,7 +641,9 @@ class BodyFile(Layout):
     pole_ra_deg: float = Field(description="Right ascension of the pole, J2000; deg.")
     pole_dec_deg: float = Field(ge=-90.0, le=90.0, description="Declination of the pole; deg.")
     pole_sigma_deg: Sigmas2 = Field(description="1 sigma toward east and north; deg.")
-    prime_meridian_deg: float = Field(description="As in the PCK; deg.")
+    prime_meridian_deg: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
+        description="At J2000, and its rate, as in the PCK; deg, deg/day."
+    )
     phase_sigma_deg: Sigma = Field(description="1 sigma of the rotation's phase at the epoch; deg.")
     spin_rate_rad_s: float = Field(description="rad/s.")
     spin_sigma_rad_s: Sigma = Field(description="1 sigma; rad/s.")

@@ -232,7 +232,7 @@ def body():
     return {
         "format_version": 1, "version": "0.1.0", "body": "BENNU", "body_id": 2101955, "epoch_et": 6e8, "radii_km": three,
         "radii_sigma_km": small, "a_priori_radii_km": three, "pole_ra_deg": 85.0, "pole_dec_deg": -60.0,
-        "pole_sigma_deg": [0.1, 0.1], "prime_meridian_deg": 140.0, "phase_sigma_deg": 0.1, "spin_rate_rad_s": 4e-4,
+        "pole_sigma_deg": [0.1, 0.1], "prime_meridian_deg": [140.0, 2011.2], "phase_sigma_deg": 0.1, "spin_rate_rad_s": 4e-4,
         "spin_sigma_rad_s": 1e-9, "center_of_figure_km": [0.0, 0.0, 0.0], "center_of_figure_sigma_km": small,
         "state_correction": [0.1] * 6, "covariance": covariance, "a_priori_covariance": covariance,
         "images": [{"image": "a", "attitude_correction_rad": [0.0, 0.0, 0.0],
