@@ -4,7 +4,9 @@ One server, one browser page and one kernel serve the whole file; the tests buil
 the picture that they need.
 """
 
+import os
 import shutil
+import signal
 from types import SimpleNamespace
 
 import pytest
@@ -121,14 +123,37 @@ def test_one_key_gives_the_picture_the_window_and_back(bench):
     assert settled(page)["frame"] == before["frame"]
 
 
-def test_theme_does_not_move_the_picture(bench):
+@pytest.mark.parametrize("place", ["window", "notebook"])
+def test_theme_does_not_move_the_picture(bench, place):
     page = bench.page
+    if place == "notebook":
+        page.keyboard.press("W")
     before = settled(page)
     for theme, light in (("JupyterLab Dark", "false"), ("JupyterLab Light", "true")):
         page.evaluate("t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }", theme)
         page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=light)
         page.wait_for_timeout(800)  # its style sheet comes later
         assert settled(page) == before, theme
+    if place == "notebook":
+        page.keyboard.press("W")
+        settled(page)
+
+
+def test_the_picture_keeps_to_what_the_bars_leave(bench):
+    """A theme's style sheet makes the bars taller for a while, and nothing else: the picture gives way, and comes back."""
+    page = bench.page
+    before = settled(page)
+    page.evaluate(
+        """() => { const sheet = document.head.appendChild(document.createElement('style'));
+        sheet.id = 'between-themes'; sheet.textContent = '.opnav-switches { min-height: 320px !important; }'; }"""
+    )
+    page.wait_for_timeout(300)
+    pressed = settled(page)
+    assert pressed["figure"][3] <= 800
+    assert pressed["frame"][1] < before["frame"][1] - 50
+    page.evaluate("() => document.querySelector('#between-themes').remove()")
+    page.wait_for_timeout(300)
+    assert settled(page) == before
 
 
 def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
@@ -210,22 +235,51 @@ def test_next_picture_is_there_at_once(bench, record_property):
     record_property("key_to_next_picture_ms", took)
 
 
-def test_a_busy_kernel_is_not_called_dead(bench):
-    page = bench.page
-    page.evaluate(
-        """() => { const { kernel } = jupyterapp.shell.currentWidget.sessionContext.session;
-        kernel.requestExecute({ code: "import time; time.sleep(9)", store_history: false }); }"""
-    )
-    page.wait_for_timeout(300)
+SILENCE_S = 8.0  # without a beat for so long the page says that nothing is heard (static/region.js)
+RUN = """(code) => new Promise(done => {
+  const { kernel } = jupyterapp.shell.currentWidget.sessionContext.session;
+  let out = '';
+  const future = kernel.requestExecute({ code, store_history: false });
+  future.onIOPub = (message) => { if (message.header.msg_type === 'stream') out += message.content.text; };
+  future.done.then(() => done(out));
+})"""
+
+
+def ask_while(page, seconds):
+    """Press a key that only Python can answer, and return what the page says of the kernel so long after."""
     page.evaluate("() => document.querySelector('.opnav-workbench').focus()")
     page.keyboard.press("?")
-    page.wait_for_function("() => document.querySelector('.opnav-workbench').dataset.owWait")
-    assert "busy" in page.locator(".opnav-workbench").get_attribute("data-ow-wait")
-    page.wait_for_timeout(5000)  # 6 s of silence were taken for death
-    assert page.locator(".ow-dead, .ow-grave").count() == 0
-    page.locator(".ow-panel .keys").wait_for()  # the key waited, and was not lost
+    page.wait_for_timeout(1000.0 * seconds)
+    return page.locator(".opnav-workbench").get_attribute("data-ow-wait")
+
+
+def answered(page):
+    """The key waited, and was not lost; nothing was called dead."""
+    page.locator(".ow-panel .keys").wait_for()
     page.wait_for_function("() => !document.querySelector('.opnav-workbench').dataset.owWait")
+    assert page.locator(".ow-dead, .ow-grave").count() == 0
     page.keyboard.press("?")
+
+
+def test_a_busy_kernel_beats_and_is_not_called_dead(bench):
+    """Its main thread is at something else for longer than silence may be: it is busy, since its beat is heard."""
+    page = bench.page
+    page.evaluate(f"code => void ({RUN})(code)", f"import time; time.sleep({SILENCE_S + 5.0})")
+    page.wait_for_timeout(300)
+    assert ask_while(page, SILENCE_S + 2.0) == "The kernel is busy; what you do is queued."
+    answered(page)
+
+
+def test_a_kernel_that_nothing_is_heard_of_is_waited_for(bench):
+    """Its process stands still, so that it does not beat: the page tells how long, and goes on when it does."""
+    page = bench.page
+    process = int(page.evaluate(RUN, "import os; print(os.getpid())"))
+    os.kill(process, signal.SIGSTOP)
+    try:
+        assert "Nothing was heard of the kernel for" in ask_while(page, SILENCE_S + 2.5)
+    finally:
+        os.kill(process, signal.SIGCONT)
+    answered(page)
 
 
 def test_a_kernel_that_ended_says_so_and_starts_again(bench):
