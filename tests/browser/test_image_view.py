@@ -1,11 +1,13 @@
 """The image view in a real page: readout, stretch, blink, overlays, tools, reload, themes; and without a kernel."""
 
+import io
 import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_MISSION
@@ -250,6 +252,64 @@ def test_clicks_drags_and_zoom(opened):
     assert nb.python("[view.models.x_range.start, view.models.y_range.start]") == [-0.5, 255.5]
 
 
+def test_residuals_are_a_thousand_times_as_long_within_four_keys(opened):
+    nb = opened()
+    nb.click(128, 128)
+    nb.press("v")
+    for pressed in range(5):
+        nb.settle()
+        if nb.python("view.state.vector_scale") == 1000.0:
+            break
+        nb.press("V")
+    assert pressed <= 4
+    assert "×1000" in nb.page.inner_text('.opnav-switch[data-group="residuals"]')
+    vector = nb.python(
+        "[float(abs(view.models.sources['vectors'].data['end_pixel'][0] - view.models.sources['vectors'].data['pixel'][0])),"
+        " float(abs(view._vectors['d_pixel'][0]))]"
+    )
+    assert vector[0] == pytest.approx(1000.0 * vector[1])
+
+
+def test_what_blinks_by_itself_says_so(opened):
+    """No button is just "Auto"; the one that blinks does, and stops."""
+    nb = opened()
+    words = nb.page.locator(".opnav-bar button").all_inner_texts()
+    assert not [word for word in words if word.strip().lower() in ("", "auto")]
+    nb.page.get_by_role("button", name="Auto-blink").click()
+    wait_painted(nb, "model ")
+    wait_painted(nb, "data ")
+    nb.page.get_by_role("button", name="Auto-blink").click()
+    wait_painted(nb, "data ")
+
+
+def screen(nb, pixel, line, half):
+    """Colors (n, n, 3) of the screen about a place of the picture."""
+    x, y = nb.xy(pixel, line)
+    clip = {"x": round(x) - half, "y": round(y) - half, "width": 2 * half, "height": 2 * half}
+    return np.asarray(Image.open(io.BytesIO(nb.page.screenshot(clip=clip))).convert("RGB")).astype(float)
+
+
+def test_marks_are_seen_on_the_brightest_ground(opened):
+    """A yellow ring on the heat map's yellow: something of it differs in brightness, as all who see little color need."""
+    nb = opened()
+    pixel, line = nb.python(
+        "[float(view.models.sources['predicted'].data[axis][0]) for axis in ('pixel', 'line')]"
+    )
+    nb.python("view.state.update(colormap='heat', limits='manual', low=-2000.0, high=-1000.0) or 1")
+    nb.settle()
+    wait_painted(nb, '"heat"', "-2000")
+    nb.page.mouse.move(5, 5)
+    for groups in (["predicted"], ["observed"]):
+        nb.python(f"view.state.update(groups={groups}) or 1")
+        nb.page.wait_for_timeout(400)
+        seen = screen(nb, pixel, line, 14)
+        light = seen @ [0.2126, 0.7152, 0.0722]
+        ground = np.median(light)
+        assert ground > 200.0  # the brightest of the map
+        marked = np.abs(light - ground) > 80.0
+        assert marked.sum() > 20, groups
+
+
 def test_reload_and_two_pages(opened):
     nb = opened()
     nb.click(128, 128)
@@ -292,6 +352,8 @@ def test_looks_in_light_and_dark(opened):
     axis = "() => Bokeh.documents.at(-1).get_model_by_name('opnav-picture').left[0].major_label_text_color"
     assert nb.page.evaluate(axis) == "#e6e9ec"
     # nothing is cut off: every word of the view is inside it
+    nb.drag((60, 60), (100, 90), button="right")  # contrast and bias are told, too
+    nb.page.wait_for_function("() => document.querySelector('.opnav-read-shade').textContent.includes('bias')")
     cut = nb.page.evaluate(
         """() => [...document.querySelectorAll('.opnav-bar *, .opnav-switches *, .opnav-readout *')]
         .filter(e => e.scrollWidth > e.clientWidth + 1 && e.clientWidth && getComputedStyle(e).overflow !== 'visible')
