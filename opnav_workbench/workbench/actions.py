@@ -254,6 +254,9 @@ def _bodies() -> Iterator[Action]:
     yield Action("next_body", ("n",), "Next body", "Go to the next body.", where)
     yield Action("method", ("t",), "Method", "Take the next method.", where)
     yield Action(
+        "solve_range", ("r",), "Range", "Solve for the range (the apparent size) too, where the method can.", where
+    )
+    yield Action(
         "circle", ("k",), "Circle", "Click the center, then the limb; or drag from center to limb.", where
     )
     yield Action("clear_circle", ("w",), "Clear", "Start from the predicted place and size again.", where)
@@ -340,6 +343,18 @@ LOOKING = frozenset(
 
 PICTURE = "view"
 
+
+def _cursor() -> Iterator[Action]:
+    for side in ("left", "right", "up", "down"):
+        key = f"Arrow{side.capitalize()}"
+        yield Action(f"cursor_{side}", (f"Ctrl+{key}",), side, f"Move the cursor a pixel {side}.", PICTURE)
+        ten = f"Ctrl+Shift+{key}"
+        yield Action(f"cursor_far_{side}", (ten,), f"10 px {side}", f"Move it 10 px {side}.", PICTURE)
+    yield Action(
+        "press", ("Ctrl+Enter",), "Press", "Click where the cursor is; of a box or a line, begin or end it.", PICTURE
+    )
+
+
 VIEW_ACTIONS = (
     Action("stretch", ("s",), "Stretch", "Take the next stretch: linear, asinh, log, sqrt.", PICTURE),
     Action("limits", ("S",), "Limits", "Take the next limits: zscale, min-max, percentiles.", PICTURE),
@@ -376,4 +391,5 @@ VIEW_ACTIONS = (
     ),
     Action("save_view", ("P",), "PNG", "Save the picture as it is shown, with its marks, as a PNG.", PICTURE),
     Action("magnitudes", ("l",), "Magnitudes", "Show or hide the stars' magnitudes.", PICTURE),
+    *_cursor(),
 )

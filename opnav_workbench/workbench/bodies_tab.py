@@ -260,6 +260,8 @@ def _pictures_shown(center: BodyCenter, size_px: int, wanted: Sequence[str]) -> 
             png, title = residual_png(difference, full), f"data − model, ±{_dn_text(full)} DN"
         else:
             dn = data if name == "data" else np.asarray(pictures.model_dn, dtype=float)
+            if name == "model":  # none was made where no pixel was used
+                dn = np.where(pictures.mask | (dn != 0.0), dn, np.nan)
             png, title = gray_png(dn, min(float(low), 0.0), float(high)), name
         caption = title if len(wanted) > 1 else title.split(",")[0]  # alone it stands beside other things
         shown.append(BodyPictureShown(PagePicture(png_url(png), width, height), title, caption))
@@ -292,6 +294,7 @@ class BodiesTab(Tab):
         self.method = "auto"
         self.solve_range = False
         self.focus_scan = 0
+        self._sought = False  # the center at hand was just found, and may be out of sight
         self.circle_control = CircleControl(runner, self._body_or_raise, self._by_hand_km.get)
 
     # -- what stands -------------------------------------------------------------------------------------------
@@ -329,9 +332,13 @@ class BodiesTab(Tab):
         """Begin with the first scan, and no shape half drawn."""
         self.circle_control.tool.drop()
         self.focus_scan = 0
+        self._sought = False
 
     def draw(self) -> None:
-        """Draw the circle and the scans of the body at hand."""
+        """Draw the circle and the scans of the body at hand; bring what was just found into sight."""
+        if self._sought:
+            self._sought = False
+            self.look(unless_seen=True)
         viewer, circle, scans = self.runner.viewer, self.circle, self.scans
         viewer.focus(None)
         viewer.circle(
@@ -346,12 +353,13 @@ class BodiesTab(Tab):
             viewer.layer(SCANS_LAYER, layer)
         viewer.drag_mode(self.runner.tool in DRAG_SHAPES, DRAG_SHAPES.get(self.runner.tool, "box"))
 
-    def look(self) -> None:
+    def look(self, *, unless_seen: bool = False) -> None:
         """Bring the body at hand into the middle, as large as it is judged best."""
         marks = {mark.name: mark for mark in body_marks(self.runner.session)}
         mark = marks.get(self.chosen)
         if mark is not None:
-            self.runner.viewer.look(mark.center_px, max(BODY_SPAN * 2.0 * mark.radius_px, LEAST_SPAN_PX))
+            span_px = max(BODY_SPAN * 2.0 * mark.radius_px, LEAST_SPAN_PX)
+            self.runner.viewer.look(mark.center_px, span_px, unless_seen=unless_seen)
 
     def html(self) -> str:
         """Return the page."""
@@ -426,7 +434,11 @@ class BodiesTab(Tab):
             session.find_body(name, self.method, solve_range=self.solve_range)
             session.observables(FOLLOWS_CENTER)
 
-        self.runner.run(f"finding {name}", work, lambda: self.center_line(name))
+        def found() -> str:
+            self._sought = name == self.chosen
+            return self.center_line(name)
+
+        self.runner.run(f"finding {name}", work, found)
 
     def center_line(self, name: str) -> str:
         """One line on the center found last."""

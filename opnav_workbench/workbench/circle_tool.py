@@ -244,7 +244,7 @@ class CircleControl:
         name = self._body()
         self._present()
         if name not in self.runner.session.state.circles:
-            raise SessionError(f"{name} is described by its circle alone; undo takes it back (Z).")
+            raise SessionError(f"{name} is described by its circle alone; undo takes it back (Ctrl+Z).")
         self.runner.run(
             "clearing the circle", lambda: self.runner.session.clear_circle(name), f"{name}: no circle."
         )

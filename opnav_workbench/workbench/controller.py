@@ -415,7 +415,8 @@ class WorkbenchController:
         facts = ""
         if session is not None:
             picture = session.context.picture
-            facts = f"{session.context.camera.name}, {session.inputs.utc} UTC, {picture.exposure_s:g} s"
+            utc = session.inputs.utc.removesuffix(".000")  # the rest has room in a narrow window then
+            facts = f"{session.context.camera.name}, {utc} UTC, {picture.exposure_s:g} s"
         return render(
             "header.html",
             actions=self.registry,

@@ -216,6 +216,7 @@ def _add_model(model: FloatArray, first_px: tuple[int, int], part: FloatArray) -
 
 SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies", "compass"]
 AHEAD_BYTES = 160_000_000  # of neighbors' pixels in a page: two of 4096 x 4096
+POLE_LABEL_PX = -14.0  # screen px from a pole to its N: the letter's width and a gap
 EMPTY_SIZE = 512  # a view without a session shows a blank square
 # Of a strip as it is shown: width over height, and what is shown over its lines.
 STRIP_SHAPE, STRIP_MARGIN = 3.0, 1.15
@@ -413,8 +414,10 @@ class ImageView:
         self.models.fill("body_point", {"pixel": points[:, 0], "line": points[:, 1]})
         places = [m.center_px for m in marks] + [m.pole_px[-1] for m in marks if len(m.pole_px)]
         names = [m.name for m in marks] + ["N" for m in marks if len(m.pole_px)]
-        above = [-6.0 if number % 2 == 0 else 16.0 for number in range(len(names))]  # neighbours stay apart
-        self.models.fill("body_labels", label_columns(places, names, (9.0, above)))
+        # Neighbours stay apart; a pole's N stands left of it, since its body's name may begin there.
+        above = [-6.0 if number % 2 == 0 else 16.0 for number in range(len(names))]
+        beside = [9.0 if number < len(marks) else POLE_LABEL_PX for number in range(len(names))]
+        self.models.fill("body_labels", label_columns(places, names, (beside, above)))
         self.state.bodies = json.dumps([m.as_page_values() for m in marks])
         if self.state.body not in [m.name for m in marks]:
             self.state.body = marks[0].name if marks else ""
@@ -503,9 +506,14 @@ class ImageView:
             if place_px is not None:
                 self._bring_into_view(np.asarray(place_px, float))
 
-    def look(self, place_px: ArrayLike, span_px: float | None = None) -> None:
-        """Bring a place into the middle, with a span so many pixels across; without one a whole picture stays as it is."""
-        if self.session is None:
+    def look(
+        self, place_px: ArrayLike, span_px: float | None = None, *, unless_seen: bool = False
+    ) -> None:
+        """Bring a place into the middle, with a span so many pixels across; without one a whole picture stays as it is.
+
+        With `unless_seen` nothing is moved where the place is in sight.
+        """
+        if self.session is None or (unless_seen and self._is_seen(np.asarray(place_px, float))):
             return
         n_line, n_pixel = self.session.context.picture.image_dn.shape
         now = abs(self.models.x_range.end - self.models.x_range.start)
@@ -522,6 +530,10 @@ class ImageView:
         with self.bridge.batch():
             self.models.x_range.update(start=x - 0.5 * width, end=x + 0.5 * width)
             self.models.y_range.update(start=y + 0.5 * height, end=y - 0.5 * height)
+
+    def _is_seen(self, place: FloatArray) -> bool:
+        sides = zip(place, (self.models.x_range, self.models.y_range), strict=True)
+        return all(min(side.start, side.end) <= at <= max(side.start, side.end) for at, side in sides)
 
     def _bring_into_view(self, place: FloatArray) -> None:
         for at, view in zip(place, (self.models.x_range, self.models.y_range), strict=True):

@@ -188,7 +188,7 @@ def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Colum
 def label_columns(
     places: Iterable[Any],
     texts: Sequence[str],
-    offset: tuple[float, float | Sequence[float]],
+    offset: tuple[float | Sequence[float], float | Sequence[float]],
     size: Sequence[int] = (),
 ) -> Columns:
     """Return the columns of texts beside places (pixel, line).
@@ -197,7 +197,7 @@ def label_columns(
     ----------
     places : (pixel, line) of each
     offset : (right, down)
-        Screen px; down may be one for each text.
+        Screen px; each may be one for each text.
     size : (n_pixel, n_line)
         Of the picture: a text near its right edge stands left of its place, one near the top below it.
 
@@ -209,7 +209,7 @@ def label_columns(
     """
     array = np.array(list(places), dtype=float).reshape(-1, 2)
     right, down = (
-        np.full(len(array), offset[0]),
+        np.broadcast_to(np.asarray(offset[0], float), len(array)),
         np.broadcast_to(np.asarray(offset[1], float), len(array)).copy(),
     )
     turned = np.zeros(len(array), bool)
@@ -415,7 +415,7 @@ class PictureModels:
         self.picture.text(
             "pixel", "line", "text", source=source, name=f"overlay:{group}", text_font_size="11px",
             text_color=THEMES[DEFAULT_THEME][kind].color, background_fill_color=LABEL_BACKGROUND,
-            background_fill_alpha=0.75, padding=1, x_offset="x_offset", y_offset="y_offset", text_align="side",
+            background_fill_alpha=0.9, padding=1, x_offset="x_offset", y_offset="y_offset", text_align="side",
         )  # fmt: skip
 
     def _add_tools(self) -> None:

@@ -61,8 +61,8 @@ class Viewer(Protocol):
     def compare_with(self, others: Sequence[tuple[str, ImageSession]]) -> None:
         """Offer other images, by name, to be shown beside this one or blinked against."""
 
-    def look(self, place_px: FloatArray, span_px: float | None = None) -> None:
-        """Bring a place into the middle; with a span, so many pixels across."""
+    def look(self, place_px: FloatArray, span_px: float | None = None, *, unless_seen: bool = False) -> None:
+        """Bring a place into the middle, with a span so many pixels across; or, where it is in sight already, nothing."""
 
     def refresh(self) -> None:
         """Bring the overlays to the session's present state."""

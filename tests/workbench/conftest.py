@@ -28,6 +28,7 @@ class FakeViewer:
         self.refreshed = 0
         self.message = ""
         self.looked_at: Any = None
+        self.in_sight: Callable[[Any], bool] = lambda _: False
 
     def prepare(self, session: ImageSession) -> None:
         pass
@@ -41,8 +42,9 @@ class FakeViewer:
     def compare_with(self, others: Any) -> None:
         self.others = [name for name, _ in others]
 
-    def look(self, place_px: Any, span_px: float | None = None) -> None:
-        self.looked_at = (*place_px, span_px)
+    def look(self, place_px: Any, span_px: float | None = None, *, unless_seen: bool = False) -> None:
+        if not (unless_seen and self.in_sight(place_px)):
+            self.looked_at = (*place_px, span_px)
 
     def show(self, session: ImageSession) -> None:
         self.shown.append(session)

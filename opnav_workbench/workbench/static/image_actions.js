@@ -2,6 +2,7 @@
 
 const BLINK_MS = 600;
 const ZOOM = 1.5;
+const SIDES = { left: [-1, 0], right: [1, 0], up: [0, -1], down: [0, 1] };
 const LONGEST_SCALE = 100000; // of residual vectors
 
 class ImageActions {
@@ -28,8 +29,11 @@ class ImageActions {
       beside: () => this.compare("beside"),
       wipe: () => this.compare("wipe"),
       lock: () => { state.lock = state.lock === "sky" ? "pixel" : "sky"; },
+      press: () => this.pointer.press(),
       longer: () => { state.vector_scale = this.longer(state.vector_scale); },
     };
+    for (const [side, [across, down]] of Object.entries(SIDES))
+      for (const [far, steps] of [["", 1], ["far_", 10]]) actions[`cursor_${far}${side}`] = () => this.pointer.step(steps * across, steps * down);
     if (name === "put_away") return this.tools.putAway();
     const action = actions[name] ?? (name in setup.groups ? () => this.toggle(name) : undefined);
     if (!action) return false;

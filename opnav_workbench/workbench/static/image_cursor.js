@@ -30,7 +30,7 @@ class ImageCursor extends ImageActions {
   cross() {
     const places = this.second.isBeside ? [[this.layout.cross, this.figure], [this.layout.secondCross, this.second.figure]] : [[this.layout.cross, this.figure]];
     for (const [node, figure] of places) {
-      node.hidden = !this.cursor || !figure || !(this.crossing || (this.second.isBeside && figure));
+      node.hidden = !this.cursor || !figure || !(this.crossing || this.byKeys || (this.second.isBeside && figure));
       if (node.hidden) continue;
       const { frame } = figure;
       const [x, y] = [frame.x_scale.compute(this.cursor[0]), frame.y_scale.compute(this.cursor[1])];

@@ -10,7 +10,10 @@ class ImagePointer {
     const listen = (name, heard) =>
       element.addEventListener(name, (event) => view.page.guard(() => heard.call(this, event)), { capture: true, signal: view.signal });
     listen("pointerdown", this.down);
-    listen("pointermove", this.move);
+    listen("pointermove", (event) => {
+      view.byKeys = false;
+      this.move(event);
+    });
     listen("pointerup", this.up);
     listen("pointercancel", this.cancel);
     listen("pointerleave", () => view.leave());
@@ -27,13 +30,17 @@ class ImagePointer {
     if (!at) return;
     if (event.button === 0 && this.view.tools.takesPointer) {
       event.stopPropagation();
-      this.element.setPointerCapture(event.pointerId);
+      this.capture(event);
       this.measuring = true;
       return this.view.tools.down(at);
     }
     this.start = { event, at, button: event.button, state: { ...this.view.shading() } };
     if (event.button === 2 || this.view.state.drag) event.stopPropagation(); // else bokeh pans
-    if (event.button === 2 || this.view.state.drag) this.element.setPointerCapture(event.pointerId);
+    if (event.button === 2 || this.view.state.drag) this.capture(event);
+  }
+
+  capture({ pointerId }) {
+    if (pointerId !== undefined) this.element.setPointerCapture(pointerId); // keys have no pointer
   }
 
   move(event) {
@@ -70,6 +77,42 @@ class ImagePointer {
     this.measuring = false;
     this.view.tools.held = undefined;
     this.band.hidden = true;
+  }
+
+  // -- by keys: the cursor goes in steps, and is pressed where it is
+
+  step(across, down) {
+    const { view } = this;
+    const pixel = Math.max(1, 1 / view.scale()); // one of the picture that is one on the screen, too
+    const { x_range, y_range } = view.model("opnav-picture");
+    const edge = 0.5 / view.scale(); // the frame's last screen pixel is in it
+    const within = (at, { start, end }) => Math.min(Math.max(at, Math.min(start, end) + edge), Math.max(start, end) - edge);
+    const [x, y] = view.cursor ?? view.tools.middle();
+    view.byKeys = true;
+    view.cursor = [within(x + across * pixel, x_range), within(y + down * pixel, y_range)];
+    this.move(this.atCursor());
+  }
+
+  // A click; of a shape that is dragged (a box, a line), its begin and then its end.
+  press() {
+    const { view } = this;
+    view.byKeys = true;
+    view.cursor ??= view.tools.middle();
+    const drags = view.state.drag === "box" || (view.tools.takesPointer && view.tools.name !== "aperture");
+    if (!drags) this.cancel(); // what was begun with another tool
+    if (!this.start && !this.measuring) {
+      this.down(this.atCursor());
+      if (drags) return view.cross();
+    }
+    this.up(this.atCursor());
+  }
+
+  // What a pointer at the cursor would tell.
+  atCursor() {
+    const { frame, canvas_view } = this.view.figure;
+    const box = canvas_view.el.getBoundingClientRect();
+    const [x, y] = this.view.cursor;
+    return { button: 0, shiftKey: false, clientX: box.left + frame.x_scale.compute(x), clientY: box.top + frame.y_scale.compute(y), stopPropagation() {} };
   }
 
   isClick(event, start = this.start) {
