@@ -43,6 +43,7 @@ from opnav_workbench.session.state import (
     with_decisions,
 )
 from opnav_workbench.stars import Detections, Identification, StarFlag, detect, identify_marked, identify_sky
+from opnav_workbench.stars.pointing import places_even_behind
 
 __all__ = [
     "brightest",
@@ -298,8 +299,8 @@ def field_at(
     camera = context.camera
     focal = camera.focal_from_camera
     between = focal @ attitude @ inputs.a_priori_camera_from_j2000.T @ focal.T  # pixel, line, boresight
-    boresight = between[:, 2]
-    shift = camera.pixel_from_mm @ (camera.focal_length_mm * boresight[:2] / boresight[2])
+    boresight = np.stack([camera.boresight, attitude @ inputs.a_priori_camera_from_j2000.T @ camera.boresight])
+    shift = np.diff(places_even_behind(camera, boresight), axis=0)[0]
     twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
     return FieldFound(attitude, shift, twist, confidence, search, sure)
 

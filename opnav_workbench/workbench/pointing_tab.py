@@ -191,7 +191,10 @@ class PointingTab(Tab):
                 session.predict()
             session.find_stars(self.runner.search.method, search_radius_px=self.runner.search.radius_px)
 
-        self.runner.run("searching the whole sky", work, self._field_line)
+        def found() -> str:
+            return f"{self._field_line()}; {self.runner.found_line()}"
+
+        self.runner.run("searching the whole sky", work, found)
 
     def _next_model(self) -> None:
         models = list(POINTING_MODELS)

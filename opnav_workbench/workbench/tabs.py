@@ -390,9 +390,10 @@ class StepRunner:
             session.find_stars(self.search.method, search_radius_px=self.search.radius_px)
             then()
 
-        self.run("finding stars", work, self._found_line)
+        self.run("finding stars", work, self.found_line)
 
-    def _found_line(self) -> str:
+    def found_line(self) -> str:
+        """One line on the stars found last."""
         state = self.session.state
         used, on_detector = int(state.mask("used").sum()), int((~state.mask("off_detector")).sum())
         return f"{used} of {on_detector} stars found. {' '.join(state.notes.get('stars', ()))}".strip()

@@ -16,6 +16,7 @@ from typing import Any
 import nbformat
 import pytest
 
+from opnav_workbench.cli.lab import LabParameters, put_notebook
 from opnav_workbench.cli.lab_server import LabServer
 
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -243,6 +244,53 @@ class Notebook:
         assert not left, f"errors on the console: {left}"
 
 
+class Bench:
+    """The workbench that `opnav lab` opens alone in the window: keys arrive without a click, and are counted.
+
+    Tests read `page` (Playwright), `errors` (the page's exceptions) and `actions`.
+    """
+
+    def __init__(self, lab: Lab, chromium: Any, name: str, parameters: LabParameters, **options: Any) -> None:
+        folder = lab.root / name
+        folder.mkdir(exist_ok=True)
+        put_notebook(folder, parameters)
+        self.folder, self.actions = folder, 0
+        self.address = f"{lab.address}/lab/tree/{name}/workbench.ipynb?token={lab.token}"
+        self.context = chromium.new_context(**({"viewport": SIZE} | options))
+        self.errors: list[str] = []
+        self.page = self.open()
+
+    def open(self) -> Any:
+        """Open it in a page of its own, and wait until it runs."""
+        page = self.context.new_page()
+        page.set_default_timeout(30_000)
+        page.on("pageerror", lambda error: self.errors.append(f"{error}\n{error.stack}"))
+        page.goto(self.address)
+        page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=90_000)
+        return page
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.actions += 1
+            self.page.keyboard.press(key)
+
+    def said(self, text: str, timeout_ms: float = 30_000) -> None:
+        """Wait until the status line contains a text."""
+        self.page.wait_for_function(
+            "t => document.querySelector('.ow-window .ow-status')?.textContent.includes(t)",
+            arg=text,
+            timeout=timeout_ms,
+        )
+
+    def close(self) -> None:
+        self.page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
+        self.context.close()
+
+    def check_errors(self) -> None:
+        """No exception in the page but JupyterLab's, of a kernel that ends."""
+        assert not [error for error in self.errors if "Canceled future" not in error]
+
+
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     with Lab(tmp_path_factory.mktemp("lab")) as server:
@@ -309,3 +357,17 @@ def module_notebook(chromium: Any, lab: Lab) -> Iterator[Notebooks]:
     notebooks = Notebooks(chromium, lab)
     yield notebooks
     notebooks.close()
+
+
+@pytest.fixture(scope="module")
+def open_bench(chromium: Any, lab: Lab) -> Iterator[Any]:
+    """Open benches that all tests of a module may share: `open_bench(folder, parameters, **context)`."""
+    opened: list[Bench] = []
+
+    def open_one(name: str, parameters: LabParameters, **options: Any) -> Bench:
+        opened.append(Bench(lab, chromium, name, parameters, **options))
+        return opened[-1]
+
+    yield open_one
+    for bench in opened:
+        bench.close()

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from opnav_workbench.cli.lab import LabParameters, put_notebook
+from opnav_workbench.cli.lab import LabParameters
 from opnav_workbench.processing import Processing
 from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 
@@ -31,7 +31,7 @@ GEOMETRY = """() => {
 
 
 @pytest.fixture(scope="module")
-def bench(lab, chromium, demo_truths):
+def bench(lab, open_bench, demo_truths):
     """A bench on the demo's two pictures and a file that is none."""
     folder = lab.root / "alone"
     folder.mkdir()
@@ -39,26 +39,15 @@ def bench(lab, chromium, demo_truths):
     broken = folder / "third.fit"
     broken.write_bytes(b"no picture")
     how = Processing(mission="new_horizons", kernels=DEMO_KERNELS, catalog=DEMO_CATALOG)
-    put_notebook(folder, LabParameters((*map(str, pictures), str(broken)), how))
-    context = chromium.new_context(viewport={"width": 1280, "height": 800})
-    page = context.new_page()
-    page.set_default_timeout(30_000)
-    errors = []
-    page.on("pageerror", lambda error: errors.append(f"{error}\n{error.stack}"))
-    page.goto(f"{lab.address}/lab/tree/alone/workbench.ipynb?token={lab.token}")
-    page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=90_000)
-    said(page, "lorri_4x4.fit: ")
-    yield SimpleNamespace(page=page, broken=broken, good=demo_truths[0].picture, errors=errors)
-    page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
-    context.close()
+    opened = open_bench("alone", LabParameters((*map(str, pictures), str(broken)), how))
+    opened.said("lorri_4x4.fit: ")
+    return SimpleNamespace(page=opened.page, broken=broken, good=demo_truths[0].picture, opened=opened)
 
 
 @pytest.fixture(autouse=True)
 def _no_errors(bench):
     yield
-    assert not [
-        error for error in bench.errors if "Canceled future" not in error
-    ]  # JupyterLab's, of a kernel that ends
+    bench.opened.check_errors()
 
 
 def said(page, text):

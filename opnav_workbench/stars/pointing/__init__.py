@@ -32,6 +32,7 @@ from opnav_workbench.stars.pointing.solution import (
     PointingSolution,
     attitude_shift,
     iteration_table,
+    places_even_behind,
 )
 from opnav_workbench.stars.pointing.solver import PointingStart, solve_pointing
 
@@ -47,6 +48,7 @@ __all__ = [
     "attitude_shift",
     "carry_attitude",
     "iteration_table",
+    "places_even_behind",
     "solve_pointing",
     "wahba",
 ]

@@ -14,13 +14,19 @@ from astropy import units as u
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
-from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import pointing_angle_arrays
 
 if TYPE_CHECKING:
     from astropy.table import QTable
 
-__all__ = ["PictureShift", "PointingSolution", "attitude_shift", "iteration_table", "steps_between"]
+__all__ = [
+    "PictureShift",
+    "PointingSolution",
+    "attitude_shift",
+    "iteration_table",
+    "places_even_behind",
+    "steps_between",
+]
 
 
 # ---- What a pointing solution holds; arrays are read-only.
@@ -134,12 +140,7 @@ def attitude_shift(camera: Camera, first: FloatArray, second: FloatArray) -> Pic
     -------
     Iteration
         The sky at the first boresight moves by (delta_pixel, delta_line) on the detector, distortion
-        included; delta_twist_rad is the second twist minus the first, in [-pi, pi).
-
-    Raises
-    ------
-    PointingError
-        The first boresight is out of the camera's sight in the second attitude.
+        included, see `places_even_behind`; delta_twist_rad is the second twist minus the first, in [-pi, pi).
     """
     return steps_between(camera, (first, second))[0]
 
@@ -148,16 +149,27 @@ def steps_between(camera: Camera, attitudes: Sequence[FloatArray]) -> tuple[Pict
     """Return the steps along a sequence of attitudes; they sum up to the shift from first to last."""
     sky = attitudes[0].T @ camera.boresight
     twist = pointing_angle_arrays(np.stack(attitudes), camera.focal_from_camera)[2]
-    place = camera.project(np.stack([attitude @ sky for attitude in attitudes]))
-    if not np.all(np.isfinite(place)):
-        raise PointingError(
-            "the attitudes differ so much that the boresight of one is out of the other's sight; "
-            "give an a priori attitude within the field of view"
-        )
+    place = places_even_behind(camera, np.stack([attitude @ sky for attitude in attitudes]))
     # Twist changes are all taken against the first attitude: their sum then needs no unwrapping.
     since_first = (twist - twist[0] + np.pi) % (2.0 * np.pi) - np.pi
     deltas = np.column_stack([np.diff(place, axis=0), np.diff(since_first)])
     return tuple(PictureShift(*map(float, row)) for row in deltas)
+
+
+def places_even_behind(camera: Camera, directions: FloatArray) -> FloatArray:
+    """Return where directions (n, 3) in the camera frame are seen (n, 2), px; out of sight, how far they are.
+
+    No camera sees what is a right angle off its boresight, or behind it, but an attitude can be wrong by as much: the
+    place is then the boresight's, moved toward the direction by the angle to it in pixels of the middle.
+    """
+    place = camera.project(directions)
+    unseen = ~np.isfinite(place).all(axis=1)
+    across, ahead = np.split(directions[unseen] @ camera.focal_from_camera.T, [2], axis=1)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    toward = np.where(length > 0.0, across / np.where(length > 0.0, length, 1.0), (1.0, 0.0))
+    angle_px = np.arctan2(length, ahead) / camera.pixel_scale_rad
+    place[unseen] = camera.project(camera.boresight[None])[0] + angle_px * toward
+    return place
 
 
 # ---- The steps of a pointing solution as a table, such as the paper's Table 2.

@@ -8,6 +8,7 @@ const SILENCE_MS = 8000; // so long without a beat: the page says that nothing i
 const GRAVE = "The kernel was restarted or stopped: this is only a picture of what it was. Every decision is on disk.";
 const PANEL_PX = { usual: 468, least: 300, picture: 330 }; // width of the panel; what it leaves to the picture
 const ROOM_KEY = "opnav-workbench-room"; // what this browser remembers of the room that the parts have
+const LAB = "[data-opnav-lab]"; // the notebook that `opnav lab` has opened, among others that may stand beside it
 const DRAG_PX = 4; // less is a click with a trembling hand
 
 // Bring `node` to the state of `wanted`, touching only what differs, so that focus, scroll and selection survive.
@@ -75,7 +76,7 @@ class Life {
     if (this.root.classList.contains("ow-dead")) return;
     this.root.classList.add("ow-dead");
     const grave = Object.assign(document.createElement("div"), { className: "ow-grave", textContent: GRAVE });
-    const alone = document.body.dataset.opnavLab !== undefined;
+    const alone = this.root.closest(LAB) !== null;
     const again = Object.assign(document.createElement("button"), { type: "button", textContent: "Start it again" });
     again.addEventListener("click", () => document.dispatchEvent(new CustomEvent("opnav-start-again")));
     grave.append(document.createElement("p"), alone ? again : "Run the notebook's cells again (Run > Run All Cells).");
@@ -95,7 +96,7 @@ class Room {
     }
     this.splitter();
     this.show();
-    if (document.body.dataset.opnavLab !== undefined && !document.querySelector(".ow-window")) this.fill(true);
+    if (root.closest(LAB) && !document.querySelector(".ow-window")) this.fill(true);
   }
 
   do(name) {

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import camera_from_j2000, pointing_angles, rotation_from_vector
 from opnav_workbench.stars.pointing import attitude_shift
 from opnav_workbench.stars.pointing.attitude_steps import EulerAngles, ImagePlane
@@ -113,9 +112,14 @@ def test_twist_delta_agrees_with_the_angles(cameras):
     assert attitude_shift(camera, first, second).delta_twist_rad == pytest.approx(expected, abs=1e-12)
 
 
-def test_shift_to_an_attitude_that_looks_elsewhere_is_an_error(cameras):
+@pytest.mark.parametrize("angle_deg", [100.0, 179.0, 180.0])
+def test_shift_to_an_attitude_that_looks_behind_is_the_angle(cameras, angle_deg):
+    """About the line axis: the sky moves along pixels by the angle, in pixels of the middle."""
     camera = cameras["lorri"]
     first = camera_from_j2000(1.0, 0.4, 2.0, camera.focal_from_camera)
-    second = camera_from_j2000(4.0, -0.4, 2.0, camera.focal_from_camera)
-    with pytest.raises(PointingError, match="out of the other's sight"):
-        attitude_shift(camera, first, second)
+    turn = rotation_from_vector(camera.focal_from_camera[1] * np.radians(angle_deg))
+    shift = attitude_shift(camera, first, turn @ first)
+    length = np.hypot(shift.delta_pixel, shift.delta_line)
+    assert length == pytest.approx(np.radians(angle_deg) / camera.pixel_scale_rad, rel=1e-9)
+    if angle_deg < 180.0:  # straight behind it has no direction
+        assert shift.delta_line == pytest.approx(0.0, abs=1e-6)

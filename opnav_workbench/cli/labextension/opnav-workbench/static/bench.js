@@ -12,7 +12,8 @@
   const RESTARTS_MS = 15000;
 
   const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
-  const benchIsThere = () => document.querySelector(BENCH) !== null;
+  // Of this notebook: another one may show a workbench of its own.
+  const benchIsThere = (panel) => panel.node.querySelector(BENCH) !== null;
 
   async function until(there, ms) {
     const end = Date.now() + ms;
@@ -36,7 +37,8 @@
       Object.assign(away, { type: "button", textContent: "Show the notebook instead" });
       away.style.cssText = "font: inherit; background: none; border: none; color: inherit; text-decoration: underline; cursor: pointer";
       away.addEventListener("click", () => {
-        delete document.body.dataset.opnavLab;
+        this.unwanted = true;
+        document.querySelector("[data-opnav-lab]")?.removeAttribute("data-opnav-lab");
         this.lift();
       });
       this.say("Starting the workbench ...");
@@ -63,9 +65,10 @@
 
   async function runAll(app, panel, cover) {
     cover.say("Opening the pictures ...");
-    const watch = until(benchIsThere, 120000).then((there) => there && cover.lift());
+    const there = () => benchIsThere(panel);
+    const watch = until(there, 120000).then((is) => is && cover.lift());
     await app.commands.execute("notebook:run-all-cells").catch(() => {}); // what a cell says stands below it
-    await until(benchIsThere, SHOWN_MS);
+    await until(there, SHOWN_MS);
     cover.lift();
     await watch;
     await panel.context.save().catch(() => {}); // a page that is loaded again finds its workbench
@@ -77,15 +80,16 @@
     cover.say("Starting the kernel ...");
     await panel.sessionContext.ready;
     await until(() => isIdle(panel), STARTS_MS);
-    if ((await knows(panel, "bench")) && (await until(benchIsThere, RESTORED_MS))) return cover.lift();
+    if ((await knows(panel, "bench")) && (await until(() => benchIsThere(panel), RESTORED_MS))) return cover.lift();
     await runAll(app, panel, cover);
   }
 
   async function startAgain(app, panel) {
     const cover = new Cover();
     cover.say("Starting the kernel again ...");
-    document.querySelector(".opnav-workbench.ow-window")?.removeAttribute("popover");
-    document.querySelector(".opnav-workbench.ow-window")?.classList.remove("ow-window");
+    const before = panel.node.querySelector(".opnav-workbench.ow-window");
+    before?.removeAttribute("popover");
+    before?.classList.remove("ow-window");
     // One that was restarted, or that restarts by itself, is not restarted once more on its way.
     if (!(await until(() => isIdle(panel), RESTARTS_MS)) || (await knows(panel, "bench"))) {
       await panel.sessionContext.restartKernel().catch(() => {});
@@ -127,13 +131,13 @@
     activate: (app) => {
       const path = /\/tree\/([^?]*workbench\.ipynb)$/.exec(location.pathname)?.[1];
       if (path === undefined) return;
-      document.body.dataset.opnavLab = "";
       const cover = new Cover();
       liftDialogs();
       void app.restored.then(async () => {
         const panel = () => openPanel(app, decodeURIComponent(path));
         if (!(await until(() => panel() !== undefined, 60000))) return cover.lift();
         const notebook = panel();
+        if (!cover.unwanted) notebook.node.dataset.opnavLab = ""; // its workbench takes the window
         app.shell.activateById(notebook.id); // its cells run only while it is the one at hand
         document.addEventListener("opnav-start-again", () => void startAgain(app, notebook));
         watchKernel(notebook);
