@@ -5,6 +5,7 @@ the picture that they need.
 """
 
 import os
+import re
 import shutil
 import signal
 from types import SimpleNamespace
@@ -143,6 +144,59 @@ def test_the_picture_keeps_to_what_the_bars_leave(bench):
     page.evaluate("() => document.querySelector('#between-themes').remove()")
     page.wait_for_timeout(300)
     assert settled(page) == before
+
+
+# Everything that the window, or what scrolls in it, cuts off: (words, by how many px).
+CUT_OFF = """() => {
+  const scrolls = (node) => node && ['auto', 'scroll'].some((how) => [getComputedStyle(node).overflowX, getComputedStyle(node).overflowY].includes(how));
+  const held = (node) => { for (let at = node.parentElement; at && !at.matches('.opnav-workbench'); at = at.parentElement) if (scrolls(at)) return true; };
+  return [...document.querySelectorAll('.ow-window :is(button, select, .name, .message, .opnav-figure)')].filter((node) => {
+    const r = node.getBoundingClientRect();
+    if (!r.width || getComputedStyle(node).visibility === 'hidden' || held(node) || node.closest('[hidden]')) return false;
+    return r.left < -1 || r.top < -1 || r.right > innerWidth + 1 || r.bottom > innerHeight + 1;
+  }).map((node) => node.textContent || node.className);
+}"""
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize(("size", "least"), [((1920, 1080), 800), ((1280, 800), 480), ((640, 400), 180)])
+def test_all_of_it_is_in_the_window(bench, size, least, dark):
+    """At 1920 and 1280 px, and at 1280 with 200 %, which leaves a page 640 x 400 of its own px; in light and dark."""
+    page = bench.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    theme = f"JupyterLab {'Dark' if dark else 'Light'}"
+    page.evaluate("t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }", theme)
+    page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=str(not dark).lower())
+    page.wait_for_timeout(800)
+    try:
+        for tab in "12345":
+            page.keyboard.press(tab)
+            seen = settled(page)
+            assert seen["bench"] == [0, 0, *size]
+            assert min(seen["frame"]) >= least
+            assert seen["inside"]
+            assert seen["figure"][3] <= size[1]
+            assert page.evaluate(CUT_OFF) == [], tab
+        page.keyboard.press("F")
+        assert min(settled(page)["frame"]) >= 0.7 * size[1]
+        page.keyboard.press("F")
+        back, ground = page.evaluate(
+            "() => ['color', 'backgroundColor'].map((of) => getComputedStyle(document.querySelector('.ow-window .ow-status .status'))[of])"
+        )
+        assert abs(brightness(back) - brightness(ground)) > 0.4  # words are read
+        assert (brightness(ground) < 0.5) is dark
+    finally:
+        page.keyboard.press("1")
+        page.keyboard.press("h")
+        page.set_viewport_size({"width": 1280, "height": 800})
+        page.evaluate("() => { jupyterapp.commands.execute('apputils:change-theme', { theme: 'JupyterLab Light' }) }")
+        page.wait_for_timeout(800)
+
+
+def brightness(css):
+    """Share of a color (rgb or gray) that is bright."""
+    numbers = [float(number) for number in re.findall(r"[\d.]+", css)[:3]]
+    return sum(numbers) / 3.0 / 255.0
 
 
 def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
