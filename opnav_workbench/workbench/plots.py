@@ -31,6 +31,7 @@ __all__ = [
 
 FONT_PX = 11
 WANTED_TICKS = 4
+LINE_SPACING = 1.4  # of numbers above each other, over their size
 RANGE_MARGIN = 0.06  # of the data's range, so that no mark sits on the frame
 # Points with a tooltip, error bar and click each; where there are more, those farthest from zero, and the rest as one crowd.
 MOST_POINTS = 40
@@ -203,7 +204,9 @@ class SvgPlot:
     @property
     def y_ticks(self) -> list[tuple[float, str]]:
         """Where ticks stand down the page (px), and their numbers."""
-        values = round_ticks(min(self.y_range), max(self.y_range), self.ticks)
+        _, top, _, bottom = self.frame
+        room = int((bottom - top) / (LINE_SPACING * self.font_px))  # for as many lines of text
+        values = round_ticks(min(self.y_range), max(self.y_range), max(min(self.ticks, room), 1))
         return [(float(self.y(value)), f"{value:.6g}") for value in values]
 
 

@@ -215,8 +215,9 @@ class ImageLayout {
       node.dataset.group = group;
       node.setAttribute("aria-pressed", String(state.groups.includes(group)));
       for (const [kind, word] of words) {
-        if (kind) node.append(symbol(styles[kind]));
-        node.append(make("span", "", null, group === "residuals" ? `${word} ×${compact(state.vector_scale)}` : word));
+        const pair = make("span", "opnav-pair", node); // a sign stays with its word
+        if (kind) pair.append(symbol(styles[kind]));
+        make("span", "", pair, group === "residuals" ? `${word} ×${compact(state.vector_scale)}` : word);
       }
       return node;
     });
