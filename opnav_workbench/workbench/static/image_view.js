@@ -14,12 +14,13 @@ const AXES_PX = [52, 26]; // room for axis labels, left and below
 const READOUT_PX = 60; // the readout in three rows, under the picture
 const COMPASS_PX = { corner: 62, arrow: 34, name: 46 }; // its middle from the frame's edges, and its reach
 const GAP_PX = 10; // between two pictures side by side
+const AT_ONCE = 1 << 18; // pixels that are put into blocks in one go while nobody works: about a millisecond
 const AROUND_SHOWN = 0.25; // of what is in sight is painted beyond it, on each side: a small pan paints nothing
 
 class ImagePage extends ImageCursor {
   constructor(page, doc, state, host) {
     super();
-    Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new WeakMap() });
+    Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new WeakMap(), toMake: [] });
     this.model = (name) => doc.get_model_by_name(name);
     this.setup = JSON.parse((this.setupText = state.setup));
     this.images = JSON.parse(state.images);
@@ -135,8 +136,8 @@ class ImagePage extends ImageCursor {
     const next = this.ahead.find(({ full }) => full.token === token);
     if (!next) return this.soon("update");
     const [n_line, n_pixel] = next.full.shape;
-    const block = Math.max(1, Math.ceil((0.99 * n_pixel) / this.model("opnav-picture").frame_width));
-    whenIdle(() => this.mip(this.page.pixels.values(next.full), block, [n_pixel, n_line]));
+    const block = this.blockAt(this.model("opnav-picture").frame_width / n_pixel);
+    this.makeAhead(this.page.pixels.values(next.full), [block, this.overviewBlock([n_pixel])], [n_pixel, n_line]);
   }
 
   tellArriving() {
@@ -188,6 +189,8 @@ class ImagePage extends ImageCursor {
     this.tellArriving();
     if (!values) return this.paintCoarse([low, high]);
     if (this.fillSight("opnav-shown", values, [low, high])) this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
+    const around = [1 / ZOOM, 1, ZOOM].map((factor) => this.blockAt(factor * this.scale()));
+    this.makeAhead(values, around, this.setup.size); // what the next zoom shows
     this.second.paint();
     this.paintOverview(values, [low, high]);
     this.magnify();
@@ -211,9 +214,13 @@ class ImagePage extends ImageCursor {
 
   paintOverview(values, [low, high]) {
     if (this.overviewOf === values && this.overviewLook === this.look) return;
-    const small = Math.max(1, Math.ceil(this.setup.size[0] / (this.model("opnav-panner").frame_width || SIDE_PX)));
+    const small = this.overviewBlock(this.setup.size);
     [this.overviewOf, this.overviewLook] = [values, this.look];
     this.fill("opnav-overview", this.mip(values, small), low, high, small);
+  }
+
+  overviewBlock([n_pixel]) {
+    return Math.max(1, Math.ceil(n_pixel / (this.model("opnav-panner").frame_width || SIDE_PX)));
   }
 
   // What is in sight and a little more: [first pixel, first line, past pixel, past line], whole blocks.
@@ -236,25 +243,64 @@ class ImagePage extends ImageCursor {
 
   // Paint what is in sight, unless that was painted so already; true where it was done.
   fillSight(name, values, [low, high]) {
-    const block = Math.max(1, Math.ceil(0.99 / this.scale()));
+    const block = this.blockAt(this.scale());
     const { least, wanted } = this.sight(block);
     const before = this.painted?.[name];
     const same = before?.values === values && before.block === block && before.look === `${this.look} ${low} ${high}`;
     if (same && least.every((end, i) => (i < 2 ? end >= before.box[i] : end <= before.box[i]))) return false;
     this.painted = { ...this.painted, [name]: { values, block, box: wanted, look: `${this.look} ${low} ${high}` } };
-    const [x0, y0, x1, y1] = wanted;
-    this.fill(name, cutOut(this.mip(values, block), [x0, y0, x1, y1].map((at) => at / block)), low, high, block, [x0 - 0.5, y0 - 0.5]);
+    const part = wanted.map((end) => end / block);
+    const whole = this.made(values).get(block) ?? (block === 1 && { values, width: this.setup.size[0], height: this.setup.size[1] });
+    const blocks = whole ? cutOut(whole, part) : binned(values, ...this.setup.size, block, part);
+    this.fill(name, blocks, low, high, block, [wanted[0] - 0.5, wanted[1] - 0.5]);
     return true;
+  }
+
+  // Pixels along a block, so that one is at least one of the screen.
+  blockAt(scale) {
+    return Math.max(1, Math.ceil(0.99 / scale));
+  }
+
+  // A picture in blocks, by their size, as far as they are made.
+  made(values) {
+    if (!this.mips.has(values)) this.mips.set(values, new Map());
+    return this.mips.get(values);
   }
 
   // The whole picture in blocks, made once for each size of them.
   mip(values, block, [n_pixel, n_line] = this.setup.size) {
     if (!values) return;
     if (block === 1) return { values, width: n_pixel, height: n_line };
-    if (!this.mips.has(values)) this.mips.set(values, new Map());
-    const made = this.mips.get(values);
+    const made = this.made(values);
     if (!made.has(block)) made.set(block, binned(values, n_pixel, n_line, block));
     return made.get(block);
+  }
+
+  // The same a few lines at a time, while nobody works: no key waits for it. The last asked for comes first.
+  makeAhead(values, blocks, size) {
+    const asked = blocks.filter((block) => block > 1 && !this.made(values).has(block)).map((block) => ({ values, block, size }));
+    const others = this.toMake.filter((one) => !asked.some((two) => two.values === one.values && two.block === one.block));
+    this.toMake = [...asked, ...others];
+    if (!this.making) this.makeNext();
+  }
+
+  makeNext() {
+    const next = this.toMake.shift();
+    this.making = next !== undefined;
+    if (!this.making) return;
+    const { values, block, size: [n_pixel, n_line] } = next;
+    const [width, height] = [Math.ceil(n_pixel / block), Math.ceil(n_line / block)];
+    const whole = { values: new Float32Array(width * height), width, height };
+    const rows = Math.max(1, Math.floor(AT_ONCE / (n_pixel * block)));
+    const go = (row) => {
+      if (this.signal.aborted || this.made(values).has(block)) return this.makeNext();
+      const past = Math.min(row + rows, height);
+      whole.values.set(binned(values, n_pixel, n_line, block, [0, row, width, past]).values, row * width);
+      if (past < height) return whenIdle(() => go(past));
+      this.made(values).set(block, whole);
+      this.makeNext();
+    };
+    whenIdle(() => go(0));
   }
 
   fill(name, { values, width, height }, low, high, block, [x, y] = [-0.5, -0.5]) {

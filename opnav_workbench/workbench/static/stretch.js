@@ -38,14 +38,17 @@ function colored(values, low, high, table) {
 }
 
 // Means of k x k pixels: a picture shown smaller than it is must not drop pixels, or stars go with them.
-function binned(values, n_pixel, n_line, k) {
-  const [width, height] = [Math.ceil(n_pixel / k), Math.ceil(n_line / k)];
+// Of a part of it, whole blocks: [first block, first row, past block, past row].
+function binned(values, n_pixel, n_line, k, [x0, y0, x1, y1] = [0, 0, Math.ceil(n_pixel / k), Math.ceil(n_line / k)]) {
+  const [width, height] = [x1 - x0, y1 - y0];
   const sums = new Float32Array(width * height);
   const counts = new Uint16Array(width * height);
-  for (let line = 0, i = 0; line < n_line; line++) {
-    const first = Math.floor(line / k) * width;
+  const past = Math.min(y1 * k, n_line);
+  for (let line = y0 * k; line < past; line++) {
+    const first = (Math.floor(line / k) - y0) * width;
+    let i = line * n_pixel + x0 * k;
     for (let column = 0; column < width; column++) {
-      const end = Math.min((column + 1) * k, n_pixel) + line * n_pixel;
+      const end = Math.min((x0 + column + 1) * k, n_pixel) + line * n_pixel;
       let [sum, count] = [0, 0];
       for (; i < end; i++) {
         const value = values[i];
