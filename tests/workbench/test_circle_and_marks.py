@@ -105,6 +105,10 @@ def test_center_is_found_and_shown(body_hands):
     assert body_hands.session.state.bodies[-1].status == "ok"
     assert body_hands.session.state.observables
     assert "1 sigma, frame ±" in body_hands.panel
+    assert body_hands.viewer.looked_at[:2] == tuple(body_hands.session.state.bodies[-1].pixel_line)
+    body_hands.viewer.looked_at, body_hands.viewer.in_sight = None, lambda _: True
+    body_hands.press("f")
+    assert body_hands.viewer.looked_at is None  # what is in sight stays where it is
     method = body_hands.session.state.bodies[-1].method
     assert body_hands.said.startswith(f"PLUTO, {method.replace('_', ' ')}: pixel")
     body_hands.press("4")

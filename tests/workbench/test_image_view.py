@@ -9,6 +9,8 @@ from opnav_workbench.errors import OpNavError
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, ActionRegistry
 from opnav_workbench.workbench.image_view import ImageView
+from opnav_workbench.workbench.overlays import BodyMarks
+from opnav_workbench.workbench.plots import FONT_PX
 from opnav_workbench.workbench.view_models import CROWD, CROWDED, THEMES, PictureModels
 from opnav_workbench.workbench.viewer import Layer, Viewer
 
@@ -33,6 +35,32 @@ def test_pixels_are_exact(view, solved_sessions):
     np.testing.assert_allclose(
         pixels(view), solved_sessions[0].context.picture.image_dn, rtol=1e-7, atol=1e-7
     )
+
+
+@pytest.mark.slow
+def test_what_is_in_sight_stays_and_what_is_not_is_brought_into_the_middle(view):
+    size = len(pixels(view))
+    view.look((0.4 * size, 0.5 * size), 0.2 * size)
+    before = view.models.x_range.start
+    view.look((0.45 * size, 0.5 * size), 0.2 * size, unless_seen=True)
+    assert view.models.x_range.start == before
+    view.look((0.7 * size, 0.5 * size), 0.2 * size, unless_seen=True)
+    assert view.models.x_range.start == pytest.approx(0.6 * size)
+
+
+def test_a_poles_letter_stands_beside_its_bodys_name(view, monkeypatch):
+    """N ends left of a pole, a name begins right of a center: of a small body they do not lie on each other."""
+    place = np.array([50.0, 50.0])
+    limb = place + [[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0]]
+    pole = np.array([place, place + 1.0])
+    small = BodyMarks("PLUTO", place, 3.0, True, limb, limb, np.empty((0, 2)), pole)  # noqa: FBT003  a field's value
+    monkeypatch.setattr("opnav_workbench.workbench.image_view.body_marks", lambda _: [small])
+    view.refresh()
+    columns = view.models.sources["body_labels"].data
+    ends = dict(zip(columns["text"], zip(columns["x_offset"], columns["side"], strict=True), strict=True))
+    assert ends["PLUTO"] == (9.0, "left")
+    assert ends["N"][0] + FONT_PX < ends["PLUTO"][0] - 1.0  # a letter is not wider than its font is high
+    assert ends["N"][1] == "left"
 
 
 @pytest.mark.slow
