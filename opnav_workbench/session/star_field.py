@@ -299,7 +299,9 @@ def field_at(
     camera = context.camera
     focal = camera.focal_from_camera
     between = focal @ attitude @ inputs.a_priori_camera_from_j2000.T @ focal.T  # pixel, line, boresight
-    boresight = np.stack([camera.boresight, attitude @ inputs.a_priori_camera_from_j2000.T @ camera.boresight])
+    boresight = np.stack(
+        [camera.boresight, attitude @ inputs.a_priori_camera_from_j2000.T @ camera.boresight]
+    )
     shift = np.diff(places_even_behind(camera, boresight), axis=0)[0]
     twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
     return FieldFound(attitude, shift, twist, confidence, search, sure)

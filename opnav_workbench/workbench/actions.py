@@ -254,7 +254,11 @@ def _bodies() -> Iterator[Action]:
     yield Action("next_body", ("n",), "Next body", "Go to the next body.", where)
     yield Action("method", ("t",), "Method", "Take the next method.", where)
     yield Action(
-        "solve_range", ("r",), "Range", "Solve for the range (the apparent size) too, where the method can.", where
+        "solve_range",
+        ("r",),
+        "Range",
+        "Solve for the range (the apparent size) too, where the method can.",
+        where,
     )
     yield Action(
         "circle", ("k",), "Circle", "Click the center, then the limb; or drag from center to limb.", where
@@ -351,7 +355,11 @@ def _cursor() -> Iterator[Action]:
         ten = f"Ctrl+Shift+{key}"
         yield Action(f"cursor_far_{side}", (ten,), f"10 px {side}", f"Move it 10 px {side}.", PICTURE)
     yield Action(
-        "press", ("Ctrl+Enter",), "Press", "Click where the cursor is; of a box or a line, begin or end it.", PICTURE
+        "press",
+        ("Ctrl+Enter",),
+        "Press",
+        "Click where the cursor is; of a box or a line, begin or end it.",
+        PICTURE,
     )
 
 

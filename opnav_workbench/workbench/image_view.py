@@ -506,9 +506,7 @@ class ImageView:
             if place_px is not None:
                 self._bring_into_view(np.asarray(place_px, float))
 
-    def look(
-        self, place_px: ArrayLike, span_px: float | None = None, *, unless_seen: bool = False
-    ) -> None:
+    def look(self, place_px: ArrayLike, span_px: float | None = None, *, unless_seen: bool = False) -> None:
         """Bring a place into the middle, with a span so many pixels across; without one a whole picture stays as it is.
 
         With `unless_seen` nothing is moved where the place is in sight.

@@ -148,8 +148,11 @@ def test_the_picture_keeps_to_what_the_bars_leave(bench):
 
 # Everything that the window, or what scrolls in it, cuts off: (words, by how many px).
 CUT_OFF = """() => {
-  const scrolls = (node) => node && ['auto', 'scroll'].some((how) => [getComputedStyle(node).overflowX, getComputedStyle(node).overflowY].includes(how));
-  const held = (node) => { for (let at = node.parentElement; at && !at.matches('.opnav-workbench'); at = at.parentElement) if (scrolls(at)) return true; };
+  const scrolls = (node) => /auto|scroll/.test(getComputedStyle(node).overflow);
+  const held = (node) => {
+    for (let at = node.parentElement; at && !at.matches('.opnav-workbench'); at = at.parentElement) if (scrolls(at)) return true;
+    return false;
+  };
   return [...document.querySelectorAll('.ow-window :is(button, select, .name, .message, .opnav-figure)')].filter((node) => {
     const r = node.getBoundingClientRect();
     if (!r.width || getComputedStyle(node).visibility === 'hidden' || held(node) || node.closest('[hidden]')) return false;
@@ -181,7 +184,8 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
         assert min(settled(page)["frame"]) >= 0.7 * size[1]
         page.keyboard.press("F")
         back, ground = page.evaluate(
-            "() => ['color', 'backgroundColor'].map((of) => getComputedStyle(document.querySelector('.ow-window .ow-status .status'))[of])"
+            """() => { const style = getComputedStyle(document.querySelector('.ow-window .ow-status .status'));
+            return [style.color, style.backgroundColor]; }"""
         )
         assert abs(brightness(back) - brightness(ground)) > 0.4  # words are read
         assert (brightness(ground) < 0.5) is dark
@@ -189,7 +193,9 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
         page.keyboard.press("1")
         page.keyboard.press("h")
         page.set_viewport_size({"width": 1280, "height": 800})
-        page.evaluate("() => { jupyterapp.commands.execute('apputils:change-theme', { theme: 'JupyterLab Light' }) }")
+        page.evaluate(
+            "() => { jupyterapp.commands.execute('apputils:change-theme', { theme: 'JupyterLab Light' }) }"
+        )
         page.wait_for_timeout(800)
 
 

@@ -352,7 +352,9 @@ def test_looks_in_light_and_dark(opened):
     assert nb.page.evaluate(axis) == "#e6e9ec"
     # nothing is cut off: every word of the view is inside it
     nb.drag((60, 60), (100, 90), button="right")  # contrast and bias are told, too
-    nb.page.wait_for_function("() => document.querySelector('.opnav-read-shade').textContent.includes('bias')")
+    nb.page.wait_for_function(
+        "() => document.querySelector('.opnav-read-shade').textContent.includes('bias')"
+    )
     cut = nb.page.evaluate(
         """() => [...document.querySelectorAll('.opnav-bar *, .opnav-switches *, .opnav-readout *')]
         .filter(e => e.scrollWidth > e.clientWidth + 1 && e.clientWidth && getComputedStyle(e).overflow !== 'visible')

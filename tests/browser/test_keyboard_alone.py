@@ -1,7 +1,6 @@
 """An analyst who never touches the mouse: a rehearsal, a lost frame, the cursor by keys; two pages; a page at 200 %."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -14,13 +13,15 @@ from opnav_workbench.geometry import quaternion_from_matrix, radec_from_unit, ro
 from opnav_workbench.kernels import KernelSet, camera_attitude, et_from_utc
 from opnav_workbench.mission import load_mission
 from opnav_workbench.processing import Processing
-from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, compare, open_rehearsal, reveal
+from opnav_workbench.rehearsal import compare, open_rehearsal, reveal
 from opnav_workbench.simulation import load_picture_scenario, read_truth, simulate
 
 pytestmark = pytest.mark.slow
 
 FIND_MS = 240_000  # a disk of 100 px on a busy machine
-PER_PICTURE = 10  # keys: find, accept the rest, repoint, bodies, find, next, find, export, next picture, stars
+PER_PICTURE = (
+    10  # keys: find, accept the rest, repoint, bodies, find, next, find, export, next picture, stars
+)
 SIGMAS = 5.0
 KERNELS = "new_horizons/pluto_approach"
 SATURATED = {
@@ -37,7 +38,17 @@ SATURATED = {
 def rehearsal(tmp_path_factory):
     """The stress rehearsal: wrong pointings, mottled disks, cosmic rays, gaps, a file that was cut; its truth is sealed."""
     folder = tmp_path_factory.mktemp("stress") / "package"
-    asked = ["new", "new_horizons/pluto_stress", "--out", str(folder), "--seed", "3", "--pictures", "3", "-j1"]
+    asked = [
+        "new",
+        "new_horizons/pluto_stress",
+        "--out",
+        str(folder),
+        "--seed",
+        "3",
+        "--pictures",
+        "3",
+        "-j1",
+    ]
     made = CliRunner().invoke(ort, asked)
     assert made.exit_code == 0, made.output
     return open_rehearsal(folder)
@@ -48,7 +59,10 @@ def test_the_stress_rehearsal_by_keyboard_alone(rehearsal, open_bench, tmp_path,
     simulate(load_picture_scenario(SATURATED), tmp_path)
     pictures = [str(picture.path) for picture in rehearsal.received]
     how = Processing(
-        mission="new_horizons", kernels=str(rehearsal.metakernel), catalog=rehearsal.catalog, targets=rehearsal.targets
+        mission="new_horizons",
+        kernels=str(rehearsal.metakernel),
+        catalog=rehearsal.catalog,
+        targets=rehearsal.targets,
     )
     bench = open_bench("stress", LabParameters((*pictures, str(tmp_path / "saturated.fit")), how))
     names = [picture.name for picture in rehearsal.received]
@@ -63,7 +77,9 @@ def test_the_stress_rehearsal_by_keyboard_alone(rehearsal, open_bench, tmp_path,
     record_property("actions", bench.actions)
     assert bench.actions <= PER_PICTURE * (len(names) + 1)
     bench.check_errors()
-    solved = {name: json.loads((bench.folder / name / "result.json").read_text()) for name in (*names, "saturated")}
+    solved = {
+        name: json.loads((bench.folder / name / "result.json").read_text()) for name in (*names, "saturated")
+    }
     truths = reveal(rehearsal).pictures | {"saturated": read_truth(tmp_path / "saturated.truth.json")}
     checked = [one for name in solved for one in right_as_it_says(solved[name], truths[name])]
     assert len(checked) >= 3 * 3 + 2 * 2  # three angles a picture; of the picture that is whole, both bodies
@@ -76,7 +92,11 @@ def right_as_it_says(result, truth):
     """Compare what a result is sure of with the truth, and return it."""
     camera = load_mission("new_horizons").camera_named("lorri_1x1")
     sure = {body["name"] for body in result["bodies"] if body["status"] == "ok"}
-    rows = [one for one in compare(truth, result, camera) if one.name.split()[0] in sure or one.name.startswith("Δ")]
+    rows = [
+        one
+        for one in compare(truth, result, camera)
+        if one.name.split()[0] in sure or one.name.startswith("Δ")
+    ]
     assert all(abs(one.sigmas) < SIGMAS for one in rows), rows
     return rows
 
@@ -113,7 +133,10 @@ def lost(tmp_path_factory):
         ra, dec = radec_from_unit(camera_attitude("NH_LORRI", et_from_utc(LOST_UTC)).T @ camera.boresight)
     rng = np.random.default_rng(4)
     off = np.radians(rng.uniform(-PATCH_DEG, PATCH_DEG, (STARS, 2)))
-    stars = {"ra_deg": np.degrees(ra + off[:, 0] / np.cos(dec)) % 360.0, "dec_deg": np.degrees(dec + off[:, 1])}
+    stars = {
+        "ra_deg": np.degrees(ra + off[:, 0] / np.cos(dec)) % 360.0,
+        "dec_deg": np.degrees(dec + off[:, 1]),
+    }
     np.savez(folder / "patch.npz", mag=rng.uniform(7.0, 10.5, STARS), epoch_jyear=2015.5, **stars)
     catalog = f"npz:{folder / 'patch.npz'}"
     picture = {"name": "lost", "utc": LOST_UTC, "camera": "lorri_4x4", "exposure_s": 0.1}
@@ -137,7 +160,9 @@ def test_one_key_finds_a_lost_frame(lost, open_bench):
     The notebook of the test before stands beside this one, with a workbench of its own: this one has the window.
     """
     picture, truth, catalog = lost
-    bench = open_bench("lost", LabParameters((str(picture),), Processing(mission="new_horizons", catalog=catalog)))
+    bench = open_bench(
+        "lost", LabParameters((str(picture),), Processing(mission="new_horizons", catalog=catalog))
+    )
     bench.said("lost.fit: ")
     bench.press("2", "L")
     bench.said("field moved", 120_000)

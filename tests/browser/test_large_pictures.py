@@ -41,7 +41,8 @@ SHOWN = """() => { const { image, x, y, dw, dh } = Bokeh.documents.at(-1).get_mo
 ZOOM = """(times) => new Promise(done => {
   const bench = document.querySelector('.opnav-bridge');
   const go = (left) => { if (!left) return requestAnimationFrame(() => requestAnimationFrame(done));
-    bench.dispatchEvent(new KeyboardEvent('keydown', { key: '+', bubbles: true })); requestAnimationFrame(() => go(left - 1)); };
+    bench.dispatchEvent(new KeyboardEvent('keydown', { key: '+', bubbles: true }));
+    requestAnimationFrame(() => go(left - 1)); };
   go(times);
 })"""
 
@@ -112,7 +113,9 @@ def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
         page.evaluate("() => { Bokeh.documents.at(-1).get_model_by_name('opnav-state').stretch = 'log'; }")
         page.wait_for_function(f"before => ({SHOWN})().at(-1) !== before", arg=at_once[-1])
         page.evaluate("() => { Bokeh.documents.at(-1).get_model_by_name('opnav-state').stretch = 'asinh'; }")
-        page.wait_for_function(f"before => String(({SHOWN})()) === before", arg=",".join(map(text_of, at_once)))
+        page.wait_for_function(
+            f"before => String(({SHOWN})()) === before", arg=",".join(map(text_of, at_once))
+        )
     page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
     page.context.close()
 

@@ -51,9 +51,9 @@ def test_what_is_in_sight_stays_and_what_is_not_is_brought_into_the_middle(view)
 def test_a_poles_letter_stands_beside_its_bodys_name(view, monkeypatch):
     """N ends left of a pole, a name begins right of a center: of a small body they do not lie on each other."""
     place = np.array([50.0, 50.0])
-    limb = place + [[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0]]
+    limb = np.add(place, [[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0]])
     pole = np.array([place, place + 1.0])
-    small = BodyMarks("PLUTO", place, 3.0, True, limb, limb, np.empty((0, 2)), pole)  # noqa: FBT003  a field's value
+    small = BodyMarks("PLUTO", place, 3.0, True, limb, limb, np.empty((0, 2)), pole)
     monkeypatch.setattr("opnav_workbench.workbench.image_view.body_marks", lambda _: [small])
     view.refresh()
     columns = view.models.sources["body_labels"].data
