@@ -150,8 +150,9 @@ def test_the_picture_keeps_to_what_the_bars_leave(bench):
 CUT_OFF = """() => {
   const scrolls = (node) => /auto|scroll/.test(getComputedStyle(node).overflow);
   const held = (node) => {
-    for (let at = node.parentElement; at && !at.matches('.opnav-workbench'); at = at.parentElement) if (scrolls(at)) return true;
-    return false;
+    let at = node.parentElement;
+    while (at && !at.matches(".opnav-workbench") && !scrolls(at)) at = at.parentElement;
+    return Boolean(at) && !at.matches(".opnav-workbench");
   };
   return [...document.querySelectorAll('.ow-window :is(button, select, .name, .message, .opnav-figure)')].filter((node) => {
     const r = node.getBoundingClientRect();
