@@ -252,6 +252,32 @@ def test_clicks_drags_and_zoom(opened):
     assert nb.python("[view.models.x_range.start, view.models.y_range.start]") == [-0.5, 255.5]
 
 
+def test_the_cursor_goes_and_clicks_by_keys(opened):
+    nb = opened()
+    nb.click(128, 128)
+    nb.python("heard.clear() or 1")
+    place, *_ = readout(nb, 100, 60)
+    nb.press("Control+Shift+ArrowRight", "Control+ArrowUp", "Control+ArrowUp")
+    told = nb.page.inner_text(".opnav-read-place")
+    assert told == f"pixel {place[0] + 10.0:.2f}  line {place[1] - 2.0:.2f}"
+    assert nb.page.locator(".opnav-cross").first.is_visible()  # where it is
+    nb.press("Control+Enter")
+    nb.settle()
+    np.testing.assert_allclose(nb.until("heard[-1:]")[0], (place[0] + 10.0, place[1] - 2.0), atol=0.01)
+    # a box: begun, and ended somewhere else
+    nb.python("view.drag_mode(True, 'box') or 1")
+    nb.page.wait_for_function("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').drag === 'box'")
+    nb.press("Control+Enter", "Control+Shift+ArrowDown", "Control+Shift+ArrowRight", "Control+Enter")
+    nb.settle()
+    ends = nb.until("len(heard) > 1 and heard[-1]")
+    np.testing.assert_allclose(
+        ends, (place[0] + 10.0, place[1] - 2.0, place[0] + 20.0, place[1] + 8.0), atol=0.01
+    )
+    nb.python("view.drag_mode(False) or 1")
+    nb.page.mouse.move(*nb.xy(50, 50))  # the mouse takes over
+    nb.page.wait_for_function("() => document.querySelector('.opnav-cross').hidden")
+
+
 def test_residuals_are_a_thousand_times_as_long_within_three_keys(opened):
     nb = opened()
     nb.click(128, 128)
