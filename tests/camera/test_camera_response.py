@@ -60,7 +60,7 @@ def test_mvic_sees_the_sun_as_its_headers_say():
 
 
 # These measure flight pictures only: nothing of their response is stated.
-WITHOUT_RESPONSE = ("iss_nac", "onc_w2", "msi")
+WITHOUT_RESPONSE = ("iss_nac", "onc_w2", "msi", "leisa")
 
 
 @pytest.mark.slow(keep=["fc2", "lorri_1x1", "lorri_4x4", "mapcam", "mvic_framing", "pinhole", "polycam"])

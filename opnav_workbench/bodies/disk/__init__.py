@@ -12,6 +12,8 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     Pixels in squares, where the light is smooth.
 ``limb_cells``
     The pixels about a limb, and their means over cells.
+``hidden_albedo``
+    What albedo between the nodes of a field does to a limb.
 ``marginal``
     The likelihood, marginal over an albedo that is a random field and over a rough limb.
 ``fit``
