@@ -254,4 +254,5 @@ def test_enceladus_as_cassini_saw_it_from_a_circle_alone(data_dir, tmp_path):
     assert body["measured_range_km"] == pytest.approx(143_200.0, rel=0.005)
     assert body["range_sigma_km"] < 500.0
     (scans,) = process(picture, mission="cassini", decisions=path, method="limb_scan")[0].result["bodies"]
-    assert scans["status"] != "ok"  # a display's stretch: the likelihood does not explain it, and scans rest on its light
+    # Its steps are a display's: the likelihood does not explain it, and scans rest on the likelihood's light.
+    assert scans["status"] != "ok"
