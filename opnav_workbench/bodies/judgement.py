@@ -29,7 +29,6 @@ from opnav_workbench.bodies.results import (
     flags_where,
 )
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
-from opnav_workbench.threads import one_thread
 
 __all__ = [
     "POOR_CHI2",
@@ -123,7 +122,6 @@ def difference_covariance(away_px: FloatArray) -> FloatArray:
     return np.asarray(DIFFERENCE_SHARE**2 * np.outer(away_px, away_px))
 
 
-@one_thread()
 def confirmed_center(
     picture: BodyPicture,
     center: BodyCenter,

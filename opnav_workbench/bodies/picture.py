@@ -253,12 +253,8 @@ def displaced_model(
             f"{name}: pixel {place[0]:.1f}, line {place[1]:.1f} lies beyond what the model of {picture.camera.name} covers."
         )
     direction = geometric_direction(apparent, picture.observer_velocity_km_s)
-    target = model.target
-    position = direction * (target.range_km * range_scale)
-    sun = target.sun_position_km
-    if sun is not None:
-        sun = sun + target.position_km - position
-    return replace(model, target=replace(target, position_km=position, sun_position_km=sun))
+    position = direction * (model.target.range_km * range_scale)
+    return replace(model, target=model.target.standing_at(position))
 
 
 FAN_NODES = 6  # a ray's direction is a polynomial of the distance: to 1e-9 rad within a body's image

@@ -23,7 +23,6 @@ from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
 from opnav_workbench.camera import Camera
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, render_moving, render_touched
-from opnav_workbench.threads import one_thread
 
 __all__ = [
     "SceneFit",
@@ -326,7 +325,6 @@ class SceneFit:
         return max(int(np.count_nonzero(self.weight)) - len(self.information), 1)
 
 
-@one_thread()
 def fit_scene(
     picture: BodyPicture,
     cutout: Cutout,

@@ -208,9 +208,8 @@ def _free_port(wanted: int) -> int:
     if not 0 <= wanted <= HIGHEST_PORT:
         raise SessionError(f"{wanted} is no port; choose one from 1024 to {HIGHEST_PORT}, or leave it out.")
     with socket.socket() as probe:
-        if (
-            os.name == "posix"
-        ):  # as the server binds it: a port whose last connections are being closed is free
+        # As the server binds it: a port whose last connections are being closed is free.
+        if os.name == "posix":
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", wanted))

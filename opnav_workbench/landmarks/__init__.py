@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         SilhouettePlace,
         find_lost_landmarks,
         place_from_silhouette,
-        standing_at,
     )
     from opnav_workbench.landmarks.making import ellipsoid_shape, make_maplets
     from opnav_workbench.landmarks.maplets import Maplets
@@ -71,7 +70,6 @@ else:  # loaded on first use: most calls need a few of these
             "SilhouettePlace": "lost",
             "find_lost_landmarks": "lost",
             "place_from_silhouette": "lost",
-            "standing_at": "lost",
             "ellipsoid_shape": "making",
             "make_maplets": "making",
             "Maplets": "maplets",
@@ -117,5 +115,4 @@ __all__ = [
     "posed",
     "predict_landmarks",
     "predicted_again",
-    "standing_at",
 ]

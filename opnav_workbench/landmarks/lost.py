@@ -22,9 +22,8 @@ from opnav_workbench.landmarks.maplets import Maplets
 from opnav_workbench.landmarks.results import LandmarkSolution
 from opnav_workbench.render import BodyModel
 from opnav_workbench.render.body import PlacedBody
-from opnav_workbench.targets import TargetState
 
-__all__ = ["SilhouettePlace", "find_lost_landmarks", "place_from_silhouette", "standing_at"]
+__all__ = ["SilhouettePlace", "find_lost_landmarks", "place_from_silhouette"]
 
 GRID = 192  # points along a side of the square about the body
 BRIGHT_SHARE, BRIGHT_QUANTILE = 0.2, 0.95  # lit is what has a fifth of the brightness of the brightest
@@ -151,7 +150,7 @@ def find_lost_landmarks(
     """
     start = place_from_silhouette(picture, maplets.body)
     model = picture.model(maplets.body)
-    target = standing_at(model.target, start.position_km)
+    target = model.target.standing_at(start.position_km)
     moved = tuple(replace(m, target=target) if m is model else m for m in picture.models)
     radius = float(np.clip(4.0 * ACROSS_SHARE * start.diameter_px, 8.0, LARGEST_RADIUS_PX))
     found = find_landmarks(
@@ -161,10 +160,3 @@ def find_lost_landmarks(
         search_radius_px=radius,
     )
     return replace(found, centers=replace(found.centers, start_km=start.position_km))
-
-
-def standing_at(target: TargetState, position_km: FloatArray) -> TargetState:
-    """Return a target at another place from the spacecraft, under the same Sun."""
-    sun = target.sun_position_km
-    moved = None if sun is None else sun + target.position_km - position_km
-    return replace(target, position_km=position_km, sun_position_km=moved)

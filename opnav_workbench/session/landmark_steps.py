@@ -29,7 +29,6 @@ from opnav_workbench.landmarks import (
     landmark_patches,
     posed,
     predicted_again,
-    standing_at,
 )
 from opnav_workbench.observables import Observable, observe
 from opnav_workbench.scene import following
@@ -158,7 +157,7 @@ def judged(context: Context, inputs: Inputs, state: SessionState) -> SessionStat
         body = solution.centers.body
         target, start_km = inputs.targets[body], solution.centers.start_km
         if start_km is not None:  # nobody knew where it is
-            target = standing_at(replace(target, covariance_km2=None), start_km)
+            target = replace(target, covariance_km2=None).standing_at(start_km)
         attitude, velocity = best_attitude(inputs, state), inputs.observer.velocity_km_s
         view = (target, following(context.camera, target, velocity, attitude), attitude, velocity)
         landmarks = posed(solution.centers, *view)

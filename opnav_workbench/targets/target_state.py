@@ -4,7 +4,7 @@ Frame  J2000; the body-fixed frame enters through ``body_from_j2000`` only
 Units  km, km/s, km^2, rad, mag
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -110,6 +110,12 @@ class TargetState:
     def direction(self) -> FloatArray:
         """Unit vector (3,) toward the body, J2000, without stellar aberration."""
         return np.asarray(self.position_km / self.range_km)
+
+    def standing_at(self, position_km: FloatArray) -> "TargetState":
+        """Return the target at another place (3,) from the spacecraft, km, under the same Sun."""
+        sun = self.sun_position_km
+        moved = None if sun is None else sun + self.position_km - position_km
+        return replace(self, position_km=position_km, sun_position_km=moved)
 
 
 def star_target(

@@ -31,7 +31,6 @@ METHOD = "disk"
 CROSSING_EXCESS = 2.0
 
 
-@one_thread()
 def find_disk(
     picture: BodyPicture,
     name: str,
@@ -82,7 +81,7 @@ def judged_disk(disk: MeasuredDisk, *, solve_range: bool = True) -> BodyCenter:
         if alike(disk.fit, disk.crossing):
             reading = _of_both(reading, second)
         elif _better_supported(reading, second):
-            reading = _with_difference(reading, second)
+            reading = _with_difference(reading, second.pixel_line - reading.center_px)
         else:
             reading = _crossings_instead(reading, second)
     return judged_center(disk, reading, _detail(disk.fit), solve_range=solve_range)
@@ -108,19 +107,16 @@ def _of_both(reading: CenterReading, second: SecondReading) -> CenterReading:
     share = own @ np.linalg.inv(own + other)  # of the second
     away = second.pixel_line - reading.center_px
     both = replace(reading, center_px=reading.center_px + share @ away, covariance_px2=own - share @ own)
-    return _with_difference(both, second, away)
+    return _with_difference(both, away)
 
 
-def _with_difference(
-    reading: CenterReading, second: SecondReading, away_px: FloatArray | None = None
-) -> CenterReading:
-    """Return a center with what two readings of the same pixels say of each other, `away_px`, in its covariance.
+def _with_difference(reading: CenterReading, away_px: FloatArray) -> CenterReading:
+    """Return a center with the difference (2,) of two readings of the same pixels in its covariance.
 
     What a likelihood knows rests on its model; half of the difference from a reading without one stands for where no model
     is right.
     """
-    away = second.pixel_line - reading.center_px if away_px is None else away_px
-    return replace(reading, covariance_px2=reading.covariance_px2 + difference_covariance(away))
+    return replace(reading, covariance_px2=reading.covariance_px2 + difference_covariance(away_px))
 
 
 def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterReading:

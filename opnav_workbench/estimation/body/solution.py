@@ -215,12 +215,10 @@ class BodySolution:
         target = spun_target(sighting, self.state, sighting.target.position_km + moved)
         assert target.body_from_j2000 is not None
         figure_center = target.position_km + self.offset_km @ target.body_from_j2000
-        sun = model.target.sun_position_km
-        if sun is not None:
-            sun = sun + model.target.position_km - figure_center
-        target = replace(model.target, position_km=figure_center, radii_km=self.radii_km, sun_position_km=sun,
-                         body_from_j2000=target.body_from_j2000)  # fmt: skip
-        return replace(model, target=target)
+        there = model.target.standing_at(figure_center)
+        return replace(
+            model, target=replace(there, radii_km=self.radii_km, body_from_j2000=target.body_from_j2000)
+        )
 
     def figure(self, figure: FigureUncertainty) -> FigureUncertainty:
         """Return how far a disk's model may be off now, roughness, albedo and law as they were."""

@@ -15,11 +15,11 @@ and a row for each picture, told by ``file``.
     Of the spacecraft with respect to the Sun, J2000.
 ``sclk``, ``target``, ``instrument``
     Texts.
+``lines``, ``samples``, ``sample_type``, ``byte_order``, ``offset_bytes``, ``line_prefix_bytes``, ``line_suffix_bytes``
+    The layout of a raw file; of several ``channels`` also how they are interleaved (``interleave``: BSQ, BIL, BIP).
 
 Image support data of a Community Sensor Model (ALE's JSON) are a sidecar, too, and tell the time here; what they tell of
 attitude, states and body the session takes from them (`opnav_workbench.session.beside`).
-``lines``, ``samples``, ``sample_type``, ``byte_order``, ``offset_bytes``, ``line_prefix_bytes``, ``line_suffix_bytes``
-    The layout of a raw file; of several ``channels`` also how they are interleaved (``interleave``: BSQ, BIL, BIP).
 """
 
 import csv
