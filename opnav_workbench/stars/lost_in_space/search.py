@@ -12,13 +12,13 @@ from itertools import combinations
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import unit
 from opnav_workbench.stars.detection import Detections
 from opnav_workbench.stars.flags import StarFlag
-from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders, triples
-from opnav_workbench.stars.lost_in_space.sky_index import BANDS, Band, SkyIndex
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders, pairs
+from opnav_workbench.stars.lost_in_space.sky_index import BANDS, TOO_CLOSE, Band, SkyIndex
 from opnav_workbench.stars.lost_in_space.verification import (
     MIN_STARS,
     Plane,
@@ -36,9 +36,9 @@ MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
 ROUNDS = (8, 12, 16, 20, 25, 30)
 CENTER_SIGMA_PX = 0.45  # of a detection's center, for the reach of codes
 REACH_SIGMAS = 3.0
-MAX_CODE_REACH = 0.02
-MIN_ANGLE_PX = 40.0  # of a pattern: noise leaves nothing of smaller ones
-PATTERN_REACH = 5.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
+SLACK = 0.02  # of the longest side, by which noise may change the order of two sides
+MIN_ANGLE_PX = 100.0  # of a triangle: noise leaves too little of smaller ones
+PATTERN_REACH = 4.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
 MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
 WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
 MOST_JUDGED = 12  # proposals weighed at once
@@ -188,64 +188,88 @@ def _bands(index: SkyIndex, plane: Plane) -> list[Band]:
 
 
 def _rounds(plane: Plane) -> Iterator[IntArray]:
-    """Yield sets of four detections (q > 0, 4), those of brighter ones first, without those too wide or too small."""
+    """Yield sets of three detections (q > 0, 3), those of brighter ones first, without those too wide or too small."""
     width = np.sqrt(plane.area_px2)
     apart = np.linalg.norm(plane.places[:, None] - plane.places, axis=2) / plane.scale_rad
     before = 0
     for wanted in ROUNDS:
         count = min(wanted, len(plane.places))
         new = [
-            np.column_stack([sets := triples(last), np.full(len(sets), last)])
+            np.column_stack([sets := pairs(last), np.full(len(sets), last)])
             for last in range(max(before, STARS - 1), count)
         ]
         before = count
         if not new:
             return
-        quads = np.concatenate(new)
-        sides = np.stack([apart[quads[:, i], quads[:, j]] for i, j in combinations(range(STARS), 2)])
+        sets = np.concatenate(new)
+        sides = np.stack([apart[sets[:, i], sets[:, j]] for i, j in combinations(range(STARS), 2)])
         widest = sides.max(axis=0)
-        reach = PATTERN_REACH * width / np.sqrt(quads[:, -1] + 1.0)
-        good = (widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > 0.02 * widest)
+        reach = PATTERN_REACH * width / np.sqrt(sets[:, -1] + 1.0)
+        good = (widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > TOO_CLOSE * widest)
         if good.any():
-            yield quads[good]
+            yield sets[good]
 
 
 def _proposals(
-    index: SkyIndex, plane: Plane, bands: list[Band], quads: IntArray
+    index: SkyIndex, plane: Plane, bands: list[Band], sets: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (c, 3, 3) and scales (c,) from catalog patterns that are like sets of four detections."""
+    """Return rotations (c, 3, 3) and scales (c,) from catalog triangles that are like three detections, with a fourth star."""
     rays = unit(np.column_stack([plane.places, np.ones(len(plane.places))]))
-    slack = REACH_SIGMAS * CENTER_SIGMA_PX / 100.0
-    rows, orders = named_orders(rays[quads], slack)
-    quads = np.take_along_axis(quads[rows], ORDERS[orders], axis=1)
-    codes, angle = code_of(rays[quads])
+    rows, orders = named_orders(rays[sets], SLACK)
+    sets = np.take_along_axis(sets[rows], ORDERS[orders], axis=1)
+    codes, angle = code_of(rays[sets])
     wide = WIDE_FIELD * np.tan(plane.reach_rad) ** 2 * plane.focal_error
-    reach = np.minimum(REACH_SIGMAS * 1.4 * CENTER_SIGMA_PX * plane.scale_rad / angle, MAX_CODE_REACH) + wide
-    seen, stars = [], []
+    reach = REACH_SIGMAS * 1.4 * CENTER_SIGMA_PX * plane.scale_rad / angle + wide
+    rotations, scales = [np.empty((0, 3, 3))], [np.empty(0)]
     for band in bands:
-        row, members = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
-        found, angle_found = code_of(index.vectors[members].astype(np.float64))
+        row, members, number = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
+        stars = index.vectors[members].astype(np.float64)
+        found, _ = code_of(stars)
         good = (np.abs(found - codes[row]) < reach[row, None]).all(axis=1)
-        good &= np.abs(np.log(angle_found / angle[row])) < 1.2 * plane.focal_error
-        seen.append(quads[row[good]])
-        stars.append(members[good])
-    if not seen:
-        return np.empty((0, 3, 3)), np.empty(0)
-    return _attitudes(plane, np.concatenate(seen), index.vectors[np.concatenate(stars)].astype(np.float64))
+        row, stars, number = row[good], stars[good], number[good]
+        rotation, scale = _attitudes(plane, sets[row], stars)
+        proven = _have_fourth(index, plane, rotation, scale, sets[row], members[good], band.around[number])
+        rotations.append(rotation[proven])
+        scales.append(scale[proven])
+    return np.concatenate(rotations), np.concatenate(scales)
 
 
 def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (c, 3, 3) and scales (c,) that take four stars (c, 4, 3) onto four detections (c, 4)."""
+    """Return rotations (c, 3, 3) and scales (c,) that take three stars (c, 3, 3) onto three detections (c, 3).
+
+    The scale is that of A and B, the middle of these fits, and half of what the directions to C differ by is turned away.
+    """
     places = plane.places[seen]
     scale = np.ones(len(seen))
     wanted = np.linalg.norm(stars[:, 0] - stars[:, 1], axis=1)
     for _ in range(3):
-        rays = unit(np.concatenate([places * scale[:, None, None], np.ones((*seen.shape, 1))], axis=2))
+        rays = unit(np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2))
         scale = scale * wanted / np.linalg.norm(rays[:, 0] - rays[:, 1], axis=1)
-    rays = unit(np.concatenate([places * scale[:, None, None], np.ones((*seen.shape, 1))], axis=2))
-    u, _, vt = np.linalg.svd(np.einsum("cki,ckj->cij", rays, stars))
-    u[:, :, 2] *= (np.linalg.det(u) * np.linalg.det(vt))[:, None]
-    return u @ vt, scale
+    rays = unit(np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2))
+    return np.swapaxes(_frames(rays), 1, 2) @ _frames(stars), scale
+
+
+def _frames(two: FloatArray) -> FloatArray:
+    """Return right-handed axes (c, 3, 3) in rows: half-way between two directions, from one to the other, and across."""
+    middle, along = unit(two[:, 0] + two[:, 1]), unit(two[:, 1] - two[:, 0])
+    return np.stack([middle, along, np.cross(middle, along)], axis=1)
+
+
+def _have_fourth(
+    index: SkyIndex,
+    plane: Plane,
+    rotations: FloatArray,
+    scales: FloatArray,
+    seen: IntArray,
+    members: IntArray,
+    near: IntArray,
+) -> BoolArray:
+    """Tell which proposals, from detections and stars (c, 3), bring another of the stars `near` (c, k) to another detection."""
+    which, place = np.nonzero((near[:, :, None] != members[:, None]).all(axis=2))
+    turned = np.einsum("cij,cj->ci", rotations[which], index.vectors[near[which, place]])
+    found = plane.map.near(turned[:, :2] / turned[:, 2:] / scales[which, None])
+    hit = (found >= 0) & (found[:, None] != seen[which]).all(axis=1)
+    return np.bincount(which[hit], minlength=len(near)) > 0
 
 
 # ---- What is told.

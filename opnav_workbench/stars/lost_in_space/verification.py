@@ -11,6 +11,7 @@ by all that stars and detections differ among themselves. What is left is compar
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import FloatArray, IntArray
@@ -34,6 +35,8 @@ FIRST_REACH_PX, FIRST_REACH_SHARE = (
     4.0,
     0.006,
 )  # of matches with a proposal from four stars; share of the picture
+FOURTH_REACH_PX = 4.5  # of a fourth star from where three put it, 1.9 px off each, half their width outside
+CELLS_OF_REACH, MAX_CELLS = 3.0, 1000  # of the map of detections
 MIN_STARS = 5  # four fit by chance somewhere on the sky
 REFINEMENTS = 4
 STARS_PER_DETECTION = 3.0  # catalog stars looked at: the picture may be in a poor part of the sky
@@ -47,6 +50,40 @@ TURN_RAD = 2.0 * np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DetectionMap:
+    """Which detection is about so near a place, told by a look at a table: millions of places are asked for."""
+
+    table: NDArray[np.int16]  # (n, n), -1 where none is near
+    corner: FloatArray  # (2,)
+    cell: float
+
+    @classmethod
+    def drawn(cls, places: FloatArray, reach: float) -> "DetectionMap":
+        """Return the map of the detections at `places` (m, 2), brighter ones before fainter."""
+        corner = places.min(axis=0) - reach
+        width = float((places.max(axis=0) + reach - corner).max())
+        cell = max(reach / CELLS_OF_REACH, width / MAX_CELLS)
+        half = int(np.ceil(reach / cell))
+        table = np.full((int(width / cell) + 2 * half + 2,) * 2, -1, np.int16)
+        step = np.arange(-half, half + 1)
+        disk = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
+        disk = disk[np.hypot(*disk.T) * cell <= reach]
+        cells = np.floor((places - corner) / cell).astype(np.int64)[::-1, None] + disk
+        table[cells[..., 0].ravel(), cells[..., 1].ravel()] = np.repeat(
+            np.arange(len(places))[::-1], len(disk)
+        )
+        return cls(table, corner, cell)
+
+    def near(self, places: FloatArray) -> IntArray:
+        """Return the detections (n,) near places (n, 2), -1 where none is."""
+        cells = ((places - self.corner) / self.cell).astype(np.int64)
+        on = ((cells >= 0) & (cells < len(self.table))).all(axis=1)
+        found = np.full(len(places), -1, np.int64)
+        found[on] = self.table[cells[on, 0], cells[on, 1]]
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Plane:
     """Detections in the plane of focal length 1, free of distortion, boresight at (0, 0), brightest first."""
 
@@ -56,9 +93,11 @@ class Plane:
     corners: FloatArray  # (4, 2) of the detector, in order around it
     focal_error: float
     tree: cKDTree = field(init=False)
+    map: "DetectionMap" = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tree", cKDTree(self.places))
+        object.__setattr__(self, "map", DetectionMap.drawn(self.places, FOURTH_REACH_PX * self.scale_rad))
 
     @property
     def reach_rad(self) -> float:
