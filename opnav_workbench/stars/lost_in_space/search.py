@@ -32,16 +32,18 @@ __all__ = ["FOCAL_ERROR", "LostAnswer", "no_patterns", "right_handed_axes", "sol
 
 FOCAL_ERROR = 0.05  # of the camera file's focal length
 MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
-# Detections among which patterns are looked for, one more round each where no answer is sure.
-ROUNDS = (8, 12, 16, 20, 25, 30)
-CENTER_SIGMA_PX = 0.45  # of a detection's center, for the reach of codes
+# Sigmas of a detection's center, px, for the reach of codes, and among how many detections patterns are looked for, one more
+# round each where no answer is sure. The second pass is for noisy pictures of few stars; where there are more than sixteen
+# detections, enough of their many triangles are as good as the first asks for.
+PASSES = ((0.15, (8, 12, 16, 20, 25, 30)), (0.45, (8, 12, 16)))
 REACH_SIGMAS = 3.0
+CODE_NOISE = 1.4  # of a code, in a center's sigmas over the length of AB
 SLACK = 0.02  # of the longest side, by which noise may change the order of two sides
 MIN_ANGLE_PX = 100.0  # of a triangle: noise leaves too little of smaller ones
 PATTERN_REACH = 4.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
 MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
 WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
-MOST_JUDGED = 12  # proposals weighed at once
+MOST_JUDGED = 6  # proposals weighed in a round: the true one is among the first three where four stars or more fit
 STARS_IN_FIELD = 2.5, 120.0  # of a band, in a picture it has patterns for
 
 
@@ -165,14 +167,15 @@ def _flipped(plane: Plane) -> Plane:
 def _search(index: SkyIndex, plane: Plane) -> Verdict | None:
     """Return the first sure verdict."""
     bands = _bands(index, plane)
-    for quads in _rounds(plane):
-        rotations, scales = _proposals(index, plane, bands, quads)
-        if len(scales) == 0:
-            continue
-        for row in promising(index, plane, rotations, scales, MOST_JUDGED):
-            verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
-            if verdict is not None and verdict.sure:
-                return verdict
+    for sigma_px, rounds in PASSES:
+        for sets in _rounds(plane, rounds):
+            rotations, scales = _proposals(index, plane, bands, sets, sigma_px)
+            if len(scales) == 0:
+                continue
+            for row in promising(index, plane, rotations, scales, MOST_JUDGED):
+                verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
+                if verdict is not None and verdict.sure:
+                    return verdict
     return None
 
 
@@ -187,12 +190,12 @@ def _bands(index: SkyIndex, plane: Plane) -> list[Band]:
     ]
 
 
-def _rounds(plane: Plane) -> Iterator[IntArray]:
+def _rounds(plane: Plane, rounds: tuple[int, ...]) -> Iterator[IntArray]:
     """Yield sets of three detections (q > 0, 3), those of brighter ones first, without those too wide or too small."""
     width = np.sqrt(plane.area_px2)
     apart = np.linalg.norm(plane.places[:, None] - plane.places, axis=2) / plane.scale_rad
     before = 0
-    for wanted in ROUNDS:
+    for wanted in rounds:
         count = min(wanted, len(plane.places))
         new = [
             np.column_stack([sets := pairs(last), np.full(len(sets), last)])
@@ -211,7 +214,7 @@ def _rounds(plane: Plane) -> Iterator[IntArray]:
 
 
 def _proposals(
-    index: SkyIndex, plane: Plane, bands: list[Band], sets: IntArray
+    index: SkyIndex, plane: Plane, bands: list[Band], sets: IntArray, sigma_px: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations (c, 3, 3) and scales (c,) from catalog triangles that are like three detections, with a fourth star."""
     rays = unit(np.column_stack([plane.places, np.ones(len(plane.places))]))
@@ -219,7 +222,7 @@ def _proposals(
     sets = np.take_along_axis(sets[rows], ORDERS[orders], axis=1)
     codes, angle = code_of(rays[sets])
     wide = WIDE_FIELD * np.tan(plane.reach_rad) ** 2 * plane.focal_error
-    reach = REACH_SIGMAS * 1.4 * CENTER_SIGMA_PX * plane.scale_rad / angle + wide
+    reach = REACH_SIGMAS * CODE_NOISE * sigma_px * plane.scale_rad / angle + wide
     rotations, scales = [np.empty((0, 3, 3))], [np.empty(0)]
     for band in bands:
         row, members, number = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
@@ -228,7 +231,7 @@ def _proposals(
         good = (np.abs(found - codes[row]) < reach[row, None]).all(axis=1)
         row, stars, number = row[good], stars[good], number[good]
         rotation, scale = _attitudes(plane, sets[row], stars)
-        proven = _have_fourth(index, plane, rotation, scale, sets[row], members[good], band.around[number])
+        proven = _have_fourth(index, plane, rotation, scale, sets[row], band.around[number])
         rotations.append(rotation[proven])
         scales.append(scale[proven])
     return np.concatenate(rotations), np.concatenate(scales)
@@ -256,20 +259,15 @@ def _frames(two: FloatArray) -> FloatArray:
 
 
 def _have_fourth(
-    index: SkyIndex,
-    plane: Plane,
-    rotations: FloatArray,
-    scales: FloatArray,
-    seen: IntArray,
-    members: IntArray,
-    near: IntArray,
+    index: SkyIndex, plane: Plane, rotations: FloatArray, scales: FloatArray, seen: IntArray, near: IntArray
 ) -> BoolArray:
-    """Tell which proposals, from detections and stars (c, 3), bring another of the stars `near` (c, k) to another detection."""
-    which, place = np.nonzero((near[:, :, None] != members[:, None]).all(axis=2))
-    turned = np.einsum("cij,cj->ci", rotations[which], index.vectors[near[which, place]])
-    found = plane.map.near(turned[:, :2] / turned[:, 2:] / scales[which, None])
-    hit = (found >= 0) & (found[:, None] != seen[which]).all(axis=1)
-    return np.bincount(which[hit], minlength=len(near)) > 0
+    """Tell which proposals bring one of the stars `near` (c, k) to a detection beside the three `seen` (c, 3)."""
+    axes = np.swapaxes(rotations.astype(np.float32), 1, 2)
+    axes[:, :, 2] *= scales.astype(np.float32)[:, None]
+    turned = np.matmul(index.vectors[near], axes)
+    found = plane.map.near(turned[..., :2] / turned[..., 2:])
+    new = (found[:, :, None] != seen[:, None]).all(axis=2)
+    return np.asarray(((found >= 0) & new).any(axis=1))
 
 
 # ---- What is told.

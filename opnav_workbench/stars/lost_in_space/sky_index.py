@@ -56,10 +56,10 @@ LEAF_STARS = 64  # of a tree: built in two thirds of the time that scipy's 16 ta
 GROWTH = 1.25  # of the list of stars among which neighbors are looked for
 CHUNK = 8192  # stars whose triangles are made at once
 
-CODE_CELL = 0.005  # about what noise moves a code
+CODE_CELL = 0.0025  # about what noise moves a code
 X_CELLS = int(np.ceil(0.5 / CODE_CELL)) + 1  # x runs from 0 to 0.5, y from -0.87 to 0.87
 Y_CELLS = int(np.ceil(1.75 / CODE_CELL))
-ANGLE_STEPS = 1 << 16
+ANGLE_STEPS = 1 << 14
 LOG_ANGLES = np.log(1e-6), np.log(1.0)  # of the first and last step
 
 
