@@ -1,9 +1,10 @@
-"""From detections to the attitude, with none to begin with: patterns of the brightest, looked up, proposed, weighed.
+"""From detections to the attitude, with none to begin with: triangles of the brightest, looked up, proposed, weighed.
 
-Patterns of four detections are looked up in the index, those of the brightest first; each catalog pattern with the same
-code, and the same angle within what the focal length may be off, proposes an attitude; the proposals that bring most
-stars near detections are refined and weighed (`verification`). If none is sure, the same is tried with the picture
-mirrored: a sure answer then says that picture and camera file do not belong together.
+Triangles of detections are looked up in the index, those of the brightest first; each catalog triangle with the same code,
+and the same angle within what the focal length may be off, proposes an attitude, if that brings a fourth star to a
+detection. The proposals that bring most stars nearest to detections are refined and weighed (`verification`). If none is
+sure, the same is tried with what noise does to faint stars' centers, then with the picture mirrored: a sure answer to that
+says that picture and camera file do not belong together.
 """
 
 from collections.abc import Iterator
@@ -43,7 +44,9 @@ MIN_ANGLE_PX = 100.0  # of a triangle: noise leaves too little of smaller ones
 PATTERN_REACH = 4.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
 MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
 WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
-MOST_JUDGED = 6  # proposals weighed in a round: the true one is among the first three where four stars or more fit
+MOST_JUDGED = (
+    6  # proposals weighed in a round: the true one is among the first three where four stars or more fit
+)
 STARS_IN_FIELD = 2.5, 120.0  # of a band, in a picture it has patterns for
 
 
@@ -166,28 +169,36 @@ def _flipped(plane: Plane) -> Plane:
 
 def _search(index: SkyIndex, plane: Plane) -> Verdict | None:
     """Return the first sure verdict."""
-    bands = _bands(index, plane)
-    for sigma_px, rounds in PASSES:
-        for sets in _rounds(plane, rounds):
-            rotations, scales = _proposals(index, plane, bands, sets, sigma_px)
-            if len(scales) == 0:
-                continue
-            for row in promising(index, plane, rotations, scales, MOST_JUDGED):
-                verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
-                if verdict is not None and verdict.sure:
-                    return verdict
+    for bands in _bands(index, plane):
+        for sigma_px, rounds in PASSES:
+            for sets in _rounds(plane, rounds):
+                rotations, scales = _proposals(index, plane, bands, sets, sigma_px)
+                if len(scales) == 0:
+                    continue
+                for row in promising(index, plane, rotations, scales, MOST_JUDGED):
+                    verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
+                    if verdict is not None and verdict.sure:
+                        return verdict
     return None
 
 
-def _bands(index: SkyIndex, plane: Plane) -> list[Band]:
-    """Return the bands whose stars are neither too few nor too many for a picture of this width."""
+def _bands(index: SkyIndex, plane: Plane) -> Iterator[list[Band]]:
+    """Yield the bands whose stars are neither too few nor too many for a picture of this width.
+
+    First all that are made already; then, one by one, those that take seconds to make, which most pictures never ask for.
+    """
     part = plane.area_px2 * plane.scale_rad**2 / (4.0 * np.pi * index.coverage)
     fewest, most = STARS_IN_FIELD
-    return [
-        index.band(number)
+    fitting = [
+        number
         for number, rule in enumerate(BANDS)
         if rule.first < len(index) and rule.first * part < most and min(rule.last, len(index)) * part > fewest
     ]
+    at_hand = [number for number in fitting if index.is_made(number)]
+    yield [index.band(number) for number in at_hand]
+    for number in fitting:
+        if number not in at_hand:
+            yield [index.band(number)]
 
 
 def _rounds(plane: Plane, rounds: tuple[int, ...]) -> Iterator[IntArray]:
@@ -246,7 +257,9 @@ def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatAr
     scale = np.ones(len(seen))
     wanted = np.linalg.norm(stars[:, 0] - stars[:, 1], axis=1)
     for _ in range(3):
-        rays = unit(np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2))
+        rays = unit(
+            np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2)
+        )
         scale = scale * wanted / np.linalg.norm(rays[:, 0] - rays[:, 1], axis=1)
     rays = unit(np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2))
     return np.swapaxes(_frames(rays), 1, 2) @ _frames(stars), scale

@@ -42,7 +42,8 @@ class BandRule:
 
 
 BANDS = tuple(
-    BandRule(first, last) for first, last in pairwise([0, 1 << 14, 1 << 16, 1 << 18, 1 << 19, 1 << 20, 1 << 21, 1 << 22])
+    BandRule(first, last)
+    for first, last in pairwise([0, 1 << 14, 1 << 16, 1 << 18, 1 << 19, 1 << 20, 1 << 21, 1 << 22])
 )
 # Of 1,500 fields with five stars or more in the index, all hold a triangle of a star with two of its six nearest brighter
 # ones, and all but one of them a fourth star around it (0.3 to 20 deg, a third false, a fifth of the catalog missing).
@@ -50,7 +51,9 @@ TRIANGLE_NEIGHBORS = 6
 AROUND = 24  # nearest stars among twice as many as are brighter: where three alone are bright, the fourth is fainter
 DEEPER = 2.0
 MAX_ANGLE_RAD = np.radians(30.0)  # of a pattern: wider than any field that is flat enough
-TOO_CLOSE = 0.03  # of the distance of the farthest of a triangle's: the two of a double star are one in the picture
+TOO_CLOSE = (
+    0.03  # of the distance of the farthest of a triangle's: the two of a double star are one in the picture
+)
 SPARE_NEIGHBORS = 6  # asked for beyond those, so that six brighter ones are among them, none too close
 LEAF_STARS = 64  # of a tree: built in two thirds of the time that scipy's 16 take, and asked no slower
 GROWTH = 1.25  # of the list of stars among which neighbors are looked for
@@ -132,7 +135,9 @@ def _neighbors(
         end = min(max(int(begin * GROWTH), begin + AROUND), last)
         deep = vectors[: min(max(int(begin * DEEPER), end), len(vectors))]
         tree = cKDTree(deep, balanced_tree=False, compact_nodes=False, leafsize=LEAF_STARS)
-        apart, near = tree.query(vectors[begin:end], k=np.arange(min(AROUND + SPARE_NEIGHBORS, len(deep))) + 1)
+        apart, near = tree.query(
+            vectors[begin:end], k=np.arange(min(AROUND + SPARE_NEIGHBORS, len(deep))) + 1
+        )
         near, here = np.asarray(near, np.int64), slice(begin - first, end - first)
         number = np.arange(begin, end)[:, None]
         _keep_first(around[here], near, near != number)
@@ -258,11 +263,14 @@ class SkyIndex:
         around = np.pi * float(np.median(reach)) ** 2 / count  # solid angle of a star, rad^2
         return float(np.clip(tree.n * around / (4.0 * np.pi), 1e-9, 1.0))
 
+    def is_made(self, number: int) -> bool:
+        """Tell whether a band stands ready."""
+        return number in self._bands or self._path(number).is_file()
+
     def band(self, number: int) -> Band:
         """Return a band, read or made at its first use."""
         if number not in self._bands:
-            path = self._folder / f"{self.digest[:16]}-band{number}.opnavindex"
-            identity = {"digest": self.digest, "band": number}
+            path, identity = self._path(number), {"digest": self.digest, "band": number}
             arrays = read_arrays(path, identity)
             if arrays is None:
                 if self._progress is not None:
@@ -273,6 +281,9 @@ class SkyIndex:
                 arrays["brighter"], arrays["around"], arrays["keys"], arrays["patterns"], BANDS[number].first
             )
         return self._bands[number]
+
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{self.digest[:16]}-band{number}.opnavindex"
 
     def brightest_tree(self, wanted: float) -> cKDTree:
         """Return a tree of at least so many of the brightest stars, or all; its rows are theirs."""

@@ -28,6 +28,7 @@ SEEN = (
 )
 # Of detections about their places: noise, pixel phase, distortion left over.
 SCATTERS_PX = (0.18, 0.35, 0.7, 1.4, 2.8)
+MOST_OF_BRIGHTNESS = 2.0  # log odds of a star by its magnitude: of stars that differ by four
 DEPTHS = 24  # of a picture that are tried: nearer to each other than magnitudes scatter
 MATCH_SIGMAS = 4.0
 FIRST_REACH_PX, FIRST_REACH_SHARE = (
@@ -255,14 +256,23 @@ def _weighed(
     nothing = Verdict(proposal, rows[:0], rows[:0], scatter_px, np.nan, -np.inf)
     if len(star) < MIN_STARS or abs(proposal.scale - 1.0) > 1.1 * plane.focal_error:
         return nothing
+    near = np.exp(-0.5 * (apart / scatter_px) ** 2)  # and so much likelier than chance is each match
+    near *= plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
+    freedom = _cost_of_freedom(plane, len(star), _spread_px(plane, plane.places[detection]), scatter_px)
+    most = np.maximum(np.log1p(SEEN * (near - 1.0)), 0.0) + MOST_OF_BRIGHTNESS
+    if most.sum() - freedom < SURE_LOG_ODDS:  # whatever else is true of it
+        return nothing
     mag = index.mag[rows].astype(np.float64)
-    ratio = np.zeros(len(stars))  # of a match's probability to that of chance
-    ratio[star] = np.exp(-0.5 * (apart / scatter_px) ** 2)
-    ratio[star] *= plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
+    ratio = np.zeros(len(stars))
+    ratio[star] = near
     depth = _depths(mag)[:, None]
     seen = SEEN * ndtr((depth - mag) / MAG_SCATTER)  # (depths, stars)
-    believed = pdtr(len(plane.places), seen.sum(axis=1))  # (depths,): no more are seen than there are detections
-    total = np.log1p(seen * (ratio - 1.0)).sum(axis=1) + np.log(np.maximum(believed / believed.sum(), np.finfo(float).tiny))
+    believed = pdtr(
+        len(plane.places), seen.sum(axis=1)
+    )  # (depths,): no more are seen than there are detections
+    total = np.log1p(seen * (ratio - 1.0)).sum(axis=1) + np.log(
+        np.maximum(believed / believed.sum(), np.finfo(float).tiny)
+    )
     best = int(np.argmax(total))
     kept = ratio[star] > 1.0  # nearer than chance brings a detection
     star, detection = star[kept], detection[kept]
