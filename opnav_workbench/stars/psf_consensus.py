@@ -20,7 +20,12 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.psf import EffectivePsf, PsfEvidence, shape_from_ellipse
 from opnav_workbench.stars.boxes import Pixels, check_image
-from opnav_workbench.stars.effective_psf import ExpectedPlaces, learn_correction, prior_correction, unknown_correction
+from opnav_workbench.stars.effective_psf import (
+    ExpectedPlaces,
+    learn_correction,
+    prior_correction,
+    unknown_correction,
+)
 from opnav_workbench.stars.flags import StarFlag
 from opnav_workbench.stars.group_fit import FitSettings
 from opnav_workbench.stars.least_squares import (
@@ -209,7 +214,9 @@ class _Frame:
         size = self.settings.size
         correction = unknown_correction(shape, size)
         if len(teachers) > 0:
-            learned = learn_correction(self.pixels, centers, teachers, shape, self.settings, self.places, None)
+            learned = learn_correction(
+                self.pixels, centers, teachers, shape, self.settings, self.places, None
+            )
             correction = learned.as_error()
         unknown = replace(shape, correction=correction)
         return self.fit(unknown, centers.psf_error), unknown

@@ -133,6 +133,7 @@ def main(path, fields=200, dots=1000, seed=18):
     rng = np.random.default_rng(seed)
     began = time.process_time()
     index = index_of_stars(vectors[known], mag[known])
+    index.open_all()
     say(f"{known.sum()} stars; index opened in {time.process_time() - began:.1f} s of processor time")
     counts, times, unsolved = {"solved": 0, "wrong": 0, "open": 0}, [], []
     for number in range(fields):

@@ -5,8 +5,8 @@ The two stars farthest apart are A and B, and A is the one nearer to the third: 
 picture has another code.
 
 Of five stars in a picture there are ten triangles and five sets of four, and a set of four is in an index only where all
-four stand close together among others: where a third of the detections is false and a fifth of the catalog missing, triangles
-are what is left. A fourth star tells the true ones (`search`).
+four stand close together among others: where a third of the detections is false and a fifth of the catalog missing,
+triangles are what is left. A fourth star tells the true ones (`search`).
 
 Source of the code, for four stars: Lang et al. (2010), doi:10.1088/0004-6256/139/5/1782.
 """

@@ -227,7 +227,7 @@ def _rounds(plane: Plane, rounds: tuple[int, ...]) -> Iterator[IntArray]:
 def _proposals(
     index: SkyIndex, plane: Plane, bands: list[Band], sets: IntArray, sigma_px: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (c, 3, 3) and scales (c,) from catalog triangles that are like three detections, with a fourth star."""
+    """Return rotations (c, 3, 3) and scales (c,) from catalog triangles that are like three detections, a fourth beside."""
     rays = unit(np.column_stack([plane.places, np.ones(len(plane.places))]))
     rows, orders = named_orders(rays[sets], SLACK)
     sets = np.take_along_axis(sets[rows], ORDERS[orders], axis=1)

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from scipy.spatial import cKDTree
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.resources import cache_root
 from opnav_workbench.stars.lost_in_space.index_file import read_arrays, write_arrays
-from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders, pairs
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, code_of, named_orders, pairs
 
 __all__ = ["BANDS", "Band", "SkyIndex", "index_of_stars", "patterns_folder"]
 
@@ -35,26 +34,32 @@ FORMAT = 2  # raise it whenever the same stars would make another index
 
 @dataclass(frozen=True, slots=True)
 class BandRule:
-    """Which stars, counted from the brightest, are the faintest of a band's triangles."""
+    """Which stars, counted from the brightest, are the faintest of a band's triangles, and of how many neighbors."""
 
     first: int
     last: int
+    neighbors: int  # nearest brighter ones: triangles of a star are two of so many
 
 
-BANDS = tuple(
-    BandRule(first, last)
-    for first, last in pairwise([0, 1 << 14, 1 << 16, 1 << 18, 1 << 19, 1 << 20, 1 << 21, 1 << 22])
-)
 # Of 1,500 fields with five stars or more in the index, all hold a triangle of a star with two of its six nearest brighter
 # ones, and all but one of them a fourth star around it (0.3 to 20 deg, a third false, a fifth of the catalog missing).
-TRIANGLE_NEIGHBORS = 6
+# Noise hides some of those: more cost little for bright stars, which are few.
+BANDS = (
+    BandRule(0, 1 << 14, 12),
+    BandRule(1 << 14, 1 << 16, 10),
+    BandRule(1 << 16, 1 << 18, 8),
+    BandRule(1 << 18, 1 << 19, 7),
+    BandRule(1 << 19, 1 << 20, 7),
+    BandRule(1 << 20, 1 << 21, 7),
+    BandRule(1 << 21, 1 << 22, 7),
+)
 AROUND = 24  # nearest stars among twice as many as are brighter: where three alone are bright, the fourth is fainter
 DEEPER = 2.0
 MAX_ANGLE_RAD = np.radians(30.0)  # of a pattern: wider than any field that is flat enough
 TOO_CLOSE = (
     0.03  # of the distance of the farthest of a triangle's: the two of a double star are one in the picture
 )
-SPARE_NEIGHBORS = 6  # asked for beyond those, so that six brighter ones are among them, none too close
+SPARE_NEIGHBORS = 6  # asked for beyond those, so that enough brighter ones are among them, none too close
 LEAF_STARS = 64  # of a tree: built in two thirds of the time that scipy's 16 take, and asked no slower
 GROWTH = 1.25  # of the list of stars among which neighbors are looked for
 CHUNK = 8192  # stars whose triangles are made at once
@@ -73,7 +78,7 @@ LOG_ANGLES = np.log(1e-6), np.log(1.0)  # of the first and last step
 class Band:
     """Triangles whose faintest stars are those of one `BandRule`."""
 
-    brighter: NDArray[np.uint32]  # (n, TRIANGLE_NEIGHBORS) rows of stars, those near each star of the band
+    brighter: NDArray[np.uint32]  # (n, neighbors) rows of stars, those near each star of the band
     around: NDArray[np.uint32]  # (n, AROUND)
     keys: NDArray[np.uint32]  # (m,) in order
     patterns: NDArray[np.uint32]  # (m,) packed: number of the star in its band, which neighbors, which order
@@ -82,7 +87,7 @@ class Band:
     def patterns_near(
         self, codes: FloatArray, angle_rad: FloatArray, code_reach: FloatArray, angle_reach: float
     ) -> tuple[IntArray, IntArray, IntArray]:
-        """Return rows (c,) of the codes (q, 2) that triangles may have, their stars (c, 3) A, B, C, and their numbers (c,)."""
+        """Return rows (c,) of codes (q, 2) that triangles may have, their stars (c, 3) A, B, C, and their numbers (c,)."""
         low, high, rows = _runs_of_keys(codes, angle_rad, code_reach, angle_reach)
         begin = np.searchsorted(self.keys, low)
         count = np.searchsorted(self.keys, high, side="right") - begin
@@ -97,23 +102,23 @@ class Band:
 
 def _members(brighter: NDArray[np.uint32], first: int, number: IntArray, which: IntArray) -> IntArray:
     """Return the stars (c, 3) of triangles: those of these numbers in their band, and two brighter ones near each."""
-    near = brighter[number[:, None], pairs(TRIANGLE_NEIGHBORS)[which]]
+    near = brighter[number[:, None], pairs(brighter.shape[1])[which]]
     return np.column_stack([number + first, near]).astype(np.int64)
 
 
 def _packed(number: IntArray, which: IntArray, order: IntArray) -> NDArray[np.uint32]:
-    return ((number << 8) | (which << 4) | order).astype(np.uint32)
+    return ((number << 11) | (which << 3) | order).astype(np.uint32)
 
 
 def _unpacked(packed: NDArray[np.uint32]) -> tuple[IntArray, IntArray, IntArray]:
     plain = packed.astype(np.int64)
-    return plain >> 8, (plain >> 4) & 0xF, plain & 0xF
+    return plain >> 11, (plain >> 3) & 0xFF, plain & 0x7
 
 
 def make_band(vectors: NDArray[np.float32], rule: BandRule) -> dict[str, NDArray[Any]]:
     """Make the arrays of a band from the unit vectors (n, 3) of all stars, brightest first."""
     last = min(rule.last, len(vectors))
-    brighter, around = _neighbors(vectors, rule.first, last)
+    brighter, around = _neighbors(vectors, rule.first, last, rule.neighbors)
     made = list(_patterns(vectors, brighter, rule.first))
     packed = np.concatenate([part for part, _ in made])
     keys = np.concatenate([part for _, part in made])
@@ -122,14 +127,14 @@ def make_band(vectors: NDArray[np.float32], rule: BandRule) -> dict[str, NDArray
 
 
 def _neighbors(
-    vectors: NDArray[np.float32], first: int, last: int
+    vectors: NDArray[np.float32], first: int, last: int, wanted: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return for stars first..last the nearest brighter ones (n, 6) and the nearest of twice as many (n, AROUND).
+    """Return for stars first..last the nearest brighter ones (n, wanted) and the nearest of twice as many (n, AROUND).
 
     Where there are too few, the star itself stands instead.
     """
     own = np.arange(first, max(last, first), dtype=np.uint32)[:, None]
-    brighter, around = np.tile(own, (1, TRIANGLE_NEIGHBORS)), np.tile(own, (1, AROUND))
+    brighter, around = np.tile(own, (1, wanted)), np.tile(own, (1, AROUND))
     begin = first
     while begin < last:
         end = min(max(int(begin * GROWTH), begin + AROUND), last)
@@ -143,7 +148,7 @@ def _neighbors(
         _keep_first(around[here], near, near != number)
         good = near < number
         rank = np.cumsum(good, axis=1)
-        reach = np.where(good & (rank <= TRIANGLE_NEIGHBORS), apart, 0.0).max(axis=1, keepdims=True)
+        reach = np.where(good & (rank <= wanted), apart, 0.0).max(axis=1, keepdims=True)
         _keep_first(brighter[here], near, good & (apart > TOO_CLOSE * reach))
         begin = end
     return brighter, around
@@ -160,7 +165,7 @@ def _patterns(
     vectors: NDArray[np.float32], brighter: NDArray[np.uint32], first: int
 ) -> Iterator[tuple[NDArray[np.uint32], NDArray[np.uint32]]]:
     """Yield packed triangles and their keys."""
-    sets = np.arange(len(pairs(TRIANGLE_NEIGHBORS)))
+    sets = np.arange(len(pairs(brighter.shape[1])))
     yield np.empty(0, np.uint32), np.empty(0, np.uint32)
     for begin in range(0, len(brighter), CHUNK):
         number = np.arange(begin, min(begin + CHUNK, len(brighter)))
@@ -248,7 +253,7 @@ class SkyIndex:
     @cached_property
     def digest(self) -> str:
         """What the files of the index are valid for."""
-        summed = sha256(f"{FORMAT} {BANDS} {TRIANGLE_NEIGHBORS} {AROUND} {DEEPER} {CODE_CELL}".encode())
+        summed = sha256(f"{FORMAT} {BANDS} {AROUND} {DEEPER} {CODE_CELL}".encode())
         summed.update(np.ascontiguousarray(self.vectors).tobytes())
         summed.update(np.ascontiguousarray(self.mag).tobytes())
         return summed.hexdigest()
@@ -281,6 +286,13 @@ class SkyIndex:
                 arrays["brighter"], arrays["around"], arrays["keys"], arrays["patterns"], BANDS[number].first
             )
         return self._bands[number]
+
+    def open_all(self) -> None:
+        """Make or read all that pictures of any width ask for, so that none waits."""
+        for number, rule in enumerate(BANDS):
+            if rule.first < len(self):
+                self.band(number)
+                self.brightest_tree(min(rule.last, len(self)))
 
     def _path(self, number: int) -> Path:
         return self._folder / f"{self.digest[:16]}-band{number}.opnavindex"

@@ -3,10 +3,11 @@
 A proposal says where catalog stars should be. Of a star within the picture, the probability to be seen falls about the
 picture's depth, from `SEEN` to nothing within the scatter of magnitudes, and then its detection lies about its place as a
 Gaussian; by chance a detection lies anywhere. The log odds of the two sum over the stars; where the picture's depth lies is
-unknown, and all depths count alike that do not show more stars than there are detections. From the sum goes what the freedom costs to have chosen attitude and scale among all
-that can be told apart (the marginal likelihood of four fitted numbers), and the scatter. Brightness adds its own: matched
-stars differ from their detections by one zero point and a scatter, chance pairs by all that stars and detections differ
-among themselves. What is left is compared with `SURE_LOG_ODDS`.
+unknown, and all depths count alike that do not show more stars than there are detections. From the sum goes what the
+freedom costs to have chosen attitude and scale among all that can be told apart (the marginal likelihood of four fitted
+numbers), and the scatter. Brightness adds its own: matched stars differ from their detections by one zero point and a
+scatter, chance pairs by all that stars and detections differ among themselves. What is left is compared with
+`SURE_LOG_ODDS`.
 """
 
 from dataclasses import dataclass, field
