@@ -136,7 +136,7 @@ def _bundled_and_more(progress: Progress | None) -> Catalog:
 
 def _added_index() -> Path | None:
     """Return Debian's index file of Tycho-2, which is part of `bundled` where Tycho-2 was not fetched."""
-    return None if "tycho2" in fetched_names() else _installed_tycho2()
+    return None if "tycho2" in fetched_names() else debian_tycho2()
 
 
 def _known_forms() -> str:
@@ -260,7 +260,7 @@ def _fetched_status() -> CatalogStatus:
 
 
 def _astrometry_net_status() -> CatalogStatus:
-    files, tycho2 = list(INDEX_FOLDER.glob("index-*.fits")), _installed_tycho2()
+    files, tycho2 = list(INDEX_FOLDER.glob("index-*.fits")), debian_tycho2()
     how = (
         "apt install astrometry-data-tycho2-07 brings 1.9 million stars to magnitude 12"
         if tycho2 is None
@@ -273,7 +273,7 @@ def _astrometry_net_status() -> CatalogStatus:
     )
 
 
-def _installed_tycho2() -> Path | None:
+def debian_tycho2() -> Path | None:
     """Return Debian's Tycho-2 index file with the most stars, where one is installed.
 
     The files differ in the size of their patterns; the smallest number stands for the smallest, made of the most stars.

@@ -292,7 +292,10 @@ class SkyIndex:
         for number, rule in enumerate(BANDS):
             if rule.first < len(self):
                 self.band(number)
-                self.brightest_tree(min(rule.last, len(self)))
+        size = MIN_TREE
+        while size < 2 * len(self):
+            self.brightest_tree(size)
+            size *= 2
 
     def _path(self, number: int) -> Path:
         return self._folder / f"{self.digest[:16]}-band{number}.opnavindex"
