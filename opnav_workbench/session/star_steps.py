@@ -134,8 +134,8 @@ def _no_attitude(inputs: Inputs) -> list[str]:
 def _empty_field(context: Context, inputs: Inputs, stars: StarPrediction) -> list[str]:
     if stars.on_detector.any():
         return []
-    message = f"the catalog has no star on the predicted field; {deeper_words(context, inputs)} or check the pointing and the time."
-    return [message]
+    remedy = f"{deeper_words(context, inputs)} or check the pointing and the time"
+    return [f"the catalog has no star on the predicted field; {remedy}."]
 
 
 def find_stars(

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import unit
 from opnav_workbench.stars.detection import Detections
@@ -242,7 +242,7 @@ def _proposals(
         good = (np.abs(found - codes[row]) < reach[row, None]).all(axis=1)
         row, stars, number = row[good], stars[good], number[good]
         rotation, scale = _attitudes(plane, sets[row], stars)
-        proven = _have_fourth(index, plane, rotation, scale, sets[row], band.around[number])
+        proven = _with_fourth(index, plane, rotation, scale, sets[row], members[good], band.around[number])
         rotations.append(rotation[proven])
         scales.append(scale[proven])
     return np.concatenate(rotations), np.concatenate(scales)
@@ -271,16 +271,25 @@ def _frames(two: FloatArray) -> FloatArray:
     return np.stack([middle, along, np.cross(middle, along)], axis=1)
 
 
-def _have_fourth(
-    index: SkyIndex, plane: Plane, rotations: FloatArray, scales: FloatArray, seen: IntArray, near: IntArray
-) -> BoolArray:
-    """Tell which proposals bring one of the stars `near` (c, k) to a detection beside the three `seen` (c, 3)."""
+def _with_fourth(
+    index: SkyIndex,
+    plane: Plane,
+    rotations: FloatArray,
+    scales: FloatArray,
+    seen: IntArray,
+    members: IntArray,
+    near: IntArray,
+) -> IntArray:
+    """Return which proposals, from detections and stars (c, 3), bring another of the stars `near` (c, k) to another one."""
     axes = np.swapaxes(rotations.astype(np.float32), 1, 2)
     axes[:, :, 2] *= scales.astype(np.float32)[:, None]
     turned = np.matmul(index.vectors[near], axes)
     found = plane.map.near(turned[..., :2] / turned[..., 2:])
-    new = (found[:, :, None] != seen[:, None]).all(axis=2)
-    return np.asarray(((found >= 0) & new).any(axis=1))
+    hit = (found >= 0) & (found[:, :, None] != seen[:, None]).all(axis=2)
+    rows = np.flatnonzero(hit.any(axis=1))
+    # Where two detections stand side by side, a star of the triangle may be at the other.
+    other = (near[rows][:, :, None] != members[rows][:, None]).all(axis=2)
+    return rows[(hit[rows] & other).any(axis=1)]
 
 
 # ---- What is told.
