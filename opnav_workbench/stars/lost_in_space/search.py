@@ -47,7 +47,7 @@ WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the bor
 MOST_JUDGED = (
     6  # proposals weighed in a round: the true one is among the first three where four stars or more fit
 )
-STARS_IN_FIELD = 2.5, 120.0  # of a band, in a picture it has patterns for
+STARS_IN_FIELD = 120.0  # brighter than those of a band, in the mean picture: its triangles are too small then
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,16 +183,15 @@ def _search(index: SkyIndex, plane: Plane) -> Verdict | None:
 
 
 def _bands(index: SkyIndex, plane: Plane) -> Iterator[list[Band]]:
-    """Yield the bands whose stars are neither too few nor too many for a picture of this width.
+    """Yield the bands whose stars are not too many for a picture of this width; in a cluster all may be bright.
 
     First all that are made already; then, one by one, those that take seconds to make, which most pictures never ask for.
     """
     part = plane.area_px2 * plane.scale_rad**2 / (4.0 * np.pi * index.coverage)
-    fewest, most = STARS_IN_FIELD
     fitting = [
         number
         for number, rule in enumerate(BANDS)
-        if rule.first < len(index) and rule.first * part < most and min(rule.last, len(index)) * part > fewest
+        if rule.first < len(index) and rule.first * part < STARS_IN_FIELD
     ]
     at_hand = [number for number in fitting if index.is_made(number)]
     yield [index.band(number) for number in at_hand]

@@ -53,8 +53,8 @@ BANDS = (
     BandRule(1 << 20, 1 << 21, 7),
     BandRule(1 << 21, 1 << 22, 7),
 )
-AROUND = 24  # nearest stars among twice as many as are brighter: where three alone are bright, the fourth is fainter
-DEEPER = 2.0
+AROUND = 32  # nearest stars among so many times as many as are brighter: where three alone are bright, the fourth is not
+DEEPER = 2.5
 MAX_ANGLE_RAD = np.radians(30.0)  # of a pattern: wider than any field that is flat enough
 TOO_CLOSE = (
     0.03  # of the distance of the farthest of a triangle's: the two of a double star are one in the picture
@@ -129,7 +129,7 @@ def make_band(vectors: NDArray[np.float32], rule: BandRule) -> dict[str, NDArray
 def _neighbors(
     vectors: NDArray[np.float32], first: int, last: int, wanted: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return for stars first..last the nearest brighter ones (n, wanted) and the nearest of twice as many (n, AROUND).
+    """Return for stars first..last the nearest brighter ones (n, wanted), and of `DEEPER` times as many (n, AROUND).
 
     Where there are too few, the star itself stands instead.
     """

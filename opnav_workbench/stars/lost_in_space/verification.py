@@ -23,7 +23,9 @@ from opnav_workbench.stars.lost_in_space.sky_index import SkyIndex
 
 __all__ = ["SURE_LOG_ODDS", "Plane", "Proposal", "Verdict", "enough_stars", "judge", "promising"]
 
-SURE_LOG_ODDS = float(np.log(1e4))  # random dots reach -2 in three hundred pictures
+SURE_LOG_ODDS = float(
+    np.log(1e3)
+)  # random dots reach -2 in three hundred pictures, a factor of e for each unit
 SEEN = (
     0.75  # of the catalog's stars that are bright enough: the others are blended, on bad pixels, or variable
 )
