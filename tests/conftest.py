@@ -55,6 +55,14 @@ def pytest_collection() -> Generator[None, Any, Any]:
         gc.enable()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _without_installed_catalogs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What Debian's packages put on a machine is part of `bundled`; the tests have what pip brings."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", tmp_path_factory.mktemp("astrometry"))
+        yield
+
+
 # ---- The short run and the whole: `slow` marks what the short run leaves out
 
 

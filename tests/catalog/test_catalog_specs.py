@@ -56,5 +56,5 @@ def test_doctor_names_the_installed_index_with_the_most_stars(tmp_path, monkeypa
     for name in ("index-tycho2-11.fits", "index-tycho2-07.littleendian.fits", "index-5206-00.fits"):
         (tmp_path / name).touch()
     told = {status.form: status.detail for status in catalog_status()}["astrometry-net:GLOB"]
-    assert f"--catalog astrometry-net:{tmp_path / 'index-tycho2-07.littleendian.fits'}" in told
+    assert f"part of bundled: {tmp_path / 'index-tycho2-07.littleendian.fits'}" in told
     assert "3 index files" in told
