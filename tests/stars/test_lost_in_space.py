@@ -65,6 +65,9 @@ def test_fields_with_false_and_missing_stars(sky, index, width_deg):
         answer = solve_lost(index, detections(field.places_px, field.flux), camera(field.told_focal_px))
         assert answer.camera_from_j2000 is not None, answer.message
         assert error_px(field, answer) < 3.0
+        np.testing.assert_allclose(
+            answer.camera_from_j2000 @ answer.camera_from_j2000.T, np.eye(3), atol=1e-9
+        )
         assert abs(answer.focal_scale * field.told_focal_px / field.focal_px - 1.0) < 6.0 * answer.focal_sigma
 
 

@@ -266,7 +266,9 @@ def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatAr
 
 def _frames(two: FloatArray) -> FloatArray:
     """Return right-handed axes (c, 3, 3) in rows: half-way between two directions, from one to the other, and across."""
-    middle, along = unit(two[:, 0] + two[:, 1]), unit(two[:, 1] - two[:, 0])
+    middle, along = unit(two[:, 0] + two[:, 1]), two[:, 1] - two[:, 0]
+    # The index's vectors are of single precision, not quite of one length.
+    along = unit(along - np.einsum("ci,ci->c", along, middle)[:, None] * middle)
     return np.stack([middle, along, np.cross(middle, along)], axis=1)
 
 

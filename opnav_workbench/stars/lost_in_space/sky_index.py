@@ -194,7 +194,7 @@ def _keys(x: IntArray, y: IntArray, angle_rad: FloatArray) -> NDArray[np.uint32]
     """Return the cells, and within each the angle's logarithm."""
     first, last = LOG_ANGLES
     step = np.clip((np.log(angle_rad) - first) / (last - first) * ANGLE_STEPS, 0, ANGLE_STEPS - 1)
-    return ((x * Y_CELLS + y) * ANGLE_STEPS + step.astype(np.int64)).astype(np.uint32)
+    return np.asarray((x * Y_CELLS + y) * ANGLE_STEPS + step.astype(np.int64), np.uint32)
 
 
 def _runs_of_keys(

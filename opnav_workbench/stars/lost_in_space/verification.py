@@ -176,9 +176,8 @@ def promising(
     sigma = reach / REACH_SIGMAS  # of places by an attitude from three stars
     gain = np.log1p(plane.area_px2 / (TURN_RAD * sigma**2 * len(plane.places)))
     gain = np.maximum(gain - 0.5 * (apart[hit] / plane.scale_rad / sigma) ** 2, 0.0)
-    best = np.zeros(len(near) * len(plane.places))  # a detection counts once
-    np.maximum.at(best, which[hit] * len(plane.places) + found[hit], gain)
-    best = best.reshape(len(near), -1)
+    best = np.zeros((len(near), len(plane.places)))  # a detection counts once
+    np.maximum.at(best, (which[hit], found[hit]), gain)
     enough = np.flatnonzero((best > 0.0).sum(axis=1) >= MIN_STARS)
     order = np.argsort(-best.sum(axis=1)[enough], kind="stable")
     return np.asarray(enough[order][:most])
