@@ -290,7 +290,7 @@ def _with_fourth(
     rows = np.flatnonzero(hit.any(axis=1))
     # Where two detections stand side by side, a star of the triangle may be at the other.
     other = (near[rows][:, :, None] != members[rows][:, None]).all(axis=2)
-    return rows[(hit[rows] & other).any(axis=1)]
+    return np.asarray(rows[(hit[rows] & other).any(axis=1)], np.int64)
 
 
 # ---- What is told.
