@@ -59,7 +59,9 @@ def pytest_collection() -> Generator[None, Any, Any]:
 def _without_installed_catalogs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """What Debian's packages put on a machine is part of `bundled`; the tests have what pip brings."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", tmp_path_factory.mktemp("astrometry"))
+        empty = tmp_path_factory.mktemp("astrometry")
+        patch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", empty)
+        patch.setenv("OPNAV_ASTROMETRY", str(empty))  # of processes that tests start
         yield
 
 

@@ -4,6 +4,7 @@ Specs joined by ``+`` are one catalog (`combined`).
 """
 
 import glob
+import os
 import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -198,7 +199,8 @@ def _state_of(file: Path) -> str:
 
 # ---- Which star catalogs this installation can open, for ``opnav doctor``.
 
-INDEX_FOLDER = Path("/usr/share/astrometry")  # where Debian's packages astrometry-data-* put them
+# Where Debian's packages astrometry-data-* put them; another folder by this variable, also for processes started from here.
+INDEX_FOLDER = Path(os.environ.get("OPNAV_ASTROMETRY") or "/usr/share/astrometry")
 
 
 @dataclass(frozen=True, slots=True)

@@ -317,8 +317,10 @@ def _brightness_odds(
     Chance draws from the stars that are `shown`, those down to the picture's depth.
     """
     known = np.isfinite(seen[detection])
+    if known.sum() < MIN_STARS or not shown.any():
+        return 0.0
     spread = float(np.hypot(np.nanstd(seen), np.std(mag[shown])))
-    if known.sum() < MIN_STARS or np.nanstd(seen) < MIN_MAG_SPREAD or spread <= MAG_SCATTER:
+    if np.nanstd(seen) < MIN_MAG_SPREAD or spread <= MAG_SCATTER:
         return 0.0
     difference = (seen[detection] - mag[star])[known] - (np.nanmean(seen) - np.mean(mag[shown]))
     zero_point = float(np.median(difference))
