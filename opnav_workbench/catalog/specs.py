@@ -4,8 +4,8 @@ Specs joined by ``+`` are one catalog (`combined`).
 """
 
 import glob
-import os
 import importlib.util
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
