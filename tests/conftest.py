@@ -40,6 +40,9 @@ def pytest_configure() -> None:
     sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
     # Notebooks' kernels and programs that tests start would each compile the whole package where nothing keeps it compiled.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # What Debian's packages put on a machine is part of `bundled`; tests, modules that they load and programs that they
+    # start have what pip brings.
+    os.environ["OPNAV_ASTROMETRY"] = os.devnull
     sys.dont_write_bytecode = False
 
 
@@ -53,16 +56,6 @@ def pytest_collection() -> Generator[None, Any, Any]:
         gc.freeze()
         gc.set_threshold(10_000, 10, 10)
         gc.enable()
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _without_installed_catalogs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What Debian's packages put on a machine is part of `bundled`; the tests have what pip brings."""
-    with pytest.MonkeyPatch.context() as patch:
-        empty = tmp_path_factory.mktemp("astrometry")
-        patch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", empty)
-        patch.setenv("OPNAV_ASTROMETRY", str(empty))  # of processes that tests start
-        yield
 
 
 # ---- The short run and the whole: `slow` marks what the short run leaves out

@@ -199,8 +199,12 @@ def _state_of(file: Path) -> str:
 
 # ---- Which star catalogs this installation can open, for ``opnav doctor``.
 
-# Where Debian's packages astrometry-data-* put them; another folder by this variable, also for processes started from here.
-INDEX_FOLDER = Path(os.environ.get("OPNAV_ASTROMETRY") or "/usr/share/astrometry")
+INDEX_VARIABLE, DEBIANS_FOLDER = "OPNAV_ASTROMETRY", "/usr/share/astrometry"
+
+
+def index_folder() -> Path:
+    """Return where index files are looked for: ``OPNAV_ASTROMETRY`` if set, else where Debian's packages put them."""
+    return Path(os.environ.get(INDEX_VARIABLE) or DEBIANS_FOLDER).expanduser()
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +266,7 @@ def _fetched_status() -> CatalogStatus:
 
 
 def _astrometry_net_status() -> CatalogStatus:
-    files, tycho2 = list(INDEX_FOLDER.glob("index-*.fits")), debian_tycho2()
+    files, tycho2 = list(index_folder().glob("index-*.fits")), debian_tycho2()
     how = (
         "apt install astrometry-data-tycho2-07 brings 1.9 million stars to magnitude 12"
         if tycho2 is None
@@ -271,7 +275,7 @@ def _astrometry_net_status() -> CatalogStatus:
     return CatalogStatus(
         form="astrometry-net:GLOB",
         available=True,
-        detail=f"{len(files)} index files in {INDEX_FOLDER}; {how}; give a GLOB for other folders",
+        detail=f"{len(files)} index files in {index_folder()}; {how}; give a GLOB for other folders",
     )
 
 
@@ -280,7 +284,7 @@ def debian_tycho2() -> Path | None:
 
     The files differ in the size of their patterns; the smallest number stands for the smallest, made of the most stars.
     """
-    files = sorted(INDEX_FOLDER.glob("index-tycho2-[0-9]*.fits"))
+    files = sorted(index_folder().glob("index-tycho2-[0-9]*.fits"))
     return files[0] if files else None
 
 

@@ -266,7 +266,7 @@ def test_bundled_has_debians_tycho2_kept_in_our_layout(tmp_path, monkeypatch) ->
     mag = np.array([11.2, 11.9, 12.3], np.float32)
     columns = {"MAG_VT": ("E", mag), "MAG_BT": ("E", mag + 1.0)}
     write_index(folder / "index-tycho2-07.littleendian.fits", ra, dec, columns)
-    monkeypatch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", folder)
+    monkeypatch.setenv("OPNAV_ASTROMETRY", str(folder))
     monkeypatch.setenv("OPNAV_CACHE", str(tmp_path / "cache"))
     alone = open_catalog(f"astrometry-net:{folder}/*.fits")
     for _ in range(2):  # made, then from the cache

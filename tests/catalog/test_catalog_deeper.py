@@ -27,7 +27,7 @@ def test_what_is_here_is_not_offered(tmp_path, monkeypatch):
     folder = tmp_path / "index"
     folder.mkdir()
     (folder / "index-tycho2-07.fits").touch()
-    monkeypatch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", folder)
+    monkeypatch.setenv("OPNAV_ASTROMETRY", str(folder))
     told, _ = counts(10.0, 20.0)
     assert told.startswith("opnav catalog fetch gaia --mag-limit 13: about")
     assert "tycho2" not in told
