@@ -9,7 +9,8 @@ missing. A template can be read at any shift: cells are splined, and hold the PS
 Frame  maplets' own axes for light; (pixel, line) for templates
 """
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import fft, ndimage
@@ -71,8 +72,13 @@ class Templates:
     margin: int  # pixels that the cells reach beyond the window
     laws: tuple[str, str]
     share: float = 0.0
+    mixed: FloatArray = field(init=False, repr=False)  # (n, cells, cells) coefficients with that share
 
     def __post_init__(self) -> None:
+        mixed = self.spline[:, 0]
+        if self.share != 0.0:
+            mixed = (1.0 - self.share) * mixed + self.share * self.spline[:, 1]
+        object.__setattr__(self, "mixed", mixed)
         freeze_arrays(self)
 
     def with_share(self, share: float) -> "Templates":
@@ -84,37 +90,48 @@ class Templates:
 
     def at(self, row: int, shift_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return a template (size, size) moved by (pixel, line), and its derivatives with that."""
-        spline = (1.0 - self.share) * self.spline[row, 0] + self.share * self.spline[row, 1]
-        along, d_along = _spline_rows(self.size, self.margin, spline.shape[-1], float(shift_px[0]))
-        down, d_down = _spline_rows(self.size, self.margin, spline.shape[-1], float(shift_px[1]))
-        columns = spline @ along.T
-        return down @ columns, down @ (spline @ d_along.T), d_down @ columns
+        along, down = (self._taps(float(shift)) for shift in shift_px)
+        lines, by_line = (down.read(self.mixed[row], weight) for weight in (down.weight, down.slope))
+        template, by_pixel = (along.read(lines.T, weight).T for weight in (along.weight, along.slope))
+        return template, by_pixel, along.read(by_line.T, along.weight).T
 
     def by_law(self, row: int, shift_px: FloatArray) -> FloatArray:
         """Return a template (2, size, size) moved by (pixel, line), as each of the laws has it."""
-        cells = self.spline.shape[-1]
-        along, _ = _spline_rows(self.size, self.margin, cells, float(shift_px[0]))
-        down, _ = _spline_rows(self.size, self.margin, cells, float(shift_px[1]))
-        return np.asarray(down @ (self.spline[row] @ along.T))
+        along, down = (self._taps(float(shift)) for shift in shift_px)
+        planes = (along.read(down.read(spline, down.weight).T, along.weight).T for spline in self.spline[row])
+        return np.stack(list(planes))
+
+    def _taps(self, shift_px: float) -> "_Taps":
+        return _Taps.at(self.size, self.margin, self.spline.shape[-1], shift_px)
 
 
-def _spline_rows(size: int, margin: int, cells: int, shift_px: float) -> tuple[FloatArray, FloatArray]:
-    """Return what reads pixels (size,) from spline coefficients (cells,) at a shift, and its derivative: (size, cells)."""
-    place = CELLS * (np.arange(size) + margin - shift_px)
-    first = np.floor(place).astype(np.int64) - 1
-    t = (place - first - 1)[:, None]
-    weight = np.concatenate(
-        [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=1
-    ) / 6.0  # fmt: skip
-    slope = np.concatenate(
-        [-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2], axis=1
-    ) * (-0.5 * CELLS)  # fmt: skip
-    rows = np.arange(size)[:, None]
-    at = np.clip(first[:, None] + np.arange(4), 0, cells - 1)
-    value, derivative = np.zeros((size, cells)), np.zeros((size, cells))
-    value[rows, at] = weight
-    derivative[rows, at] = slope
-    return value, derivative
+@dataclass(frozen=True, slots=True, eq=False)
+class _Taps:
+    """What reads every pixel of an axis from cubic spline coefficients at a shift: the same four weights for all."""
+
+    first: int
+    stop: int  # beyond the first tap's last cell
+    weight: tuple[float, float, float, float]
+    slope: tuple[float, float, float, float]  # derivative of the weights with the shift, px^-1
+
+    @classmethod
+    def at(cls, size: int, margin: int, cells: int, shift_px: float) -> "_Taps":
+        """Return those of a shift; no template is moved by more than its margin."""
+        place = CELLS * (margin - shift_px)
+        begin = math.floor(place)
+        t, span = place - begin, CELLS * (size - 1) + 1
+        u = 1.0 - t
+        first = min(max(begin - 1, 0), cells - span - 3)
+        weight = (u**3 / 6.0, 0.5 * t**3 - t**2 + 2.0 / 3.0, 0.5 * u**3 - u**2 + 2.0 / 3.0, t**3 / 6.0)
+        slope = (0.5 * u**2, 2.0 * t - 1.5 * t**2, 1.5 * u**2 - 2.0 * u, -0.5 * t**2)
+        return cls(first, first + span, weight, tuple(CELLS * s for s in slope))  # type: ignore[arg-type]
+
+    def read(self, coefficients: FloatArray, weight: tuple[float, float, float, float]) -> FloatArray:
+        """Return values (size, ...) of coefficients (cells, ...)."""
+        out = weight[0] * coefficients[self.first : self.stop : CELLS]
+        for k in (1, 2, 3):
+            out += weight[k] * coefficients[self.first + k : self.stop + k : CELLS]
+        return np.asarray(out)
 
 
 def draw_templates(

@@ -46,6 +46,7 @@ FEWEST_TOLD, FEW_WORTH = (
     8.0,
 )  # patches that tell how they differ; fewer: as patches of an exam do, in counts
 MOST_WORTH = 200.0  # counts of what all patches have in common: more change nothing
+LEAST_SQUARE = np.float32(1e-30)  # of planes without any light
 FLOOR = (
     0.02  # of the mean of the spectrum: white noise, and what an autocorrelation of few pixels does not know
 )
@@ -74,21 +75,26 @@ class Whitening:
         return self._through(planes, self.spectrum)
 
     def solved(self, planes: FloatArray, used: BoolArray) -> FloatArray:
-        """Return C^-1 times planes (n, k, size, size), of the pixels in use (n, size, size), by conjugate gradients."""
-        mask = used[:, None].astype(np.float64)
-        x = np.zeros_like(planes)
-        left = planes * mask
-        z = mask * self._through(left, 1.0 / self.spectrum)
+        """Return C^-1 times planes (n, k, size, size), of the pixels in use (n, size, size), by conjugate gradients.
+
+        In single precision: a few steps are far from exact anyway, and whatever comes out is as good a weight.
+        """
+        mask = used[:, None].astype(np.float32)
+        left = planes.astype(np.float32) * mask
+        spectrum = self.spectrum.astype(np.float32)
+        inverse = np.float32(1.0) / spectrum
+        x = np.zeros_like(left)
+        z = mask * self._through(left, inverse)
         way, square = z, _dot(left, z)
         for _ in range(GRADIENT_STEPS):
-            spread = mask * self.spread(way)
-            length = square / np.maximum(_dot(way, spread), 1e-300)
+            spread = mask * self._through(way, spectrum)
+            length = square / np.maximum(_dot(way, spread), LEAST_SQUARE)
             x += length * way
             left = left - length * spread
-            z = mask * self._through(left, 1.0 / self.spectrum)
+            z = mask * self._through(left, inverse)
             before, square = square, _dot(left, z)
-            way = z + square / np.maximum(before, 1e-300) * way
-        return x
+            way = z + square / np.maximum(before, LEAST_SQUARE) * way
+        return np.asarray(x, dtype=np.float64)
 
     def _through(self, planes: FloatArray, spectrum: FloatArray) -> FloatArray:
         full = (self.length, self.length)

@@ -265,7 +265,7 @@ class PlateSurface:
                 f"the camera is {range_km:.6g} km from the center of a shape that reaches {shape.bounding_km:.6g} km; "
                 "it must stand outside."
             )
-        self._shape, self._camera = shape, camera_km
+        self._shape, self._camera, self._bounding_km = shape, camera_km, shape.bounding_km
         self._axes, self._sun_axes = bundle_axes(-camera_km), bundle_axes(sun_km)
         self._view = point_view(shape.vertices_km, shape.plates, camera_km, self._axes)
         self._sun_view = parallel_view(shape.vertices_km, shape.plates, self._sun_axes)
@@ -273,7 +273,7 @@ class PlateSurface:
     @property
     def bounding_km(self) -> float:
         """Radius of the sphere about the center that holds the shape."""
-        return self._shape.bounding_km
+        return self._bounding_km
 
     def first_hits(self, rays: FloatArray) -> SurfacePoints:
         """Return where rays (3, n) from the camera first meet the surface."""
