@@ -60,9 +60,12 @@ def solve(
         typer.Option(help="Of the center of figure from that of mass, in mean radii.", show_default="0.02"),
     ] = None,
     passes: Annotated[int, typer.Option(min=1, max=10, help="How often outlines are read.")] = 3,
-    out: Annotated[Path, typer.Option(help="Folder for PCK, lines of the mission file and JSON.")] = Path(
-        "body"
-    ),
+    albedo_map: Annotated[
+        bool, typer.Option(help="Make the albedo map that the pictures show, some seconds a picture.")
+    ] = True,
+    out: Annotated[
+        Path, typer.Option(help="Folder for PCK, albedo map, lines of the mission file and JSON.")
+    ] = Path("body"),
 ) -> None:
     """Solve for a body, with the trajectory and the pictures' pointing, and write it as a PCK.
 
@@ -85,8 +88,10 @@ def solve(
         "spin_sigma": spin_sigma,
         "offset_sigma": offset_sigma,
     }
-    with named_progress(Console(stderr=True, soft_wrap=True), (1 + passes) * len(images)) as say:
-        found = solve_body_of(images, name, sigmas=sigmas, passes=passes, out=out, say=say, **given)
+    with named_progress(Console(stderr=True, soft_wrap=True), (1 + passes) * len(images) + albedo_map) as say:
+        found = solve_body_of(
+            images, name, sigmas=sigmas, passes=passes, albedo=albedo_map, out=out, say=say, **given
+        )
     _print(found, out)
 
 
@@ -105,7 +110,12 @@ def _print(found: BodyFromPictures, out: Path) -> None:
         console.print(f"[yellow]{shown(words)}[/]", highlight=False)
     for name, reason in found.left_out:
         console.print(f"[yellow]left out[/] {shown(name)}: {shown(reason)}", highlight=False)
-    console.print(f"[bold]{shown(str(out))}[/]: PCK, lines of the mission file, JSON", highlight=False)
+    if found.surface is not None:
+        console.print(
+            f"albedo map of {len(found.surface.images)} pictures, {100.0 * found.surface.seen_share:.0f} % of the surface",
+            highlight=False,
+        )
+    console.print(f"[bold]{shown(str(out))}[/]: PCK, lines of the mission file, JSON, map", highlight=False)
 
 
 def _rows(found: BodyFromPictures) -> list[tuple[str, ...]]:

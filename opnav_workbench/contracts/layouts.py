@@ -631,6 +631,29 @@ class LeftOut(Layout):
     reason: str = Field(min_length=1, description="Why.")
 
 
+class MapGain(Layout):
+    """A picture's brightness over that of the albedo map."""
+
+    image: str = Field(min_length=1, description="Name of the picture.")
+    gain: float = Field(description="Picture over map.")
+
+
+class BodyMap(Layout):
+    """The albedo map beside the file, in short."""
+
+    lines: Annotated[int, Field(gt=0)] = Field(description="Of the map; it is twice as wide.")
+    seen_share: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        description="Share of the surface that a picture shows."
+    )
+    absolute: bool = Field(description="Whether its values are albedos, else relative to their mean.")
+    lunar_weight: Annotated[float, Field(ge=0.0, le=1.0)] | None = Field(
+        description="Share of Lommel-Seeliger's law under which the pictures agree best; null: another law, the mission's."
+    )
+    darkest: float = Field(ge=0.0, description="Least value of the map.")
+    brightest: float = Field(ge=0.0, description="Greatest value of the map.")
+    gains: list[MapGain] = Field(description="Pictures that it rests on.")
+
+
 class BodyFile(Layout):
     """A body's size, axes, pole, spin and center of figure, as a sequence of pictures tells them."""
 
@@ -667,6 +690,9 @@ class BodyFile(Layout):
     observability: list[str] = Field(description="What the pictures tell and what they do not.")
     messages: list[str] = Field(description="What must be known of the whole.")
     left_out: list[LeftOut] = Field(description="Pictures that tell nothing.")
+    albedo_map: BodyMap | None = Field(
+        default=None, description="Of the surface; null: not asked for, or all pictures are small."
+    )
 
     @model_validator(mode="after")
     def _agrees(self) -> "BodyFile":

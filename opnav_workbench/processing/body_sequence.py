@@ -3,6 +3,7 @@
 Files   BODY.tpc       PCK with radii, pole and prime meridian: it corrects kernels that are loaded before it, and so every
                        model of the body's disk
         BODY.yaml      what the mission file may say of how well the figure is known (``target_surfaces``)
+        BODY_albedo.fits   the albedo map that the pictures show, with its sigma; BODY.yaml names it
         BODY.json      everything that came out, with covariances
 """
 
@@ -21,6 +22,8 @@ from opnav_workbench.estimation.body import (
     BodyRotation,
     BodySolution,
     SequencePicture,
+    SurfaceMap,
+    albedo_from_pictures,
     solve_body_from_pictures,
 )
 from opnav_workbench.files import make_folder, write_json, write_text
@@ -35,6 +38,7 @@ from opnav_workbench.kernels import (
 )
 from opnav_workbench.processing.automatic import LANDMARKS_FROM_PX, open_picture, solve_stars
 from opnav_workbench.processing.model import OpenedProcessing, Processing
+from opnav_workbench.render import LunarLambert
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.body_models import body_picture, scene_names
 from opnav_workbench.session.pointing import attitude_covariance, pointing_doubt
@@ -56,6 +60,8 @@ class BodyFromPictures:
         Picture and reason.
     periodic_terms : mapping of str to int
         Of the believed rotation, which the written PCK takes out.
+    surface
+        Its albedo map; None where it was not asked for, or no picture shows enough.
     """
 
     body: str
@@ -63,6 +69,7 @@ class BodyFromPictures:
     solution: BodySolution
     left_out: tuple[tuple[str, str], ...]
     periodic_terms: Mapping[str, int] = field(default_factory=dict)
+    surface: SurfaceMap | None = None
 
 
 def knowledge_of(opened: OpenedProcessing, body: str, given: Mapping[str, float | None]) -> BodyKnowledge:
@@ -88,6 +95,7 @@ def solve_body_of(
     *,
     sigmas: Mapping[str, float | None] | None = None,
     passes: int = 3,
+    albedo: bool = True,
     out: str | Path | None = None,
     say: Say = lambda _name, _words: None,
     **how: Any,
@@ -104,6 +112,8 @@ def solve_body_of(
         What is believed before, by the fields of `opnav_workbench.estimation.body.BodyKnowledge`.
     passes
         How often outlines are read, each time with the body that came out.
+    albedo
+        Whether the body's albedo map is made as well.
     out
         Folder for the files; None: nothing is written.
     say
@@ -135,19 +145,35 @@ def solve_body_of(
         pictures.sort(key=lambda one: one.et)
         epoch = 0.5 * (pictures[0].et + pictures[-1].et)
         rotation = BodyRotation.from_attitudes(lambda et: body_attitude(body, et), epoch)
+        transition = _transition(body, opened.mission.spacecraft_id, epoch)
         solution = solve_body_from_pictures(
             pictures,
             body,
             rotation,
             knowledge_of(opened, body, sigmas or {}),
-            transition=_transition(body, opened.mission.spacecraft_id, epoch),
+            transition=transition,
             passes=passes,
             say=say,
         )
-        found = BodyFromPictures(body, body_id(body), solution, tuple(left_out), body_periodic_terms(body))
+        surface = None
+        if albedo:
+            say(body, "drawing its albedo map")
+            surface = _surface(pictures, body, solution, transition)
+        found = BodyFromPictures(
+            body, body_id(body), solution, tuple(left_out), body_periodic_terms(body), surface
+        )
     if out is not None:
         write_body(found, out)
     return found
+
+
+def _surface(
+    pictures: Sequence[SequencePicture], body: str, solution: BodySolution, transition: Transition
+) -> SurfaceMap | None:
+    try:
+        return albedo_from_pictures(pictures, body, solution, transition=transition)
+    except EstimationError:  # all of them are small: nothing but the map is missing
+        return None
 
 
 def _pictures(
@@ -214,8 +240,8 @@ def _transition(body: str, spacecraft: int, epoch_et: float) -> Transition:
 # ---- What is written.
 
 
-def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, Path, Path]:
-    """Write the PCK, the lines for the mission file, and everything as JSON; the files of an older solution are replaced.
+def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, ...]:
+    """Write PCK, lines for the mission file, everything as JSON, and the map; files of an older solution are replaced.
 
     Raises
     ------
@@ -225,13 +251,26 @@ def write_body(found: BodyFromPictures, out: str | Path) -> tuple[Path, Path, Pa
     folder = make_folder(out)
     stem = found.body.replace(" ", "_")
     pck, lines, report = (folder / f"{stem}{suffix}" for suffix in (".tpc", ".yaml", ".json"))
+    albedo = folder / f"{stem}_albedo.fits"
     found.solution.write_pck(pck, found.body_id, found.periodic_terms)
     size, axes = (float(f"{value:.3g}") for value in found.solution.figure_sigmas)
-    write_text(
-        lines, yaml.safe_dump({"target_surfaces": {found.body: {"size_sigma": size, "axes_sigma": axes}}})
-    )
+    surface: dict[str, Any] = {"size_sigma": size, "axes_sigma": axes}
+    if found.surface is None:
+        albedo.unlink(missing_ok=True)
+    else:
+        found.surface.write(albedo)
+        surface["albedo_map"] = {"file": str(albedo.resolve())}
+        if (weight := _lunar_weight(found.surface)) is not None:
+            surface["law"] = {"law": "lunar_lambert", "lunar_weight": weight}
+    write_text(lines, yaml.safe_dump({"target_surfaces": {found.body: surface}}))
     write_json(report, stamped("body", body_json(found)))
-    return pck, lines, report
+    return (pck, lines, report) if found.surface is None else (pck, lines, report, albedo)
+
+
+def _lunar_weight(surface: SurfaceMap) -> float | None:
+    """Return the share of Lommel-Seeliger's law that pictures agree on; None under a law of another kind."""
+    weight = surface.law.lunar_weight if isinstance(surface.law, LunarLambert) else None
+    return None if weight is None or isinstance(weight, tuple) else round(float(weight), 3)
 
 
 def body_json(found: BodyFromPictures) -> dict[str, Any]:
@@ -273,4 +312,21 @@ def body_json(found: BodyFromPictures) -> dict[str, Any]:
         "observability": list(s.words),
         "messages": list(s.messages),
         "left_out": [{"image": name, "reason": reason} for name, reason in found.left_out],
+        "albedo_map": None if found.surface is None else _surface_json(found.surface),
     }  # fmt: skip
+
+
+def _surface_json(surface: SurfaceMap) -> dict[str, Any]:
+    values = surface.albedo.values
+    return {
+        "lines": len(values),
+        "seen_share": surface.seen_share,
+        "absolute": surface.absolute,
+        "lunar_weight": _lunar_weight(surface),
+        "darkest": float(values.min()),
+        "brightest": float(values.max()),
+        "gains": [
+            {"image": name, "gain": float(gain)}
+            for name, gain in zip(surface.images, surface.gains, strict=True)
+        ],
+    }

@@ -17,7 +17,7 @@ from astropy.io import fits
 from numpy.typing import ArrayLike
 from PIL import Image, UnidentifiedImageError
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import MissionError
 
 __all__ = ["AlbedoMap"]
@@ -145,6 +145,22 @@ class AlbedoMap:
 
     def sample(self, longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> FloatArray:
         """Return albedos (n,) at east longitudes and planetocentric latitudes (n,), rad."""
+        i, j, below, right, u, v = self._neighbors(longitude_rad, latitude_rad)
+        flat = self.values.ravel()
+        upper = flat[i + j] + u * (flat[i + right] - flat[i + j])
+        lower = flat[below + j] + u * (flat[below + right] - flat[below + j])
+        return np.asarray(upper + v * (lower - upper))
+
+    def corners(self, longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> tuple[IntArray, FloatArray]:
+        """Return which cells (4, n), flat, `sample` reads at places (n,), and with what shares (4, n)."""
+        i, j, below, right, u, v = self._neighbors(longitude_rad, latitude_rad)
+        cells = np.stack([i + j, i + right, below + j, below + right])
+        return cells, np.stack([(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v])
+
+    def _neighbors(
+        self, longitude_rad: ArrayLike, latitude_rad: ArrayLike
+    ) -> tuple[IntArray, IntArray, IntArray, IntArray, FloatArray, FloatArray]:
+        """Return rows and columns (n,), flat, of the cells about places, and where between their middles each lies."""
         rows, columns = self.values.shape
         turn = np.asarray(longitude_rad, dtype=np.float64) / TURN
         turn = (turn if self.east_positive else -turn) - np.radians(self.first_longitude_deg) / TURN
@@ -152,21 +168,12 @@ class AlbedoMap:
         down = below_pole if self.north_first else 1.0 - below_pole
         x = (turn - np.floor(turn)) * columns - 0.5
         y = np.clip(down * rows - 0.5, 0.0, rows - 1.0)
-        return self._interpolate(x, y)
-
-    def _interpolate(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        rows, columns = self.values.shape
         left = np.floor(x)
         top = np.minimum(np.floor(y), max(rows - 2, 0))
-        u, v = x - left, y - top
         i = top.astype(np.intp) * columns
-        below = i + (columns if rows > 1 else 0)
         j = left.astype(np.intp) % columns
         right = np.where(j + 1 == columns, 0, j + 1)
-        flat = self.values.ravel()
-        upper = flat[i + j] + u * (flat[i + right] - flat[i + j])
-        lower = flat[below + j] + u * (flat[below + right] - flat[below + j])
-        return np.asarray(upper + v * (lower - upper))
+        return i, j, i + (columns if rows > 1 else 0), right, x - left, y - top
 
     def sample_points(self, points: FloatArray) -> FloatArray:
         """Return albedos (n,) at points (3, n), body-fixed, any unit."""

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from opnav_workbench.cli import app
 from opnav_workbench.contracts.layouts import BodyFile
 from opnav_workbench.mission import MissionFile, load_mission
+from opnav_workbench.render import AlbedoMap
 
 WIDE = {"COLUMNS": "160", "NO_COLOR": "1", "TERM": "dumb"}
 TIMES = ("2015-07-11T02:00:00", "2015-07-12T02:00:00")
@@ -65,6 +66,15 @@ def test_a_body_is_solved_from_files_and_written_as_pck(pictures, tmp_path):
     finally:
         spiceypy.kclear()
     lines = yaml.safe_load((out / "PLUTO.yaml").read_text())
+    told, albedo = (
+        content["albedo_map"],
+        AlbedoMap.from_file(lines["target_surfaces"]["PLUTO"]["albedo_map"]["file"]),
+    )
+    assert albedo.values.shape == (told["lines"], 2 * told["lines"])
+    assert 0.1 < told["seen_share"] < 1.0
+    assert told["absolute"], "LORRI's response is known"
+    assert 0.45 < np.median(albedo.values) < 0.55  # as drawn
+    assert [one["image"] for one in told["gains"]] == ["p0.fit", "p1.fit"]
     surface = MissionFile.model_fields["target_surfaces"]
     assert surface is not None
     assert 0.0 < lines["target_surfaces"]["PLUTO"]["size_sigma"] < 0.03

@@ -43,6 +43,7 @@ from opnav_workbench.estimation.body import (
     BodyKnowledge,
     BodyRotation,
     SequencePicture,
+    albedo_from_pictures,
     solve_body_from_pictures,
 )  # fmt: skip
 from opnav_workbench.geometry import rotation_from_vector, unit, unit_from_radec, vector_from_rotation
@@ -74,6 +75,7 @@ class Sequence:
     true_radii_km: np.ndarray
     offset_km: np.ndarray
     state: np.ndarray
+    surface: object
 
 
 def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=40.0, law="lunar_0.6", family="field_mid",
@@ -114,8 +116,9 @@ def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=4
         pictures.append(_picture(k, et, position, diameter, camera, radii, rotation, sun, LAWS[law], phase, surface, offset,
                                  state, psf_error, random, seed))  # fmt: skip
     return Sequence(
-        tuple(pictures), rotation.turned(step), believed_radii, knowledge, rotation, radii, offset, state
-    )
+        tuple(pictures), rotation.turned(step), believed_radii, knowledge, rotation, radii, offset, state,
+        surface,
+    )  # fmt: skip
 
 
 def _picture(k, et, position, diameter, camera, radii, rotation, sun, law, phase, surface, offset, state, psf_error, random,
@@ -184,6 +187,25 @@ def scores(sequence, solution):
     }  # fmt: skip
 
 
+def map_scores(sequence, surface):
+    """Correlation of a map with the truth where a picture shows it, its relative error, and over sigma."""
+    rows = len(surface.sigma)
+    latitude = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)
+    longitude = np.pi * (np.arange(2 * rows) + 0.5) / rows
+    up = np.stack(np.broadcast_arrays(
+        np.cos(latitude)[:, None] * np.cos(longitude), np.cos(latitude)[:, None] * np.sin(longitude),
+        np.sin(latitude)[:, None]), axis=-1)  # fmt: skip
+    true = sequence.surface.albedo(unit(up / sequence.true_radii_km).reshape(-1, 3)).reshape(rows, 2 * rows)
+    seen = (surface.pictures >= 1) & (np.abs(latitude) < 1.2)[:, None]
+    found, true = surface.albedo.values[seen], true[seen]
+    error = found / found.mean() - true / true.mean()
+    rms = float(np.sqrt(np.mean(error**2)))
+    return {
+        "correlation": float(np.corrcoef(found, true)[0, 1]), "rms": rms, "contrast": float(np.std(true / true.mean())),
+        "sigmas": float(np.sqrt(np.mean((error / surface.sigma[seen]) ** 2))), "seen": float(np.mean(seen)),
+    }  # fmt: skip
+
+
 def passed(score):
     return bool(
         np.abs(score["axes"]).max() < 5e-3 and score["pole_deg"] < 1.0 and abs(score["spin"]) < 1e-4
@@ -206,12 +228,14 @@ def main():
     parser.add_argument("--family", default="field_mid")
     parser.add_argument("--psf-error", type=float, default=1.0)
     parser.add_argument("--phase", type=float, default=40.0)
+    parser.add_argument("--contrast", type=float, default=1.5)
+    parser.add_argument("--map", action="store_true", help="make the albedo map, too")
     given = parser.parse_args()
     np.set_printoptions(precision=2, suppress=True, linewidth=160)
     good = 0
     for seed in given.seeds:
         sequence = make_sequence(seed, given.body, given.pictures, law=given.law, family=given.family,
-                                 psf_error=given.psf_error, phase_deg=given.phase)  # fmt: skip
+                                 psf_error=given.psf_error, phase_deg=given.phase, contrast=given.contrast)  # fmt: skip
         begin = time.process_time()
         solution = solve_body_from_pictures(
             sequence.pictures,
@@ -232,6 +256,12 @@ def main():
             f"limb {solution.state.limb_px:.3f} px")  # fmt: skip
         for words in (*solution.words, *solution.messages):
             say(f"  {words}")
+        if given.map:
+            surface = albedo_from_pictures(sequence.pictures, NAME, solution)
+            say(
+                f"  map of {len(surface.sigma)} rows: "
+                + ", ".join(f"{k} {v:.3f}" for k, v in map_scores(sequence, surface).items())
+            )
     say(f"{good} of {len(given.seeds)} passed")
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import spiceypy
-from body_exam import BODIES, make_sequence, scores
+from body_exam import BODIES, make_sequence, map_scores, scores
 
 from opnav_workbench.bodies import BodyPicture
 from opnav_workbench.bodies.silhouette import Silhouette
@@ -18,6 +18,7 @@ from opnav_workbench.estimation.body import (
     BodyState,
     LandmarkReading,
     OutlineReading,
+    albedo_from_pictures,
     solve_body,
     solve_body_from_pictures,
 )
@@ -26,7 +27,7 @@ from opnav_workbench.geometry import rotation_from_vector, tangent_basis, unit, 
 from opnav_workbench.kernels import KernelSet, body_periodic_terms
 from opnav_workbench.landmarks.prediction import landmark_places
 from opnav_workbench.psf import GaussianPsf
-from opnav_workbench.render import BodyModel, FigureUncertainty
+from opnav_workbench.render import AlbedoMap, BodyModel, FigureUncertainty
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.targets import TargetState
 
@@ -358,3 +359,38 @@ def test_pictures_of_an_approach_tell_the_body():
     assert score["pole_sigmas"] < 3.4
     assert abs(score["spin_sigmas"]) < 3.0
     assert np.sort(np.abs(score["axes"]))[1] < 0.005, "two pictures see two of the axes"
+
+
+@pytest.mark.slow
+def test_pictures_tell_albedo_and_law_of_the_body_that_they_told(tmp_path):
+    sequence = make_sequence(
+        7,
+        "bennu",
+        4,
+        (40.0, 80.0),
+        window=256,
+        family="field_mid",
+        contrast=3.0,
+        position_sigma=3e-4,
+        arc_s=2e4,
+    )
+    solution = solve_body_from_pictures(
+        sequence.pictures, "BODY", sequence.believed, sequence.knowledge, radii_km=sequence.radii_km, passes=2
+    )
+    surface = albedo_from_pictures(sequence.pictures, "BODY", solution)
+    assert surface.images == solution.images
+    assert surface.law.lunar_weight == pytest.approx(0.6, abs=0.15), (
+        "the truth's, where Lambert's was believed"
+    )
+    told = map_scores(sequence, surface)
+    assert told["seen"] > 0.5
+    assert told["correlation"] > 0.85
+    assert told["rms"] < 0.55 * told["contrast"]
+    assert 0.5 < told["sigmas"] < 3.0
+    hidden = surface.pictures == 0
+    assert surface.sigma[hidden].min() > 3.0 * surface.sigma[~hidden].min()
+    again = AlbedoMap.from_file(surface.write(tmp_path / "map.fits"))
+    np.testing.assert_allclose(again.values, surface.albedo.values, rtol=1e-6)
+    unseen = [replace(one, image="another") for one in sequence.pictures]
+    with pytest.raises(EstimationError, match="20 px wide"):
+        albedo_from_pictures(unseen, "BODY", solution)

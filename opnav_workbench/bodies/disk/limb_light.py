@@ -210,8 +210,8 @@ def _sources(
     """Return the light before the PSF (1 + `LINEAR` + 2 k, ...) in cells of `step_px` at depths (...).
 
     All of it, its change with the law, and that of each hat, on the light and on that of slopes that face the Sun. A cell
-    that the limb cuts has the light of the part inside. `limb_px` (...) is the distance of the limb from the center; `rays_at`
-    makes rays at shares of it, of cells numbered flat.
+    that the limb cuts has the light of the part inside. `limb_px` (...) is the distance of the limb from the center, and
+    `rays_at` makes rays at shares of it, of cells numbered flat.
     """
     depth, limb = (
         np.ascontiguousarray(np.broadcast_to(x, depth_px.shape)).ravel() for x in (depth_px, limb_px)

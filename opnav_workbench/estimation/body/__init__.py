@@ -14,10 +14,13 @@ Enter by `solve_body_from_pictures`, or by `solve_body` with what pictures said 
     Residuals and partials of outlines and landmarks.
 ``rotation``
     A body that spins evenly about a fixed axis.
+``albedo``
+    The albedo map that the same pictures show of the body as solved.
 ``words``
     What is observed and what is not, in plain words.
 """
 
+from opnav_workbench.estimation.body.albedo import SurfaceMap, albedo_from_pictures
 from opnav_workbench.estimation.body.design import BodyState
 from opnav_workbench.estimation.body.knowledge import BodyKnowledge
 from opnav_workbench.estimation.body.pictures import SequencePicture, solve_body_from_pictures
@@ -41,6 +44,8 @@ __all__ = [
     "OutlineReading",
     "SequencePicture",
     "SightingResidual",
+    "SurfaceMap",
+    "albedo_from_pictures",
     "landmark_reading",
     "read_outline",
     "solve_body",

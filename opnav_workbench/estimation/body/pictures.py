@@ -19,11 +19,12 @@ from opnav_workbench.estimation.body.rotation import BodyRotation
 from opnav_workbench.estimation.body.sightings import BodySighting, landmark_reading, read_outline
 from opnav_workbench.estimation.body.solution import BodySolution, solve_body
 from opnav_workbench.estimation.state_transition import Transition, straight_line
+from opnav_workbench.geometry import rotation_from_vector
 from opnav_workbench.landmarks import LandmarkSolution
 from opnav_workbench.render import BodyModel
 from opnav_workbench.targets import TargetState
 
-__all__ = ["SequencePicture", "solve_body_from_pictures"]
+__all__ = ["SequencePicture", "solve_body_from_pictures", "solved_picture"]
 
 PASSES = 3
 
@@ -125,25 +126,53 @@ def _sighting(
     transition: Transition,
 ) -> BodySighting:
     """Return what a picture shows of the body, read with the best model of it that there is."""
-    own = one.picture.model(name)
-    believed = _placed(own.target, rotation, radii_km, one.et)
-    sighting = BodySighting(
+    sighting = _before_reading(one, name, rotation, radii_km)
+    picture = _picture_with(one, name, sighting, solution, transition)
+    try:
+        outline, note = read_outline(picture, name)
+    except CenterfindingError as error:  # of one picture: the others go on
+        outline, note = None, str(error)
+    return replace(sighting, outline=outline, note=note)
+
+
+def _before_reading(
+    one: SequencePicture, name: str, rotation: BodyRotation, radii_km: FloatArray
+) -> BodySighting:
+    """Return a picture's view of the body as it is believed, without the outline."""
+    return BodySighting(
         image=one.image,
         et=one.et,
-        target=believed,
+        target=_placed(one.picture.model(name).target, rotation, radii_km, one.et),
         camera=one.picture.camera,
         camera_from_j2000=one.picture.camera_from_j2000,
         attitude_covariance_rad2=np.asarray(one.attitude_covariance_rad2),
         velocity_km_s=one.picture.observer_velocity_km_s,
         landmarks=None if one.landmarks is None else landmark_reading(one.landmarks),
     )
-    plain = replace(own, target=believed, shape=None, albedo=1.0)
+
+
+def _picture_with(
+    one: SequencePicture,
+    name: str,
+    sighting: BodySighting,
+    solution: BodySolution | None,
+    transition: Transition,
+) -> BodyPicture:
+    """Return a picture with a plain model of the body: as believed, or as a solution has it."""
+    own = one.picture.model(name)
+    plain = replace(own, target=sighting.target, shape=None, albedo=1.0)
     model = plain if solution is None else solution.model(plain, sighting, transition)
-    try:
-        outline, note = read_outline(_with_model(one.picture, own, model), name)
-    except CenterfindingError as error:  # of one picture: the others go on
-        outline, note = None, str(error)
-    return replace(sighting, outline=outline, note=note)
+    return _with_model(one.picture, own, model)
+
+
+def solved_picture(
+    one: SequencePicture, name: str, solution: BodySolution, transition: Transition = straight_line
+) -> BodyPicture:
+    """Return a picture of the sequence with the body's size, place and rotation and the attitude as solved."""
+    sighting = _before_reading(one, name, solution.a_priori_rotation, solution.a_priori_radii_km)
+    picture = _picture_with(one, name, sighting, solution, transition)
+    error = solution.state.attitudes[solution.images.index(one.image)]
+    return replace(picture, camera_from_j2000=rotation_from_vector(error) @ picture.camera_from_j2000)
 
 
 def _placed(target: TargetState, rotation: BodyRotation, radii_km: FloatArray, et: float) -> TargetState:

@@ -1,0 +1,360 @@
+"""The albedo map of a body, from the pictures that told its figure and rotation.
+
+Flow    an even body drawn as each picture would see it -> data over its light, pixel by pixel, given to the cells that each
+        pixel looks at -> smoothed over a cell -> drawn again with the map, what is left given to the cells -> ...
+
+The law is the one of the mission, or a mixture of Lambert's and Lommel-Seeliger's, under which pictures that see a place at
+other angles agree best on it: what a wrong law makes of limb and terminator would stand in the map.
+
+Drawing through the PSF and giving back what is left undoes the blur as far as the noise allows (simultaneous iterative
+reconstruction). Every picture has a gain of its own, so that exposure times and phase functions need not be true: the map is
+relative to the body's mean where the camera's response is not known. What no picture shows has the mean, and a sigma that
+says so.
+
+Frame   body-fixed, planetocentric; rows from north to south, columns eastward from longitude 0
+Units   albedo as `opnav_workbench.render.AlbedoMap` has it; relative to its mean without a calibrated camera
+
+Reference: Gilbert (1972), Journal of Theoretical Biology 36, 105, doi:10.1016/0022-5193(72)90180-4.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from astropy.io import fits
+from scipy import fft, ndimage
+
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.bodies import BodyPicture
+from opnav_workbench.bodies.neighbours import without_others
+from opnav_workbench.bodies.picture import model_picture, pixel_rays
+from opnav_workbench.errors import EstimationError
+from opnav_workbench.estimation.body.pictures import SequencePicture, solved_picture
+from opnav_workbench.estimation.body.solution import BodySolution
+from opnav_workbench.estimation.state_transition import Transition, straight_line
+from opnav_workbench.files import atomic_path
+from opnav_workbench.render import AlbedoMap, LunarLambert, ScatteringLaw
+from opnav_workbench.render.body import PlacedBody
+
+__all__ = ["SurfaceMap", "albedo_from_pictures"]
+
+LEAST_DIAMETER_PX = 20.0  # smaller bodies show hemispheres alone
+LEAST_COS_EMISSION, LEAST_COS_INCIDENCE = 0.3, 0.2  # beyond, figure and law tell more than albedo does
+MODEL_SHARE = 0.03  # of the light: what law, relief and figure are off by, in every pixel for itself
+PASSES = 2  # of giving back what is left; more sharpen the noise
+SHARES = np.linspace(0.0, 1.0, 11)  # of Lommel-Seeliger's law
+LAW_ROWS, LAW_ROUNDS = 36, 4  # cells in which pictures are compared; rounds of means and gains
+SMOOTH_CELLS = 0.7  # a sample is as wide as its pixel
+CONTRAST = 0.3  # relative, of albedo beforehand: what is not seen is known so well
+ROWS = (8, 720)
+LEAST_SAMPLES = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceMap:
+    """An albedo map with what is known of it; arrays are read-only.
+
+    Attributes
+    ----------
+    albedo
+        The map.
+    sigma : (n, 2 n) array
+        Of each cell, relative to the map's mean: noise, law and relief, and where the body's rotation puts it.
+    pictures : (n, 2 n) array of int
+        How many pictures show a cell.
+    images, gains
+        Pictures that took part; each one's light over that of the map.
+    absolute
+        Whether values are albedos; else relative, with mean 1.
+    law
+        Under which the pictures agree.
+    """
+
+    albedo: AlbedoMap
+    sigma: FloatArray
+    pictures: IntArray
+    images: tuple[str, ...]
+    gains: FloatArray
+    absolute: bool
+    law: ScatteringLaw
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def seen_share(self) -> float:
+        """Share of the body's surface that a picture shows."""
+        weight = _row_areas(len(self.pictures))
+        return float(np.sum(weight * (self.pictures > 0).mean(axis=1)) / weight.sum())
+
+    def write(self, path: str | Path) -> Path:
+        """Write it as FITS: the map as `AlbedoMap.from_file` reads it, then SIGMA and PICTURES.
+
+        Raises
+        ------
+        SessionError
+            The file cannot be written.
+        """
+        first = fits.PrimaryHDU(self.albedo.values.astype(np.float32))
+        cards = (
+            ("BUNIT", "albedo" if self.absolute else "relative"),
+            ("CTYPE1", "longitude east, deg"), ("CTYPE2", "latitude, deg"),
+            ("COMMENT", "First row: north pole; first column begins at longitude 0; planetocentric."),
+        )  # fmt: skip
+        for name, value in cards:
+            first.header[name] = value
+        planes = [("SIGMA", self.sigma.astype(np.float32)), ("PICTURES", self.pictures.astype(np.int16))]
+        with atomic_path(Path(path)) as temporary, temporary.open("wb") as stream:
+            fits.HDUList([first, *(fits.ImageHDU(plane, name=name) for name, plane in planes)]).writeto(
+                stream
+            )
+        return Path(path)
+
+
+def albedo_from_pictures(
+    pictures: Sequence[SequencePicture],
+    name: str,
+    solution: BodySolution,
+    *,
+    transition: Transition = straight_line,
+    passes: int = PASSES,
+) -> SurfaceMap:
+    """Return the albedo map of a body whose figure, rotation and place a sequence of pictures has told.
+
+    Parameters
+    ----------
+    pictures, name, solution, transition
+        As given to `solve_body_from_pictures`, and what it returned.
+    passes
+        How often the map is drawn and what is left given back to it.
+
+    Raises
+    ------
+    EstimationError
+        No picture shows enough of the body.
+    """
+    used = [one for one in pictures if one.image in solution.images]
+    views = [view for one in used if (view := _view(one, name, solution, transition)) is not None]
+    if not views:
+        raise EstimationError(
+            f"no picture shows enough of {name} for a map: it has to be {LEAST_DIAMETER_PX:g} px wide or more."
+        )
+    law = _agreed_law(views)
+    views = [view.with_law(law) for view in views]
+    finest = min(view.pixel_rad for view in views)
+    rows = int(np.clip(2 * round(0.5 * np.pi / finest), *ROWS))
+    values = np.ones((rows, 2 * rows))
+    fed = [_Feed.of(view, rows) for view in views]
+    for _ in range(max(passes, 1)):
+        total, weight = np.zeros_like(values), np.zeros_like(values)
+        for feed in fed:
+            feed.give(values, total, weight)
+        smooth = [_smoothed(plane) for plane in (total, weight)]
+        values = np.maximum(values + smooth[0] / (smooth[1] + CONTRAST**-2), 0.0)
+        values /= _mean(values, weight > 0.0)
+    known = 1.0 / (smooth[1] + CONTRAST**-2)
+    sigma = np.sqrt(known + (_place_sigma_rad(solution) * _slope(values)) ** 2)
+    gains = np.array([feed.gain(values) for feed in fed])
+    absolute = all(view.picture.sunlight_e is not None for view in views)
+    counts = np.sum([feed.seen(rows) for feed in fed], axis=0)
+    scale = float(np.median(gains)) if absolute else 1.0
+    images = tuple(view.image for view in views)
+    return SurfaceMap(AlbedoMap(values * scale), sigma, counts, images, gains / scale, absolute, law)
+
+
+def _place_sigma_rad(solution: BodySolution) -> float:
+    """Return how far places on the surface may be off along each axis, as the rotation is known."""
+    return float(np.sqrt(np.mean(solution.pole_sigma_rad**2) + solution.phase_sigma_rad**2))
+
+
+def _slope(values: FloatArray) -> FloatArray:
+    """Return the root mean square change of a map (n, 2 n) along an axis, per rad, of each cell's surroundings."""
+    cell = np.pi / len(values)
+    down, along = np.gradient(values, cell)
+    along = along / np.maximum(_row_areas(len(values))[:, None], cell)
+    square = _smoothed(0.5 * (down**2 + along**2))
+    return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+
+def _agreed_law(views: Sequence["_View"]) -> ScatteringLaw:
+    """Return the law under which pictures agree best on what they both see: their own, or a mixture."""
+    own = views[0].picture.model(views[0].name).law
+    laws = [own, *(LunarLambert(float(share)) for share in SHARES)]
+    return laws[int(np.argmin([_disagreement(views, law) for law in laws]))]
+
+
+def _disagreement(views: Sequence["_View"], law: ScatteringLaw) -> float:
+    """Return by how much pictures differ about the mean of all, every one with its gain, weighted and squared."""
+    size = 2 * LAW_ROWS**2
+    cells = [
+        AlbedoMap(np.ones((LAW_ROWS, 2 * LAW_ROWS))).corners(v.longitude_rad, v.latitude_rad) for v in views
+    ]
+    nearest = [np.take_along_axis(c, share.argmax(axis=0)[None], axis=0)[0] for c, share in cells]
+    shown = [v.data_dn / (v.even_dn * v.law_factor(law)) for v in views]
+    weight = [1.0 / (v.variance_dn2 / v.data_dn**2 + MODEL_SHARE**2) for v in views]  # of logarithms
+    shown = [np.log(np.maximum(one, np.finfo(float).tiny)) for one in shown]
+    gains = [float(np.average(one, weights=w)) for one, w in zip(shown, weight, strict=True)]
+    for _ in range(LAW_ROUNDS):
+        total, whole = np.zeros(size), np.zeros(size)
+        for cell, one, w, gain in zip(nearest, shown, weight, gains, strict=True):
+            total += np.bincount(cell, w * (one - gain), size)
+            whole += np.bincount(cell, w, size)
+        mean = total / np.maximum(whole, np.finfo(float).tiny)
+        left = [one - mean[cell] for cell, one in zip(nearest, shown, strict=True)]
+        gains = [float(np.average(one, weights=w)) for one, w in zip(left, weight, strict=True)]
+    return sum(float(np.sum(w * (one - g) ** 2)) for one, w, g in zip(left, weight, gains, strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What a picture shows of the body: n pixels of a window and the places that they look at."""
+
+    image: str
+    picture: BodyPicture  # with the body as solved
+    name: str
+    window: tuple[int, int, int, int]
+    used: BoolArray  # (n_line, n_pixel) of the window
+    data_dn: FloatArray  # (n,)
+    variance_dn2: FloatArray  # (n,)
+    even_dn: FloatArray  # (n,) light of a body of albedo 1
+    longitude_rad: FloatArray
+    latitude_rad: FloatArray
+    cos_incidence: FloatArray
+    cos_emission: FloatArray
+    pixel_rad: float  # on the body, from its center
+
+    def drawn_dn(self, albedo: AlbedoMap | float) -> FloatArray:
+        """Return the light (n,) of the body with an albedo."""
+        return _light(self.picture, self.name, albedo, self.window)[self.used]
+
+    def law_factor(self, law: ScatteringLaw) -> FloatArray:
+        """Return the light (n,) that another law makes, over that of the model's."""
+        angles = self.cos_incidence, self.cos_emission, self.picture.phase_rad(self.name)
+        return np.asarray(law.reflectance(*angles) / self.picture.model(self.name).law.reflectance(*angles))
+
+    def with_law(self, law: ScatteringLaw) -> "_View":
+        """Return the same view of a body of another law."""
+        own = self.picture.model(self.name)
+        models = tuple(replace(m, law=law) if m is own else m for m in self.picture.models)
+        return replace(
+            self, picture=replace(self.picture, models=models), even_dn=self.even_dn * self.law_factor(law)
+        )
+
+
+def _view(one: SequencePicture, name: str, solution: BodySolution, transition: Transition) -> _View | None:
+    """Return what a picture shows; None where that is too little."""
+    picture = solved_picture(one, name, solution, transition)
+    diameter, center = picture.diameter_px(name), picture.center_px(name)
+    if not (diameter >= LEAST_DIAMETER_PX and np.isfinite(center).all()):
+        return None
+    window = _window(picture, center, diameter)
+    if window is None:
+        return None
+    cutout = without_others(picture, name, center, window)
+    even = _light(picture, name, 1.0, window)
+    line, pixel = np.indices(even.shape)
+    rays = pixel_rays(picture, np.stack([pixel.ravel() + window[0], line.ravel() + window[1]], axis=-1))
+    body = PlacedBody(replace(picture.model(name), flux_e=None), picture.camera.pixel_scale_rad)
+    met = body.surface.first_hits(body.to_body(rays))
+    cos_e, cos_i = (
+        np.einsum("in,in->n", met.normal, _toward(place, met.point))
+        for place in (body.camera_km, body.sun_km)
+    )
+    good = (
+        (cutout.use & (cutout.data_dn > 0.0)).ravel()[met.ray]
+        & (cos_e > LEAST_COS_EMISSION)
+        & (cos_i > LEAST_COS_INCIDENCE)
+    )
+    if np.count_nonzero(good) < LEAST_SAMPLES:
+        return None
+    used = np.zeros(even.shape, dtype=bool)
+    used.ravel()[met.ray[good]] = True  # rays, and what they meet, are in the order of the pixels
+    order = np.flatnonzero(good)[np.argsort(met.ray[good])]
+    x, y, z = met.point[:, order]
+    variance = cutout.noise_dn[used] ** 2 + np.maximum(cutout.data_dn[used], 0.0) / cutout.gain_e_per_dn
+    return _View(
+        one.image, picture, name, window, used, cutout.data_dn[used], variance, even[used], np.arctan2(y, x),
+        np.arctan2(z, np.hypot(x, y)), cos_i[order], cos_e[order], 2.0 / diameter,
+    )  # fmt: skip
+
+
+def _toward(place: FloatArray, point: FloatArray) -> FloatArray:
+    away = place[:, None] - point
+    return np.asarray(away / np.sqrt(np.einsum("in,in->n", away, away)))
+
+
+def _window(picture: BodyPicture, center: FloatArray, diameter: float) -> tuple[int, int, int, int] | None:
+    half = 0.75 * diameter + 4.0  # an outline of any axes
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    first = np.clip(np.floor(center - half), 0, size).astype(int)
+    last = np.clip(np.ceil(center + half), 0, size).astype(int)
+    wide, high = (last - first).tolist()
+    return None if min(wide, high) < 1 else (int(first[0]), int(first[1]), wide, high)
+
+
+def _light(
+    picture: BodyPicture, name: str, albedo: AlbedoMap | float, window: tuple[int, int, int, int]
+) -> FloatArray:
+    own = picture.model(name)
+    shown = replace(own, albedo=albedo, flux_e=None)
+    models = tuple(shown if model is own else model for model in picture.models)
+    return model_picture(replace(picture, models=models), window, {}, only=(name,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Feed:
+    """The cells that a view's pixels look at, each with its four neighbors' shares."""
+
+    view: _View
+    cells: IntArray  # (4, n)
+    shares: FloatArray  # (4, n)
+
+    @classmethod
+    def of(cls, view: _View, rows: int) -> "_Feed":
+        corners = AlbedoMap(np.ones((rows, 2 * rows))).corners(view.longitude_rad, view.latitude_rad)
+        return cls(view, *corners)
+
+    def gain(self, values: FloatArray) -> float:
+        """Return the data's light over that of a map."""
+        return self._gain(self.view.drawn_dn(AlbedoMap(values)))
+
+    def _gain(self, drawn: FloatArray) -> float:
+        weight = 1.0 / (self.view.variance_dn2 + (MODEL_SHARE * self.view.data_dn) ** 2)
+        return float(np.sum(weight * drawn * self.view.data_dn) / np.sum(weight * drawn**2))
+
+    def give(self, values: FloatArray, total: FloatArray, weight: FloatArray) -> None:
+        """Add what a map leaves of the data, weighted, and the weights (n, 2 n)."""
+        view = self.view
+        drawn = view.drawn_dn(AlbedoMap(values))
+        even = self._gain(drawn) * view.even_dn
+        left = (view.data_dn - self._gain(drawn) * drawn) / even
+        known = 1.0 / (view.variance_dn2 / even**2 + MODEL_SHARE**2)
+        for cells, share in zip(self.cells, self.shares, strict=True):
+            total += np.bincount(cells, share * known * left, total.size).reshape(total.shape)
+            weight += np.bincount(cells, share * known, weight.size).reshape(weight.shape)
+
+    def seen(self, rows: int) -> IntArray:
+        """Return 1 for the cells (n, 2 n) that the picture shows, within a cell."""
+        hit = np.bincount(self.cells.ravel(), minlength=2 * rows * rows).reshape(rows, 2 * rows) > 0
+        return (_smoothed(hit.astype(np.float64)) > 0.25).astype(np.int64)
+
+
+def _row_areas(rows: int) -> FloatArray:
+    """Return the cosine of the latitude of each row."""
+    return np.cos(np.pi * ((np.arange(rows) + 0.5) / rows - 0.5))
+
+
+def _mean(values: FloatArray, seen: BoolArray) -> float:
+    weight = _row_areas(len(values))[:, None] * seen
+    return float(np.sum(weight * values) / max(float(weight.sum()), np.finfo(float).tiny))
+
+
+def _smoothed(plane: FloatArray) -> FloatArray:
+    """Return a plane (n, 2 n) smoothed over the same length on the body everywhere: wider in longitude near the poles."""
+    down = ndimage.gaussian_filter1d(plane, SMOOTH_CELLS, axis=0, mode="nearest")
+    wide = SMOOTH_CELLS / _row_areas(len(plane))[:, None]
+    wave = 2.0 * np.pi * fft.rfftfreq(plane.shape[1])
+    return np.asarray(
+        fft.irfft(fft.rfft(down, axis=1) * np.exp(-0.5 * (wide * wave) ** 2), plane.shape[1], axis=1)
+    )
