@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Annotated, Any
 
 import astropy.io.misc.yaml  # noqa: F401  (needed at the end; astropy looks through all that was loaded before it)
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -60,12 +61,15 @@ class Reporter:
             _print_note(self._err, outcome, outcome.note)
 
     def table(self, outcomes: Sequence[Outcome], out: Path) -> None:
-        """Print one row a picture, one row a target, and where the files are."""
+        """Print one row a picture, one a target, one a body with landmarks, and where the files are."""
         wide = self._out.width >= WIDE_COLUMNS
         self._out.print(_pointing_table(outcomes, wide))
         bodies = [(o, body) for o in outcomes for body in o.result.get("bodies", ())]
         if bodies:
             self._out.print(_body_table(bodies, wide))
+        searched = [(o, one) for o in outcomes for one in o.result.get("landmarks", ())]
+        if searched:
+            self._out.print(_landmark_table(searched))
         for outcome in outcomes:
             if outcome.result["status"] == "partial":
                 for message in outcome.result["messages"]:
@@ -146,6 +150,24 @@ def _range_cells(body: dict[str, Any]) -> list[str]:
     if not math.isfinite(body["measured_range_km"]):
         return ["–", "–"]
     return [f"{body['measured_range_km']:.6g}", f"{body['range_sigma_km']:.2g}"]
+
+
+def _landmark_table(rows: Sequence[tuple[Outcome, dict[str, Any]]]) -> Table:
+    """Landmarks by body, and where they put the spacecraft: how far from its a priori place, and the largest sigma."""
+    numbers = ("accepted", "of", "rms px", "moved km", "σ km")
+    table = plain_table("Landmarks", ("picture", "body"), numbers)
+    for outcome, one in rows:
+        accepted = sum(point["status"] == "accepted" for point in one["points"])
+        counts = (str(accepted), str(len(one["points"])))
+        table.add_row(shown(outcome.image.stem), shown(one["body"]), *counts, *_pose_cells(one["pose"]))
+    return table
+
+
+def _pose_cells(pose: dict[str, Any] | None) -> list[str]:
+    if pose is None:
+        return ["–"] * 3
+    sigma = math.sqrt(float(np.linalg.eigvalsh(np.asarray(pose["covariance"])[:3, :3])[-1]))
+    return [f"{pose['rms_px']:.3f}", f"{math.hypot(*pose['position_shift_km']):.4g}", f"{sigma:.2g}"]
 
 
 # ---- ``opnav process``: pictures in, pointing and observables out.

@@ -13,6 +13,8 @@ is said and done in ``processing``.
     What a result depends on, by content; what of it has changed.
 ``night_psf``
     The effective PSF that the pictures of a night teach it.
+``night_carrying``
+    Pictures without stars take the pointing of their neighbors, when all are in place.
 ``settling``
     A new folder put into its place; the attic.
 ``night_archive``

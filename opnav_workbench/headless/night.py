@@ -1,7 +1,7 @@
 """A night: the same notebook for many pictures, each on its own, nothing done twice and nothing lost.
 
 Flow   pictures -> what is left to do -> notebooks in processes of their own -> moved into place one by one -> archive ->
-       summary, queue
+       pointings carried to pictures without stars -> summary, queue
 Files  OUT/<picture>/ {result.json, observables.ecsv, session.json, notebook.ipynb, notebook.html, summary.png, night.json},
        OUT/{campaign.sqlite, summary.html, summary.json, queue.json}; OUT/.work is the night's own, OUT/.attic what it found
        in a place that it needed, or could not put into its own
@@ -23,6 +23,7 @@ from opnav_workbench.files import inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import NightInputs, changes, night_inputs, picture_et
 from opnav_workbench.headless.night_archive import NightArchive
+from opnav_workbench.headless.night_carrying import carry_in_night
 from opnav_workbench.headless.night_psf import with_kept_psf
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
@@ -367,6 +368,19 @@ def run_night(
                     _archive(night, taken, verdict.name)
                 night.verdicts.append(verdict)
                 say(verdict)
+        _carry(night, taken)
+
+
+def _carry(night: Night, archive: NightArchive) -> None:
+    """Let pictures without stars take their neighbors' pointing, where that is asked for."""
+    plan = night.plan
+    names = [picture.name for picture in plan.pictures if picture.name not in night.unplaced]
+    folders = [inside(plan.out, name) for name in names]
+    for carried in carry_in_night(plan.spec, folders, plan.out / WORK_FOLDER):
+        if carried.placed:
+            _archive(night, archive, carried.name)
+        if carried.note:
+            night.notes.append(f"{carried.name}: {carried.note}")
 
 
 def _verdicts(plan: NightPlan, pool: NightPool) -> Generator[NotebookOutcome, None, None]:

@@ -21,7 +21,7 @@ from opnav_workbench.processing.model import OpenedProcessing
 from opnav_workbench.session import RESULT_FILE, SESSION_FILE, ImageSession, Settings
 from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
 
-__all__ = ["FIGURE_FILE", "carry_between", "may_take_pointing"]
+__all__ = ["FIGURE_FILE", "carry_between", "may_take_pointing", "pointings_to_take", "take_pointing"]
 
 FIGURE_FILE = "summary.png"
 AGAIN = "process the picture again."
@@ -60,7 +60,21 @@ def carry_between(
     SessionError
         A file of them is damaged.
     """
-    settings = opened.settings
+    made = {}
+    for folder, near in pointings_to_take(folders, opened.settings).items():
+        say(folder.name, f"carrying the pointing of {near[0].image}")
+        made[folder] = take_pointing(folder, near, opened)
+    return made
+
+
+def pointings_to_take(folders: Sequence[Path], settings: Settings) -> dict[Path, tuple[SolvedAttitude, ...]]:
+    """Return the folders of pictures whose stars do not tell their pointing, each with its neighbors', the nearest first.
+
+    Raises
+    ------
+    SessionError
+        A file of them is damaged.
+    """
     if not settings.carry_within_s > 0.0:
         return {}
     results = {
@@ -70,15 +84,13 @@ def carry_between(
     }
     donors = [donor for folder, result in results.items() if (donor := _donor(folder, result)) is not None]
     giving = {donor.attitude.image for donor in donors}
-    made = {}
+    found = {}
     for folder, result in results.items():
         if result["image"] in giving or not may_take_pointing(result, settings):
             continue
-        near = _near(donors, result, settings)
-        if near:
-            say(folder.name, f"carrying the pointing of {near[0].image}")
-            made[folder] = _carried(folder, near, opened)
-    return made
+        if near := _near(donors, result, settings):
+            found[folder] = near
+    return found
 
 
 def may_take_pointing(result: dict[str, Any], settings: Settings) -> bool:
@@ -110,7 +122,7 @@ def _donor(folder: Path, result: dict[str, Any]) -> Donor | None:
     return Donor(str(result["camera"]), source, attitude)
 
 
-def _near(donors: Sequence[Donor], result: dict[str, Any], settings: Settings) -> list[SolvedAttitude]:
+def _near(donors: Sequence[Donor], result: dict[str, Any], settings: Settings) -> tuple[SolvedAttitude, ...]:
     same = (str(result["camera"]), str(result["provenance"]["attitude_source"]))
     near = [
         donor.attitude
@@ -118,10 +130,17 @@ def _near(donors: Sequence[Donor], result: dict[str, Any], settings: Settings) -
         if (donor.camera, donor.source) == same
         and abs(donor.attitude.et - float(result["et"])) <= settings.carry_within_s
     ]
-    return sorted(near, key=lambda attitude: abs(attitude.et - float(result["et"])))
+    return tuple(sorted(near, key=lambda attitude: abs(attitude.et - float(result["et"]))))
 
 
-def _carried(folder: Path, near: Sequence[SolvedAttitude], opened: OpenedProcessing) -> dict[str, Any]:
+def take_pointing(folder: Path, near: Sequence[SolvedAttitude], opened: OpenedProcessing) -> dict[str, Any]:
+    """Give a picture its neighbors' pointing, find its targets, save it, and return its new result.
+
+    Raises
+    ------
+    OpNavError
+        Its files are damaged or cannot be written, or the settings say nothing of the motion between pictures.
+    """
     session = ImageSession.resume(folder)
     session.carry_pointing(near, motion_of(opened.settings, session.context.camera))
     find_targets(session, opened)

@@ -1,0 +1,106 @@
+"""A night whose short exposures have no star: they take the pointing of the long ones, whichever comes first."""
+
+import json
+
+import pytest
+
+from opnav_workbench.campaign import Campaign
+from opnav_workbench.headless.night import Night, plan_night, run_night
+from opnav_workbench.headless.night_spec import NightSpec
+from opnav_workbench.headless.night_workers import LocalPool
+from opnav_workbench.kernels import KernelSet
+from opnav_workbench.mission import load_mission
+from opnav_workbench.session import ImageSession
+from opnav_workbench.simulation import (
+    OpenedScenario,
+    PictureScenario,
+    ScenarioPicture,
+    expose_picture,
+    truth_of,
+    write_picture,
+)
+
+pytestmark = pytest.mark.slow
+
+KERNELS = "new_horizons/pluto_approach"
+TIMES = {"long": ("2015-07-12T08:46:47", 0.1), "short": ("2015-07-12T08:46:57", 0.002)}
+SETTINGS = "carry_within_s=60,carry_jitter_px=0.03,carry_walk_px=0.005,lost_detections=0"
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    """LORRI 4x4 pictures of Pluto, one with stars, and ten seconds later one without."""
+    scenario = PictureScenario.model_validate(
+        {
+            "mission": "new_horizons",
+            "catalog": "bundled",
+            "magnitude_limit": 13.0,
+            "seed": 8,
+            "bodies": [{"name": "PLUTO", "law": {"law": "lunar_lambert", "lunar_weight": 0.5}}],
+            "attitude": {"actual": {"source": "error", "shift_px": (-5.2, 6.3), "twist_deg": 0.05}},
+            "pictures": [
+                {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": exposure_s}
+                for name, (utc, exposure_s) in TIMES.items()
+            ],
+        }
+    )
+    mission, folder, made = load_mission("new_horizons"), tmp_path_factory.mktemp("pair"), {}
+    with KernelSet(KERNELS):
+        opened = OpenedScenario.open(scenario)
+        for index, picture in enumerate(scenario.pictures):
+            chosen = ScenarioPicture(index, picture)
+            shown = expose_picture(opened.inputs(chosen))
+            report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
+            made[picture.name] = truth_of(shown, mission, report.files[0])
+    return made
+
+
+def night_of(pictures, names, out, settings=SETTINGS):
+    spec = NightSpec(
+        images=tuple(str(pictures[name].picture) for name in names),
+        mission="new_horizons",
+        kernels=KERNELS,
+        targets="PLUTO",
+        settings=settings,
+    )
+    made = Night(plan_night(spec, out))
+    run_night(made, LocalPool(1))
+    return made
+
+
+def result(out, name):
+    return json.loads((out / name / "result.json").read_text())
+
+
+def test_a_picture_without_stars_waits_for_its_neighbor_from_night_to_night(pictures, tmp_path):
+    out = tmp_path / "out"
+    assert night_of(pictures, ["short"], out).notes == []
+    assert result(out, "short")["status"] != "ok"
+    late = night_of(pictures, ["short", "long"], out)
+    assert [picture.state for picture in late.plan.pictures] == ["new", "done"]  # by path: long, short
+    assert late.notes == []
+    short = result(out, "short")
+    assert (short["status"], short["pointing"]["model"], short["pointing"]["n_stars"]) == ("ok", "carried", 0)
+    (pluto,) = short["bodies"]
+    true = pictures["short"].bodies["PLUTO"]
+    assert max(abs(pluto["observed"] - true)) < 0.2
+    with Campaign(late.archive) as archive:
+        statuses = {row["stem"]: row["status"] for row in archive.images()}
+    assert statuses == {"long": "ok", "short": "ok"}
+    # What a night made by carrying is its own: it is done, neither an analyst's nor to be done again.
+    again = night_of(pictures, ["short", "long"], out)
+    assert {picture.state for picture in again.plan.pictures} == {"done"}
+    assert result(out, "short") == short
+    assert not (out / ".attic").exists()
+
+
+def test_an_analysts_picture_gives_and_takes_none(pictures, tmp_path):
+    out = tmp_path / "out"
+    night_of(pictures, ["long", "short"], out, settings="lost_detections=0")
+    session = ImageSession.resume(out / "short")
+    session.predict()
+    session.save(out / "short")
+    before = result(out, "short")
+    night_of(pictures, ["long", "short"], out)
+    assert result(out, "short") == before
+    assert before["status"] != "ok"
