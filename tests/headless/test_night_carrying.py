@@ -23,7 +23,7 @@ from opnav_workbench.simulation import (
 pytestmark = pytest.mark.slow
 
 KERNELS = "new_horizons/pluto_approach"
-TIMES = {"long": ("2015-07-12T08:46:47", 0.1), "short": ("2015-07-12T08:46:57", 0.002)}
+TIMES = {"long": ("2015-07-12T08:46:47", 0.1), "short": ("2015-07-12T08:46:57", 0.001)}
 SETTINGS = "carry_within_s=60,carry_jitter_px=0.03,carry_walk_px=0.005,lost_detections=0"
 
 
