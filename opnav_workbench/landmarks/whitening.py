@@ -14,8 +14,10 @@ Units  px, DN
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft, ndimage
 from scipy.special import digamma, polygamma
 
@@ -52,6 +54,9 @@ FLOOR = (
 )
 
 
+AnyFloats = NDArray[np.floating[Any]]
+
+
 class Whitening:
     """Errors of unit variance with a stationary autocorrelation, in windows of one size."""
 
@@ -72,7 +77,7 @@ class Whitening:
 
     def spread(self, planes: FloatArray) -> FloatArray:
         """Return C times planes (..., size, size)."""
-        return self._through(planes, self.spectrum)
+        return np.asarray(self._through(planes, self.spectrum))
 
     def solved(self, planes: FloatArray, used: BoolArray) -> FloatArray:
         """Return C^-1 times planes (n, k, size, size), of the pixels in use (n, size, size), by conjugate gradients.
@@ -96,13 +101,14 @@ class Whitening:
             way = z + square / np.maximum(before, LEAST_SQUARE) * way
         return np.asarray(x, dtype=np.float64)
 
-    def _through(self, planes: FloatArray, spectrum: FloatArray) -> FloatArray:
+    def _through(self, planes: AnyFloats, spectrum: AnyFloats) -> Any:
+        """Return planes (..., size, size) with their spectrum multiplied, in the precision that they have."""
         full = (self.length, self.length)
         out = fft.irfft2(fft.rfft2(planes, full) * spectrum, full)
-        return np.asarray(out[..., : self.size, : self.size])
+        return out[..., : self.size, : self.size]
 
 
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+def _dot(a: AnyFloats, b: AnyFloats) -> Any:
     return np.asarray(np.einsum("nkyx,nkyx->nk", a, b)[..., None, None])
 
 

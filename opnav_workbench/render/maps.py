@@ -170,8 +170,8 @@ class AlbedoMap:
         y = np.clip(down * rows - 0.5, 0.0, rows - 1.0)
         left = np.floor(x)
         top = np.minimum(np.floor(y), max(rows - 2, 0))
-        i = top.astype(np.intp) * columns
-        j = left.astype(np.intp) % columns
+        i = top.astype(np.int64) * columns
+        j = left.astype(np.int64) % columns
         right = np.where(j + 1 == columns, 0, j + 1)
         return i, j, i + (columns if rows > 1 else 0), right, x - left, y - top
 

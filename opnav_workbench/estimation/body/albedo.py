@@ -342,7 +342,7 @@ class _Feed:
 
 def _row_areas(rows: int) -> FloatArray:
     """Return the cosine of the latitude of each row."""
-    return np.cos(np.pi * ((np.arange(rows) + 0.5) / rows - 0.5))
+    return np.asarray(np.cos(np.pi * ((np.arange(rows) + 0.5) / rows - 0.5)))
 
 
 def _mean(values: FloatArray, seen: BoolArray) -> float:
