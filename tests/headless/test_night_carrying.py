@@ -1,6 +1,8 @@
 """A night whose short exposures have no star: they take the pointing of the long ones, whichever comes first."""
 
 import json
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -8,51 +10,20 @@ from opnav_workbench.campaign import Campaign
 from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.night_workers import LocalPool
-from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.session import ImageSession
-from opnav_workbench.simulation import (
-    OpenedScenario,
-    PictureScenario,
-    ScenarioPicture,
-    expose_picture,
-    truth_of,
-    write_picture,
-)
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "processing"))
+from pair_pictures import KERNELS, SETTINGS, pair_pictures
 
 pytestmark = pytest.mark.slow
 
-KERNELS = "new_horizons/pluto_approach"
 TIMES = {"long": ("2015-07-12T08:46:47", 0.1), "short": ("2015-07-12T08:46:57", 0.001)}
-SETTINGS = "carry_within_s=60,carry_jitter_px=0.03,carry_walk_px=0.005,lost_detections=0"
 
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory):
-    """LORRI 4x4 pictures of Pluto, one with stars, and ten seconds later one without."""
-    scenario = PictureScenario.model_validate(
-        {
-            "mission": "new_horizons",
-            "catalog": "bundled",
-            "magnitude_limit": 13.0,
-            "seed": 8,
-            "bodies": [{"name": "PLUTO", "law": {"law": "lunar_lambert", "lunar_weight": 0.5}}],
-            "attitude": {"actual": {"source": "error", "shift_px": (-5.2, 6.3), "twist_deg": 0.05}},
-            "pictures": [
-                {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": exposure_s}
-                for name, (utc, exposure_s) in TIMES.items()
-            ],
-        }
-    )
-    mission, folder, made = load_mission("new_horizons"), tmp_path_factory.mktemp("pair"), {}
-    with KernelSet(KERNELS):
-        opened = OpenedScenario.open(scenario)
-        for index, picture in enumerate(scenario.pictures):
-            chosen = ScenarioPicture(index, picture)
-            shown = expose_picture(opened.inputs(chosen))
-            report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
-            made[picture.name] = truth_of(shown, mission, report.files[0])
-    return made
+    """One with stars, and ten seconds later one without."""
+    return pair_pictures(tmp_path_factory.mktemp("pair"), TIMES, seed=8, shift_px=(-5.2, 6.3))
 
 
 def night_of(pictures, names, out, settings=SETTINGS):

@@ -2,60 +2,27 @@
 
 import numpy as np
 import pytest
+from pair_pictures import KERNELS, SETTINGS, pair_pictures
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import matrix_from_quaternion, vector_from_rotation
-from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import read_ecsv
 from opnav_workbench.processing import Processing, process
 from opnav_workbench.processing.carrying import carry_between
 from opnav_workbench.session import ImageSession, load_decisions
 from opnav_workbench.session.decisions import perform
-from opnav_workbench.simulation import (
-    OpenedScenario,
-    PictureScenario,
-    ScenarioPicture,
-    expose_picture,
-    truth_of,
-    write_picture,
-)
 from opnav_workbench.stars.pointing import AttitudeMotion
 
 pytestmark = pytest.mark.slow
 
-KERNELS = "new_horizons/pluto_approach"
 SHIFT_PX = (7.6, -3.1)  # the a priori attitude's error, the same in all three
 TIMES = {"long": ("2015-07-12T08:46:47", 0.1), "short": ("2015-07-12T08:46:57", 0.002)}
-SETTINGS = "carry_within_s=60,carry_jitter_px=0.03,carry_walk_px=0.005,lost_detections=0"
 
 
 @pytest.fixture(scope="module")
 def truths(tmp_path_factory):
-    """LORRI 4x4 pictures of Pluto, 47 px wide: one with stars, and ten seconds later one without."""
-    scenario = PictureScenario.model_validate(
-        {
-            "mission": "new_horizons",
-            "catalog": "bundled",
-            "magnitude_limit": 13.0,
-            "seed": 5,
-            "bodies": [{"name": "PLUTO", "law": {"law": "lunar_lambert", "lunar_weight": 0.5}}],
-            "attitude": {"actual": {"source": "error", "shift_px": SHIFT_PX, "twist_deg": 0.05}},
-            "pictures": [
-                {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": exposure_s}
-                for name, (utc, exposure_s) in TIMES.items()
-            ],
-        }
-    )
-    mission, folder, made = load_mission("new_horizons"), tmp_path_factory.mktemp("pair"), {}
-    with KernelSet(KERNELS):
-        opened = OpenedScenario.open(scenario)
-        for index, picture in enumerate(scenario.pictures):
-            chosen = ScenarioPicture(index, picture)
-            shown = expose_picture(opened.inputs(chosen))
-            report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
-            made[picture.name] = truth_of(shown, mission, report.files[0])
-    return made
+    """One with stars, and ten seconds later one without."""
+    return pair_pictures(tmp_path_factory.mktemp("pair"), TIMES, seed=5, shift_px=SHIFT_PX)
 
 
 @pytest.fixture(scope="module")
