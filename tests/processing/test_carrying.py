@@ -1,8 +1,10 @@
 """A pair: a long exposure with stars, and short ones of the body alone that take its pointing."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
-from pair_pictures import KERNELS, SETTINGS, pair_pictures
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import matrix_from_quaternion, vector_from_rotation
@@ -12,6 +14,9 @@ from opnav_workbench.processing.carrying import carry_between
 from opnav_workbench.session import ImageSession, load_decisions
 from opnav_workbench.session.decisions import perform
 from opnav_workbench.stars.pointing import AttitudeMotion
+
+sys.path.insert(0, str(Path(__file__).parent))
+from pair_pictures import KERNELS, SETTINGS, pair_pictures
 
 pytestmark = pytest.mark.slow
 
