@@ -373,7 +373,9 @@ def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, 
 Profiles = Callable[[Outline, FloatArray, FloatArray], FloatArray]
 
 
-def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles) -> LimbCrossings:
+def cross_limb(
+    picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles, *, cut_off: bool = False
+) -> LimbCrossings:
     """Cross the limb along rays, as far as `reach_px` from the outline, and compare with the model's crossings.
 
     Parameters
@@ -381,6 +383,8 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     profiles
         Returns the model's light (1 + k, n, m) at angles (n,) and depths (m,) of an outline, any unit: as it is, and
         changed by a sigma of each of k things that are uncertain.
+    cut_off
+        Whether that light is cut off where the picture is saturated.
     """
     angle = np.asarray((np.arange(RAYS) + 0.5) * (TURN / RAYS))
     limb = outline.radius(angle)
@@ -404,7 +408,7 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     whole = valid[rows, index] & valid[rows, index + 1] & valid[rows, index - 1]
     at_limb = np.isfinite(expected) & (np.abs(expected) < 2.0 * width)
     known = np.isfinite(observed) & at_limb & whole & (observed < depth[-8])
-    if picture.saturated.any():  # half of a level that was cut off lies too far out
+    if picture.saturated.any() and not cut_off:  # half of a level that was cut off lies too far out
         behind = (
             np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width) < 0.5 * LEVEL_TO * width
         )
