@@ -415,7 +415,7 @@ class _DiskProblem:
         return limb_samples(self._squares, outline, *self.reach, self.sharp_px)
 
     def seen_limb(self, made: TabulatedDisk, system: LimbSystem) -> BoolArray:
-        """Tell which pieces of limb (j,) are lit and in sight: enough of the step from body to sky, were all else saturated."""
+        """Tell which pieces of limb (j,) are lit and show enough of the step from body to sky, be all else saturated."""
         angle, depth = np.meshgrid(
             piece_angles(self.pieces), 0.5 * (self.edges[:-1] + self.edges[1:]), indexing="ij"
         )
