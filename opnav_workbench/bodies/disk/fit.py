@@ -439,7 +439,7 @@ class _DiskProblem:
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
         out = np.full(SHARED, np.inf)
-        out[Unknown.SIZE] = np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px)
+        out[Unknown.SIZE] = np.hypot(SEEN_SHARE * self.place.seen_sigma, SEEN_PX / self.radius_px)
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
@@ -457,7 +457,7 @@ class _DiskProblem:
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
-        mean[Unknown.SIZE] = np.log(self.place.size_ratio)
+        mean[Unknown.SIZE] = np.log(self.place.seen_ratio)
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
