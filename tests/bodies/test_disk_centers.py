@@ -10,7 +10,7 @@ from disk_truth import TrialSetup, make_trial
 from opnav_workbench.bodies import BodyFlag, find_disk
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.disk.measurement import likelier, measure_disk
-from opnav_workbench.render import FigureUncertainty
+from opnav_workbench.render import FigureUncertainty, LunarLambert
 
 
 def shift_between(light, other):
@@ -94,6 +94,17 @@ def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):
     assert center.status == "ok", center.messages
     assert center.flags & BodyFlag.OCCULTED
     assert np.abs(center.pixel_line - place).max() < 0.05
+
+
+@pytest.mark.parametrize("diameter", [36.0, 66.0])  # spread in two dimensions, and along rays
+def test_a_limb_that_fades_with_the_root_of_its_depth_draws_no_center_along(body_stage, diameter):
+    """Near opposition Lommel-Seeliger's light is steepest at the limb: cells have its mean, not that of their middle."""
+    place = np.array([500.3, 480.7])
+    body = body_stage.body(diameter, 15.0, place, law=LunarLambert(0.5))
+    picture = body_stage.picture(body_stage.light(body), [body])
+    disk = measure_disk(picture, "BODY", "auto", None, None)
+    assert np.abs(disk.fit.center_px - place).max() < 0.003
+    assert np.abs(disk.fit.shape.law).max() < 0.03
 
 
 def test_slopes_of_a_surface_shine_beyond_its_terminator(body_stage):

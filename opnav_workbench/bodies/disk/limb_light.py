@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 from scipy.ndimage import map_coordinates
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes
@@ -51,7 +51,8 @@ CRESCENT_RAD = 0.5 * np.pi
 SPREADS = 24  # directions in which the spread function is taken
 PLANE_RADIUS_PX = (15.0, 25.0)  # smaller disks are spread in two dimensions, coarse and fine
 PLANE_STEPS = 2  # of depth: the grid's
-GRAZE = 1e-6  # of the radius: light of a cell that the limb cuts is taken so far inside
+GRAZE = 1e-6  # of the radius: no ray is taken nearer to the limb
+RIM_CELLS, RIM_NODES = 8, 3  # cells from the limb whose light is the mean over so many depths
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
 OTHER_SHARE = 0.5  # of Lommel-Seeliger in a law of another kind
@@ -200,8 +201,8 @@ def _sources(
     model: BodyModel,
     center_px: FloatArray,
     depth_px: FloatArray,
-    share: FloatArray,
-    rays_at: Callable[[FloatArray, BoolArray], FloatArray],
+    limb_px: FloatArray,
+    rays_at: Callable[[FloatArray, IntArray], FloatArray],
     step_px: float,
     node_rad: FloatArray,
     law: FloatArray,
@@ -209,20 +210,41 @@ def _sources(
     """Return the light before the PSF (1 + `LINEAR` + 2 k, ...) in cells of `step_px` at depths (...).
 
     All of it, its change with the law, and that of each hat, on the light and on that of slopes that face the Sun. A cell
-    that the limb cuts has the light of the part inside. `share` (...) is the distance from the center over that of the
-    limb; `rays_at` makes rays of those wanted.
+    that the limb cuts has the light of the part inside. `limb_px` (...) is the distance of the limb from the center; `rays_at`
+    makes rays at shares of it, of cells numbered flat.
     """
-    covered = np.clip(0.5 - depth_px / step_px, 0.0, 1.0)
-    inside = covered > 0.0
-    within = np.clip(share[inside], 0.0, 1.0 - GRAZE)
+    depth, limb = (
+        np.ascontiguousarray(np.broadcast_to(x, depth_px.shape)).ravel() for x in (depth_px, limb_px)
+    )
+    covered = np.clip(0.5 - depth / step_px, 0.0, 1.0)
+    inside = np.flatnonzero(covered > 0.0)
+    at_limb = depth[inside] > -RIM_CELLS * step_px
+    plain, rim = inside[~at_limb], inside[at_limb]
+    nodes, weights = _rim_nodes(depth[rim], step_px)
+    cells = np.concatenate([plain, np.repeat(rim, nodes.shape[1])])
+    node = np.concatenate([depth[plain], nodes.ravel()])
+    within = np.clip(1.0 + node / limb[cells], 0.0, 1.0 - GRAZE)
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
-    changes = _light_changes(picture, body, center_px, rays_at(within, inside), law)
-    covered = covered[inside]
-    out = np.zeros((len(changes) + 2 * len(node_rad), *depth_px.shape))
-    out[: len(changes), inside] = changes * covered
-    parts = hats(within, node_rad) * covered
-    out[len(changes) :, inside] = np.concatenate([changes[0] * parts, changes[-1] * parts])
-    return out
+    changes = _light_changes(picture, body, center_px, rays_at(within, cells), law)
+    parts = hats(within, node_rad)
+    rows = np.concatenate([changes, changes[0] * parts, changes[-1] * parts])
+    out = np.zeros((len(rows), depth.size))
+    out[:, plain] = rows[:, : len(plain)]
+    out[:, rim] = np.einsum("pcn,cn->pc", rows[:, len(plain) :].reshape(len(rows), *nodes.shape), weights)
+    return (out * covered).reshape(len(rows), *depth_px.shape)
+
+
+def _rim_nodes(depth_px: FloatArray, step_px: float) -> tuple[FloatArray, FloatArray]:
+    """Return depths (n, m) in the covered parts of cells (n,) whose weighted sum is the mean there, and the weights.
+
+    The cosine to the line of sight grows as the root of the depth: light is smooth in that root, and by no means in the
+    depth. A cell's middle would make the limb brighter, or darker, by what moves a disk of 100 px by 0.02 px.
+    """
+    inner, outer = np.sqrt(0.5 * step_px - depth_px), np.sqrt(np.maximum(-0.5 * step_px - depth_px, 0.0))
+    at, share = np.polynomial.legendre.leggauss(RIM_NODES)
+    root = 0.5 * (inner + outer)[:, None] + 0.5 * (inner - outer)[:, None] * at
+    weight = share * root
+    return -(root**2), weight / weight.sum(axis=1, keepdims=True)
 
 
 def _light_changes(
@@ -367,11 +389,11 @@ def _spread_along_rays(
     lowest = float(np.clip(share.min(), 0.0, 1.0))
     fan = RayFan(picture, outline.center_px, angle, limb, lowest)
 
-    def rays_at(within: FloatArray, inside: BoolArray) -> FloatArray:
-        return fan.at(np.nonzero(inside)[0], within)
+    def rays_at(within: FloatArray, cells: IntArray) -> FloatArray:
+        return fan.at(cells // len(fine), within)
 
     depths = np.broadcast_to(fine, share.shape)
-    sources = _sources(picture, model, outline.center_px, depths, share, rays_at, step, node_rad, law)
+    sources = _sources(picture, model, outline.center_px, depths, limb[:, None], rays_at, step, node_rad, law)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
@@ -464,14 +486,14 @@ def _spread_in_plane(
     offset = step * np.arange(-half, half + 1)
     x, y = np.meshgrid(offset, offset)
     limb, reach = outline.radius(np.arctan2(y, x)), np.hypot(x, y)
-    share = reach / limb
+    flat_x, flat_y, share = x.ravel(), y.ravel(), np.maximum(reach / limb, 1e-9).ravel()
 
-    def rays_at(within: FloatArray, inside: BoolArray) -> FloatArray:
-        length = within / np.maximum(share[inside], 1e-9)
-        away = np.stack([x[inside] * length, y[inside] * length], axis=-1)
+    def rays_at(within: FloatArray, cells: IntArray) -> FloatArray:
+        length = within / share[cells]
+        away = np.stack([flat_x[cells] * length, flat_y[cells] * length], axis=-1)
         return pixel_rays(picture, outline.center_px + away)
 
-    sources = _sources(picture, model, outline.center_px, reach - limb, share, rays_at, step, node_rad, law)
+    sources = _sources(picture, model, outline.center_px, reach - limb, limb, rays_at, step, node_rad, law)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step
     size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + 2 * per_px, real=True)
