@@ -555,7 +555,9 @@ def fit_crossings(
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
     kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
     normal = columns.T @ columns / variance + np.diag(precision)
-    mixed, alone = (mixed_solution(normal, columns.T @ kept / variance, each).covariance for each in (scales, widest))
+    mixed, alone = (
+        mixed_solution(normal, columns.T @ kept / variance, each).covariance for each in (scales, widest)
+    )
     size_sigma = float(np.sqrt(alone[2, 2]))
     return CrossingFit(
         solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5], residual, free, size_sigma

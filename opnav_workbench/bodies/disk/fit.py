@@ -563,8 +563,7 @@ class _Fitter:
             self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
-                self.made = self.problem.tabulated(self.shape, fine=True)
-                self._solve()
+                self._tabulate((1.0, 0.5, 0.0), fine=True)
             self._count_saturated()
             self._tune(LAST_TUNING)
             self._iterate(MOST_TURNS)
@@ -673,7 +672,7 @@ class _Fitter:
         slack = LOST_SHARE * float(np.count_nonzero(np.isfinite(best.linear.system.variance)))
         if self.linear.solution.held_cost > best.linear.solution.held_cost + slack:
             last_px = self.shape.center_px
-            self.shape, self.brightness, self.piece_albedo, self.made, self.linear = best
+            self._return_to(best)
             self.wandered_px = best.shape.center_px - last_px
         lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
         settled = length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
@@ -711,21 +710,36 @@ class _Fitter:
         cells = np.count_nonzero(np.isfinite(self.linear.system.variance))
         return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
-    def _tabulate_or_return(self) -> None:
-        """Tabulate the light of the shape; where that explains the pixels worse, stay with half of the way, or none."""
-        then, now, linear = self.made, self.shape, self.linear
-        for share in (1.0, 0.5):
+    def _tabulate(self, shares: Sequence[float], *, fine: bool) -> None:
+        """Tabulate the light of the shape; where that explains the pixels worse, go a part of the way from the last tables.
+
+        What tables are extrapolated to may be no light of any body. Of no share that will do the best is taken.
+        """
+        then, now, chi2 = self.made.shape, self.shape, self.linear.solution.chi2
+        found = []
+        for share in shares:
             self.shape = replace(
                 now,
                 strain=then.strain + share * (now.strain - then.strain),
-                law=then.shape.law + share * (now.law - then.shape.law),
-                blur_px2=then.shape.blur_px2 + share * (now.blur_px2 - then.shape.blur_px2),
+                law=then.law + share * (now.law - then.law),
+                blur_px2=then.blur_px2 + share * (now.blur_px2 - then.blur_px2),
             )
-            self.made = self.problem.tabulated(self.shape)
+            self.made = self.problem.tabulated(self.shape, fine=fine)
             self._solve()
-            if self.linear.solution.chi2 < WORSE * linear.solution.chi2 + GROWTH:
+            if self.linear.solution.chi2 < WORSE * chi2 + GROWTH:
                 return
-        self.made, self.shape, self.linear = then, now, linear
+            found.append(self._state())
+        self._return_to(min(found, key=lambda state: state.linear.solution.chi2))
+
+    def _tabulate_or_return(self) -> None:
+        """Tabulate the light of the shape; where no part of the way explains the pixels as well, stay with the last tables."""
+        kept = self._state()
+        self._tabulate((1.0, 0.5), fine=False)
+        if not self.linear.solution.chi2 < WORSE * kept.linear.solution.chi2 + GROWTH:
+            self._return_to(kept)
+
+    def _return_to(self, state: _FitState) -> None:
+        self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""

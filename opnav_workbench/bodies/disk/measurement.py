@@ -208,7 +208,14 @@ ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
 HALF_PX = 0.15  # where pattern or law are steep at the limb
 ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
 START_SIZES = (0.7, 1.4)
-UNSURE = ("blur", "law", "law_2", "strain_zz", "strain_xz", "strain_yz")  # of the light: near a cusp it moves a crossing
+UNSURE = (
+    "blur",
+    "law",
+    "law_2",
+    "strain_zz",
+    "strain_xz",
+    "strain_yz",
+)  # of the light: near a cusp it moves a crossing
 BRIGHTER = 1.3  # than the fit says may a saturated limb be: what that moves is uncertain
 LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
