@@ -40,6 +40,9 @@ def pytest_configure() -> None:
     sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]
     # Notebooks' kernels and programs that tests start would each compile the whole package where nothing keeps it compiled.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # What Debian's packages put on a machine is part of `bundled`; tests, modules that they load and programs that they
+    # start have what pip brings.
+    os.environ["OPNAV_ASTROMETRY"] = os.devnull
     sys.dont_write_bytecode = False
 
 

@@ -51,6 +51,8 @@ Answers are `StarTable`s in J2000 (ICRS), each star at its own epoch, with sigma
     Whole catalogs fetched once over the network.
 ``combined``
     Several catalogs asked as one.
+``deeper``
+    What a deeper catalog would bring into a field.
 """
 
 from typing import TYPE_CHECKING
@@ -58,6 +60,7 @@ from typing import TYPE_CHECKING
 from opnav_workbench.lazy_names import names_on_demand
 
 if TYPE_CHECKING:
+    from opnav_workbench.catalog.deeper import deeper_catalogs
     from opnav_workbench.catalog.interface import Catalog
     from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_motion_mixture
     from opnav_workbench.catalog.quality import StarQuality
@@ -71,6 +74,7 @@ else:  # loaded on first use: most calls need a few of these
         __name__,
         {
             "Catalog": "interface",
+            "deeper_catalogs": "deeper",
             "UNKNOWN_MOTION_MAS_YR": "proper_motion",
             "unknown_motion_mixture": "proper_motion",
             "StarQuality": "quality",
@@ -95,6 +99,7 @@ __all__ = [
     "VizierCatalog",
     "catalog_contents",
     "catalog_status",
+    "deeper_catalogs",
     "fetch_whole_sky",
     "open_catalog",
     "open_vizier",

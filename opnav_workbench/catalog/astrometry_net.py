@@ -39,9 +39,19 @@ from astropy.io import fits
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.catalog.cache import (
+    TABLE_COLUMNS,
+    Records,
+    RecordStore,
+    cache_name,
+    cache_path,
+    cached_stars,
+    source_identity,
+    star_records,
+)
 from opnav_workbench.catalog.johnson import Johnson, johnson_from_bands, johnson_from_gaia, johnson_from_tycho
 from opnav_workbench.catalog.proper_motion import astrometry_columns
-from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound
+from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound, StoredCatalog
 from opnav_workbench.catalog.star_table import EPOCHS_JYEAR, StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
@@ -49,7 +59,10 @@ from opnav_workbench.fits_layout import FITS_MALFORMED, check_fits_layout
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
 from opnav_workbench.paths import regular_size
 
-__all__ = ["open_astrometry_net"]
+__all__ = ["open_astrometry_net", "open_tycho2_index"]
+
+RULE = 1  # raise it whenever an index file would make other records
+TYCHO_BAND = "VT"
 
 
 # ---- Index files of Astrometry.net: the directions of their stars and the columns beside them.
@@ -176,16 +189,7 @@ def open_astrometry_net(argument: str) -> IndexedCatalog:
     CatalogError
         No file matches, or one is not an index file or tells no magnitudes.
     """
-    pattern, epoch = _options(argument)
-    names = glob.glob(str(Path(pattern).expanduser()))  # noqa: PTH207 - Path.glob takes no absolute pattern
-    files = [Path(name) for name in sorted(names)]
-    if not files:
-        raise CatalogError(
-            f"no file matches {pattern}; give index files, such as those that Debian's package "
-            "astrometry-data-tycho2-07 puts into /usr/share/astrometry."
-        )
-    stars = _distinct([_read_stars(file, epoch) for file in files])
-    ra, dec = radec_from_unit(stars.xyz)
+    files, stars, ra, dec = _read(argument)
     known = _motion_known(stars)
     speed = np.where(known, np.hypot(stars.astrometry[:, 0], stars.astrometry[:, 2]), 0.0)
     return IndexedCatalog(
@@ -203,6 +207,51 @@ def open_astrometry_net(argument: str) -> IndexedCatalog:
             float(speed.max()) * RAD_PER_MAS, float(stars.epoch_jyear.min()), float(stars.epoch_jyear.max())
         ),
     )
+
+
+def open_tycho2_index(file: Path) -> StoredCatalog:
+    """Open an index file of Tycho-2 from a cache in our own layout, which is there at once and reads what is asked for.
+
+    Raises
+    ------
+    CatalogError
+        As `open_astrometry_net`.
+    """
+
+    def build() -> Records:
+        _, stars, ra, dec = _read(str(file))
+        rows = np.arange(len(ra))
+        table = _table_of_rows(stars, ra, dec, rows)
+        return star_records(len(ra), number=rows, **{name: getattr(table, name) for name in TABLE_COLUMNS})
+
+    identity = {"rule": RULE, **source_identity([file])}
+    stars = cached_stars(cache_path(cache_name("astrometry-net", file)), identity, build)
+    return StoredCatalog(
+        name=f"astrometry-net:{file}",
+        facts={"files": [str(file)], "bands": [TYCHO_BAND], "n_with_motion": stars.n_with_motion},
+        store=RecordStore(
+            stars.records, stars.keys, [TYCHO_BAND], _names_of_rows, stars.limits, stars.checks
+        ),
+        motion=MotionBound(stars.fastest_rad_yr, stars.first_jyear, stars.last_jyear),
+    )
+
+
+def _names_of_rows(records: Records) -> list[str]:
+    return [f"row:{number}" for number in records["number"].tolist()]
+
+
+def _read(argument: str) -> tuple[list[Path], _IndexStars, FloatArray, FloatArray]:
+    """Return files, their stars, right ascensions and declinations."""
+    pattern, epoch = _options(argument)
+    names = glob.glob(str(Path(pattern).expanduser()))  # noqa: PTH207 - Path.glob takes no absolute pattern
+    files = [Path(name) for name in sorted(names)]
+    if not files:
+        raise CatalogError(
+            f"no file matches {pattern}; give index files, such as those that Debian's package "
+            "astrometry-data-tycho2-07 puts into /usr/share/astrometry."
+        )
+    stars = _distinct([_read_stars(file, epoch) for file in files])
+    return files, stars, *radec_from_unit(stars.xyz)
 
 
 def _options(argument: str) -> tuple[str, float | None]:

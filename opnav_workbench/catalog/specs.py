@@ -5,6 +5,7 @@ Specs joined by ``+`` are one catalog (`combined`).
 
 import glob
 import importlib.util
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,7 +67,7 @@ def _open_hip2(argument: str, progress: Progress | None) -> Catalog:
 
 # A new catalog is one more line here.
 SPEC_KINDS: Mapping[str, SpecKind] = {
-    "bundled": SpecKind("bundled", lambda _argument, progress: _bundled_and_fetched(progress)),
+    "bundled": SpecKind("bundled", lambda _argument, progress: _bundled_and_more(progress)),
     "fetched": SpecKind("fetched:NAME", lambda argument, _progress: open_fetched(argument)),
     "tycho2": SpecKind("tycho2:DIR", _open_tycho2),
     "ucac2": SpecKind("ucac2:DIR", lambda argument, _progress: ucac2.open_ucac2(argument)),
@@ -87,7 +88,8 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     ----------
     spec
         ``bundled`` (490,000 stars to magnitude 10, comes with pip; with what ``opnav catalog fetch`` has got of the whole
-        sky, which is ``fetched:NAME`` alone); the original distributions of Tycho-2, UCAC2,
+        sky, which is ``fetched:NAME`` alone, or with Tycho-2 as Debian's package astrometry-data-tycho2 installs it); the
+        original distributions of Tycho-2, UCAC2,
         UCAC4 and Hipparcos-2 in a folder: ``tycho2:DIR``, ``ucac2:DIR``, ``ucac4:DIR``, ``hip2:DIR`` (or the file);
         ``npz:FILE`` (see `catalog.user_files` for its arrays); ``astrometry-net:GLOB`` (index files, optionally with
         ``?epoch=JYEAR``); ``vizier:NAME`` (asked over the network, kept on disk). Specs joined by ``+`` are one
@@ -125,10 +127,17 @@ def open_catalog(spec: str, progress: Progress | None = None) -> Catalog:
     return reader.open(argument, progress)
 
 
-def _bundled_and_fetched(progress: Progress | None) -> Catalog:
-    """Open the bundled catalog with the whole catalogs that were fetched to this machine."""
-    parts = [open_bundled(progress), *(open_fetched(name) for name in fetched_names())]
+def _bundled_and_more(progress: Progress | None) -> Catalog:
+    """Open the bundled catalog with what this machine has beside it."""
+    parts: list[Catalog] = [open_bundled(progress), *(open_fetched(name) for name in fetched_names())]
+    if (file := _added_index()) is not None:
+        parts.append(astrometry_net.open_tycho2_index(file))
     return parts[0] if len(parts) == 1 else CombinedCatalog(parts)
+
+
+def _added_index() -> Path | None:
+    """Return Debian's index file of Tycho-2, which is part of `bundled` where Tycho-2 was not fetched."""
+    return None if "tycho2" in fetched_names() else debian_tycho2()
 
 
 def _known_forms() -> str:
@@ -161,7 +170,9 @@ def _contents(spec: str) -> list[tuple[str, str]]:
     kind, _, argument = spec.partition(":")
     if kind == "bundled":
         packages = [(f"{kind}: {name}", version) for name, version in sorted(bundled_versions().items())]
-        return packages + [found for name in fetched_names() for found in _contents(f"fetched:{name}")]
+        packages += [found for name in fetched_names() for found in _contents(f"fetched:{name}")]
+        file = _added_index()
+        return packages if file is None else [*packages, (f"{kind}: {file.name}", _state_of(file))]
     if kind == "fetched":
         return [(spec, fetched_state(argument))]
     if kind == "vizier":
@@ -188,7 +199,12 @@ def _state_of(file: Path) -> str:
 
 # ---- Which star catalogs this installation can open, for ``opnav doctor``.
 
-INDEX_FOLDER = Path("/usr/share/astrometry")  # where Debian's packages astrometry-data-* put them
+INDEX_VARIABLE, DEBIANS_FOLDER = "OPNAV_ASTROMETRY", "/usr/share/astrometry"
+
+
+def index_folder() -> Path:
+    """Return where index files are looked for: ``OPNAV_ASTROMETRY`` if set, else where Debian's packages put them."""
+    return Path(os.environ.get(INDEX_VARIABLE) or DEBIANS_FOLDER).expanduser()
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,26 +266,26 @@ def _fetched_status() -> CatalogStatus:
 
 
 def _astrometry_net_status() -> CatalogStatus:
-    files, tycho2 = list(INDEX_FOLDER.glob("index-*.fits")), installed_tycho2()
+    files, tycho2 = list(index_folder().glob("index-*.fits")), debian_tycho2()
     how = (
         "apt install astrometry-data-tycho2-07 brings 1.9 million stars to magnitude 12"
         if tycho2 is None
-        else f"most stars of Tycho-2: --catalog {tycho2}"
+        else f"most stars of Tycho-2, part of bundled: {tycho2}"
     )
     return CatalogStatus(
         form="astrometry-net:GLOB",
         available=True,
-        detail=f"{len(files)} index files in {INDEX_FOLDER}; {how}; give a GLOB for other folders",
+        detail=f"{len(files)} index files in {index_folder()}; {how}; give a GLOB for other folders",
     )
 
 
-def installed_tycho2() -> str | None:
-    """Return the spec of Debian's Tycho-2 index file with the most stars, where one is installed.
+def debian_tycho2() -> Path | None:
+    """Return Debian's Tycho-2 index file with the most stars, where one is installed.
 
     The files differ in the size of their patterns; the smallest number stands for the smallest, made of the most stars.
     """
-    files = sorted(INDEX_FOLDER.glob("index-tycho2-[0-9]*.fits"))
-    return f"astrometry-net:{files[0]}" if files else None
+    files = sorted(index_folder().glob("index-tycho2-[0-9]*.fits"))
+    return files[0] if files else None
 
 
 def _vizier_status() -> CatalogStatus:

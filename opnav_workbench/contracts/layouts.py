@@ -344,6 +344,9 @@ class Provenance(Layout):
     version: str = Field(description="Of opnav_workbench.")
     kernels: list[KernelEntry] = Field(description="In the order of loading.")
     catalog: str = Field(default="", description="Spec of the star catalog.")
+    catalog_found: str = Field(
+        default="", description="What it was when opened: bundled with what the machine has beside it."
+    )
     attitude_source: AttitudeOrigin | None = Field(
         default=None, description="What told the a priori attitude."
     )
@@ -462,6 +465,7 @@ class SessionInputs(Layout):
     a_priori_camera_from_j2000: Rotation = Field(description="A priori attitude.")
     attitude_source: AttitudeOrigin = Field(description="What told it.")
     stars: dict[str, Any] = Field(description="Columns of the catalog's stars around the field.")
+    catalog_found: str = Field(default="", description="Which catalogs they are from.")
     wide_stars: dict[str, Any] | None = Field(default=None, description="The same for wide searches.")
     targets: dict[str, dict[str, Any]] = Field(description="Bodies as the spacecraft sees them.")
     shapes: dict[str, Any] = Field(default={}, description="Shape models by target.")

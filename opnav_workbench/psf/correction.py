@@ -163,6 +163,11 @@ class PsfCorrection:
         object.__setattr__(self, "_coefficients", tuple(coefficients))
         freeze_arrays(self)
 
+    def as_error(self) -> "PsfCorrection":
+        """Return no correction, whose covariance holds this one and its own: the expected square of what is left out."""
+        root = np.column_stack([self.root, self.amplitudes])
+        return PsfCorrection(self.sigma_px, np.zeros_like(self.amplitudes), root)
+
     def evaluate(
         self, center: FloatArray, first: FloatArray, size: int
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

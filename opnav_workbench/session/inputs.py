@@ -127,6 +127,8 @@ class Inputs:
         Which facts of the header contradict each other or the kernels, and what is used (`contradictions`).
     sweep
         How the camera turned while the lines of a rolling shutter or line scanner were exposed.
+    catalog_found
+        What the catalog's spec was when it was opened: `bundled` has what the machine has beside it.
     """
 
     et: float
@@ -142,6 +144,7 @@ class Inputs:
     contradictions: tuple[str, ...] = ()
     shape_units: MappingProxyType[str, str] = field(default_factory=lambda: MappingProxyType({}))
     sweep: RowSweep | None = None
+    catalog_found: str = ""
 
     def __post_init__(self) -> None:
         freeze_arrays(self, in_file_order=True)
@@ -255,7 +258,8 @@ def collect_inputs(
     context = with_sweep(context, sweep)
     if inputs.without_sky:
         return inputs
-    return replace(inputs, stars=_stars(context, catalog or open_catalog(source.catalog), inputs))
+    catalog = catalog or open_catalog(source.catalog)
+    return replace(inputs, stars=_stars(context, catalog, inputs), catalog_found=catalog.name)
 
 
 def with_target(context: Context, source: InputSource, inputs: Inputs, name: str) -> Inputs:
@@ -321,10 +325,12 @@ def with_lost_field(
     if lost.camera_from_j2000 is None:
         return replace(inputs, lost=lost)
     there = replace(inputs, a_priori_camera_from_j2000=lost.camera_from_j2000)
-    stars = _stars(context, catalog or open_catalog(source.catalog), there)
+    catalog = catalog or open_catalog(source.catalog)
+    stars = _stars(context, catalog, there)
     known = [inputs.stars] if inputs.wide_stars is None else [inputs.stars, inputs.wide_stars]
     new = stars.take(~np.isin(stars.id, np.concatenate([table.id for table in known])))
-    return replace(inputs, lost=lost, wide_stars=StarTable.concatenate([*known[1:], new]))
+    wide = StarTable.concatenate([*known[1:], new])
+    return replace(inputs, lost=lost, wide_stars=wide, catalog_found=catalog.name)
 
 
 def with_wide_stars(
@@ -336,9 +342,10 @@ def with_wide_stars(
     reach_px = max(shift for shift, _ in context.settings.wide_searches)
     radius = context.camera.half_diagonal_rad + reach_px * context.camera.pixel_scale_rad
     limit = min(context.settings.mag_limit, faintest_magnitude(context) + FAINT_MARGIN_MAG)
-    stars = _cone(context, catalog or open_catalog(source.catalog), inputs, radius, limit)
+    catalog = catalog or open_catalog(source.catalog)
+    stars = _cone(context, catalog, inputs, radius, limit)
     brightest = np.sort(np.argsort(stars.mag, kind="stable")[:WIDE_STARS])
-    return replace(inputs, wide_stars=stars.take(brightest))
+    return replace(inputs, wide_stars=stars.take(brightest), catalog_found=catalog.name)
 
 
 def _cone(
@@ -536,6 +543,7 @@ def inputs_dict(inputs: Inputs) -> dict[str, Any]:
         **({"contradictions": inputs.contradictions} if inputs.contradictions else {}),
         **({"shape_units": dict(inputs.shape_units)} if inputs.shape_units else {}),
         **({"sweep": _columns(inputs.sweep)} if inputs.sweep else {}),
+        **({"catalog_found": inputs.catalog_found} if inputs.catalog_found else {}),
     }
 
 
@@ -559,6 +567,7 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
         contradictions=tuple(data.get("contradictions", ())),
         shape_units=MappingProxyType(dict(data.get("shape_units", {}))),
         sweep=None if data.get("sweep") is None else _stored_sweep(data),
+        catalog_found=data.get("catalog_found", ""),
     )
 
 
@@ -604,6 +613,8 @@ def inputs_added(before: Inputs | None, inputs: Inputs) -> dict[str, Any]:
         added["wide_stars"] = _columns(inputs.wide_stars)
     if inputs.lost is not None and (before is None or before.lost is None):
         added["lost"] = _columns(inputs.lost)
+    if before is not None and before.catalog_found != inputs.catalog_found:
+        added["catalog_found"] = inputs.catalog_found
     return added
 
 
@@ -618,6 +629,7 @@ def with_inputs_added(inputs: Inputs, added: Mapping[str, Any]) -> Inputs:
         shapes=MappingProxyType({**inputs.shapes, **_path_mapping(added.get("shapes", {}))}),
         lost=_lost_field(added.get("lost")) or inputs.lost,
         shape_units=MappingProxyType({**inputs.shape_units, **added.get("shape_units", {})}),
+        catalog_found=added.get("catalog_found", inputs.catalog_found),
     )
 
 

@@ -327,6 +327,7 @@ def _provenance(context: Context, source: InputSource, inputs: Inputs, state: Se
         "version": __version__,
         "kernels": kernel_entries(),
         "catalog": source.catalog,
+        **({"catalog_found": inputs.catalog_found} if inputs.catalog_found else {}),
         "attitude_source": inputs.attitude_source,
         "observer_source": inputs.observer.source,
         "image_notes": list(context.picture.messages),

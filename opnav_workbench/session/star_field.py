@@ -15,9 +15,9 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.catalog import StarTable
+from opnav_workbench.catalog import StarTable, deeper_catalogs
 from opnav_workbench.errors import SessionError
-from opnav_workbench.geometry import angle_between, rotation_from_vector, unit
+from opnav_workbench.geometry import angle_between, radec_from_unit, rotation_from_vector, unit
 from opnav_workbench.scene import (
     StarPrediction,
     apparent_stars,
@@ -48,6 +48,7 @@ from opnav_workbench.stars.pointing import places_even_behind
 __all__ = [
     "brightest",
     "catalog_stars",
+    "deeper_words",
     "identify_field",
     "nudge",
     "nudge_reach_px",
@@ -123,7 +124,8 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         )
         if mirrored:
             return _unidentified(state, mirrored, remedy=CAMERA_FILE)
-        return _unidentified(state, _why_unsure(near), _search_limits(context, inputs))
+        remedy = f"{deeper_words(context, inputs)}, {WIDER}"
+        return _unidentified(state, _why_unsure(near), _search_limits(context, inputs), remedy)
     found = found_field(inputs, near, "a priori")
     messages = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
     return _expected_stars(
@@ -342,15 +344,18 @@ def _search_limits(context: Context, inputs: Inputs) -> str:
     return f"; nor is it within {shift:g} px and {twist:g} deg"
 
 
-DEEPER_OR_WIDER = (
-    "take a deeper catalog (opnav catalog fetch tycho2; --catalog), search the whole sky (--attitude none), widen the "
-    "search (max_shift_px), or mark two stars (two_star_pointing)"
-)
+def deeper_words(context: Context, inputs: Inputs) -> str:
+    """Return what to do for more stars in the field that the a priori pointing has."""
+    camera = context.camera
+    ra, dec = radec_from_unit(camera.boresight @ inputs.a_priori_camera_from_j2000)
+    more = deeper_catalogs(float(ra), float(dec), camera.n_pixel * camera.n_line * camera.pixel_scale_rad**2)
+    return f"take a deeper catalog ({more}; --catalog)" if more else "take a deeper catalog (--catalog)"
 
 
-def _unidentified(
-    state: SessionState, why: str, searched: str = "", remedy: str = DEEPER_OR_WIDER
-) -> FieldMatch:
+WIDER = "search the whole sky (--attitude none), widen the search (max_shift_px), or mark two stars (two_star_pointing)"
+
+
+def _unidentified(state: SessionState, why: str, searched: str = "", remedy: str = WIDER) -> FieldMatch:
     count = 0 if state.a_priori is None else len(state.a_priori)
     message = f"the star field is not identified: {why}{searched}. The a priori pointing stands; {remedy}."
     return FieldMatch(None, None, np.full((count, 2), np.nan), np.zeros(count, dtype=bool), 0.0, (message,))

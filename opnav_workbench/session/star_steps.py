@@ -16,7 +16,7 @@ from opnav_workbench.scene import StarPrediction, predict_body, predict_stars
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import IN_PICTURE_ALONE, Inputs
 from opnav_workbench.session.pointing import best_attitude
-from opnav_workbench.session.star_field import brightest, catalog_stars, identify_field
+from opnav_workbench.session.star_field import brightest, catalog_stars, deeper_words, identify_field
 from opnav_workbench.session.star_measurement import (
     StarFitOptions,
     centers_with_rows,
@@ -119,7 +119,9 @@ def predict(
         notes=MappingProxyType({topic: notes for topic, notes in state.notes.items() if topic in topics}),
     )
     return fresh.replace(status=with_decisions(fresh, status)).with_notes(
-        "predict", *_no_attitude(inputs), *([] if inputs.without_sky else _empty_field(stars))
+        "predict",
+        *_no_attitude(inputs),
+        *([] if inputs.without_sky else _empty_field(context, inputs, stars)),
     )
 
 
@@ -129,14 +131,11 @@ def _no_attitude(inputs: Inputs) -> list[str]:
     return [inputs.lost.message] if inputs.lost is not None and inputs.told_by_stars else []
 
 
-def _empty_field(stars: StarPrediction) -> list[str]:
+def _empty_field(context: Context, inputs: Inputs, stars: StarPrediction) -> list[str]:
     if stars.on_detector.any():
         return []
-    message = (
-        "the catalog has no star on the predicted field; "
-        "take a deeper catalog (--catalog) or check the pointing and the time."
-    )
-    return [message]
+    remedy = f"{deeper_words(context, inputs)} or check the pointing and the time"
+    return [f"the catalog has no star on the predicted field; {remedy}."]
 
 
 def find_stars(

@@ -30,7 +30,7 @@ from opnav_workbench.stars.boxes import Pixels, box_corners, cut_at
 from opnav_workbench.stars.group_fit import FitSettings
 from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
-__all__ = ["ExpectedPlaces", "learn_correction", "prior_correction"]
+__all__ = ["ExpectedPlaces", "learn_correction", "prior_correction", "unknown_correction"]
 
 PRIOR_COUNT = 8.0  # modes that this is worth beside the layer's own
 PASSES = (
@@ -163,6 +163,12 @@ def prior_correction(sigma_px: float, kept: PsfEvidence) -> PsfCorrection:
     for _ in range(PASSES):
         amplitudes, root, variance = _modes_with_variances(kept, variance)
     return PsfCorrection(sigma_px, amplitudes, root)
+
+
+def unknown_correction(psf: ShapePrior, size: int) -> PsfCorrection:
+    """Return no correction, with the covariance of what PSFs leave of a Gaussian where no star tells."""
+    sigma = np.asarray(PRIOR_AMPLITUDES)[mode_layers()]
+    return PsfCorrection(psf.sigma_px, np.zeros(len(sigma)), _usual_modes(psf, size) * sigma)
 
 
 def _usual_modes(psf: ShapePrior, size: int) -> FloatArray:

@@ -20,7 +20,12 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.psf import EffectivePsf, PsfEvidence, shape_from_ellipse
 from opnav_workbench.stars.boxes import Pixels, check_image
-from opnav_workbench.stars.effective_psf import ExpectedPlaces, learn_correction, prior_correction
+from opnav_workbench.stars.effective_psf import (
+    ExpectedPlaces,
+    learn_correction,
+    prior_correction,
+    unknown_correction,
+)
 from opnav_workbench.stars.flags import StarFlag
 from opnav_workbench.stars.group_fit import FitSettings
 from opnav_workbench.stars.least_squares import (
@@ -193,8 +198,28 @@ class _Frame:
         centers = self.fit(consensus, estimate_psf_error(first))
         teachers = _teachers(centers)
         if not _gaussian_may_fail(centers, consensus, teachers):
-            return centers, consensus
+            return self._unknown(consensus, teachers, centers)
         return self._taught(_common_shape(consensus), teachers, centers, None)
+
+    def _unknown(
+        self, shape: ShapePrior, teachers: IntArray, centers: StarCenters
+    ) -> tuple[StarCenters, ShapePrior]:
+        """Keep the Gaussian, and let the sigmas of undersampled stars have what nobody knows of the light in a pixel.
+
+        What few stars say of it is too little to move centers by: a Gaussian's would err by a third more. How much it may be
+        they tell nevertheless.
+        """
+        if shape.sigma_px >= UNDERSAMPLED_SIGMA_PX:
+            return centers, shape
+        size = self.settings.size
+        correction = unknown_correction(shape, size)
+        if len(teachers) > 0:
+            learned = learn_correction(
+                self.pixels, centers, teachers, shape, self.settings, self.places, None
+            )
+            correction = learned.as_error()
+        unknown = replace(shape, correction=correction)
+        return self.fit(unknown, centers.psf_error), unknown
 
     def with_others(self, kept: EffectivePsf) -> tuple[StarCenters, ShapePrior]:
         """Fit with what other pictures' stars say, and these add to it."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, open_catalog
+from opnav_workbench.catalog import UNKNOWN_MOTION_MAS_YR, catalog_contents, open_catalog
 from opnav_workbench.catalog.proper_motion import mean_motion_rad_yr
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.geometry import angle_between, unit_from_radec
@@ -257,3 +257,26 @@ def test_what_cannot_be_used_gets_one_clear_line(tmp_path) -> None:
     whole = np.float64(2.0**31 - 0.5).tobytes()
     bad_scale.write_bytes(bad_scale.read_bytes().replace(whole, np.float64(1e9).tobytes()))
     complains(bad_scale, "star vectors have lengths")
+
+
+def test_bundled_has_debians_tycho2_kept_in_our_layout(tmp_path, monkeypatch) -> None:
+    folder = tmp_path / "astrometry"
+    folder.mkdir()
+    ra, dec = np.radians([10.0, 10.02, 200.0]), np.radians([-5.0, -5.01, 40.0])
+    mag = np.array([11.2, 11.9, 12.3], np.float32)
+    columns = {"MAG_VT": ("E", mag), "MAG_BT": ("E", mag + 1.0)}
+    write_index(folder / "index-tycho2-07.littleendian.fits", ra, dec, columns)
+    monkeypatch.setenv("OPNAV_ASTROMETRY", str(folder))
+    monkeypatch.setenv("OPNAV_CACHE", str(tmp_path / "cache"))
+    alone = open_catalog(f"astrometry-net:{folder}/*.fits")
+    for _ in range(2):  # made, then from the cache
+        bundled = open_catalog("bundled")
+        found = bundled.cone(ra[0], dec[0], np.radians(0.05))
+        faint = found.take(np.flatnonzero(found.mag > 11.0))
+        expected = alone.cone(ra[0], dec[0], np.radians(0.05))
+        assert set(expected.id) <= set(faint.id)
+        kept = faint.take(np.flatnonzero(np.isin(faint.id, expected.id)))
+        for name in ("id", "ra_rad", "dec_rad", "mag", "band", "epoch_jyear", "motion_known"):
+            np.testing.assert_array_equal(getattr(kept, name), getattr(expected, name))
+        np.testing.assert_allclose(kept.sigma, expected.sigma, rtol=1e-6)
+    assert "bundled: index-tycho2-07.littleendian.fits" in [name for name, _ in catalog_contents("bundled")]

@@ -50,11 +50,11 @@ def test_status_of_an_installation_without_the_data_packages(monkeypatch) -> Non
 
 
 def test_doctor_names_the_installed_index_with_the_most_stars(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("opnav_workbench.catalog.specs.INDEX_FOLDER", tmp_path)
+    monkeypatch.setenv("OPNAV_ASTROMETRY", str(tmp_path))
     told = {status.form: status.detail for status in catalog_status()}["astrometry-net:GLOB"]
     assert "apt install astrometry-data-tycho2-07" in told
     for name in ("index-tycho2-11.fits", "index-tycho2-07.littleendian.fits", "index-5206-00.fits"):
         (tmp_path / name).touch()
     told = {status.form: status.detail for status in catalog_status()}["astrometry-net:GLOB"]
-    assert f"--catalog astrometry-net:{tmp_path / 'index-tycho2-07.littleendian.fits'}" in told
+    assert f"part of bundled: {tmp_path / 'index-tycho2-07.littleendian.fits'}" in told
     assert "3 index files" in told

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from copy import copy
+from pathlib import Path
 
 import pytest
 
@@ -85,22 +86,37 @@ def approach() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Truth]:
     """Two LORRI 4x4 pictures: Pluto 47 px wide and alone; Pluto 19 and Charon 10 px wide, 157 px apart."""
-    pictures = [
-        {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": 0.02}
-        for name, utc in (("near", "2015-07-12T08:46:57"), ("pair", "2015-07-09T04:29:00"))
-    ]
+    near, pair = exposed(tmp_path_factory.mktemp("resolved"), "near", "pair")
+    return near, pair
+
+
+@pytest.fixture(scope="session")
+def starless_truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
+    """The first of them under a sky without a star."""
+    (near,) = exposed(tmp_path_factory.mktemp("starless"), "near", magnitude_limit=-2.0)
+    return near
+
+
+TAKEN = {"near": "2015-07-12T08:46:57", "pair": "2015-07-09T04:29:00"}
+
+
+def exposed(folder: Path, *names: str, magnitude_limit: float = 13.0) -> list[Truth]:
+    """Simulate pictures named in `TAKEN`."""
     scenario = PictureScenario.model_validate(
         {
             "mission": "new_horizons",
             "catalog": "bundled",
-            "magnitude_limit": 13.0,
+            "magnitude_limit": magnitude_limit,
             "seed": 5,
             "bodies": [{"name": "PLUTO", "law": LAW}, {"name": "CHARON", "law": LAW}],
             "attitude": {"actual": {"source": "error", "shift_px": [7.6, -3.1], "twist_deg": 0.1}},
-            "pictures": pictures,
+            "pictures": [
+                {"name": name, "utc": TAKEN[name], "camera": "lorri_4x4", "exposure_s": 0.02}
+                for name in names
+            ],
         }
     )
-    mission, folder = load_mission("new_horizons"), tmp_path_factory.mktemp("resolved")
+    mission = load_mission("new_horizons")
     truths = []
     with KernelSet(APPROACH):
         opened = OpenedScenario.open(scenario)
@@ -109,8 +125,7 @@ def resolved_truths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Truth, Tr
             shown = expose_picture(opened.inputs(chosen))
             report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
             truths.append(truth_of(shown, mission, report.files[0]))
-    near, pair = truths
-    return near, pair
+    return truths
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from astropy.io import fits
+from scipy.spatial.transform import Rotation
 
 from opnav_workbench.errors import EstimationError, ImageError, SessionError
 from opnav_workbench.estimation import estimate
@@ -91,8 +92,9 @@ def test_a_described_body_is_the_ephemeris_state_that_looks_so(near, seen):
     assert far.range_km == pytest.approx(by_kernels.range_km, rel=2e-4)
 
 
-def test_a_picture_without_any_attitude_gives_place_and_range(unknown, resolved_truths, seen, tmp_path):
-    truth = resolved_truths[0]
+def test_a_picture_without_any_attitude_gives_place_and_range(starless_truth, seen, tmp_path):
+    truth = starless_truth
+    unknown = ImageSession.open(truth.picture, "new_horizons", attitude="unknown")
     unknown.predict()
     unknown.describe_body("PLUTO", **by_eye(truth))
     lit = unknown.state.assisted["PLUTO"]  # told by the disk alone
@@ -145,18 +147,12 @@ def test_a_sun_beside_its_place_moves_a_center_no_farther_than_told(
     assert np.hypot(*off) > 0.02  # what it does move
 
 
-def test_a_file_of_decisions_is_all_that_a_night_needs(resolved_truths, tmp_path):
-    truth = resolved_truths[0]
+def test_a_file_of_decisions_is_all_that_a_night_needs(starless_truth, tmp_path):
+    truth = starless_truth
     bare = _without_geometry(truth.picture, tmp_path / "bare.fit")
     with pytest.raises(ImageError, match=r"position and velocity|attitude"):
         ImageSession.open(bare, "new_horizons")
-    said = by_eye(truth)
-    pixel, line = said["center_px"]
-    path = tmp_path / "bodies.yaml"
-    path.write_text(
-        f"images:\n  bare.fit:\n    bodies:\n    - {{body: PLUTO, pixel: {pixel}, line: {line}, "
-        f"radius_px: {said['radius_px']}, radii_km: 1188.3}}\n"
-    )
+    path = _one_circle(tmp_path, by_eye(truth))
     (outcome,) = process(bare, mission="new_horizons", decisions=path, out=tmp_path / "out")
     (body,) = outcome.result["bodies"]
     assert (outcome.result["status"], body["status"]) == ("partial", "ok")
@@ -170,8 +166,52 @@ def test_a_file_of_decisions_is_all_that_a_night_needs(resolved_truths, tmp_path
     assert json_text(repeated.result["bodies"]) == json_text(outcome.result["bodies"])
 
 
+def test_the_few_stars_of_the_same_picture_tell_its_attitude(unknown, resolved_truths):
+    """Where nobody asked for the sky until stars are looked for: five of them."""
+    truth = resolved_truths[0]
+    unknown.predict()
+    unknown.find_stars()
+    unknown.repoint()
+    assert unknown.state.pointing.n_stars >= 4
+    off = _apart(unknown.state.pointing.camera_from_j2000, truth)
+    np.testing.assert_allclose(off[:2], 0.0, rtol=0, atol=0.3 * unknown.context.camera.pixel_scale_rad)
+    assert abs(off[2]) < 2e-3
+    unknown.describe_body("PLUTO", **by_eye(truth))
+    unknown.find_body("PLUTO")
+    (observable,) = unknown.current_observables
+    assert np.isfinite(observable.ra_deg)
+
+
+@pytest.mark.slow
+def test_a_header_without_geometry_leaves_the_attitude_to_the_stars(resolved_truths, tmp_path):
+    truth = resolved_truths[0]
+    (outcome,) = process(_without_geometry(truth.picture, tmp_path / "bare.fit"), mission="new_horizons",
+                         decisions=_one_circle(tmp_path, by_eye(truth)))  # fmt: skip
+    pointing = outcome.result["pointing"]
+    assert outcome.result["provenance"]["attitude_source"] == "none"
+    found = Rotation.from_quat(pointing["quaternion_camera_from_j2000"], scalar_first=True).as_matrix()
+    off, sigma = _apart(found, truth), np.sqrt(np.diag(pointing["covariance_rad2"]))
+    assert np.all(np.abs(off) < 3.0 * sigma)  # the velocity is not known, either: 31 arcsec of aberration
+    assert sigma.max() < 3e-3
+
+
+def _apart(camera_from_j2000, truth):
+    return Rotation.from_matrix(camera_from_j2000 @ truth.camera_from_j2000.T).as_rotvec()
+
+
+def _one_circle(folder, said):
+    """Return a file of decisions that describes Pluto in bare.fit."""
+    pixel, line = said["center_px"]
+    path = folder / "bodies.yaml"
+    path.write_text(
+        f"images:\n  bare.fit:\n    bodies:\n    - {{body: PLUTO, pixel: {pixel}, line: {line}, "
+        f"radius_px: {said['radius_px']}, radii_km: 1188.3}}\n"
+    )
+    return path
+
+
 def _without_geometry(picture, path):
-    """The same picture with a header that tells its time, and nothing of attitude and trajectory; too few stars to tell."""
+    """The same picture with a header that tells its time, and nothing of attitude and trajectory."""
     with fits.open(picture) as file:
         kept = ("SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "EXTEND", "MISSION", "INSTRU", "SFORMAT")
         times = [key for key in file[0].header if "UTC" in key or "ET" in key or "EXP" in key]

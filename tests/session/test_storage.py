@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from opnav_workbench.catalog import open_catalog
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.session import ImageSession, Settings
@@ -107,6 +108,18 @@ def test_a_field_without_stars_resumes(truth, kernels, tmp_path):
     session.find_stars()
     session.save(tmp_path)
     assert _without_kernels(ImageSession.resume(tmp_path)) == _without_kernels(session)
+
+
+def test_what_bundled_was_on_this_machine_is_told_and_kept(truth, kernels, tmp_path):
+    np.savez(tmp_path / "deeper.npz", ra_deg=[270.0], dec_deg=[-14.0], mag=[9.0])
+    here = open_catalog(f"bundled+npz:{tmp_path / 'deeper.npz'}")
+    session = ImageSession.open(truth.picture, "new_horizons", opened_catalog=here)
+    provenance = session.result()["provenance"]
+    assert (provenance["catalog"], provenance["catalog_found"]) == ("bundled", here.name)
+    session.save(tmp_path / "kept")
+    again = ImageSession.resume(tmp_path / "kept").result()["provenance"]
+    assert again["catalog_found"] == here.name
+    assert "deeper.npz" in here.name
 
 
 def test_settings_are_kept(truth, kernels, tmp_path):

@@ -178,6 +178,16 @@ def test_where_the_catalog_has_the_stars_tells_what_no_picture_can():
     assert rms(with_places[0] / with_places[1]) < 1.4
 
 
+@pytest.mark.parametrize(
+    ("density", "sigma", "n"),
+    [(coma, 0.25, 2), pytest.param(wings, 0.25, 4, marks=pytest.mark.slow)],
+)
+def test_sigmas_of_few_stars_hold_what_they_cannot_know_of_the_psf(density, sigma, n):
+    error, own, least, _ = errors(pixel_shares(density, sigma), sigma, n, 24 // n, (60, 400))
+    assert rms(error / least) > 3.0  # of a PSF known exactly: it matters here
+    assert 0.4 < rms(error / own) < 1.7
+
+
 @pytest.mark.slow
 def test_a_gaussian_stays_at_the_bound():
     error, own, least, _ = errors(pixel_shares(gaussian, 0.4), 0.4, 40, 3, (12, 60))

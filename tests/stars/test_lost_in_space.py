@@ -27,20 +27,34 @@ def index(sky, tmp_path_factory):
 
 def test_codes_know_neither_place_nor_order_but_the_mirror():
     rng = np.random.default_rng(3)
-    quads = rng.normal([0.0, 0.0, 20.0], 1.0, (50, 4, 3))
-    quads /= np.linalg.norm(quads, axis=2)[:, :, None]
+    threes = rng.normal([0.0, 0.0, 20.0], 1.0, (50, 3, 3))
+    threes /= np.linalg.norm(threes, axis=2)[:, :, None]
 
     def codes(of):
         rows, orders = named_orders(of)
-        assert rows.tolist() == list(range(50)) or len(rows) == 50
-        named = np.take_along_axis(of[rows], ORDERS[orders][:, :, None], axis=1)
-        return code_of(named)[0][np.argsort(rows)]
+        assert rows.tolist() == list(range(50))
+        return code_of(np.take_along_axis(of, ORDERS[orders][:, :, None], axis=1))[0]
 
-    turned = quads[:, [2, 0, 3, 1]] @ random_attitude(rng).T
-    np.testing.assert_allclose(codes(turned), codes(quads), atol=1e-12)
-    mirrored = codes(quads * [1.0, -1.0, 1.0])
-    np.testing.assert_allclose(np.abs(mirrored), np.abs(codes(quads)), atol=1e-12)
-    assert np.abs(mirrored - codes(quads)).max(axis=1).min() > 1e-4
+    turned = threes[:, [2, 0, 1]] @ random_attitude(rng).T
+    np.testing.assert_allclose(codes(turned), codes(threes), atol=1e-9)
+    np.testing.assert_allclose(codes(threes * [1.0, -1.0, 1.0]), codes(threes) * [1.0, -1.0], atol=1e-9)
+
+
+def test_codes_are_places_in_the_plane_half_way_between_a_and_b():
+    """By gnomonic projection, which small and large triangles share."""
+    a, b = np.array([-0.3, 0.0, 1.0]), np.array([0.3, 0.0, 1.0])
+    c = np.array([-0.1, 0.2, 1.0])
+    three = np.stack([v / np.linalg.norm(v) for v in (a, b, c)])[None]
+    code, angle = code_of(three @ random_attitude(np.random.default_rng(7)).T)
+    np.testing.assert_allclose(code[0], [0.2 / 0.6, 0.2 / 0.6], atol=1e-12)
+    np.testing.assert_allclose(angle, 2.0 * np.arctan(0.3), atol=1e-12)
+
+
+def test_noise_gives_triangles_of_two_equal_sides_both_names():
+    three = np.array([[[0.0, 0.0, 100.0], [10.0, 0.0, 100.0], [5.02, 6.0, 100.0]]])
+    three /= np.linalg.norm(three, axis=2)[:, :, None]
+    assert len(named_orders(three)[0]) == 1
+    assert len(named_orders(three, slack=0.02)[0]) == 2
 
 
 @pytest.mark.parametrize("width_deg", WIDTHS_DEG)
@@ -51,6 +65,9 @@ def test_fields_with_false_and_missing_stars(sky, index, width_deg):
         answer = solve_lost(index, detections(field.places_px, field.flux), camera(field.told_focal_px))
         assert answer.camera_from_j2000 is not None, answer.message
         assert error_px(field, answer) < 3.0
+        np.testing.assert_allclose(
+            answer.camera_from_j2000 @ answer.camera_from_j2000.T, np.eye(3), atol=1e-9
+        )
         assert abs(answer.focal_scale * field.told_focal_px / field.focal_px - 1.0) < 6.0 * answer.focal_sigma
 
 

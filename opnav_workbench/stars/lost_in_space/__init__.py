@@ -3,15 +3,15 @@
 Enter by `solve_lost`, with the index of a catalog (`index_of_catalog`).
 
 ``patterns``
-    Four stars as five numbers that place and twist do not change.
+    Three stars as three numbers that place and twist do not change.
 ``sky_index``
-    The index: every star with its nearest brighter ones, in bands of brightness.
+    The index: the triangles of every star with its nearest brighter ones, in bands of brightness.
 ``index_file``
     Arrays in one checked, memory-mapped file.
 ``catalog_index``
     The index of a whole catalog, made once and kept.
 ``search``
-    Patterns looked up, attitudes proposed, mirrored pictures told.
+    Triangles looked up, a fourth star asked for, attitudes proposed, mirrored pictures told.
 ``verification``
     Log odds of an attitude against chance.
 """

@@ -1,9 +1,10 @@
-"""From detections to the attitude, with none to begin with: patterns of the brightest, looked up, proposed, weighed.
+"""From detections to the attitude, with none to begin with: triangles of the brightest, looked up, proposed, weighed.
 
-Patterns of four detections are looked up in the index, those of the brightest first; each catalog pattern with the same
-code, and the same angle within what the focal length may be off, proposes an attitude; the proposals that bring most
-stars near detections are refined and weighed (`verification`). If none is sure, the same is tried with the picture
-mirrored: a sure answer then says that picture and camera file do not belong together.
+Triangles of detections are looked up in the index, those of the brightest first; each catalog triangle with the same code,
+and the same angle within what the focal length may be off, proposes an attitude, if that brings a fourth star to a
+detection. The proposals that bring most stars nearest to detections are refined and weighed (`verification`). If none is
+sure, the same is tried with what noise does to faint stars' centers, then with the picture mirrored: a sure answer to that
+says that picture and camera file do not belong together.
 """
 
 from collections.abc import Iterator
@@ -17,8 +18,8 @@ from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import unit
 from opnav_workbench.stars.detection import Detections
 from opnav_workbench.stars.flags import StarFlag
-from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders, triples
-from opnav_workbench.stars.lost_in_space.sky_index import BANDS, Band, SkyIndex
+from opnav_workbench.stars.lost_in_space.patterns import ORDERS, STARS, code_of, named_orders, pairs
+from opnav_workbench.stars.lost_in_space.sky_index import BANDS, TOO_CLOSE, Band, SkyIndex
 from opnav_workbench.stars.lost_in_space.verification import (
     MIN_STARS,
     Plane,
@@ -32,17 +33,21 @@ __all__ = ["FOCAL_ERROR", "LostAnswer", "no_patterns", "right_handed_axes", "sol
 
 FOCAL_ERROR = 0.05  # of the camera file's focal length
 MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
-# Detections among which patterns are looked for, one more round each where no answer is sure.
-ROUNDS = (8, 12, 16, 20, 25, 30)
-CENTER_SIGMA_PX = 0.45  # of a detection's center, for the reach of codes
+# Sigmas of a detection's center, px, for the reach of codes, and among how many detections patterns are looked for, one more
+# round each where no answer is sure. The second pass is for noisy pictures of few stars; where there are more than sixteen
+# detections, enough of their many triangles are as good as the first asks for.
+PASSES = ((0.15, (8, 12, 16, 20, 25, 30)), (0.45, (8, 12, 16)))
 REACH_SIGMAS = 3.0
-MAX_CODE_REACH = 0.02
-MIN_ANGLE_PX = 40.0  # of a pattern: noise leaves nothing of smaller ones
-PATTERN_REACH = 5.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
+CODE_NOISE = 1.4  # of a code, in a center's sigmas over the length of AB
+SLACK = 0.02  # of the longest side, by which noise may change the order of two sides
+MIN_ANGLE_PX = 100.0  # of a triangle: noise leaves too little of smaller ones
+PATTERN_REACH = 4.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
 MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
 WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
-MOST_JUDGED = 12  # proposals weighed at once
-STARS_IN_FIELD = 2.5, 120.0  # of a band, in a picture it has patterns for
+MOST_JUDGED = (
+    6  # proposals weighed in a round: the true one is among the first three where four stars or more fit
+)
+STARS_IN_FIELD = 120.0  # brighter than those of a band, in the mean picture: its triangles are too small then
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,88 +169,128 @@ def _flipped(plane: Plane) -> Plane:
 
 def _search(index: SkyIndex, plane: Plane) -> Verdict | None:
     """Return the first sure verdict."""
-    bands = _bands(index, plane)
-    for quads in _rounds(plane):
-        rotations, scales = _proposals(index, plane, bands, quads)
-        if len(scales) == 0:
-            continue
-        for row in promising(index, plane, rotations, scales, MOST_JUDGED):
-            verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
-            if verdict is not None and verdict.sure:
-                return verdict
+    for bands in _bands(index, plane):
+        for sigma_px, rounds in PASSES:
+            for sets in _rounds(plane, rounds):
+                rotations, scales = _proposals(index, plane, bands, sets, sigma_px)
+                if len(scales) == 0:
+                    continue
+                for row in promising(index, plane, rotations, scales, MOST_JUDGED):
+                    verdict = judge(index, plane, Proposal(rotations[row], float(scales[row])))
+                    if verdict is not None and verdict.sure:
+                        return verdict
     return None
 
 
-def _bands(index: SkyIndex, plane: Plane) -> list[Band]:
-    """Return the bands whose stars are neither too few nor too many for a picture of this width."""
+def _bands(index: SkyIndex, plane: Plane) -> Iterator[list[Band]]:
+    """Yield the bands whose stars are not too many for a picture of this width; in a cluster all may be bright.
+
+    First all that are made already; then, one by one, those that take seconds to make, which most pictures never ask for.
+    """
     part = plane.area_px2 * plane.scale_rad**2 / (4.0 * np.pi * index.coverage)
-    fewest, most = STARS_IN_FIELD
-    return [
-        index.band(number)
+    fitting = [
+        number
         for number, rule in enumerate(BANDS)
-        if rule.first < len(index) and rule.first * part < most and min(rule.last, len(index)) * part > fewest
+        if rule.first < len(index) and rule.first * part < STARS_IN_FIELD
     ]
+    at_hand = [number for number in fitting if index.is_made(number)]
+    yield [index.band(number) for number in at_hand]
+    for number in fitting:
+        if number not in at_hand:
+            yield [index.band(number)]
 
 
-def _rounds(plane: Plane) -> Iterator[IntArray]:
-    """Yield sets of four detections (q > 0, 4), those of brighter ones first, without those too wide or too small."""
+def _rounds(plane: Plane, rounds: tuple[int, ...]) -> Iterator[IntArray]:
+    """Yield sets of three detections (q > 0, 3), those of brighter ones first, without those too wide or too small."""
     width = np.sqrt(plane.area_px2)
     apart = np.linalg.norm(plane.places[:, None] - plane.places, axis=2) / plane.scale_rad
     before = 0
-    for wanted in ROUNDS:
+    for wanted in rounds:
         count = min(wanted, len(plane.places))
         new = [
-            np.column_stack([sets := triples(last), np.full(len(sets), last)])
+            np.column_stack([sets := pairs(last), np.full(len(sets), last)])
             for last in range(max(before, STARS - 1), count)
         ]
         before = count
         if not new:
             return
-        quads = np.concatenate(new)
-        sides = np.stack([apart[quads[:, i], quads[:, j]] for i, j in combinations(range(STARS), 2)])
+        sets = np.concatenate(new)
+        sides = np.stack([apart[sets[:, i], sets[:, j]] for i, j in combinations(range(STARS), 2)])
         widest = sides.max(axis=0)
-        reach = PATTERN_REACH * width / np.sqrt(quads[:, -1] + 1.0)
-        good = (widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > 0.02 * widest)
+        reach = PATTERN_REACH * width / np.sqrt(sets[:, -1] + 1.0)
+        good = (widest > MIN_ANGLE_PX) & (widest < reach) & (sides.min(axis=0) > TOO_CLOSE * widest)
         if good.any():
-            yield quads[good]
+            yield sets[good]
 
 
 def _proposals(
-    index: SkyIndex, plane: Plane, bands: list[Band], quads: IntArray
+    index: SkyIndex, plane: Plane, bands: list[Band], sets: IntArray, sigma_px: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (c, 3, 3) and scales (c,) from catalog patterns that are like sets of four detections."""
+    """Return rotations (c, 3, 3) and scales (c,) from catalog triangles that are like three detections, a fourth beside."""
     rays = unit(np.column_stack([plane.places, np.ones(len(plane.places))]))
-    slack = REACH_SIGMAS * CENTER_SIGMA_PX / 100.0
-    rows, orders = named_orders(rays[quads], slack)
-    quads = np.take_along_axis(quads[rows], ORDERS[orders], axis=1)
-    codes, angle = code_of(rays[quads])
+    rows, orders = named_orders(rays[sets], SLACK)
+    sets = np.take_along_axis(sets[rows], ORDERS[orders], axis=1)
+    codes, angle = code_of(rays[sets])
     wide = WIDE_FIELD * np.tan(plane.reach_rad) ** 2 * plane.focal_error
-    reach = np.minimum(REACH_SIGMAS * 1.4 * CENTER_SIGMA_PX * plane.scale_rad / angle, MAX_CODE_REACH) + wide
-    seen, stars = [], []
+    reach = REACH_SIGMAS * CODE_NOISE * sigma_px * plane.scale_rad / angle + wide
+    rotations, scales = [np.empty((0, 3, 3))], [np.empty(0)]
     for band in bands:
-        row, members = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
-        found, angle_found = code_of(index.vectors[members].astype(np.float64))
+        row, members, number = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
+        stars = index.vectors[members].astype(np.float64)
+        found, _ = code_of(stars)
         good = (np.abs(found - codes[row]) < reach[row, None]).all(axis=1)
-        good &= np.abs(np.log(angle_found / angle[row])) < 1.2 * plane.focal_error
-        seen.append(quads[row[good]])
-        stars.append(members[good])
-    if not seen:
-        return np.empty((0, 3, 3)), np.empty(0)
-    return _attitudes(plane, np.concatenate(seen), index.vectors[np.concatenate(stars)].astype(np.float64))
+        row, stars, number = row[good], stars[good], number[good]
+        rotation, scale = _attitudes(plane, sets[row], stars)
+        proven = _with_fourth(index, plane, rotation, scale, sets[row], members[good], band.around[number])
+        rotations.append(rotation[proven])
+        scales.append(scale[proven])
+    return np.concatenate(rotations), np.concatenate(scales)
 
 
 def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (c, 3, 3) and scales (c,) that take four stars (c, 4, 3) onto four detections (c, 4)."""
+    """Return rotations (c, 3, 3) and scales (c,) that take three stars (c, 3, 3) onto three detections (c, 3).
+
+    The scale is that of A and B, the middle of these fits, and half of what the directions to C differ by is turned away.
+    """
     places = plane.places[seen]
     scale = np.ones(len(seen))
     wanted = np.linalg.norm(stars[:, 0] - stars[:, 1], axis=1)
     for _ in range(3):
-        rays = unit(np.concatenate([places * scale[:, None, None], np.ones((*seen.shape, 1))], axis=2))
+        rays = unit(
+            np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2)
+        )
         scale = scale * wanted / np.linalg.norm(rays[:, 0] - rays[:, 1], axis=1)
-    rays = unit(np.concatenate([places * scale[:, None, None], np.ones((*seen.shape, 1))], axis=2))
-    u, _, vt = np.linalg.svd(np.einsum("cki,ckj->cij", rays, stars))
-    u[:, :, 2] *= (np.linalg.det(u) * np.linalg.det(vt))[:, None]
-    return u @ vt, scale
+    rays = unit(np.concatenate([places[:, :2] * scale[:, None, None], np.ones((len(seen), 2, 1))], axis=2))
+    return np.swapaxes(_frames(rays), 1, 2) @ _frames(stars), scale
+
+
+def _frames(two: FloatArray) -> FloatArray:
+    """Return right-handed axes (c, 3, 3) in rows: half-way between two directions, from one to the other, and across."""
+    middle, along = unit(two[:, 0] + two[:, 1]), two[:, 1] - two[:, 0]
+    # The index's vectors are of single precision, not quite of one length.
+    along = unit(along - np.einsum("ci,ci->c", along, middle)[:, None] * middle)
+    return np.stack([middle, along, np.cross(middle, along)], axis=1)
+
+
+def _with_fourth(
+    index: SkyIndex,
+    plane: Plane,
+    rotations: FloatArray,
+    scales: FloatArray,
+    seen: IntArray,
+    members: IntArray,
+    near: IntArray,
+) -> IntArray:
+    """Return which proposals, from detections and stars (c, 3), bring another of the stars `near` (c, k) to another one."""
+    axes = np.swapaxes(rotations.astype(np.float32), 1, 2)
+    axes[:, :, 2] *= scales.astype(np.float32)[:, None]
+    turned = np.matmul(index.vectors[near], axes)
+    found = plane.map.near(turned[..., :2] / turned[..., 2:])
+    hit = (found >= 0) & (found[:, :, None] != seen[:, None]).all(axis=2)
+    rows = np.flatnonzero(hit.any(axis=1))
+    # Where two detections stand side by side, a star of the triangle may be at the other.
+    other = (near[rows][:, :, None] != members[rows][:, None]).all(axis=2)
+    return np.asarray(rows[(hit[rows] & other).any(axis=1)], np.int64)
 
 
 # ---- What is told.

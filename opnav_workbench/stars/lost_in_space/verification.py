@@ -1,41 +1,48 @@
 """How improbable it is that a proposed attitude explains the detections by chance.
 
-A proposal says where catalog stars should be. Each star within the picture is seen with probability `SEEN`, and then its
-detection lies about its place as a Gaussian; by chance a detection lies anywhere. The log odds of the two sum over the
-stars, brightest first, down to the depth at which they are largest; from them goes what the freedom costs to have chosen
-attitude and scale among all that can be told apart (the marginal likelihood of four fitted numbers), the depth, and the
-scatter. Brightness adds its own: matched stars differ from their detections by one zero point and a scatter, chance pairs
-by all that stars and detections differ among themselves. What is left is compared with `SURE_LOG_ODDS`.
+A proposal says where catalog stars should be. Of a star within the picture, the probability to be seen falls about the
+picture's depth, from `SEEN` to nothing within the scatter of magnitudes, and then its detection lies about its place as a
+Gaussian; by chance a detection lies anywhere. The log odds of the two sum over the stars; where the picture's depth lies is
+unknown, and all depths count alike that do not show more stars than there are detections. From the sum goes what the
+freedom costs to have chosen attitude and scale among all that can be told apart (the marginal likelihood of four fitted
+numbers), and the scatter. Brightness adds its own: matched stars differ from their detections by one zero point and a
+scatter, chance pairs by all that stars and detections differ among themselves. What is left is compared with
+`SURE_LOG_ODDS`.
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import logsumexp, ndtr, pdtr
 
-from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.geometry import rotation_from_vector
 from opnav_workbench.stars.lost_in_space.sky_index import SkyIndex
 
 __all__ = ["SURE_LOG_ODDS", "Plane", "Proposal", "Verdict", "enough_stars", "judge", "promising"]
 
-SURE_LOG_ODDS = float(np.log(1e4))  # random dots reach -2 in three hundred pictures
+SURE_LOG_ODDS = float(
+    np.log(1e3)
+)  # random dots reach -2 in three hundred pictures, a factor of e for each unit
 SEEN = (
     0.75  # of the catalog's stars that are bright enough: the others are blended, on bad pixels, or variable
 )
-SCATTERS_PX = (
-    0.35,
-    0.7,
-    1.4,
-    2.8,
-)  # of detections about their places: noise, pixel phase, distortion left over
+# Of detections about their places: noise, pixel phase, distortion left over.
+SCATTERS_PX = (0.18, 0.35, 0.7, 1.4, 2.8)
+MOST_OF_BRIGHTNESS = 2.0  # log odds of a star by its magnitude: of stars that differ by four
+DEPTHS = 24  # of a picture that are tried: nearer to each other than magnitudes scatter
 MATCH_SIGMAS = 4.0
 FIRST_REACH_PX, FIRST_REACH_SHARE = (
     4.0,
     0.006,
 )  # of matches with a proposal from four stars; share of the picture
-MIN_STARS = 5  # four fit by chance somewhere on the sky
+FOURTH_REACH_PX = 4.5  # of a fourth star from where three put it, 1.9 px off each, half their width outside
+CELLS_OF_REACH, MAX_CELLS = 3.0, 1000  # of the map of detections
+MIN_STARS = 4  # four fitted numbers and as many to prove them by; whether it is enough, the odds say
 REFINEMENTS = 4
+REACH_SIGMAS = 3.0
 STARS_PER_DETECTION = 3.0  # catalog stars looked at: the picture may be in a poor part of the sky
 MAG_SCATTER = 0.5  # of a star's detection: color, variability, the filter's flux
 STRANGE_SHARE = 0.05  # of stars whose brightness says nothing
@@ -44,6 +51,41 @@ ZERO_POINT_REACH = (
 )
 MIN_MAG_SPREAD = 0.1  # detections that all have one brightness tell nothing
 TURN_RAD = 2.0 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectionMap:
+    """Which detection is about so near a place, told by a look at a table: millions of places are asked for."""
+
+    table: NDArray[np.int16]  # (n, n), -1 where none is near
+    corner: FloatArray  # (2,)
+    cell: float
+
+    @classmethod
+    def drawn(cls, places: FloatArray, reach: float) -> "DetectionMap":
+        """Return the map of the detections at `places` (m, 2), brighter ones before fainter."""
+        corner = places.min(axis=0) - 3.0 * reach  # so that nothing stands on the table's rim
+        width = float((places.max(axis=0) + 3.0 * reach - corner).max())
+        cell = max(reach / CELLS_OF_REACH, width / MAX_CELLS)
+        half = int(np.ceil(reach / cell))
+        table = np.full((int(width / cell) + 2 * half,) * 2, -1, np.int16)
+        step = np.arange(-half, half + 1)
+        disk = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
+        disk = disk[np.hypot(*disk.T) * cell <= reach]
+        cells = np.floor((places - corner) / cell).astype(np.int64)[::-1, None] + disk
+        table[cells[..., 0].ravel(), cells[..., 1].ravel()] = np.repeat(
+            np.arange(len(places))[::-1], len(disk)
+        )
+        return cls(table, corner, cell)
+
+    def near(self, places: NDArray[np.floating]) -> NDArray[np.int16]:
+        """Return the detections (...) near places (..., 2), -1 where none is."""
+        last = len(self.table) - 1  # the table's rim is empty
+        x, y = np.moveaxis(np.nan_to_num((places - self.corner) / self.cell, nan=-1.0), -1, 0)
+        found = self.table.ravel()[
+            np.clip(x, 0, last).astype(np.int32) * (last + 1) + np.clip(y, 0, last).astype(np.int32)
+        ]
+        return np.asarray(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,9 +98,11 @@ class Plane:
     corners: FloatArray  # (4, 2) of the detector, in order around it
     focal_error: float
     tree: cKDTree = field(init=False)
+    map: "DetectionMap" = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tree", cKDTree(self.places))
+        object.__setattr__(self, "map", DetectionMap.drawn(self.places, FOURTH_REACH_PX * self.scale_rad))
 
     @property
     def reach_rad(self) -> float:
@@ -118,7 +162,7 @@ def enough_stars(index: SkyIndex, plane: Plane) -> float:
 def promising(
     index: SkyIndex, plane: Plane, rotations: FloatArray, scales: FloatArray, most: int
 ) -> IntArray:
-    """Return the proposals (rotations (c, 3, 3), scales (c,)) that bring most stars near detections, best first."""
+    """Return the proposals (rotations (c, 3, 3), scales (c,)) that bring most stars nearest to detections, best first."""
     tree = index.brightest_tree(enough_stars(index, plane))
     near = tree.query_ball_point(rotations[:, 2], 2.0 * np.sin(0.5 * plane.reach_rad))
     count = np.array([len(rows) for rows in near], np.int64)
@@ -126,12 +170,17 @@ def promising(
     stars = index.vectors[np.concatenate([*near, []]).astype(np.int64)].astype(np.float64)
     turned = np.einsum("cij,cj->ci", rotations[which], stars)
     places = turned[:, :2] / turned[:, 2:] / scales[which, None]
-    apart, found = _nearest(plane, places, plane.first_reach_px * plane.scale_rad)
+    reach = plane.first_reach_px
+    apart, found = _nearest(plane, places, reach * plane.scale_rad)
     hit = np.isfinite(apart)
-    pairs = np.unique(which[hit] * len(plane.places) + found[hit])  # a detection counts once
-    hits = np.bincount(pairs // len(plane.places), minlength=len(near))
-    order = np.argsort(-hits, kind="stable")
-    return order[hits[order] >= MIN_STARS][:most]
+    sigma = reach / REACH_SIGMAS  # of places by an attitude from three stars
+    gain = np.log1p(plane.area_px2 / (TURN_RAD * sigma**2 * len(plane.places)))
+    gain = np.maximum(gain - 0.5 * (apart[hit] / plane.scale_rad / sigma) ** 2, 0.0)
+    best = np.zeros((len(near), len(plane.places)))  # a detection counts once
+    np.maximum.at(best, (which[hit], found[hit]), gain)
+    enough = np.flatnonzero((best > 0.0).sum(axis=1) >= MIN_STARS)
+    order = np.argsort(-best.sum(axis=1)[enough], kind="stable")
+    return np.asarray(enough[order][:most])
 
 
 def _nearest(plane: Plane, places: FloatArray, reach: float) -> tuple[FloatArray, IntArray]:
@@ -209,19 +258,40 @@ def _weighed(
     nothing = Verdict(proposal, rows[:0], rows[:0], scatter_px, np.nan, -np.inf)
     if len(star) < MIN_STARS or abs(proposal.scale - 1.0) > 1.1 * plane.focal_error:
         return nothing
-    gain = np.full(len(stars), np.log(1.0 - SEEN))
-    peak = SEEN * plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
-    gain[star] = np.log(peak * np.exp(-0.5 * (apart / scatter_px) ** 2) + 1.0 - SEEN)
-    total = np.cumsum(gain)
-    depth = int(np.argmax(total))
-    star, detection = star[star <= depth], detection[star <= depth]
+    near = np.exp(-0.5 * (apart / scatter_px) ** 2)  # and so much likelier than chance is each match
+    near *= plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
+    freedom = _cost_of_freedom(plane, len(star), _spread_px(plane, plane.places[detection]), scatter_px)
+    most = np.maximum(np.log1p(SEEN * (near - 1.0)), 0.0) + MOST_OF_BRIGHTNESS
+    if most.sum() - freedom < SURE_LOG_ODDS:  # whatever else is true of it
+        return nothing
+    mag = index.mag[rows].astype(np.float64)
+    ratio = np.zeros(len(stars))
+    ratio[star] = near
+    depth = _depths(mag)[:, None]
+    seen = SEEN * ndtr((depth - mag) / MAG_SCATTER)  # (depths, stars)
+    believed = pdtr(
+        len(plane.places), seen.sum(axis=1)
+    )  # (depths,): no more are seen than there are detections
+    total = np.log1p(seen * (ratio - 1.0)).sum(axis=1) + np.log(
+        np.maximum(believed / believed.sum(), np.finfo(float).tiny)
+    )
+    best = int(np.argmax(total))
+    kept = ratio[star] > 1.0  # nearer than chance brings a detection
+    star, detection = star[kept], detection[kept]
     if len(star) < MIN_STARS:
         return nothing
     spread_px = _spread_px(plane, plane.places[detection])
-    log_odds = float(total[depth]) - np.log(len(stars)) - np.log(len(SCATTERS_PX))
+    log_odds = float(logsumexp(total)) - np.log(len(SCATTERS_PX))
     log_odds -= _cost_of_freedom(plane, len(star), spread_px, scatter_px)
-    log_odds += _brightness_odds(index.mag[rows[: depth + 1]].astype(np.float64), plane.mag, star, detection)
+    shown = mag <= max(float(depth[best, 0]), float(mag[star].max()))
+    log_odds += _brightness_odds(mag, shown, plane.mag, star, detection)
     return Verdict(proposal, rows[star], detection, scatter_px, scatter_px / spread_px, log_odds)
+
+
+def _depths(mag: FloatArray) -> FloatArray:
+    """Return the depths (d,) that a picture may have: among its stars, or deeper than the catalog."""
+    among = np.quantile(mag, np.linspace(0.0, 1.0, min(DEPTHS, len(mag))))
+    return np.append(among, among[-1] + 3.0 * MAG_SCATTER)
 
 
 def _spread_px(plane: Plane, seen: FloatArray) -> float:
@@ -239,13 +309,20 @@ def _cost_of_freedom(plane: Plane, n_stars: int, spread_px: float, scatter_px: f
     return float(np.log(room / fitted))
 
 
-def _brightness_odds(mag: FloatArray, seen: FloatArray, star: IntArray, detection: IntArray) -> float:
-    """Return the log odds that stars and detections have each other's brightness, to one zero point."""
+def _brightness_odds(
+    mag: FloatArray, shown: BoolArray, seen: FloatArray, star: IntArray, detection: IntArray
+) -> float:
+    """Return the log odds that stars and detections have each other's brightness, to one zero point.
+
+    Chance draws from the stars that are `shown`, those down to the picture's depth.
+    """
     known = np.isfinite(seen[detection])
-    spread = float(np.hypot(np.nanstd(seen), np.std(mag)))
-    if known.sum() < MIN_STARS or np.nanstd(seen) < MIN_MAG_SPREAD or spread <= MAG_SCATTER:
+    if known.sum() < MIN_STARS or not shown.any():
         return 0.0
-    difference = (seen[detection] - mag[star])[known] - (np.nanmean(seen) - np.mean(mag))
+    spread = float(np.hypot(np.nanstd(seen), np.std(mag[shown])))
+    if np.nanstd(seen) < MIN_MAG_SPREAD or spread <= MAG_SCATTER:
+        return 0.0
+    difference = (seen[detection] - mag[star])[known] - (np.nanmean(seen) - np.mean(mag[shown]))
     zero_point = float(np.median(difference))
     by_chance = _gaussian(difference, spread)
     as_stars = (1.0 - STRANGE_SHARE) * _gaussian(
