@@ -732,7 +732,7 @@ class _Fitter:
         self._return_to(min(found, key=lambda state: state.linear.solution.chi2))
 
     def _tabulate_or_return(self) -> None:
-        """Tabulate the light of the shape; where no part of the way explains the pixels as well, stay with the last tables."""
+        """Tabulate the light of the shape; where no part of the way explains the pixels, stay with the last tables."""
         kept = self._state()
         self._tabulate((1.0, 0.5), fine=False)
         if not self.linear.solution.chi2 < WORSE * kept.linear.solution.chi2 + GROWTH:
