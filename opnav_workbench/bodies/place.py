@@ -57,18 +57,22 @@ class BodyPlace:
         Of its image over that of its model.
     score
         Correlation, -1..1, of what is lit with the model's lit silhouette.
-    center_sigma_px, size_sigma
-        As the scatter of the limb's crossings has them, size relative; infinite where the limb was not seen.
+    center_sigma_px
+        As the scatter of the limb's crossings has it; infinite where the limb was not seen.
     strain : (2,) array
         Of the outline, as `Outline.strained`.
+    seen_ratio, seen_sigma
+        Size by the crossings alone, as if nothing were known of the figure but its widest bounds: what a fit that knows
+        the figure itself may take from them.
     """
 
     center_px: FloatArray
     size_ratio: float
     score: float
     center_sigma_px: float = np.inf
-    size_sigma: float = np.inf
     strain: FloatArray = field(default_factory=lambda: np.zeros(2))
+    seen_ratio: float = 1.0
+    seen_sigma: float = np.inf
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -373,7 +377,9 @@ def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, 
 Profiles = Callable[[Outline, FloatArray, FloatArray], FloatArray]
 
 
-def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles) -> LimbCrossings:
+def cross_limb(
+    picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles, *, cut_off: bool = False
+) -> LimbCrossings:
     """Cross the limb along rays, as far as `reach_px` from the outline, and compare with the model's crossings.
 
     Parameters
@@ -381,6 +387,8 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     profiles
         Returns the model's light (1 + k, n, m) at angles (n,) and depths (m,) of an outline, any unit: as it is, and
         changed by a sigma of each of k things that are uncertain.
+    cut_off
+        Whether that light is cut off where the picture is saturated.
     """
     angle = np.asarray((np.arange(RAYS) + 0.5) * (TURN / RAYS))
     limb = outline.radius(angle)
@@ -404,7 +412,7 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     whole = valid[rows, index] & valid[rows, index + 1] & valid[rows, index - 1]
     at_limb = np.isfinite(expected) & (np.abs(expected) < 2.0 * width)
     known = np.isfinite(observed) & at_limb & whole & (observed < depth[-8])
-    if picture.saturated.any():  # half of a level that was cut off lies too far out
+    if picture.saturated.any() and not cut_off:  # half of a level that was cut off lies too far out
         behind = (
             np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width) < 0.5 * LEVEL_TO * width
         )
@@ -481,6 +489,8 @@ class CrossingFit:
         Of all five, from the scatter of the crossings and its correlation along the limb.
     residual_px : (n,) array
         nan where there is no crossing.
+    free_log_size, free_size_sigma
+        Change of the size and its uncertainty, as if nothing were known of the figure but its widest bounds.
     """
 
     step_px: FloatArray
@@ -488,6 +498,8 @@ class CrossingFit:
     strain: FloatArray
     covariance: FloatArray
     residual_px: FloatArray
+    free_log_size: float
+    free_size_sigma: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -538,12 +550,18 @@ def fit_crossings(
         near = max(0.5 * near, NEAREST_PX, relief_px)
     # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
     variance = _scatter(residual) + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
+    free = float(solved(solution, near, variance, widest)[2])
     solution = solved(solution, near, variance, scales)
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
     kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
     normal = columns.T @ columns / variance + np.diag(precision)
-    covariance = mixed_solution(normal, columns.T @ kept / variance, scales).covariance
-    return CrossingFit(solution[:2], float(solution[2]), solution[3:5], covariance[:5, :5], residual)
+    mixed, alone = (
+        mixed_solution(normal, columns.T @ kept / variance, each).covariance for each in (scales, widest)
+    )
+    size_sigma = float(np.sqrt(alone[2, 2]))
+    return CrossingFit(
+        solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5], residual, free, size_sigma
+    )
 
 
 def crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
@@ -574,7 +592,7 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     figure = picture.model(name).seen_figure
     center, size = place.center_px, place.size_ratio
     near = max(0.1 * picture.diameter_px(name) * size, 3.0)
-    spread, strain = (np.inf, np.inf), np.zeros(2)
+    sigma_px, seen, strain = np.inf, (1.0, np.inf), np.zeros(2)
     for _ in range(PLACE_TURNS):
         body = strained_picture(picture, name, np.append(strain, np.zeros(3)))
         outline = Silhouette(body, name).at(center, 1.0 / size)
@@ -583,7 +601,8 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
             break
         relief = figure.limb_roughness * 0.5 * outline.diameter_px
         moved = fit_crossings(crossings, outline, figure, relief, np.array([-np.log(size), *-strain]), near)
-        spread = float(np.sqrt(np.trace(moved.covariance[:2, :2]))), float(np.sqrt(moved.covariance[2, 2]))
+        sigma_px = float(np.sqrt(np.trace(moved.covariance[:2, :2])))
+        seen = size * float(np.exp(moved.free_log_size)), moved.free_size_sigma
         center = center + moved.step_px
         size = size * float(np.exp(np.clip(moved.log_size, -LARGEST_GROWTH, LARGEST_GROWTH)))
         strain = strain + moved.strain * can_be_strained(picture.model(name))
@@ -592,4 +611,4 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
         if length < PLACED_PX:
             break
         near = max(0.5 * near, min(near, 2.0 * length), LEAST_NEAR_PX)
-    return BodyPlace(center, size, place.score, *spread, strain)
+    return BodyPlace(center, size, place.score, sigma_px, strain, *seen)

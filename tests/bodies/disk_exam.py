@@ -26,8 +26,11 @@ CONTRASTS = (1.0, 3.0, 9.0)
 SIZE_EDGES_PX = (1.0, 3.0, 5.0, 15.0, 40.0, 120.0, 300.0, 800.0, 2000.0)
 PHASE_EDGES_DEG = (0.0, 40.0, 90.0, 130.0)
 FIGURES = ("right", "size", "axes")
-GRIDS = {"tiny": (1.0, 9.0), "small": (5.0, 150.0), "full": (5.0, 800.0), "odd": (3.0, 2000.0)}
-MAX_PHASE_DEG = {"tiny": 130.0, "small": 130.0, "full": 130.0, "odd": 150.0}
+GRIDS = {
+    "tiny": (1.0, 9.0), "small": (5.0, 150.0), "full": (5.0, 800.0), "odd": (3.0, 2000.0), "overexposed": (5.0, 800.0),
+}  # fmt: skip
+MAX_PHASE_DEG = {"tiny": 130.0, "small": 130.0, "full": 130.0, "odd": 150.0, "overexposed": 130.0}
+HELD = (0.05, 0.8)  # of the peak, by an overexposed detector
 TRIAXIAL = (1.12, 1.0, 0.88)
 PSFS, PSF_SHARES = ("known", "known_wings", "width", "wings"), (0.4, 0.15, 0.25, 0.2)
 CUT_SHARE = 0.1  # of the trials have their center anywhere in the frame
@@ -74,6 +77,8 @@ def draw(seed, index, grid="full"):
         peak_dn=float(np.exp(rng.uniform(np.log(150.0), np.log(3000.0)))),
         place_px=tuple(rng.uniform(0.0, 1023.0, 2)) if rng.random() < CUT_SHARE else None,
     )
+    if grid == "overexposed":
+        return replace(setup, saturation_dn=setup.peak_dn * float(np.exp(rng.uniform(*np.log(HELD)))))
     return setup if grid != "odd" else _with_oddities(setup, rng)
 
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.hidden_albedo import hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import (
@@ -81,6 +81,7 @@ LEAST_MOVE = 0.2  # of a step
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
 RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
+LEAST_STEP = 0.25  # of the step from body to sky: what a piece of limb shows of it, or it is not in sight
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
 SHADING_SCALES = (4.0, 1.0, 0.2)  # surfaces lean by more, or by less, than their axes say
@@ -214,6 +215,8 @@ class DiskFit:
         Inward and outward of the pixels that were used.
     chi2_reduced
         Chi-squared a degree of freedom, with the sky beside the body or without: what lies there is not the body's.
+    lit_share
+        Share of a turn of limb that is lit and in sight.
     lengths_px
         Of the center's steps.
     valley_px2 : (2, 2) array
@@ -235,6 +238,7 @@ class DiskFit:
     figure: FigureUncertainty
     reach_px: tuple[float, float]
     chi2_reduced: float
+    lit_share: float
     lengths_px: tuple[float, ...]
     converged: bool
     valley_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
@@ -292,13 +296,6 @@ class DiskFit:
             nodes = self.solution.nodes[index, :-1]
             model += weight * np.einsum("nk,kn->n", nodes, self.columns[ALBEDO])
         return np.asarray(model)
-
-    @property
-    def lit_share(self) -> float:
-        """Share of a turn of limb that is lit and on the detector."""
-        limb = self.system.shared[Unknown.BRIGHTNESS].max(axis=1)
-        seen = np.isfinite(self.system.variance).sum(axis=1) > 0.5 * self.system.variance.shape[1]
-        return float(np.mean((limb > LIT_LIMB) & seen))
 
     def sigma(self, unknown: Unknown) -> float:
         """Return the standard deviation of what is shared."""
@@ -388,6 +385,8 @@ class _DiskProblem:
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.sharp_px = SHARP_SIGMAS * self.psf_px
         self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
+        self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
+        self._used = pixels
         self._squares: PixelSquares | None = None
         self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
@@ -404,12 +403,25 @@ class _DiskProblem:
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
 
+    def count(self, also: BoolArray) -> None:
+        """Use other pixels (n_line, n_pixel) beside those of the picture that count."""
+        self._squares, self._used = None, replace(self.pixels, use=self.pixels.use | also)
+
     def samples(self, outline: Outline) -> LimbSamples:
         """Return the pixels about an outline, gathered in squares where its light is smooth."""
         outward = self.reach[1]
         if self._squares is None or not self._squares.hold(outline, outward):
-            self._squares = PixelSquares(self.pixels, outline, outward + ROOM_PX)
+            self._squares = PixelSquares(self._used, outline, outward + ROOM_PX)
         return limb_samples(self._squares, outline, *self.reach, self.sharp_px)
+
+    def seen_limb(self, made: TabulatedDisk, system: LimbSystem) -> BoolArray:
+        """Tell which pieces of limb (j,) are lit and show enough of the step from body to sky, be all else saturated."""
+        angle, depth = np.meshgrid(
+            piece_angles(self.pieces), 0.5 * (self.edges[:-1] + self.edges[1:]), indexing="ij"
+        )
+        light = made.light.at(angle.ravel(), depth.ravel(), 1)[0].reshape(angle.shape)
+        share = np.isfinite(system.variance[:, self.at_limb]).mean(axis=1)
+        return np.asarray((light.max(axis=1) > LIT_LIMB) & (share > LEAST_STEP))
 
     def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
@@ -427,7 +439,7 @@ class _DiskProblem:
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
         out = np.full(SHARED, np.inf)
-        out[Unknown.SIZE] = np.hypot(SEEN_SHARE * self.place.size_sigma, SEEN_PX / self.radius_px)
+        out[Unknown.SIZE] = np.hypot(SEEN_SHARE * self.place.seen_sigma, SEEN_PX / self.radius_px)
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
@@ -445,7 +457,7 @@ class _DiskProblem:
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
-        mean[Unknown.SIZE] = np.log(self.place.size_ratio)
+        mean[Unknown.SIZE] = np.log(self.place.seen_ratio)
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
@@ -546,12 +558,13 @@ class _Fitter:
     def run(self) -> DiskFit:
         self._solve()
         for turn, steps in enumerate(self.tuning):
+            self._count_saturated()
             self._tune(steps, other_light=turn == 0)
             self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
-                self.made = self.problem.tabulated(self.shape, fine=True)
-                self._solve()
+                self._tabulate((1.0, 0.5, 0.0), fine=True)
+            self._count_saturated()
             self._tune(LAST_TUNING)
             self._iterate(MOST_TURNS)
             if not self._stale(LAST):
@@ -578,6 +591,7 @@ class _Fitter:
             figure=self.problem.figure,
             reach_px=self.problem.reach,
             chi2_reduced=self._chi2_reduced(),
+            lit_share=float(np.mean(self.problem.seen_limb(self.made, self.linear.system))),
             lengths_px=tuple(self.lengths),
             converged=self.converged,
             valley_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
@@ -596,6 +610,19 @@ class _Fitter:
     def _solve_at(self, near: LimbSamples, columns: FloatArray) -> None:
         system = self._system(near, columns)
         self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
+
+    def _count_saturated(self) -> None:
+        """Let saturated pixels of the lit disk count where the model is fainter than they are: data that are a bound."""
+        pixels = self.problem.pixels
+        if not pixels.at_least.any():
+            return
+        fit = self._result()
+        here = fit.pixels.index
+        lit = (fit.pixels.depth_px < 0.0) & (fit.columns[Unknown.BRIGHTNESS] > LIT_LIMB)
+        fainter = np.zeros_like(pixels.use)
+        fainter[here] = lit & pixels.at_least[here] & (fit.model_dn() < pixels.data_dn[here])
+        self.problem.count(fainter)
+        self._solve()
 
     def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
@@ -645,7 +672,7 @@ class _Fitter:
         slack = LOST_SHARE * float(np.count_nonzero(np.isfinite(best.linear.system.variance)))
         if self.linear.solution.held_cost > best.linear.solution.held_cost + slack:
             last_px = self.shape.center_px
-            self.shape, self.brightness, self.piece_albedo, self.made, self.linear = best
+            self._return_to(best)
             self.wandered_px = best.shape.center_px - last_px
         lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
         settled = length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
@@ -683,21 +710,36 @@ class _Fitter:
         cells = np.count_nonzero(np.isfinite(self.linear.system.variance))
         return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
-    def _tabulate_or_return(self) -> None:
-        """Tabulate the light of the shape; where that explains the pixels worse, stay with half of the way, or none."""
-        then, now, linear = self.made, self.shape, self.linear
-        for share in (1.0, 0.5):
+    def _tabulate(self, shares: Sequence[float], *, fine: bool) -> None:
+        """Tabulate the light of the shape; where that explains the pixels worse, go a part of the way from the last tables.
+
+        What tables are extrapolated to may be no light of any body. Of no share that will do the best is taken.
+        """
+        then, now, chi2 = self.made.shape, self.shape, self.linear.solution.chi2
+        found = []
+        for share in shares:
             self.shape = replace(
                 now,
                 strain=then.strain + share * (now.strain - then.strain),
-                law=then.shape.law + share * (now.law - then.shape.law),
-                blur_px2=then.shape.blur_px2 + share * (now.blur_px2 - then.shape.blur_px2),
+                law=then.law + share * (now.law - then.law),
+                blur_px2=then.blur_px2 + share * (now.blur_px2 - then.blur_px2),
             )
-            self.made = self.problem.tabulated(self.shape)
+            self.made = self.problem.tabulated(self.shape, fine=fine)
             self._solve()
-            if self.linear.solution.chi2 < WORSE * linear.solution.chi2 + GROWTH:
+            if self.linear.solution.chi2 < WORSE * chi2 + GROWTH:
                 return
-        self.made, self.shape, self.linear = then, now, linear
+            found.append(self._state())
+        self._return_to(min(found, key=lambda state: state.linear.solution.chi2))
+
+    def _tabulate_or_return(self) -> None:
+        """Tabulate the light of the shape; where no part of the way explains the pixels, stay with the last tables."""
+        kept = self._state()
+        self._tabulate((1.0, 0.5), fine=False)
+        if not self.linear.solution.chi2 < WORSE * kept.linear.solution.chi2 + GROWTH:
+            self._return_to(kept)
+
+    def _return_to(self, state: _FitState) -> None:
+        self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""
@@ -710,20 +752,36 @@ class _Fitter:
         theta = solution.theta
         if not np.isfinite(theta).all():
             raise CenterfindingError(f"{self.problem.name}: its limb tells nothing of its place here.")
-        center, size = theta[CENTER], theta[Unknown.SIZE] - shape.log_size
-        radius = 0.5 * self.problem.picture.diameter_px(self.problem.name)
-        length = max(float(np.hypot(*center)), radius * abs(float(size)))
-        part = most * min(1.0, LONGEST_PX / max(length, 1e-12))
+        center, size, strain = (
+            theta[CENTER],
+            theta[Unknown.SIZE] - shape.log_size,
+            theta[STRAINED] - shape.strain,
+        )
+        limb_px = self._limb_moves_px(linear.system, np.concatenate([center, [size], strain[:2]]))
+        bounds = (LONGEST_PX / max(limb_px, 1e-12), MOST_STRAIN / max(float(np.abs(strain[:2]).max()), 1e-12))
+        part = most * min(1.0, *bounds)
         law = np.clip(theta[SHARES], *self.problem.law_bounds)
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
-            shape.strain + part * np.clip(theta[STRAINED] - shape.strain, -MOST_STRAIN, MOST_STRAIN),
+            shape.strain + part * np.clip(strain, -MOST_STRAIN, MOST_STRAIN),
             shape.law + most * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
             self._bounded_blur(shape.blur_px2 + most * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
         return part * float(np.hypot(*center))
+
+    def _limb_moves_px(self, system: LimbSystem, step: FloatArray) -> float:
+        """Return how far the limb moves at most, where it is seen, by a step (5,) of center, size and strain of the outline.
+
+        A center that is far off along what is not seen may go all of its way at once.
+        """
+        angle, radius = piece_angles(self.problem.pieces), self.problem.radius_px
+        rows = [np.cos(angle), np.sin(angle)]
+        rows += [radius * np.ones_like(angle), radius * np.cos(2.0 * angle), radius * np.sin(2.0 * angle)]
+        moves = np.abs(step @ np.stack(rows))
+        seen = self.problem.seen_limb(self.made, system)
+        return float(moves[seen].max() if seen.any() else moves.max())
 
     def _reweigh(self) -> None:
         """Solve anew where the outline is, with pieces as bright as the solution has them.

@@ -148,7 +148,9 @@ def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> DiskPixels:
     """Return the picture's planes, without pixels that are bad, saturated, or lit by other bodies."""
     whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
     cutout = without_others(picture, name, place.center_px, whole)
-    return DiskPixels(cutout.data_dn, cutout.noise_dn, cutout.use, cutout.gain_e_per_dn)
+    at_least = cutout.saturated & np.isfinite(picture.signal_dn)
+    data = np.where(at_least, picture.signal_dn, cutout.data_dn)
+    return DiskPixels(data, cutout.noise_dn, cutout.use, cutout.gain_e_per_dn, at_least)
 
 
 def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
@@ -206,25 +208,59 @@ ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
 HALF_PX = 0.15  # where pattern or law are steep at the limb
 ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
 START_SIZES = (0.7, 1.4)
+UNSURE = (
+    "blur",
+    "law",
+    "law_2",
+    "strain_zz",
+    "strain_xz",
+    "strain_yz",
+)  # of the light: near a cusp it moves a crossing
+BRIGHTER = 1.3  # than the fit says may a saturated limb be: what that moves is uncertain
+LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
 
 def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
-    """Fit center and outline to where rays cross the limb; None where too few do."""
-    law, blur = PLANES.index("law"), PLANES.index("blur")
+    """Fit center and outline to where rays cross the limb; None where too few do.
+
+    Where the picture is saturated the fitted light is cut off as the picture is: both cross half of the same level.
+    """
+    planes = [PLANES.index(name) for name in UNSURE]
+    beyond, modes = _unsure_of(fit)
+    level = _saturation_dn(picture)
 
     def profiles(_: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
         places = np.broadcast_arrays(angle[:, None], depth)
-        tables = fit.made.light.at(places[0].ravel(), places[1].ravel(), law + 1)
-        light = tables[0] + INTERPOLATED_VARIANCE * tables[blur]  # as the data are, between pixels
-        both = light, light + fit.sigma(Unknown.LAW) * tables[law]
-        return np.asarray(np.stack(both).reshape(2, *places[0].shape))
+        tables = fit.made.light.at(places[0].ravel(), places[1].ravel(), max(planes) + 1)
+        light = tables[0] + beyond @ tables[planes]
+        light += INTERPOLATED_VARIANCE * tables[planes[0]]  # as the data are, between pixels
+        each = [light, *(light + modes @ tables[planes])]
+        if np.isfinite(level):
+            each = [np.minimum(one, level / fit.brightness_dn) for one in (*each, BRIGHTER * light)]
+        return np.asarray(np.stack(each).reshape(len(each), *places[0].shape))
 
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
-    crossings = cross_limb(picture, fit.smooth_outline, reach, profiles)
+    crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
     if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
         return None
     return fit_crossings(crossings, fit.smooth_outline, fit.figure, fit.prior.rough_px, expected, 1.0)
+
+
+def _unsure_of(fit: DiskFit) -> tuple[FloatArray, FloatArray]:
+    """Return what a solution has of `UNSURE` (p,) beyond its tables, and changes (k, p) of it.
+
+    Of the changes each is one sigma, independent of the others.
+    """
+    own = [Unknown[name.upper()] for name in UNSURE]
+    variance, modes = np.linalg.eigh(fit.solution.covariance[np.ix_(own, own)])
+    return (fit.solution.theta - fit.tabulated)[own], (modes * np.sqrt(np.maximum(variance, 0.0))).T
+
+
+def _saturation_dn(picture: BodyPicture) -> float:
+    """Return the level at which the picture saturates; inf where it does not."""
+    known = picture.saturated & np.isfinite(picture.signal_dn)
+    return float(np.quantile(picture.signal_dn[known], LOWEST_CUT)) if known.any() else np.inf
 
 
 def crossing_covariance(scatter_px2: FloatArray) -> FloatArray:

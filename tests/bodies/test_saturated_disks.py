@@ -1,0 +1,80 @@
+"""Disks with saturated parts: their limb is still there, outside of what was cut off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from disk_truth import TrialSetup, make_trial
+
+from opnav_workbench.bodies import BodyFlag, judged_disk, measure_disk
+from opnav_workbench.bodies.disk.fit import fit_disk
+
+OVEREXPOSED = {  # of the peak the detector holds a tenth or so
+    "half lit, 740 px": TrialSetup(11, 740.0, 98.0, saturation_dn=110.0),
+    "crescent, 260 px": TrialSetup(12, 260.0, 115.0, law="lunar_0.3", saturation_dn=140.0, psf="known_wings"),
+    "small, 32 px": TrialSetup(13, 32.0, 18.0, saturation_dn=100.0),
+    "mottled, 150 px": TrialSetup(14, 150.0, 50.0, family="field_mid", contrast=3.0, saturation_dn=150.0),
+}
+
+
+LONG = ("half lit, 740 px", "crescent, 260 px")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(case, marks=pytest.mark.slow if case in LONG else ()) for case in OVEREXPOSED],
+)
+def overexposed(request):
+    trial = make_trial(OVEREXPOSED[request.param])
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    return trial, disk, judged_disk(disk)
+
+
+def test_an_overexposed_disk_is_confirmed_where_it_is(overexposed):
+    """Before: all were doubted, "0 % of its limb is lit and in sight", three by crossings that lay 1.5 px too far out."""
+    trial, _, center = overexposed
+    away = center.pixel_line - trial.truth_px
+    assert center.status == "ok", center.messages
+    assert center.flags & BodyFlag.OVEREXPOSED
+    assert away @ np.linalg.solve(center.covariance_px2, away) < 3.5**2
+    assert np.hypot(*away) < 0.4
+
+
+def test_crossings_of_a_limb_that_is_cut_off_are_compared_with_light_that_is(overexposed):
+    trial, disk, center = overexposed
+    covariance = disk.crossing.covariance[:2, :2] + 0.15**2 * np.eye(2)
+    away = disk.fit.center_px + disk.crossing.step_px - trial.truth_px
+    assert away @ np.linalg.solve(covariance, away) < 3.5**2
+    assert center.second is not None
+
+
+@pytest.mark.slow
+def test_saturated_pixels_are_a_bound_for_the_light_of_the_disk():
+    """The model reaches what the detector could hold; a bleeding column beside the body is no light of it."""
+    trial = make_trial(OVEREXPOSED["mottled, 150 px"])
+    picture, level = trial.picture, trial.setup.saturation_dn
+    column = int(trial.truth_px[0])
+    signal, saturated = np.array(picture.signal_dn), np.array(picture.saturated)
+    signal[:, column : column + 2], saturated[:, column : column + 2] = level, True
+    bled = replace(picture, signal_dn=signal, saturated=saturated)
+    disk = measure_disk(bled, trial.name, "disk", None, None)
+    model = disk.fit.model_dn()
+    line, pixel = disk.fit.pixels.index
+    inside = picture.saturated[line, pixel] & (disk.fit.pixels.depth_px < -2.0)
+    assert np.mean(model[inside] > 0.9 * level) > 0.97
+    assert np.hypot(*(judged_disk(disk).pixel_line - trial.truth_px)) < 0.4
+
+
+@pytest.mark.slow
+def test_a_center_far_beside_the_frame_goes_its_way_at_once():
+    """1500 px wide, a quarter in the frame: size, axes and center change together by much, the limb in sight by little."""
+    setup = TrialSetup(
+        3, 1400.0, 60.0, family="field_mid", contrast=3.0, place_px=(1150.0, 1150.0), displacement_px=30.0
+    )
+    trial = make_trial(setup)
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    shifted = replace(disk.place, center_px=disk.place.center_px + np.array([9.0, 9.0]), size_ratio=0.99)
+    fit = fit_disk(trial.picture, trial.name, shifted, disk.pixels)
+    assert fit.lengths_px[0] > 4.0
+    away = fit.center_px - trial.truth_px
+    assert away @ np.linalg.solve(fit.covariance_px2, away) < 3.5**2
