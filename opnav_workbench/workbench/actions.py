@@ -17,6 +17,7 @@ __all__ = [
     "LOOKING",
     "NOTE_MENU",
     "NUDGE",
+    "PICTURE",
     "PLACES",
     "PLACE_STAR",
     "REASON_MENU",
@@ -141,6 +142,13 @@ class ActionRegistry:
     def keys(self) -> list[str]:
         """Every key that means something somewhere."""
         return sorted({key for _, key in self._by_key})
+
+    def keys_alone(self, where: str) -> list[str]:
+        """Every key that means something in a place, and nowhere else."""
+        places: dict[str, set[str]] = {}
+        for place, key in self._by_key:
+            places.setdefault(key, set()).add(place)
+        return sorted(key for key, found in places.items() if found == {where})
 
     def for_key(self, key: str, *places: str) -> Action | None:
         """Return what a key means at the first of `places` (menu, tool, tab), else everywhere; None: nothing."""

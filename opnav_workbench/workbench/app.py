@@ -18,7 +18,7 @@ import traitlets
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
-from opnav_workbench.workbench.actions import ROOM
+from opnav_workbench.workbench.actions import PICTURE, ROOM
 from opnav_workbench.workbench.controller import REGIONS, WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue
 from opnav_workbench.workbench.image_view import ImageView
@@ -44,9 +44,9 @@ class Region(anywidget.AnyWidget):
 
     Attributes
     ----------
-    keymap, picture_keys : list of str
-        Keys that the whole workbench handles, set on one of its regions; and those of them that the picture handles by
-        itself while it has the focus.
+    keymap, picture_keys, picture_alone : list of str
+        Keys that the whole workbench handles, set on one of its regions; those of them that the picture handles by
+        itself while it has the focus; and those that mean nothing but in the picture, which Python need not be asked for.
     page_keys : dict
         Keys of what happens in the page alone, and its names.
     """
@@ -57,6 +57,7 @@ class Region(anywidget.AnyWidget):
     html = traitlets.Unicode("").tag(sync=True)
     keymap = traitlets.List(traitlets.Unicode()).tag(sync=True)
     picture_keys = traitlets.List(traitlets.Unicode()).tag(sync=True)
+    picture_alone = traitlets.List(traitlets.Unicode()).tag(sync=True)
     page_keys = traitlets.Dict().tag(sync=True)
 
     def __init__(self, name: str, on_message: Callable[[Mapping[str, Any]], None]) -> None:
@@ -109,6 +110,7 @@ class Workbench:
         registry = self.controller.registry
         self.regions["header"].page_keys = {key: name for name in ROOM for key in registry[name].keys}
         self.regions["header"].picture_keys = [key for action in self.view.actions for key in action.keys]
+        self.regions["header"].picture_alone = registry.keys_alone(PICTURE)
         self.regions["header"].keymap = self.controller.registry.keys
         self.controller.on_render = self._paint
         picture = self.view.widget

@@ -376,6 +376,7 @@ SCRIPTS = (
     "inspect_card.js",
     "image_tools.js",
     "second_picture.js",
+    "crowd.js",
     "image_pointer.js",
     "image_actions.js",
     "image_cursor.js",

@@ -37,7 +37,6 @@ from opnav_workbench.workbench.overlays import (
     sky_grid,
     star_facts,
     star_marks,
-    vector_columns,
 )
 from opnav_workbench.workbench.readout import sky_readout
 from opnav_workbench.workbench.sent_arrays import ArrayStore, SentPicture
@@ -271,7 +270,6 @@ class ImageView:
         reactions: dict[str, Callable[[Any], object]] = {
             "image": self.images.make,
             "theme": self.models.use_theme,
-            "vector_scale": self._take_scale,
             "partner": lambda _: self._make_partner(),
             "compare": lambda _: self._make_partner(),
             "lock": lambda _: self._lay_anew(),
@@ -398,11 +396,7 @@ class ImageView:
             shape = self.session.context.picture.image_dn.shape
             self._own_scale = _vector_scale(self._vectors, shape)
             self.state.vector_scale = self._own_scale
-        self.models.fill("vectors", vector_columns(dict(self._vectors), self.state.vector_scale))
-
-    def _take_scale(self, scale: float) -> None:
-        if scale != self._own_scale:
-            self._draw_vectors()
+        self.models.fill("vectors", dict(self._vectors))
 
     def _draw_bodies(self, session: ImageSession) -> None:
         marks = body_marks(session)

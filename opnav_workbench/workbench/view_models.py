@@ -246,8 +246,7 @@ NO_PICTURE = np.zeros((1, 1), np.uint32)
 
 # What the analyst and the page move: on a canvas of its own, so that thousands of marks below are not drawn anew with it.
 OVER: Final = "overlay"
-CROWD = 500  # marks of one kind: with more of them halos would hide the picture, and cost half of its paint
-CROWDED = "crowded"  # tag of halos that the page (static/image_actions.js) hides, since they are too many
+STARS = ["stars"]  # tag of what the page draws by itself where many are in sight (static/crowd.js)
 
 
 def _source(*columns: str) -> Any:
@@ -287,7 +286,7 @@ class PictureModels:
             "overview": self.panner,
         }
         for name, plot in shown.items():
-            _add_image(plot, f"opnav-{name}")
+            _add_image(plot, _image_source(f"opnav-{name}"))
         self.sources: dict[str, Any] = {}
         self._glyphs: dict[str, list[Any]] = {}  # by kind, for the theme
         # Renderers of a dark edge below each, so that no mark is lost on a bright ground.
@@ -313,9 +312,6 @@ class PictureModels:
         old = source.data
         if old.keys() != columns.keys() or not all(_same(old[key], columns[key]) for key in columns):
             source.data = columns
-            if name in STAR_SIZES:
-                for halo in self._halos[name]:  # the page hides those that are too many
-                    halo.tags = [CROWDED] if len(columns["pixel"]) > CROWD else []
 
     def use_theme(self, name: str) -> None:
         """Give every mark the style that a theme has for it."""
@@ -370,19 +366,26 @@ class PictureModels:
         return (self.picture,) if group == "grid" else (self.picture, self.magnifier, self.second)
 
     def _add_stars(self) -> None:
-        vectors = self.sources["vectors"] = _source("pixel", "line", "end_pixel", "end_line")
+        # The page draws them as long as the analyst wants them, without asking.
+        vectors = self.sources["vectors"] = _source("pixel", "line", "d_pixel", "d_line")
+        arrows = _source("pixel", "line", "end_pixel", "end_line")
+        vectors.name, arrows.name = "opnav-vectors", "opnav-arrows"
+        self.picture.scatter("pixel", "line", source=vectors, size=0, visible=False)
         head = VeeHead(size=7, fill_color=THEMES[DEFAULT_THEME]["residual"].color, line_color=None)
         arrow: Any = Arrow(
-            x_start="pixel", y_start="line", x_end="end_pixel", y_end="end_line", source=vectors, end=head,
-            name="overlay:residuals", tags=["own-colors"],
+            x_start="pixel", y_start="line", x_end="end_pixel", y_end="end_line", source=arrows, end=head,
+            name="overlay:residuals", tags=["own-colors", *STARS],
         )  # fmt: skip
         arrow.line_width = 1.5
         self.picture.add_layout(arrow)
         self._glyphs["residual"] = [arrow]
+        marks = _image_source("opnav-marks")
+        for plot in (self.picture, self.second):
+            _add_image(plot, marks)
         for kind, size in STAR_SIZES.items():
-            self._add_points(
-                kind, next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds), size
-            )
+            group = next(name for name, kinds in OVERLAY_GROUPS.items() if kind in kinds)
+            for renderer in self._add_points(kind, group, size):
+                renderer.tags = STARS
         # All labels above all marks: among thousands of stars they could not be read.
         self._add_text("grid_labels", "grid", "grid")
         self._add_text("body_labels", "bodies", "body")
@@ -393,7 +396,8 @@ class PictureModels:
         facts.name = "opnav-facts"
         self.picture.scatter("pixel", "line", source=facts, size=0, visible=False)
 
-    def _add_points(self, kind: str, group: str, size: int) -> None:
+    def _add_points(self, kind: str, group: str, size: int) -> list[Any]:
+        """Add marks and their dark edges; return those in large pictures."""
         source = self.sources[kind] = _source("pixel", "line")
         both = [
             [
@@ -406,6 +410,7 @@ class PictureModels:
             for look in ({**HALO, "line_width": MARK_PX + HALO_PX}, {"line_width": MARK_PX})
         ]  # fmt: skip
         self._keep_marks(kind, *both)
+        return [one for look in both for one in (look[0], look[2])]
 
     def _keep_marks(self, kind: str, halos: list[Any], marks: list[Any]) -> None:
         self._halos[kind], self._glyphs[kind] = halos, [mark.glyph for mark in marks]
@@ -508,10 +513,13 @@ def _figure(name: str, x_range: Any, y_range: Any) -> Any:
     return plot
 
 
-def _add_image(plot: Any, name: str) -> None:
-    source = ColumnDataSource(
+def _image_source(name: str) -> Any:
+    return ColumnDataSource(
         {"image": [NO_PICTURE], "x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}, name=name
     )
+
+
+def _add_image(plot: Any, source: Any) -> None:
     plot.add_glyph(source, ImageRGBA(image="image", x="x", y="y", dw="dw", dh="dh"))
 
 

@@ -66,6 +66,8 @@ class Page {
     this.model.on("comm_live_update", () => this.status.die());
     this.watchKernel();
     listenForKeys(this.root, (name) => this.pressed(name), this.signal);
+    const heard = (event) => this.isShown && this.pressed(event.detail) && event.preventDefault();
+    this.root.addEventListener("opnav-key", heard, { signal: this.signal }); // of the workbench around it
     adoptSheet(this.host, this.signal);
     watchTheme((dark) => this.guard(() => this.recolor(dark)), this.signal);
     this.signal.addEventListener("abort", () => this.close());
@@ -96,6 +98,11 @@ class Page {
   event(name, values) {
     this.flush();
     this.act({ kind: "event", name, values });
+  }
+
+  // Whether there is a picture to do anything with.
+  get isShown() {
+    return this.view !== undefined && !this.view.state.message;
   }
 
   pressed(name) {

@@ -131,8 +131,7 @@ class ImageActions {
     for (const model of this.doc.all_models) {
       if (!model.name?.startsWith?.("overlay:")) continue;
       const group = model.name.slice("overlay:".length);
-      const crowded = model.tags.includes("crowded"); // halos: see view_models.py
-      if (group !== "tools") quiet(model, { visible: this.state.groups.includes(group) && !crowded });
+      if (group !== "tools" && !model.tags.includes("stars")) quiet(model, { visible: this.state.groups.includes(group) }); // stars: see crowd.js
     }
   }
 

@@ -28,6 +28,7 @@ class ImagePage extends ImageCursor {
     this.ndarray = page.bokeh.require("core/util/ndarray").ndarray;
     this.tools = new ImageTools(this);
     this.second = new SecondPicture(this);
+    this.crowd = new CrowdMarks(this);
     this.palettes = Object.fromEntries(Object.entries(this.setup.colormaps).map(([name, hex]) => [name, paletteWords(hex)]));
     this.fit();
     this.update();
@@ -49,7 +50,7 @@ class ImagePage extends ImageCursor {
     this.pointer = new ImagePointer(this, this.layout.picture);
     this.second.attach();
     const { x_range, y_range } = this.model("opnav-picture");
-    for (const range of [x_range, y_range]) range.change.connect(() => this.soon("paint"));
+    for (const range of [x_range, y_range]) range.change.connect(() => this.atOnce());
     this.state.change.connect(() => this.soon("update"));
     const observer = new ResizeObserver(() => this.soon("fit"));
     // The bars too: they change their height when a theme is loaded, and nothing else does then.
@@ -73,6 +74,16 @@ class ImagePage extends ImageCursor {
     this.due.add(task);
   }
 
+  // Of a zoom or a pan: before BokehJS draws the next frame, so that it draws no other one after it.
+  atOnce() {
+    if (this.waits) return;
+    this.waits = true;
+    queueMicrotask(() => this.page.guard(() => {
+      this.waits = false;
+      if (!this.signal.aborted && this.page.doc === this.doc) this.paint();
+    }));
+  }
+
   // Python's patch may have brought another picture, or other overlays.
   patched() {
     this.soon("update");
@@ -91,6 +102,7 @@ class ImagePage extends ImageCursor {
     this.arrows = JSON.parse(this.state.compass);
     this.layout.update();
     this.showGroups();
+    this.stretchArrows();
     this.second.update();
     this.page.pixels.want(this.needed(), this.asSent(this.ahead));
     this.paint();
@@ -187,6 +199,7 @@ class ImagePage extends ImageCursor {
       this.table = colorTable({ stretch, inverted, ...this.shading() }, this.palettes[colormap] ?? this.palettes.gray);
     }
     this.tellArriving();
+    this.crowd.paint();
     if (!values) return this.paintCoarse([low, high]);
     if (this.fillSight("opnav-shown", values, [low, high])) this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
     const around = [1 / ZOOM, 1, ZOOM].map((factor) => this.blockAt(factor * this.scale()));
@@ -312,6 +325,17 @@ class ImagePage extends ImageCursor {
 
   empty(name) {
     this.model(name).setv({ data: { image: [], x: [], y: [], dw: [], dh: [] } }, { sync: false });
+  }
+
+  // Residual vectors as long as the analyst wants them.
+  stretchArrows() {
+    const { data } = this.model("opnav-vectors");
+    const scale = this.state.vector_scale;
+    if (data === this.arrowsOf && scale === this.arrowScale) return;
+    [this.arrowsOf, this.arrowScale] = [data, scale];
+    const { pixel = [], line = [], d_pixel = [], d_line = [] } = data;
+    const ends = (from, offset) => Float64Array.from(from, (at, i) => at + scale * offset[i]);
+    this.model("opnav-arrows").setv({ data: { pixel, line, end_pixel: ends(pixel, d_pixel), end_line: ends(line, d_line) } }, { sync: false });
   }
 
   // North, east and the Sun in the picture's corner.

@@ -188,6 +188,12 @@ class Room {
   }
 }
 
+// Whether the picture did what a key means nowhere but in it, without asking Python; see bridge.js.
+function pictureTakes(root, name) {
+  const picture = root.querySelector(".opnav-picture .opnav-bridge");
+  return picture?.dispatchEvent(new CustomEvent("opnav-key", { detail: name, cancelable: true })) === false;
+}
+
 // The regions of a workbench share its root: keys are heard there, wherever in the workbench the focus is.
 function adopt(root, post) {
   if (root.dataset.owKeys) return;
@@ -203,11 +209,12 @@ function adopt(root, post) {
         return;
       }
       const name = keyName(event);
-      const { keys, own, room } = root.owKeymap ?? { keys: [], own: [], room: {} };
+      const { keys, own, alone, room } = root.owKeymap ?? { keys: [], own: [], alone: [], room: {} };
       if (!keys.includes(name)) return;
       if (own.includes(name) && event.target.closest(".opnav-picture")) return; // the picture is quicker by itself
       event.preventDefault();
       event.stopPropagation();
+      if (alone.includes(name) && pictureTakes(root, name)) return;
       if (!root.owRoom?.do(room[name])) post({ act: "key", arg: name });
     },
     true,
@@ -327,7 +334,7 @@ function render({ model, el }) {
   const keys = () => {
     const shell = root();
     if (shell && model.get("keymap").length)
-      shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), room: model.get("page_keys") };
+      shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), alone: model.get("picture_alone"), room: model.get("page_keys") };
   };
   model.on("change:html", paint);
   model.on("change:keymap", keys);

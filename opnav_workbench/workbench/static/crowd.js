@@ -1,0 +1,121 @@
+// Marks of stars where many are in sight: stamped into one picture, which BokehJS then draws at once. Stroke by stroke two
+// thousand of them, each with its dark edge, cost a tenth of a second at every paint.
+
+const CROWD = 500; // marks of a kind in sight: fewer are strokes, in some milliseconds
+const INK_SHARE = 0.25; // of the picture that marks of a kind and their edges may cover: of more, each is smaller
+const LEAST_MARK = 0.5; // of its size: below, shapes cannot be told apart
+const AROUND_MARK = 3.2; // length of a mark's lines over its size, of a circle
+const HEAD_PX = 5; // of an arrow
+const AT_A_TIME = 64; // arrows in a path: the time of a path grows with the square of what it holds
+
+// The shapes of bokeh's markers that themes have for stars, about the middle, in half sizes.
+const MARKER_PATHS = {
+  circle: (path, r) => path.arc(0, 0, r, 0, 2 * Math.PI),
+  x: (path, r) => { path.moveTo(-r, -r); path.lineTo(r, r); path.moveTo(-r, r); path.lineTo(r, -r); },
+  square_x: (path, r) => { path.rect(-r, -r, 2 * r, 2 * r); MARKER_PATHS.x(path, r); },
+  inverted_triangle: (path, r) => {
+    const high = r * Math.sqrt(3);
+    path.moveTo(-r, -high / 3);
+    path.lineTo(r, -high / 3);
+    path.lineTo(0, (2 * high) / 3);
+    path.closePath();
+  },
+};
+
+const valueOf = (spec) => (spec !== null && typeof spec === "object" && "value" in spec ? spec.value : spec);
+const lookOf = (glyph) => ({ color: valueOf(glyph.line_color), alpha: valueOf(glyph.line_alpha) ?? 1, width: valueOf(glyph.line_width) });
+
+class CrowdMarks {
+  constructor(view) {
+    const tagged = [...view.doc.all_models].filter((model) => model.tags?.includes?.("stars"));
+    const ours = view.model("opnav-picture").renderers;
+    Object.assign(this, { view, tagged, marks: ours.filter((one) => tagged.includes(one)), arrow: tagged.find((one) => one.end) });
+    this.canvas = document.createElement("canvas");
+    this.brush = this.canvas.getContext("2d", { willReadFrequently: true }); // read back at every paint
+  }
+
+  groupShown(model) {
+    return this.view.state.groups.includes(model.name.slice("overlay:".length));
+  }
+
+  // Shows the marks one way or the other; does nothing where nothing has changed.
+  paint() {
+    const { view } = this;
+    const { x_range, y_range, frame_width, frame_height } = view.model("opnav-picture");
+    const scale = (view.scale() || 1) * globalThis.devicePixelRatio;
+    const [x0, y0] = [Math.min(x_range.start, x_range.end), Math.min(y_range.start, y_range.end)];
+    const [width, height] = [frame_width, frame_height].map((px) => Math.max(1, Math.round(px * globalThis.devicePixelRatio)));
+    const shown = [...this.marks, this.arrow].filter((model) => this.groupShown(model));
+    const looks = shown.map((model) => JSON.stringify(lookOf(model.glyph ?? model)));
+    const of = [x0, y0, scale, width, height, ...looks, ...shown.map((model) => this.dataOf(model))];
+    if (this.of?.length === of.length && of.every((one, i) => one === this.of[i])) return;
+    this.of = of;
+    const sight = { x0, y0, scale, width, height };
+    const places = new Map(shown.map((model) => [model, this.placesOf(model, sight)]));
+    const most = Math.max(0, ...shown.map((model) => places.get(model).length));
+    const crowded = most > CROWD;
+    for (const model of this.tagged) quiet(model, { visible: this.groupShown(model) && !crowded });
+    if (!crowded) return view.empty("opnav-marks");
+    this.canvas.width = width; // clears it too
+    this.canvas.height = height;
+    for (const model of this.marks) if (places.has(model)) this.stamp(model, places.get(model), sight);
+    if (places.has(this.arrow)) this.draw(places.get(this.arrow), lookOf(this.arrow));
+    const { data } = this.brush.getImageData(0, 0, width, height);
+    const image = view.ndarray(data.buffer, { dtype: "uint32", shape: [height, width] });
+    const [dw, dh] = [width / scale, height / scale];
+    view.model("opnav-marks").setv({ data: { image: [image], x: [x0], y: [y0], dw: [dw], dh: [dh] } }, { sync: false });
+  }
+
+  dataOf(model) {
+    return (model.data_source ?? model.source).data;
+  }
+
+  // Where marks in sight are, px of the canvas; of arrows where they end, too.
+  placesOf(model, { x0, y0, scale, width, height }) {
+    const { pixel = [], line = [], end_pixel, end_line } = this.dataOf(model);
+    const seen = [];
+    for (let i = 0; i < pixel.length; i++) {
+      const [x, y] = [(pixel[i] - x0) * scale, (line[i] - y0) * scale];
+      if (x > -width && x < 2 * width && y > -height && y < 2 * height && (end_pixel || (x >= 0 && x <= width && y >= 0 && y <= height)))
+        seen.push(end_pixel ? [x, y, (end_pixel[i] - x0) * scale, (end_line[i] - y0) * scale] : [x, y]);
+    }
+    return seen;
+  }
+
+  stamp({ glyph }, places, { width, height }) {
+    const ratio = globalThis.devicePixelRatio;
+    const { color, alpha, width: line } = lookOf(glyph);
+    const size = valueOf(glyph.size) * ratio;
+    const ink = places.length * AROUND_MARK * size * line * ratio;
+    const share = Math.min(1, Math.max(LEAST_MARK, (INK_SHARE * width * height) / ink));
+    const side = Math.ceil(size * share + line * ratio) + 2;
+    const sprite = new OffscreenCanvas(side, side);
+    const brush = sprite.getContext("2d");
+    Object.assign(brush, { strokeStyle: color, globalAlpha: alpha, lineWidth: line * ratio });
+    brush.translate(side / 2, side / 2);
+    brush.beginPath();
+    (MARKER_PATHS[valueOf(glyph.marker)] ?? MARKER_PATHS.circle)(brush, (size * share) / 2);
+    brush.stroke();
+    const stamp = sprite.transferToImageBitmap();
+    for (const [x, y] of places) this.brush.drawImage(stamp, Math.round(x - side / 2), Math.round(y - side / 2));
+  }
+
+  draw(arrows, { color, width }) {
+    const ratio = globalThis.devicePixelRatio;
+    const { brush } = this;
+    Object.assign(brush, { strokeStyle: color, lineWidth: width * ratio });
+    for (let first = 0; first < arrows.length; first += AT_A_TIME) {
+      brush.beginPath();
+      for (const [x0, y0, x1, y1] of arrows.slice(first, first + AT_A_TIME)) {
+        brush.moveTo(x0, y0);
+        brush.lineTo(x1, y1);
+        const turn = Math.atan2(y1 - y0, x1 - x0);
+        for (const side of [2.6, -2.6]) {
+          brush.moveTo(x1, y1);
+          brush.lineTo(x1 + HEAD_PX * ratio * Math.cos(turn + side), y1 + HEAD_PX * ratio * Math.sin(turn + side));
+        }
+      }
+      brush.stroke();
+    }
+  }
+}
