@@ -58,7 +58,9 @@ class CrowdMarks {
     if (!crowded) return view.empty("opnav-marks");
     this.canvas.width = width; // clears it too
     this.canvas.height = height;
-    for (const model of this.marks) if (places.has(model)) this.stamp(model, places.get(model), sight);
+    // A mark and its dark edge, which are of one source, are one stamp.
+    const stamps = Map.groupBy(this.marks.filter((model) => places.has(model)), (model) => model.data_source);
+    for (const models of stamps.values()) this.stamp(models, places.get(models[0]), sight);
     if (places.has(this.arrow)) this.draw(places.get(this.arrow), lookOf(this.arrow));
     const { data } = this.brush.getImageData(0, 0, width, height);
     const image = view.ndarray(data.buffer, { dtype: "uint32", shape: [height, width] });
@@ -82,20 +84,24 @@ class CrowdMarks {
     return seen;
   }
 
-  stamp({ glyph }, places, { width, height }) {
+  stamp(models, places, { width, height }) {
     const ratio = globalThis.devicePixelRatio;
-    const { color, alpha, width: line } = lookOf(glyph);
-    const size = valueOf(glyph.size) * ratio;
-    const ink = places.length * AROUND_MARK * size * line * ratio;
+    const glyphs = models.map(({ glyph }) => glyph);
+    const size = valueOf(glyphs[0].size) * ratio;
+    const line = Math.max(...glyphs.map((glyph) => lookOf(glyph).width)) * ratio;
+    const ink = places.length * AROUND_MARK * size * line;
     const share = Math.min(1, Math.max(LEAST_MARK, (INK_SHARE * width * height) / ink));
-    const side = Math.ceil(size * share + line * ratio) + 2;
+    const side = Math.ceil(size * share + line) + 2;
     const sprite = new OffscreenCanvas(side, side);
     const brush = sprite.getContext("2d");
-    Object.assign(brush, { strokeStyle: color, globalAlpha: alpha, lineWidth: line * ratio });
     brush.translate(side / 2, side / 2);
-    brush.beginPath();
-    (MARKER_PATHS[valueOf(glyph.marker)] ?? MARKER_PATHS.circle)(brush, (size * share) / 2);
-    brush.stroke();
+    for (const glyph of glyphs) {
+      const { color, alpha, width: px } = lookOf(glyph);
+      Object.assign(brush, { strokeStyle: color, globalAlpha: alpha, lineWidth: px * ratio });
+      brush.beginPath();
+      (MARKER_PATHS[valueOf(glyph.marker)] ?? MARKER_PATHS.circle)(brush, (size * share) / 2);
+      brush.stroke();
+    }
     const stamp = sprite.transferToImageBitmap();
     for (const [x, y] of places) this.brush.drawImage(stamp, Math.round(x - side / 2), Math.round(y - side / 2));
   }

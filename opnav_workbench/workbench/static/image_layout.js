@@ -63,6 +63,7 @@ function menu(parent, title, choices, chosen) {
 
 function fillMenu(select, choices) {
   const now = select.value;
+  if (choices.length === select.options.length && choices.every(([value, text], i) => select.options[i].value === value && select.options[i].text === text)) return;
   select.replaceChildren(...choices.map(([value, text]) => {
     const option = make("option", "", null, text);
     option.value = value;
@@ -207,6 +208,9 @@ class ImageLayout {
 
   updateSwitches() {
     const { state, setup } = this.view;
+    const shown = JSON.stringify([state.theme, state.groups, state.vector_scale]);
+    if (shown === this.switchesShown) return;
+    this.switchesShown = shown;
     const styles = setup.styles[state.theme];
     const switches = Object.entries(GROUP_WORDS).map(([group, words]) => {
       const action = group in setup.actions ? ` ${setup.actions[group][1]}` : "";

@@ -14,6 +14,7 @@ const AXES_PX = [52, 26]; // room for axis labels, left and below
 const READOUT_PX = 60; // the readout in three rows, under the picture
 const COMPASS_PX = { corner: 62, arrow: 34, name: 46 }; // its middle from the frame's edges, and its reach
 const GAP_PX = 10; // between two pictures side by side
+const MOST_WIDTHS = 3; // of the frame that are remembered: with the panel, without it, with more of it
 const AT_ONCE = 1 << 18; // pixels that are put into blocks in one go while nobody works: about a millisecond
 const AROUND_SHOWN = 0.25; // of what is in sight is painted beyond it, on each side: a small pan paints nothing
 
@@ -52,6 +53,9 @@ class ImagePage extends ImageCursor {
     const { x_range, y_range } = this.model("opnav-picture");
     for (const range of [x_range, y_range]) range.change.connect(() => this.atOnce());
     this.state.change.connect(() => this.soon("update"));
+    const bench = this.page.root.closest(".opnav-workbench");
+    // In the frame in which the room changes; the observer tells of it when that one is painted.
+    bench?.addEventListener("opnav-room", () => this.page.guard(() => this.fit()), { signal: this.signal });
     const observer = new ResizeObserver(() => this.soon("fit"));
     // The bars too: they change their height when a theme is loaded, and nothing else does then.
     for (const node of [this.page.root.parentElement, this.layout.bar, this.layout.switches]) observer.observe(node);
@@ -202,7 +206,9 @@ class ImagePage extends ImageCursor {
     this.crowd.paint();
     if (!values) return this.paintCoarse([low, high]);
     if (this.fillSight("opnav-shown", values, [low, high])) this.page.root.dataset.painted = `${this.shownKey()} ${look}`;
-    const around = [1 / ZOOM, 1, ZOOM].map((factor) => this.blockAt(factor * this.scale()));
+    const { frame_width } = this.model("opnav-picture");
+    const factors = [1 / ZOOM, 1, ZOOM, ...this.widths.map((width) => width / frame_width)]; // a zoom, or the room as it was
+    const around = [...new Set(factors.map((factor) => this.blockAt(factor * this.scale())))];
     this.makeAhead(values, around, this.setup.size); // what the next zoom shows
     this.second.paint();
     this.paintOverview(values, [low, high]);
@@ -380,13 +386,13 @@ class ImagePage extends ImageCursor {
     if (!narrow) roomBelow(false);
     let square = narrow ? SIDE_NARROW_PX : SIDE_PX;
     const most = bench ? Infinity : Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
-    const quiet_ = (name, values) => this.model(name).setv(values, { sync: false });
+    const size = (name, frame_width, frame_height) => this.resize(name, { frame_width, frame_height });
     if (this.setup.strip) {
       const frame = Math.round(Math.min(width - axis_x - ZOOM_PX - 10, 1200));
       const height = Math.round(Math.min(frame / STRIP_SHAPE, room - square - 60));
-      quiet_("opnav-picture", { frame_width: Math.max(frame, 200), frame_height: Math.max(height, 120) });
+      size("opnav-picture", Math.max(frame, 200), Math.max(height, 120));
       const thin = Math.max(Math.round((frame * this.setup.size[1]) / this.setup.size[0]), 12);
-      quiet_("opnav-panner", { frame_width: Math.max(frame, 200), frame_height: thin });
+      size("opnav-panner", Math.max(frame, 200), thin);
     } else {
       const usual = narrow ? Math.max(slim, tall) : wide;
       const beside = bench ? Math.min(width - axis_x - ZOOM_PX - COLUMN_PX, outer.clientHeight - axis_y - 6) : 0;
@@ -395,13 +401,14 @@ class ImagePage extends ImageCursor {
       const frame = Math.round(Math.max(Math.min(Math.max(usual, beside), most), 180));
       const across = beside > usual ? width - axis_x - ZOOM_PX - COLUMN_PX : width - axis_x - ZOOM_PX - (narrow ? 10 + (classes.contains("opnav-slim") ? SIDE_NARROW_PX - ZOOM_PX : 0) : SIDE_PX + 86);
       const each = this.second.isBeside ? Math.max(Math.floor((Math.max(across, frame) - GAP_PX) / 2), 120) : frame;
-      quiet_("opnav-picture", { frame_width: each, frame_height: frame });
+      size("opnav-picture", each, frame);
       if (beside > usual) square = SIDE_WIDE_PX;
-      quiet_("opnav-panner", { frame_width: square, frame_height: square });
+      size("opnav-panner", square, square);
     }
     const { frame_width, frame_height } = this.model("opnav-picture");
-    quiet_("opnav-second", { frame_width, frame_height });
-    quiet_("opnav-magnifier", { frame_width: square, frame_height: square });
+    if (this.second.isShown || !this.figure) size("opnav-second", frame_width, frame_height);
+    size("opnav-magnifier", square, square);
+    this.widths = [frame_width, ...(this.widths ?? []).filter((one) => one !== frame_width)].slice(0, MOST_WIDTHS);
     const [n_pixel, n_line] = this.setup.size;
     const longest = this.setup.strip ? [n_pixel, n_line] : [Math.max(n_pixel, n_line), Math.max(n_pixel, n_line)];
     const panner = this.model("opnav-panner");
@@ -410,13 +417,23 @@ class ImagePage extends ImageCursor {
     this.square();
   }
 
+  // BokehJS lays a figure out and paints it at each property that changes: once for both sides here.
+  resize(name, sides) {
+    const model = this.model(name);
+    if (Object.entries(sides).every(([side, px]) => model[side] === px)) return;
+    model.setv(sides, { silent: true });
+    quiet(model, { hold_render: true }); // it would paint what is painted anew at once
+    this.page.views?.get_by_id(model.id)?.invalidate_layout();
+    quiet(model, { hold_render: false });
+  }
+
   // Square pixels: the lines shown follow from the pixels shown.
   square() {
     const { x_range, y_range, frame_width, frame_height } = this.model("opnav-picture");
     const half = (Math.abs(x_range.end - x_range.start) * frame_height) / frame_width / 2;
     const middle = (y_range.start + y_range.end) / 2;
     quiet(y_range, { start: middle + half, end: middle - half });
-    this.soon("paint");
+    if (this.figure) this.atOnce();
   }
 
   look_at(x, y, width) {

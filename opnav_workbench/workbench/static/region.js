@@ -159,6 +159,7 @@ class Room {
     const { root, kept } = this;
     for (const part of ["panel", "list"]) root.classList.toggle(`ow-no-${part}`, kept.folded.includes(part));
     root.style.setProperty("--ow-panel-px", `${kept.panel}px`);
+    root.dispatchEvent(new CustomEvent("opnav-room")); // the picture fits itself into it
     try {
       localStorage.setItem(ROOM_KEY, JSON.stringify(kept));
     } catch {
