@@ -241,9 +241,12 @@ def lost_areas(image_dn: FloatArray) -> BoolArray:
     areas, _ = ndimage.label(same)
     size = np.bincount(areas.ravel())
     large = np.flatnonzero(size >= (LOST_SIDE_PX - 1) ** 2)
-    boxes = ndimage.find_objects(areas)
-    for number in large[large > 0]:
-        box = boxes[number - 1]
+    large = large[large > 0]
+    if large.size == 0:
+        return lost  # of a hundred thousand small ones no box is needed
+    rank = np.zeros(len(size), np.int32)
+    rank[large] = np.arange(1, large.size + 1)
+    for number, box in zip(large, ndimage.find_objects(rank[areas]), strict=True):
         first, last = _rectangle(areas[box] == number)
         sides = last - first
         if sides.min() >= LOST_SIDE_PX - 1:

@@ -5,10 +5,11 @@ and the rest waits in line. Images are opened by the runner too, and the neighbo
 wrong appears in the status line. Tests drive this class with a fake picture.
 """
 
+import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from weakref import WeakSet
 
@@ -46,6 +47,22 @@ GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
+
+
+# A thread that works gives way to the others so often; Python's own 5 ms add up to a tenth of a second for a key, which
+# waits for its turn at each message, lock and file.
+GIVE_WAY_S = 0.0005
+
+
+@contextmanager
+def giving_way() -> Iterator[None]:
+    """Let the analyst's keys come first while a thread works ahead."""
+    usual_s = sys.getswitchinterval()
+    sys.setswitchinterval(min(usual_s, GIVE_WAY_S))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(usual_s)
 
 
 class WorkbenchController:
@@ -301,12 +318,13 @@ class WorkbenchController:
 
     def _work_ahead(self) -> None:
         near: list[ImageSession] = []
-        while not self._is_ahead_of(near):
-            self._open_next()
-            near = self._neighbors()
-            for session in near:
-                with suppress(Exception):  # told when its turn comes
-                    self._prepare(session)
+        with giving_way():
+            while not self._is_ahead_of(near):
+                self._open_next()
+                near = self._neighbors()
+                for session in near:
+                    with suppress(Exception):  # told when its turn comes
+                        self._prepare(session)
 
     def _is_ahead_of(self, prepared: list[ImageSession]) -> bool:
         """Whether nothing is left to be done ahead; then what is prepared goes to the pages."""

@@ -34,7 +34,6 @@ __all__ = [
     "sky_grid",
     "star_facts",
     "star_marks",
-    "vector_columns",
 ]
 
 
@@ -138,24 +137,6 @@ def _place_columns(places: FloatArray) -> Columns:
 def _magnitude_labels(places: FloatArray, mag: FloatArray) -> Columns:
     brightest = np.argsort(mag)[:LABELED_STARS]
     return _place_columns(places[brightest]) | {"text": [f"{m:.1f}" for m in mag[brightest]]}
-
-
-def vector_columns(vectors: Columns, scale: float) -> Columns:
-    """Return start and end of residual vectors drawn `scale` times as long as they are.
-
-    Examples
-    --------
-    >>> ends = vector_columns({"pixel": np.r_[5.0], "line": np.r_[2.0], "d_pixel": np.r_[0.1], "d_line": np.r_[0.0]}, 50)
-    >>> float(ends["end_pixel"][0]), float(ends["end_line"][0])
-    (10.0, 2.0)
-    """
-    ends = {"end_pixel": vectors["pixel"] + scale * vectors["d_pixel"]}
-    return {
-        "pixel": vectors["pixel"],
-        "line": vectors["line"],
-        **ends,
-        "end_line": vectors["line"] + scale * vectors["d_line"],
-    }
 
 
 # ---- Masks as runs of pixels, so that a few bad columns do not cost a picture.

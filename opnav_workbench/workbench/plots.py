@@ -4,18 +4,21 @@ With them the residuals of the stars are shown: against magnitude before and aft
 picture, enlarged by a round factor that the title tells. Residuals are observed minus predicted, px.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.report.scales import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.overlays import expected_attitude
 
 __all__ = [
+    "ResidualPage",
     "ResidualPlots",
     "StarResiduals",
     "SvgPlot",
@@ -97,8 +100,8 @@ class SvgPlot:
         No axes and no labels: a thumbnail.
     ticks
         About so many on each axis.
-    focus
-        The star whose points stand out.
+    focus_place
+        Goes into the page where points that stand out are to be put.
     """
 
     width_px: int
@@ -111,7 +114,7 @@ class SvgPlot:
     bare: bool = False
     ticks: int = WANTED_TICKS
     font_px: int = FONT_PX
-    focus: str = ""
+    focus_place: Markup = Markup("")  # noqa: RUF009 - a text
     curves: list[Curve] = field(default_factory=list)
     crowds: list[Curve] = field(default_factory=list)
     points: list[Point] = field(default_factory=list)
@@ -166,23 +169,13 @@ class SvgPlot:
         bars = np.where(np.isfinite(bars), bars, 0.0)
         whose = stars or [""] * len(across)
         shown = np.isfinite(across) & np.isfinite(down)
-        alone = self._alone(np.where(shown, np.abs(np.asarray(y, float)), -1.0), whose) & shown
+        alone = _alone(np.where(shown, np.abs(np.asarray(y, float)), -1.0)) & shown
         for row in np.flatnonzero(alone).tolist():
             place = float(across[row]), float(down[row])
             self.points.append(Point(style, *place, float(bars[row]), title(row), whose[row]))
         if (shown & ~alone).any():
             self.crowds.append(Curve(style, specks(across[shown & ~alone], down[shown & ~alone])))
         return self
-
-    def _alone(self, far: FloatArray, stars: Sequence[str]) -> BoolArray:
-        """Tell which points are drawn by themselves: all of few, of many the farthest and the star in focus."""
-        if len(far) <= MOST_POINTS:
-            return np.ones(len(far), bool)
-        alone = np.zeros(len(far), bool)
-        alone[np.argpartition(far, -MOST_POINTS)[-MOST_POINTS:]] = True
-        if self.focus in stars:
-            alone[stars.index(self.focus)] = True
-        return alone
 
     @property
     def clip(self) -> str:
@@ -208,6 +201,15 @@ class SvgPlot:
         room = int((bottom - top) / (LINE_SPACING * self.font_px))  # for as many lines of text
         values = round_ticks(min(self.y_range), max(self.y_range), max(min(self.ticks, room), 1))
         return [(float(self.y(value)), f"{value:.6g}") for value in values]
+
+
+def _alone(far: FloatArray) -> BoolArray:
+    """Tell which points are drawn by themselves: all of few, of many the farthest."""
+    if len(far) <= MOST_POINTS:
+        return np.ones(len(far), bool)
+    alone = np.zeros(len(far), bool)
+    alone[np.argpartition(far, -MOST_POINTS)[-MOST_POINTS:]] = True
+    return alone
 
 
 def specks(across: FloatArray, down: FloatArray) -> str:
@@ -255,6 +257,13 @@ class StarResiduals:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    def is_as(self, other: "StarResiduals") -> bool:
+        """Whether all of it is as in another one."""
+        if (self.ids, self.reference, self.size_px) != (other.ids, other.reference, other.size_px):
+            return False
+        names = ("mag", "place_px", "before_px", "after_px", "sigma_px")
+        return all(np.array_equal(getattr(self, one), getattr(other, one), equal_nan=True) for one in names)
+
 
 def star_residuals(session: ImageSession) -> StarResiduals:
     """Return the residuals of the stars in use, as the session stands."""
@@ -289,37 +298,80 @@ def _reference(session: ImageSession) -> str:
 class ResidualPlots:
     """Residual against magnitude, from the a priori places and from those now expected; None where these are the same."""
 
+    rows: StarResiduals
     before: SvgPlot
     after: SvgPlot | None
 
+    def focused(self, star: str) -> Iterator[list[Point]]:
+        """Yield the points of a star in each of the plots; none where it is not in use."""
+        row = [self.rows.ids.index(star)] if star in self.rows.ids else []
+        for plot, residual_px in ((self.before, self.rows.before_px), (self.after, self.rows.after_px)):
+            if plot is not None:
+                alone = replace(plot, curves=[], crowds=[], points=[])
+                _add_residuals(alone, self.rows, residual_px, row)
+                yield alone.points
 
-def residual_plots(rows: StarResiduals, size: tuple[int, int], focus: str = "") -> ResidualPlots | None:
+
+FOCUS_PLACE = Markup("<g></g>")
+
+
+def residual_plots(rows: StarResiduals, size: tuple[int, int]) -> ResidualPlots | None:
     """Return the plots of residual against magnitude, before and after repointing; None without a star in use.
 
     Parameters
     ----------
     size : (int, int)
         Width and height of each, px.
-    focus
-        Id of the star whose points stand out.
     """
     if not rows.ids:
         return None
-    before = _against_magnitude(rows, rows.before_px, "from the a priori places", size, focus)
-    after = _against_magnitude(rows, rows.after_px, rows.reference, size, focus) if rows.reference else None
-    return ResidualPlots(before, after)
+    before = _against_magnitude(rows, rows.before_px, "from the a priori places", size)
+    after = _against_magnitude(rows, rows.after_px, rows.reference, size) if rows.reference else None
+    return ResidualPlots(rows, before, after)
+
+
+class ResidualPage:
+    """The plots of residual against magnitude as they stand in the page: drawn once for residuals that stay as they are.
+
+    A key that goes to another star, or decides on one, changes but the points that stand out.
+    """
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self._rows: StarResiduals | None = None
+        self._plots: ResidualPlots | None = None
+        self._drawn = ""
+
+    def html(self, rows: StarResiduals, focus: str) -> Markup | None:
+        """Return the plots with the star `focus` standing out; None without a star in use."""
+        if self._rows is None or not rows.is_as(self._rows):
+            self._rows, self._plots = rows, residual_plots(rows, self._size)
+            self._drawn = "" if self._plots is None else render("residual_plots.html", residuals=self._plots)
+        if self._plots is None:
+            return None
+        first, *others = self._drawn.split(FOCUS_PLACE)
+        points = [render("focus_points.html", list=one) for one in self._plots.focused(focus)]
+        return Markup(first + "".join(a + b for a, b in zip(points, others, strict=True)))  # noqa: S704 - both are pages
 
 
 def _against_magnitude(
-    rows: StarResiduals, residual_px: FloatArray, title: str, size: tuple[int, int], focus: str
+    rows: StarResiduals, residual_px: FloatArray, title: str, size: tuple[int, int]
 ) -> SvgPlot:
     reach = residual_px + np.array([-1.0, 1.0])[:, None, None] * rows.sigma_px
-    plot = SvgPlot(*size, data_range(rows.mag), data_range(reach, with_zero=True), title, focus=focus)
+    plot = SvgPlot(
+        *size, data_range(rows.mag), data_range(reach, with_zero=True), title, focus_place=FOCUS_PLACE
+    )
+    return _add_residuals(plot, rows, residual_px, range(len(rows.ids)))
+
+
+def _add_residuals(
+    plot: SvgPlot, rows: StarResiduals, residual_px: FloatArray, which: Sequence[int]
+) -> SvgPlot:
+    """Add the residuals in pixels and lines of some of the stars."""
+    ids, index = [rows.ids[row] for row in which], np.array(which, np.intp)
     for column, style in enumerate(("pixel", "line")):
-        residual, sigma = residual_px[:, column], rows.sigma_px[:, column]
-        plot.add_points(
-            rows.mag, residual, style, sigma, _tooltips(rows.ids, style, residual, sigma), rows.ids
-        )
+        residual, sigma = residual_px[index, column], rows.sigma_px[index, column]
+        plot.add_points(rows.mag[index], residual, style, sigma, _tooltips(ids, style, residual, sigma), ids)
     return plot
 
 

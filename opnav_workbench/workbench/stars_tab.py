@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
@@ -21,7 +22,7 @@ from opnav_workbench.session.star_boxes import StarBox, StarRows, star_rows
 from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_REASONS, Action, ActionRegistry
 from opnav_workbench.workbench.markup import PagePicture, render
-from opnav_workbench.workbench.plots import ResidualPlots, StarResiduals, residual_plots, star_residuals
+from opnav_workbench.workbench.plots import ResidualPage, StarResiduals, star_residuals
 from opnav_workbench.workbench.stretch import RESIDUAL_SIGMAS, gray_png, residual_png
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab, next_of
 
@@ -217,7 +218,7 @@ class StarPage:
     columns: tuple[tuple[str, str, str], ...]
     pointing: str
     noise_dn: float
-    residuals: ResidualPlots | None
+    residuals: Markup | None
 
 
 # ---- The tab of the stars.
@@ -321,6 +322,7 @@ class StarsTab(Tab):
         self.table = False
         self.order, self.descending = "catalog", False
         self._cached: _StarCache | None = None
+        self._plots = ResidualPage(RESIDUAL_PLOT_PX)
 
     # -- what stands -------------------------------------------------------------------------------------------
 
@@ -429,7 +431,7 @@ class StarsTab(Tab):
             columns=tuple((name, heading, self._sign(name)) for name, (heading, _) in ORDERS.items()),
             pointing=self.runner.pointing_line(),
             noise_dn=self._noise_dn(),
-            residuals=residual_plots(self._residuals(session), RESIDUAL_PLOT_PX, focus),
+            residuals=self._plots.html(self._residuals(session), focus),
         )
 
     def _residuals(self, session: ImageSession) -> StarResiduals:

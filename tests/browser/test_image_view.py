@@ -288,11 +288,11 @@ def test_residuals_are_a_thousand_times_as_long_within_three_keys(opened):
     nb.settle()
     assert nb.until("view.state.vector_scale") == 1000.0
     assert "×1000" in nb.page.inner_text('.opnav-switch[data-group="residuals"]')
-    vector = nb.python(
-        "[float(abs(view.models.sources['vectors'].data['end_pixel'][0] - view.models.sources['vectors'].data['pixel'][0])),"
-        " float(abs(view._vectors['d_pixel'][0]))]"
+    drawn = nb.page.evaluate(
+        """() => { const { data } = Bokeh.documents.at(-1).get_model_by_name('opnav-arrows');
+        return data.end_pixel[0] - data.pixel[0]; }"""
     )
-    assert vector[0] == pytest.approx(1000.0 * vector[1])
+    assert drawn == pytest.approx(1000.0 * nb.python("float(view._vectors['d_pixel'][0])"))
 
 
 def test_what_blinks_by_itself_says_so(opened):

@@ -11,7 +11,7 @@ from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, A
 from opnav_workbench.workbench.image_view import ImageView
 from opnav_workbench.workbench.overlays import BodyMarks
 from opnav_workbench.workbench.plots import FONT_PX
-from opnav_workbench.workbench.view_models import CROWD, CROWDED, THEMES, PictureModels
+from opnav_workbench.workbench.view_models import THEMES, PictureModels
 from opnav_workbench.workbench.viewer import Layer, Viewer
 
 
@@ -228,18 +228,6 @@ def test_clicks_and_drags_are_reported(view):
     assert view.state.drag == "circle"
     view.drag_mode(False)
     assert view.state.drag == ""
-
-
-@pytest.mark.parametrize(("count", "tags"), [(CROWD, []), (CROWD + 1, [CROWDED])])
-def test_halos_of_a_crowd_are_marked_for_the_page_to_hide(count, tags):
-    models = PictureModels()
-    for kind in ("used", "predicted"):
-        before = 2 * CROWD if count == CROWD else 1  # marks come and go
-        for n in (before, count):
-            models.fill(kind, {"pixel": np.arange(float(n)), "line": np.zeros(n)})
-        source = models.sources[kind]
-        points = [m for m in models.picture.renderers if getattr(m, "data_source", None) is source]
-        assert [m.tags for m in points] == [tags, []]  # the halo below, the mark above
 
 
 def test_where_no_attitude_is_known_nothing_is_said_of_the_sky(demo_truths):

@@ -17,7 +17,6 @@ from opnav_workbench.workbench.overlays import (
     mask_runs,
     sky_grid,
     star_marks,
-    vector_columns,
 )
 from opnav_workbench.workbench.plots import star_residuals
 from opnav_workbench.workbench.stretch import picture_png
@@ -46,8 +45,6 @@ def test_star_marks_are_the_sessions_stars(session):
         np.testing.assert_allclose((pixel, line), used[star]["observed"], atol=1e-6)
     residual = np.array([used[star]["residual_px"] for star in marks.used["id"]])
     np.testing.assert_allclose(np.c_[marks.vectors["d_pixel"], marks.vectors["d_line"]], residual, atol=1e-6)
-    ends = vector_columns(marks.vectors, 100.0)
-    np.testing.assert_allclose(ends["end_line"] - ends["line"], 100.0 * residual[:, 1], atol=1e-4)
 
 
 def test_no_marks_before_a_prediction(demo_truths):
