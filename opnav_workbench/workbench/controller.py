@@ -10,11 +10,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
 from weakref import WeakSet
 
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import ImageSession, SessionState
 from opnav_workbench.session.context import typical_noise_dn
 from opnav_workbench.workbench.actions import (
     CIRCLE,
@@ -65,6 +66,19 @@ def giving_way() -> Iterator[None]:
         sys.setswitchinterval(usual_s)
 
 
+# Of a session's state, what a picture does not show: a star is drawn by whether it is in use, not by who said so.
+NOT_DRAWN = frozenset({"decisions", "notes", "user_notes"})
+
+
+def look_alike(one: SessionState | None, other: SessionState) -> bool:
+    """Whether a picture shows the same of two states of a session: most steps put in a few new parts."""
+    if one is None:
+        return False
+    drawn = (field.name for field in fields(other) if field.name not in NOT_DRAWN | {"status"})
+    same = all(getattr(one, name) is getattr(other, name) for name in drawn)
+    return same and one.status == other.status
+
+
 class WorkbenchController:
     """Takes events, calls session methods, renders.
 
@@ -106,7 +120,7 @@ class WorkbenchController:
         self.keys_shown = False
         self._view_actions = frozenset(action.name for action in viewer.actions)
         self._shown: ImageSession | None = None  # the session in the picture
-        self._pictured: object = None  # the state that lies over it
+        self._pictured: SessionState | None = None  # the state that lies over it
         self._compared: list[tuple[str, ImageSession]] = []  # other images that it can be compared with
         self.on_render: Callable[[Mapping[str, str]], None] = lambda _: None  # gets the regions' HTML
         self._handlers = self._own_handlers()
@@ -398,9 +412,9 @@ class WorkbenchController:
             self.on_render(self.regions())
 
     def _refresh_picture(self, session: ImageSession) -> None:
-        if self._pictured is not session.state:
+        if not look_alike(self._pictured, session.state):
             self.viewer.refresh()
-            self._pictured = session.state
+        self._pictured = session.state
         others = [
             (item.name, item.session)
             for item in self.queue.items
