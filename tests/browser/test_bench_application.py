@@ -343,3 +343,139 @@ def test_a_kernel_that_ended_says_so_and_starts_again(bench):
     page.locator(".ow-window .opnav-bridge[data-ready]").wait_for()
     said(page, "lorri_4x4.fit")
     assert page.evaluate(GEOMETRY)["bench"] == [0, 0, 1280, 800]
+
+
+# -- a list with a picture that is slow and one that fails ---------------------------------------------------------
+
+# Pictures named so wait for a gate when they are opened, as those of a slow disk or of 8192 x 8192 pixels do.
+GATE = """
+import threading
+from opnav_workbench.workbench import controller
+gate, usual = threading.Event(), controller.WorkbenchController._open
+def slow(self, item):
+    if "slow" in item.name:
+        gate.wait(120.0)
+    return usual(self, item)
+controller.WorkbenchController._open = slow
+"""
+# What is seen of the list, the picture's place, the panel and the status line.
+LIST_SEEN = """() => {
+  const text = (s) => document.querySelector(`.ow-window ${s}`)?.innerText.trim() ?? '';
+  const shown = (s) => Boolean(document.querySelector(`.ow-window ${s}`)?.getBoundingClientRect().height);
+  const words = document.querySelector('.ow-window .opnav-message'), style = getComputedStyle(words);
+  const box = (e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom].map(Math.round); };
+  return { here: text('.ow-queue li.here'), name: text('.ow-header b'), bar: shown('.opnav-bar'), panel: text('.ow-panel'),
+    status: text('.ow-status'), colors: [style.color, style.backgroundColor], message_box: box(words),
+    figure: box(document.querySelector('.ow-window .opnav-stage .opnav-figure')), window: [innerWidth, innerHeight],
+    bench: box(document.querySelector('.opnav-workbench')) };
+}"""
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
+def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size, dark):
+    """The list goes on while one is opened; neither shows the picture before, and both say what they are at."""
+    name = f"list_{size[0]}_{dark}"
+    folder = lab.root / name
+    folder.mkdir()
+    good = [shutil.copy(truth.picture, folder) for truth in demo_truths]
+    broken = folder / "broken.fit"
+    broken.write_bytes(b"no picture")
+    slow = shutil.copy(demo_truths[0].picture, folder / "slow.fit")
+    how = Processing(mission="new_horizons", kernels=DEMO_KERNELS, catalog=DEMO_CATALOG)
+    pictures = (*map(str, good), str(broken), str(slow))
+    opened = open_bench(name, LabParameters(pictures, how), viewport={"width": size[0], "height": size[1]})
+    page = opened.page
+    opened.said("lorri_4x4.fit: ")
+    page.evaluate(RUN, GATE)
+    page.evaluate(
+        "t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }",
+        f"JupyterLab {'Dark' if dark else 'Light'}",
+    )
+    page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=str(not dark).lower())
+    opened.press("PageDown", "PageDown")
+    opened.said("broken.fit cannot be opened")
+    settled(page)
+    failed = page.evaluate(LIST_SEEN)
+    opened.press("PageDown")
+    page.wait_for_function(
+        "() => document.querySelector('.ow-window .opnav-message')?.textContent === 'opening slow.fit'"
+    )
+    settled(page)
+    waiting = page.evaluate(LIST_SEEN)
+    shot(page, f"slow_{name}")
+    for seen, file in ((failed, "broken.fit"), (waiting, "slow.fit")):
+        assert seen["name"] == file
+        assert file in seen["here"]
+        assert seen["bench"] == [0, 0, *size]
+        assert not seen["bar"]  # no control of a picture that is not there
+        assert seen["message_box"] == seen["figure"]  # nothing of the picture before is seen
+        back, ground = seen["colors"]
+        assert abs(brightness(back) - brightness(ground)) > 0.4
+        assert page.evaluate(CUT_OFF) == []
+    assert "Try again" in failed["panel"]
+    assert "opening slow.fit" in waiting["status"]
+    # The analyst need not wait: another picture is worked on meanwhile.
+    opened.press("PageUp", "PageUp")
+    opened.said("mvic_framing.fit: ")
+    page.locator(".ow-window .opnav-message").wait_for(state="hidden")
+    assert page.evaluate(LIST_SEEN)["bar"]
+    page.evaluate(RUN, "gate.set()")
+    page.locator(".ow-window .ow-queue li", has_text="slow.fit").locator(".sign.open, .sign.stars").wait_for()
+    opened.press("PageDown", "PageDown")
+    opened.said("slow.fit: ")
+    assert settled(page)["inside"]
+    opened.check_errors()
+    opened.close()
+
+
+def shot(page, name):
+    """Keep a screenshot where ``OPNAV_SHOTS`` says."""
+    if folder := os.environ.get("OPNAV_SHOTS"):
+        page.screenshot(path=f"{folder}/{name}.png")
+
+
+# -- two pages on one session ----------------------------------------------------------------------------------------
+
+
+def test_two_pages_on_one_session(bench):
+    """What is decided in one page is seen in the other; each has its own zoom of the window, and both answer keys."""
+    first, context = bench.page, bench.page.context
+    go(first, "lorri_4x4.fit")
+    said(first, "lorri_4x4.fit: ")
+    first.keyboard.press("1")
+    first.keyboard.press("f")
+    said(first, "stars found")
+    second = bench.opened.open()
+    try:
+        for page in (first, second):
+            page.locator(".ow-window .ow-panel .focus b.id").wait_for()
+        star = first.inner_text(".ow-window .ow-panel .focus b.id")
+        assert second.inner_text(".ow-window .ow-panel .focus b.id") == star
+        second.bring_to_front()
+        second.keyboard.press("a")
+        said(second, f"{star} accepted")
+        tally = second.inner_text(".ow-window .ow-panel .counts")
+        for page in (first, second):
+            page.wait_for_function(
+                "t => document.querySelector('.ow-window .ow-panel .counts').innerText === t", arg=tally
+            )
+            page.locator(f'.ow-window .ow-panel .card.accepted[data-star="{star}"]').wait_for()
+        first.bring_to_front()
+        first.keyboard.press("Control+z")
+        for page in (first, second):
+            said(page, "undone")
+            assert page.locator(f'.ow-window .ow-panel .card.accepted[data-star="{star}"]').count() == 0
+        # The picture of the second shows what the first one does to it.
+        first.keyboard.press("C")
+        for page in (first, second):
+            page.wait_for_function(
+                "() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').inverted === true"
+            )
+        second.keyboard.press("C")
+        first.wait_for_function(
+            "() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').inverted === false"
+        )
+    finally:
+        second.close()
+    assert len(context.pages) == 1

@@ -1,6 +1,5 @@
 """Thousands of stars in the picture: seen with their dark edges, and painted at the cost of a few; counted, not timed."""
 
-
 import numpy as np
 import pytest
 

@@ -45,8 +45,6 @@ def rehearsal(tmp_path_factory):
         str(folder),
         "--seed",
         "3",
-        "--pictures",
-        "3",
         "-j1",
     ]
     made = CliRunner().invoke(ort, asked)
@@ -82,7 +80,10 @@ def test_the_stress_rehearsal_by_keyboard_alone(rehearsal, open_bench, tmp_path,
     }
     truths = reveal(rehearsal).pictures | {"saturated": read_truth(tmp_path / "saturated.truth.json")}
     checked = [one for name in solved for one in right_as_it_says(solved[name], truths[name])]
-    assert len(checked) >= 3 * 3 + 2 * 2  # three angles a picture; of the picture that is whole, both bodies
+    assert len(solved) >= 5  # of six one is lost, one was cut
+    assert (
+        len(checked) >= 3 * len(solved) + 2 * 2
+    )  # three angles a picture; of those that are whole, both bodies
     (saturated,) = (body for body in solved["saturated"]["bodies"] if body["name"] == "PLUTO")
     assert "saturated pixels were left out" in saturated["flags"]
     assert saturated["status"] in ("ok", "uncertain")
