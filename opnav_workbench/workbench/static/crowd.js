@@ -5,7 +5,7 @@ const CROWD = 500; // marks of a kind in sight: fewer are strokes, in some milli
 const INK_SHARE = 0.25; // of the picture that marks of a kind and their edges may cover: of more, each is smaller
 const LEAST_MARK = 0.5; // of its size: below, shapes cannot be told apart
 const AROUND_MARK = 3.2; // length of a mark's lines over its size, of a circle
-const HEAD_PX = 5; // of an arrow
+const [HEAD_PX, HEAD_SHARE, HEAD_TURN] = [5, 0.6, 2.6]; // sides of an arrow's head, at most so much of it; their turn, rad
 const AT_A_TIME = 64; // arrows in a path: the time of a path grows with the square of what it holds
 
 // The shapes of bokeh's markers that themes have for stars, about the middle, in half sizes.
@@ -116,9 +116,10 @@ class CrowdMarks {
         brush.moveTo(x0, y0);
         brush.lineTo(x1, y1);
         const turn = Math.atan2(y1 - y0, x1 - x0);
-        for (const side of [2.6, -2.6]) {
+        const head = Math.min(HEAD_PX * ratio, HEAD_SHARE * Math.hypot(x1 - x0, y1 - y0));
+        for (const side of [HEAD_TURN, -HEAD_TURN]) {
           brush.moveTo(x1, y1);
-          brush.lineTo(x1 + HEAD_PX * ratio * Math.cos(turn + side), y1 + HEAD_PX * ratio * Math.sin(turn + side));
+          brush.lineTo(x1 + head * Math.cos(turn + side), y1 + head * Math.sin(turn + side));
         }
       }
       brush.stroke();
