@@ -1,4 +1,4 @@
-"""The panels around the picture, by what is seen: star table, list of pictures, compass, crosshair, hover, PNG, lock, files."""
+"""The panels around the picture, by what is seen: star table, list, compass, crosshair, hover, PNG, lock, files."""
 
 import io
 import re
