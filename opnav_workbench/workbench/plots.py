@@ -340,18 +340,19 @@ class ResidualPage:
         self._size = size
         self._rows: StarResiduals | None = None
         self._plots: ResidualPlots | None = None
-        self._drawn = ""
+        self._drawn = Markup("")
 
     def html(self, rows: StarResiduals, focus: str) -> Markup | None:
         """Return the plots with the star `focus` standing out; None without a star in use."""
         if self._rows is None or not rows.is_as(self._rows):
             self._rows, self._plots = rows, residual_plots(rows, self._size)
-            self._drawn = "" if self._plots is None else render("residual_plots.html", residuals=self._plots)
+            if self._plots is not None:
+                self._drawn = render("residual_plots.html", residuals=self._plots)
         if self._plots is None:
             return None
         first, *others = self._drawn.split(FOCUS_PLACE)
         points = [render("focus_points.html", list=one) for one in self._plots.focused(focus)]
-        return Markup(first + "".join(a + b for a, b in zip(points, others, strict=True)))  # noqa: S704 - both are pages
+        return first + Markup("").join(a + b for a, b in zip(points, others, strict=True))
 
 
 def _against_magnitude(

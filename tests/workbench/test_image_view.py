@@ -11,7 +11,7 @@ from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, A
 from opnav_workbench.workbench.image_view import ImageView
 from opnav_workbench.workbench.overlays import BodyMarks
 from opnav_workbench.workbench.plots import FONT_PX
-from opnav_workbench.workbench.view_models import THEMES, PictureModels
+from opnav_workbench.workbench.view_models import THEMES
 from opnav_workbench.workbench.viewer import Layer, Viewer
 
 

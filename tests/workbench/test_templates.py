@@ -9,7 +9,7 @@ import pytest
 from opnav_workbench.templating import environment
 from opnav_workbench.workbench.actions import Action
 from opnav_workbench.workbench.markup import TEMPLATES, page_files, render
-from opnav_workbench.workbench.plots import StarResiduals, residual_plots, vector_plot
+from opnav_workbench.workbench.plots import ResidualPage, StarResiduals, residual_plots, vector_plot
 
 HOSTILE = '</title><script>alert("1")</script>'
 NAMES = sorted(path.name for path in TEMPLATES.iterdir())
@@ -43,6 +43,22 @@ def test_a_star_of_any_name_cannot_break_the_plots():
     assert shown.count("&lt;script&gt;") == 9
     moved = replace(rows, reference="")
     assert "not repointed yet" in _macro("plots.html", "residual_plots")(residual_plots(moved, (200, 100)))
+
+
+def test_the_star_under_decision_stands_out_in_plots_that_are_drawn_once():
+    two = np.array([[100.0, 50.0], [10.0, 5.0]])
+    rows = StarResiduals(
+        ("HIP 1", "HIP 2"), np.array([8.0, 9.0]), two, two, two, two / 100.0, "after", (512, 512)
+    )
+    page = ResidualPage((200, 100))
+    for star in ("HIP 1", "HIP 2"):
+        shown = page.html(rows, star)
+        assert re.findall(r'class="pt \w+ here" data-act="star" data-arg="([^"]+)"', shown) == [star] * 4
+        assert shown.count("<svg") == shown.count("</svg>") == 2
+        assert "&lt;" not in shown
+    assert "here" not in page.html(rows, "HIP 3")
+    assert page.html(rows, "HIP 1") != page.html(replace(rows, before_px=2.0 * two), "HIP 1")
+    assert page.html(replace(rows, ids=()), "HIP 1") is None
 
 
 def test_line_breaks_of_a_template_are_not_part_of_the_page():

@@ -172,7 +172,7 @@ class ImageLayout {
       node.hidden = !many && (name === "beside" || name === "wipe");
     }
     this.lock.textContent = `Lock: ${view.state.lock}`;
-    this.lock.hidden = !view.partner().startsWith("other:");
+    this.lock.hidden = ![view.state.image, view.partner()].some((key) => key.startsWith("other:"));
     this.box.classList.toggle("opnav-comparing", Boolean(view.state.compare) || view.state.image.startsWith("other:"));
   }
 
