@@ -363,7 +363,7 @@ ImageSession.open = slow
 # What is seen of the list, the picture's place, the panel and the status line.
 LIST_SEEN = """() => {
   const text = (s) => document.querySelector(`.ow-window ${s}`)?.innerText.trim() ?? '';
-  const shown = (s) => Boolean(document.querySelector(`.ow-window ${s}`)?.getBoundingClientRect().height);
+  const shown = (s) => getComputedStyle(document.querySelector(`.ow-window ${s}`)).visibility === 'visible';
   const words = document.querySelector('.ow-window .opnav-message'), style = getComputedStyle(words);
   const box = (e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom].map(Math.round); };
   return { here: text('.ow-queue li.here'), name: text('.ow-header b'), bar: shown('.opnav-bar'), panel: text('.ow-panel'),
@@ -429,7 +429,6 @@ def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size,
     opened.said("slow.fit: ")
     assert settled(page)["inside"]
     opened.check_errors()
-    opened.close()
 
 
 def shot(page, name):
