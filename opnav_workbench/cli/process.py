@@ -10,7 +10,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any
 
-import astropy.io.misc.yaml  # noqa: F401  (needed at the end; astropy looks through all that was loaded before it)
 import typer
 from rich.console import Console
 from rich.table import Table

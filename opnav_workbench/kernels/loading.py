@@ -19,7 +19,6 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self, cast
 
 import spiceypy
-from astropy import units
 
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import coverage as cover
@@ -311,7 +310,8 @@ class LoadedKernels:
         rows = [(c, start, stop) for c in self.coverage() for start, stop in c.intervals_et.tolist()]
         with self._call(SpiceRequest("coverage")):
             utc = [[time_text(t).removesuffix(" UTC") for t in (start, stop)] for _, start, stop in rows]
-        from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+        from astropy import units  # noqa: PLC0415
+        from astropy.table import QTable  # noqa: PLC0415 (a fifth of a short command; few need a table)
 
         return QTable(
             {

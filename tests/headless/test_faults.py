@@ -48,7 +48,7 @@ def test_a_machine_without_memory_is_passing(tmp_path, monkeypatch):
 
     path = tmp_path / "a.fit"
     path.write_bytes(b"SIMPLE  =")
-    monkeypatch.setattr(formats.fits_picture.fits, "open", full)
+    monkeypatch.setattr("astropy.io.fits.open", full)
     assert (
         fault_of_report(reported(lambda: read_image(path, KeywordMap(exposure_s="EXPTIME"))), "n")[0]
         == "machine"
