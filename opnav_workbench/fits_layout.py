@@ -38,6 +38,7 @@ STRUCTURE = re.compile(
 )
 LOGICAL = ("GROUPS", "ZIMAGE")
 
+
 def fits_malformed() -> tuple[type[Exception], ...]:
     """Return what astropy and numpy raise on files that break the standard in other ways; for an ``except``."""
     from astropy.io.fits import VerifyError  # noqa: PLC0415 (a tenth of a short command; plain files need none of it)

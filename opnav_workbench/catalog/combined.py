@@ -23,7 +23,7 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.interface import Catalog, select
@@ -80,7 +80,7 @@ def same_stars(first: StarTable, second: StarTable) -> tuple[IntArray, IntArray]
     et = float(et_from_jyear(np.mean(still.epoch_jyear)))
     places = [stars.directions(et) for stars in (first, second)]
     radii = [_spread_rad(stars, et) for stars in (first, second)]
-    tree = cKDTree(places[1])
+    tree = scipy.spatial.cKDTree(places[1])
     reach = MATCH_LIMIT_MAS * RAD_PER_MAS
     apart, near = tree.query(places[0], k=MATCH_NEIGHBORS, distance_upper_bound=reach)
     near = np.asarray(near, dtype=np.int64)

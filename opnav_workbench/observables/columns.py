@@ -116,9 +116,7 @@ def _attitude_field() -> ExportField:
 
 def _sky_field() -> ExportField:
     made = (
-        ExportColumn(
-            f"d{axis}_d{sky}", "pix / rad", f"d({axis})/d({words}) at the observed place", (row, i)
-        )
+        ExportColumn(f"d{axis}_d{sky}", "pix / rad", f"d({axis})/d({words}) at the observed place", (row, i))
         for row, axis in enumerate(AXES)
         for i, (sky, words) in enumerate((("ra_cosdec", "RA cos(Dec)"), ("dec", "Dec")))
     )
