@@ -15,15 +15,20 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from opnav_workbench.catalog import gaia_archive, tycho2
 from opnav_workbench.catalog.cache import CachedStars, Progress, Records, cache_path, cached_stars
 from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.star_store import StoredCatalog
-from opnav_workbench.downloads import download
 from opnav_workbench.errors import CatalogError, DownloadError
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.resources import cache_root
+
+if TYPE_CHECKING:
+    from opnav_workbench import downloads
+else:  # what was fetched is opened without the network
+    downloads = module_on_demand("opnav_workbench.downloads")
 
 __all__ = ["WHOLE_SKY", "fetch_whole_sky", "fetched_names", "fetched_state", "open_fetched"]
 
@@ -137,7 +142,7 @@ def fetch_whole_sky(
     for number, (file, address) in enumerate(files):
         tell(f"fetching {file}", number / len(files))
         if not (folder / file).is_file():
-            download((url or source.url).rstrip("/") + address, folder / file, check=source.check)
+            downloads.download((url or source.url).rstrip("/") + address, folder / file, check=source.check)
 
     def build() -> Records:
         records = source.records(folder, lambda done: tell(f"reading {name}", done))

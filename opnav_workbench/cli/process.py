@@ -33,7 +33,7 @@ class Reporter:
     """Progress while pictures are processed, then their table."""
 
     def __init__(self, total: int) -> None:
-        self._out = Console(soft_wrap=False)
+        self._out = Console(soft_wrap=False, emoji=False)
         self._err = error_console()
         self._progress = picture_progress(self._err)
         self._task = self._progress.add_task("", total=total)

@@ -1,11 +1,11 @@
 """SciPy's parts that every picture needs, loaded without what no command has a use for.
 
-As it is loaded, SciPy copies all names of NumPy into a namespace of its own, and so loads NumPy's compiler of Fortran and its
-test tools; and it parses some 300 docstrings of `scipy.special` and `scipy.ndimage` to add to each which array libraries
-serve the function. Together that is a fifth of a star frame's processor time, and 60 MB that are not given back. The names of
-the tools are hidden meanwhile, and the decorator that writes the tables, which does nothing else that counts outside SciPy's
-own tests (its words), leaves the documentation as it is. Everything is as it was afterwards. A SciPy or a NumPy that is made
-otherwise is loaded as it is.
+As it is loaded, SciPy copies all names of NumPy into a namespace of its own, and so loads all that NumPy has, down to its
+compiler of Fortran and its test tools; and it parses some 300 docstrings of `scipy.special` and `scipy.ndimage` to add to
+each which array libraries serve the function. Together that is a fifth of a star frame's processor time, and 60 MB that are not
+given back. The modules are hidden meanwhile, and the decorator that writes the tables, which does nothing else that counts
+outside SciPy's own tests (its words), leaves the documentation as it is. Everything is as it was afterwards. A SciPy or a
+NumPy that is made otherwise is loaded as it is.
 
 A command imports this before what navigates.
 """
@@ -21,7 +21,15 @@ import numpy as np
 __all__: list[str] = []
 
 DECORATOR = "xp_capabilities"
-TOOLS = ("ctypeslib", "f2py", "testing", "typing")
+UNUSED = (
+    "ctypeslib",
+    "f2py",
+    "ma",
+    "polynomial",
+    "random",
+    "testing",
+    "typing",
+)  # by SciPy in that namespace
 
 
 @contextmanager
@@ -35,9 +43,9 @@ def _replaced(module: ModuleType, name: str, value: Any) -> Iterator[None]:
 
 
 @contextmanager
-def _tools_hidden() -> Iterator[None]:
-    public = [name for name in np.__all__ if name not in TOOLS]
-    known = [name for name in dir(np) if name not in TOOLS]
+def _modules_hidden() -> Iterator[None]:
+    public = [name for name in np.__all__ if name not in UNUSED]
+    known = [name for name in dir(np) if name not in UNUSED]
     with _replaced(np, "__all__", public), _replaced(np, "__dir__", lambda: known):
         yield
 
@@ -48,7 +56,7 @@ def _as_it_is(**_: Any) -> Callable[[Any], Any]:
 
 def _load() -> None:
     with suppress(ImportError, AttributeError, TypeError), ExitStack() as meanwhile:
-        meanwhile.enter_context(_tools_hidden())
+        meanwhile.enter_context(_modules_hidden())
         from scipy._lib import _array_api  # noqa: PLC0415
 
         meanwhile.enter_context(_replaced(_array_api, DECORATOR, _as_it_is))

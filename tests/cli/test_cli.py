@@ -144,7 +144,10 @@ def test_help_over_all_commands_loads_nothing_that_navigates():
     own = {name for name in loaded if name.startswith("opnav_workbench")}
     assert own <= {
         "opnav_workbench",
-        *(f"opnav_workbench.{n}" for n in ("constants", "errors", "lazy_names", "parts", "version")),
+        *(
+            f"opnav_workbench.{n}"
+            for n in ("constants", "errors", "lazy_names", "parts", "threads", "version")
+        ),
     } | {
         CLI,
         f"{CLI}.program",
