@@ -2,10 +2,10 @@
 
 As it is loaded, SciPy copies all names of NumPy into a namespace of its own, and so loads all that NumPy has, down to its
 compiler of Fortran and its test tools; and it parses some 300 docstrings of `scipy.special` and `scipy.ndimage` to add to
-each which array libraries serve the function. Together that is a fifth of a star frame's processor time, and 60 MB that are not
-given back. The modules are hidden meanwhile, and the decorator that writes the tables, which does nothing else that counts
-outside SciPy's own tests (its words), leaves the documentation as it is. Everything is as it was afterwards. A SciPy or a
-NumPy that is made otherwise is loaded as it is.
+each which array libraries serve the function. Together that is a fifth of a star frame's processor time, and 60 MB that are
+not given back. The modules are hidden meanwhile, and the decorator that writes the tables, which does nothing else that
+counts outside SciPy's own tests (its words), leaves the documentation as it is. Everything is as it was afterwards. A SciPy
+or a NumPy that is made otherwise is loaded as it is.
 
 A command imports this before what navigates.
 """
