@@ -266,9 +266,7 @@ def _coarse(
     offset = np.where(first.usable[:, None], first.pixel_line - expected, np.nan)
     if np.count_nonzero(first.usable) < FIELD_STARS:
         return first
-    middle = np.median(
-        offset[np.isfinite(offset).all(axis=1)], axis=0
-    )  # `nanmedian` loads masked arrays for it
+    middle = np.nanmedian(offset, axis=0)
     strays = np.flatnonzero(np.hypot(*(offset - middle).T) > STRAY_PX)
     if len(strays) == 0:
         return first

@@ -9,7 +9,7 @@ from IPython.core.ultratb import FormattedTB
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.headless.faults import FAULTS, fault_of_report
-from opnav_workbench.image import KeywordMap, formats, read_image
+from opnav_workbench.image import KeywordMap, read_image
 
 
 def reported(raising):

@@ -139,7 +139,7 @@ def _hdu(index: int, values: dict[str, HeaderValue], header: FitsHeader, stored:
         _require(values.get("BSCALE", 1) == 1 and values.get("BZERO", 0) in (0, offset))
         _require(0 not in shape and not {"BLANK", "GROUPS"} & values.keys())
         _require(values.get("PCOUNT", 0) == 0 and values.get("GCOUNT", 1) == 1)
-    _require(isinstance(name, str))
+    _require(isinstance(name, str) and not values.get("ZIMAGE"))
     return PlainHdu(str(name), is_image, values, shape, stored)
 
 
