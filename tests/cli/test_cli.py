@@ -84,64 +84,24 @@ def test_a_command_looks_for_no_library_and_no_plugins(capsys, monkeypatch, give
 
 
 # What takes a star frame's processor time to load and gives it nothing. Under a second from cold, all told, was asked.
-SELDOM = {
-    *(
-        "astropy",
-        "skimage",
-        "matplotlib",
-        "PIL",
-        "h5py",
-        "sqlalchemy",
-        "jinja2",
-        "threadpoolctl",
-        "erfa.helpers",
-    ),
-    *(
-        f"scipy.{part}"
-        for part in ("spatial", "linalg", "sparse", "optimize", "interpolate", "stats", "signal")
-    ),
-    *(
-        "numpy.f2py",
-        "numpy.testing",
-        "unittest",
-        "charset_normalizer",
-        "http.client",
-        "asyncio",
-        "multiprocessing",
-    ),
-    *(
-        f"opnav_workbench.session.{n}"
-        for n in ("reconstruction", "body_steps", "landmark_steps", "body_models")
-    ),
-    *(
-        f"opnav_workbench.image.formats.{name}"
-        for name in ("vicar", "pds3", "pds4", "isis_cube", "display_picture")
-    ),
-    *(
-        f"opnav_workbench.{n}"
-        for n in ("downloads", "catalog.gaia_archive", "stars.lost_in_space.search", "report.summary")
-    ),
-}
+SELDOM = set(
+    """
+    astropy skimage matplotlib PIL h5py sqlalchemy jinja2 threadpoolctl asyncio unittest charset_normalizer http.client
+    scipy.spatial scipy.linalg scipy.sparse scipy.optimize scipy.interpolate scipy.stats scipy.signal
+    numpy.f2py numpy.testing multiprocessing opnav_workbench.downloads opnav_workbench.catalog.gaia_archive
+    opnav_workbench.session.reconstruction opnav_workbench.session.body_steps opnav_workbench.session.landmark_steps
+    opnav_workbench.session.body_models opnav_workbench.image.formats.vicar opnav_workbench.image.formats.pds3
+    opnav_workbench.image.formats.pds4 opnav_workbench.image.formats.isis_cube opnav_workbench.report.summary
+    opnav_workbench.image.formats.display_picture opnav_workbench.stars.lost_in_space.search
+    """.split()
+)
 
 
 def test_a_star_frame_loads_nothing_that_few_pictures_need(demo_truths, tmp_path):
     """What costs it a second: counted, for a time depends on the machine."""
     truth = demo_truths[1]  # of 15 stars
-    arguments = [
-        *("opnav", "process", str(truth.picture), "--no-figure"),
-        *(
-            "--mission",
-            DEMO_MISSION,
-            "--targets",
-            "none",
-            "--attitude",
-            "header",
-            "--catalog",
-            DEMO_CATALOG,
-            "--out",
-            str(tmp_path),
-        ),
-    ]
+    arguments = ["opnav", "process", str(truth.picture), "--mission", DEMO_MISSION, "--targets", "none"]
+    arguments += ["--attitude", "header", "--catalog", DEMO_CATALOG, "--out", str(tmp_path), "--no-figure"]
     loaded = _loaded_by(
         f"import sys; sys.argv = {arguments!r}; from opnav_workbench.cli import main\n"
         "try:\n    main()\nexcept SystemExit as stop:\n    assert not stop.code, stop.code"
