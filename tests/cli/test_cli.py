@@ -93,7 +93,7 @@ SELDOM = set(
     opnav_workbench.session.body_models opnav_workbench.image.formats.vicar opnav_workbench.image.formats.pds3
     opnav_workbench.image.formats.pds4 opnav_workbench.image.formats.isis_cube opnav_workbench.report.summary
     opnav_workbench.image.formats.display_picture opnav_workbench.stars.lost_in_space.search
-    """.split()
+    """.split()  # noqa: SIM905
 )
 
 
