@@ -32,10 +32,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy.io import fits
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
@@ -57,7 +56,13 @@ from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
 from opnav_workbench.fits_layout import check_fits_layout, fits_malformed
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import regular_size
+
+if TYPE_CHECKING:
+    from astropy.io import fits
+else:  # for files that are not converted yet
+    fits = module_on_demand("astropy.io.fits")
 
 __all__ = ["open_astrometry_net", "open_tycho2_index"]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.geometry import rotation_from_vector
-from opnav_workbench.stars.near_places import pairs_within
+from opnav_workbench.geometry.near_places import pairs_within
 from opnav_workbench.stars.star_field import RotationHypothesis, SearchLimits, StarField, shift_and_twist
 
 __all__ = [

@@ -15,11 +15,11 @@ import numpy as np
 import scipy
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.geometry.near_places import NearPlaces, pairs_within
 from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.stars.boxes import Boxes, Pixels, cut_at, cut_boxes
 from opnav_workbench.stars.flags import StarFlag, combine_flags
 from opnav_workbench.stars.group_fit import FitSettings, FittedStars, fit_groups
-from opnav_workbench.stars.near_places import NearPlaces, pairs_within
 from opnav_workbench.stars.results import StarCenters, StarImages
 from opnav_workbench.stars.star_model import FLUX, LINE, PER_STAR, PIXEL, StarProfile
 

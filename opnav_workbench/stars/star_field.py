@@ -17,10 +17,10 @@ from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_array
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import unit
+from opnav_workbench.geometry.near_places import NearPlaces
 from opnav_workbench.stars.boxes import check_points
 from opnav_workbench.stars.detection import Detections
 from opnav_workbench.stars.flags import StarFlag
-from opnav_workbench.stars.near_places import NearPlaces
 
 __all__ = [
     "RotationHypothesis",

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from opnav_workbench.stars import near_places
-from opnav_workbench.stars.near_places import NearPlaces, pairs_within
+from opnav_workbench.geometry import near_places
+from opnav_workbench.geometry.near_places import NearPlaces, pairs_within
 
 
 @pytest.fixture(params=["few", "many"])
