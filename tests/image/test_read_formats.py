@@ -154,6 +154,20 @@ class TestDisplayPictures:
         gray.with_suffix(".json").write_text(json.dumps(words))
         assert said in error_of(gray)
 
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            ({"exposure_s": 1.0}, "a.json: no utc; state it there (or START)"),
+            ({"utc": "2030-01-01T00:00:00"}, "a.json: no exposure_s; state it there (or EXP_MS)"),
+            ({"utc": "2030-01-01T00:00:00", "exposure_s": float("nan")}, "no exposure_s"),
+            ({"utc": "2999-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
+            ({"utc": "0001-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
+        ],
+    )
+    def test_what_a_mission_asks_for_is_said_in_the_words_of_a_sidecar(self, gray, words, said):
+        gray.with_suffix(".json").write_text(json.dumps(words))
+        assert said in error_of(gray, MISSION)
+
     def test_what_would_be_changed_or_is_damaged(self, gray):
         whole = bytearray(gray.read_bytes())
         gray.write_bytes(whole[: len(whole) - 60])
