@@ -161,7 +161,11 @@ class TestDisplayPictures:
             ({"utc": "2030-01-01T00:00:00"}, "a.json: no exposure_s; state it there (or EXP_MS)"),
             ({"utc": "2030-01-01T00:00:00", "exposure_s": float("nan")}, "no exposure_s"),
             ({"utc": "2999-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
-            ({"utc": "0001-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
+            ({"utc": "1907-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
+            (
+                {"utc": "2030-02-30T00:00:00", "exposure_s": 1.0},
+                "is no UTC (no such date, or not of the form 2015",
+            ),
         ],
     )
     def test_what_a_mission_asks_for_is_said_in_the_words_of_a_sidecar(self, gray, words, said):
