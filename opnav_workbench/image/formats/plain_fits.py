@@ -124,7 +124,7 @@ def _hdus(data: bytes) -> Iterator[PlainHdu]:
         values = _values(text)
         yield _hdu(index, values, header, data[header.data_start : end])
         end = header.behind
-    _require(end > 0 and len(data) <= end)  # else something follows that is no header
+    _require(len(data) == end > 0)  # else something follows that is no header, or the last block is short
 
 
 def _hdu(index: int, values: dict[str, HeaderValue], header: FitsHeader, stored: bytes) -> PlainHdu:
