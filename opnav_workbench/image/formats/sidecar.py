@@ -281,10 +281,9 @@ def _stated(sidecar: Sidecar, name: str, keywords: KeywordMap) -> dict[str, tupl
 
 
 def _earlier(name: str, utc: str, seconds: float) -> str:
-    if seconds == 0.0:
-        return utc
     try:
-        return text_from_et(et_from_text(utc) - seconds, DECIMALS)
+        et = et_from_text(utc)
+        return utc if seconds == 0.0 else text_from_et(et - seconds, DECIMALS)
     except ValueError as error:
         raise image_error(name, f"utc = {utc!r} is no UTC ({error}); correct the sidecar.") from error
 
