@@ -219,7 +219,7 @@ class _Spline:
     def cumulated(self) -> FloatArray:
         """Integral from below."""
         beyond = (self._outer2 * self._outer2 - 4.0 * self._inner2 * self._inner2) / 24.0
-        return np.where(self._at > 0.0, 1.0 - beyond, beyond)
+        return np.asarray(np.where(self._at > 0.0, 1.0 - beyond, beyond))
 
     def value(self) -> FloatArray:
         """The spline."""
