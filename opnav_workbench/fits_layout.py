@@ -13,9 +13,15 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from astropy.io.fits import VerifyError
-
-__all__ = ["FITS_MALFORMED", "MOST_PIXELS", "FitsLayoutError", "check_fits_layout"]
+__all__ = [
+    "CARD_BYTES",
+    "MOST_PIXELS",
+    "FitsHeader",
+    "FitsLayoutError",
+    "check_fits_layout",
+    "fits_headers",
+    "fits_malformed",
+]
 
 BLOCK_BYTES, CARD_BYTES = 2880, 80
 MOST_AXES = MOST_FIELDS = 999  # by the standard
@@ -31,25 +37,43 @@ STRUCTURE = re.compile(
     re.IGNORECASE,
 )
 LOGICAL = ("GROUPS", "ZIMAGE")
-# What astropy and numpy raise on files that break the standard in other ways.
-FITS_MALFORMED = (
-    OSError, TypeError, ValueError, LookupError, AttributeError, ArithmeticError, MemoryError, VerifyError,
-)  # fmt: skip
+
+
+def fits_malformed() -> tuple[type[Exception], ...]:
+    """Return what astropy and numpy raise on files that break the standard in other ways; for an ``except``."""
+    from astropy.io.fits import VerifyError  # noqa: PLC0415 (a tenth of a short command; plain files need none of it)
+
+    return (
+        OSError, TypeError, ValueError, LookupError, AttributeError, ArithmeticError, MemoryError, VerifyError,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class _Structure:
-    """The structural cards of one header, by keyword, and where its data begin."""
+class FitsHeader:
+    """The structural cards of one header.
 
-    what: str  # for messages
+    Attributes
+    ----------
+    what
+        Which one it is, for messages.
+    start, data_start
+        Where it and its data begin in the file.
+    cards
+        By keyword.
+    """
+
+    what: str
+    start: int
     data_start: int
     cards: dict[str, int] = field(default_factory=dict)
 
     def axes(self, prefix: str = "NAXIS") -> list[int]:
+        """Return the lengths of its axes, pixels first."""
         count = self.cards.get(prefix, 0)
         return [self.cards[f"{prefix}{i}"] for i in range(1, count + 1)]
 
     def data_bytes(self) -> int:
+        """Return how many bytes its data take, without what fills the last block."""
         axes = self.axes()
         if not axes:
             return 0
@@ -57,6 +81,12 @@ class _Structure:
             axes = axes[1:]
         count = self.cards.get("GCOUNT", 1) * (self.cards.get("PCOUNT", 0) + math.prod(axes))
         return abs(self.cards["BITPIX"]) // 8 * count
+
+    @property
+    def behind(self) -> int:
+        """Where the next header begins."""
+        size = self.data_bytes()
+        return self.data_start + size + -size % BLOCK_BYTES
 
 
 class FitsLayoutError(ValueError):
@@ -78,7 +108,7 @@ def check_fits_layout(data: bytes | mmap.mmap) -> bool:
         values or lies beyond the standard, or a compressed image of more than `MOST_PIXELS` pixels.
     """
     compressed = False
-    for number, header in enumerate(_headers(data)):
+    for number, header in enumerate(fits_headers(data)):
         if number == MOST_HEADERS:
             raise FitsLayoutError(f"has more than {MOST_HEADERS} FITS headers; give the picture alone.")
         if fault := _fault(header):
@@ -91,22 +121,24 @@ def _damaged(what: str, fault: str) -> FitsLayoutError:
     return FitsLayoutError(f"damaged FITS file: {what} has {fault}; copy or download it again.")
 
 
-def _headers(data: bytes | mmap.mmap) -> Iterator[_Structure]:
-    """Follow the chain of headers; what comes behind the last whole one is no concern of a reader of pictures."""
+def fits_headers(data: bytes | mmap.mmap) -> Iterator[FitsHeader]:
+    """Follow the chain of headers; what comes behind the last whole one is no concern of a reader of pictures.
+
+    Raises
+    ------
+    FitsLayoutError
+        As `check_fits_layout`, for what concerns the chain.
+    """
     start, number = 0, 0
     while start < len(data):
         end = _end_of_header(data, start)
         if end is None:
             return
         what = f"the header of extension {number}" if number else "the first header"
-        header = _structure(what, data[start:end], end + -end % BLOCK_BYTES)
+        header = FitsHeader(what, start, end + -end % BLOCK_BYTES)
+        _read_cards(header, data[start:end])
         yield header
-        start, number = _behind(header), number + 1
-
-
-def _behind(header: _Structure) -> int:
-    size = header.data_bytes()
-    return header.data_start + size + -size % BLOCK_BYTES
+        start, number = header.behind, number + 1
 
 
 def _end_of_header(data: bytes | mmap.mmap, start: int) -> int | None:
@@ -119,8 +151,7 @@ def _end_of_header(data: bytes | mmap.mmap, start: int) -> int | None:
     return None
 
 
-def _structure(what: str, header: bytes, data_start: int) -> _Structure:
-    found = _Structure(what, data_start)
+def _read_cards(found: FitsHeader, header: bytes) -> None:
     for start in range(0, len(header), CARD_BYTES):
         match = STRUCTURE.match(header[start : start + CARD_BYTES])
         if match is None:
@@ -129,10 +160,9 @@ def _structure(what: str, header: bytes, data_start: int) -> _Structure:
         value = _number(keyword, match[2].strip())
         if value is None or found.cards.setdefault(keyword, value) != value:
             text = match[2].strip().decode("latin-1")
-            raise _damaged(what, f"{keyword} = {text}, expected one whole number")
+            raise _damaged(found.what, f"{keyword} = {text}, expected one whole number")
     if fault := _axes_fault(found):
-        raise _damaged(what, fault)
-    return found
+        raise _damaged(found.what, fault)
 
 
 def _number(keyword: str, text: bytes) -> int | None:
@@ -144,7 +174,7 @@ def _number(keyword: str, text: bytes) -> int | None:
         return None
 
 
-def _axes_fault(header: _Structure) -> str:
+def _axes_fault(header: FitsHeader) -> str:
     """Say what is wrong with the numbers by which the next header is found."""
     cards = header.cards
     if fault := _bits_fault(cards, "BITPIX"):
@@ -165,7 +195,7 @@ def _bits_fault(cards: dict[str, int], keyword: str) -> str:
     return "" if bits in BITS else f"{keyword} = {bits}, expected one of {', '.join(map(str, BITS))}"
 
 
-def _fault(header: _Structure) -> str:
+def _fault(header: FitsHeader) -> str:
     """Say what else a header announces that cannot be."""
     cards = header.cards
     if cards.get("TFIELDS", 0) > MOST_FIELDS:

@@ -4,12 +4,27 @@ On two cores that others use as well, a fit of a disk with two threads took twen
 number that the user's own code sees is as before afterwards.
 """
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from threadpoolctl import ThreadpoolController
+from opnav_workbench.constants import ONE_THREAD
 
-__all__ = ["one_thread"]
+__all__ = ["begin_with_one", "one_thread"]
+
+_BEGUN_WITH_ONE = False
+
+
+def begin_with_one() -> None:
+    """Have the linear algebra libraries of this process start with one thread each, so that nobody need limit them.
+
+    For a program of its own that has loaded none of them yet; variables that its user has set are let be.
+    """
+    global _BEGUN_WITH_ONE  # noqa: PLW0603
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
+    _BEGUN_WITH_ONE = "numpy" not in sys.modules and ONE_THREAD.items() <= os.environ.items()
 
 
 @contextmanager
@@ -26,6 +41,11 @@ def one_thread() -> Iterator[None]:
     array([[0.5, 0. ],
            [0. , 0.5]])
     """
+    if _BEGUN_WITH_ONE:
+        yield
+        return
+    from threadpoolctl import ThreadpoolController  # noqa: PLC0415
+
     # Libraries are loaded on demand: looked for anew, in half a millisecond.
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         yield

@@ -1,11 +1,15 @@
 """One thread for matrices while a picture is worked on, and the user's own number afterwards."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import pytest
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from opnav_workbench.bodies.disk import measurement
+from opnav_workbench.constants import ONE_THREAD
 from opnav_workbench.session import history
 from opnav_workbench.threads import one_thread
 
@@ -73,3 +77,21 @@ def test_a_step_of_a_session_and_a_disk_compute_with_one_thread(monkeypatch):
     )
     assert seen == [{1}, {1}]
     assert threads_of_blas() == {2}
+
+
+@pytest.mark.parametrize("given", [{}, {"OMP_NUM_THREADS": "2"}])
+def test_a_program_that_begins_with_one_thread_limits_none(given):
+    """A number that its user has set is kept, and then limited while a picture is worked on."""
+    code = (
+        "from opnav_workbench.threads import begin_with_one, one_thread\nbegin_with_one()\n"
+        "import sys, numpy\nfrom threadpoolctl import threadpool_info as told\n"
+        "def most(): return max(l['num_threads'] for l in told() if l['user_api'] == 'blas')\n"
+        "outside = most()\nwith one_thread():\n    print(outside, most())"
+    )
+    known = {name: value for name, value in os.environ.items() if name not in ONE_THREAD}
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=known | given, capture_output=True, text=True, check=True
+    )
+    outside, within = map(int, found.stdout.split())
+    assert within == 1
+    assert outside == 1 or given

@@ -13,10 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.camera.distortion import BrownDistortion, Distortion, NoDistortion
@@ -26,6 +25,12 @@ from opnav_workbench.camera.model import Camera
 from opnav_workbench.errors import CameraError, OpNavError
 from opnav_workbench.files import read_json
 from opnav_workbench.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    from scipy.spatial import transform
+else:
+    transform = module_on_demand("scipy.spatial.transform")
 
 __all__ = ["SupportData", "read_support_data", "support_data"]
 
@@ -205,7 +210,8 @@ def _attitude(told: Mapping[str, Any], et: float) -> FloatArray:
     if len(times) != len(matrices):
         raise CameraError("image support data: as many quaternions as ephemeris_times are needed.")
     if len(times) > 1:
-        turning = Slerp(times, Rotation.from_matrix(matrices))(np.clip(et, times[0], times[-1])).as_matrix()
+        attitudes = transform.Slerp(times, transform.Rotation.from_matrix(matrices))
+        turning = attitudes(np.clip(et, times[0], times[-1])).as_matrix()
     else:
         turning = matrices[0]
     constant = told.get("constant_rotation")

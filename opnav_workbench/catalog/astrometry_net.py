@@ -32,10 +32,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy.io import fits
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray, IntArray
@@ -55,9 +54,15 @@ from opnav_workbench.catalog.star_store import IndexedCatalog, MotionBound, Stor
 from opnav_workbench.catalog.star_table import EPOCHS_JYEAR, StarTable
 from opnav_workbench.constants import RAD_PER_DEG, RAD_PER_MAS
 from opnav_workbench.errors import CatalogError
-from opnav_workbench.fits_layout import FITS_MALFORMED, check_fits_layout
+from opnav_workbench.fits_layout import check_fits_layout, fits_malformed
 from opnav_workbench.geometry import angle_between, radec_from_unit, unit_from_radec
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import regular_size
+
+if TYPE_CHECKING:
+    from astropy.io import fits
+else:  # for files that are not converted yet
+    fits = module_on_demand("astropy.io.fits")
 
 __all__ = ["open_astrometry_net", "open_tycho2_index"]
 
@@ -93,7 +98,7 @@ def read_index(file: Path) -> tuple[FloatArray, float, dict[str, NDArray[Any]]]:
             tags = [hdu for hdu in hdus[1:] if hdu.header.get("AN_FILE") == "TAGALONG"]
             xyz, quantum_mas = _directions(file, hdus[0].header, tables)
             columns = {} if not tags else {c.name: np.asarray(tags[0].data[c.name]) for c in tags[0].columns}
-    except FITS_MALFORMED as error:
+    except fits_malformed() as error:
         reason = " ".join(str(error).split())
         raise CatalogError(
             f"{file} is not a whole Astrometry.net index file ({reason}); copy it again or narrow the glob."
@@ -274,7 +279,7 @@ def _read_stars(file: Path, epoch: float | None) -> _IndexStars:
     index = read_index(file)
     try:
         stars = _stars_of_columns(file, *index, epoch)
-    except FITS_MALFORMED as error:  # columns of another length or kind
+    except fits_malformed() as error:  # columns of another length or kind
         reason = " ".join(str(error).split())
         raise CatalogError(f"{file} contradicts itself ({reason}); copy it again.") from error
     first, last = EPOCHS_JYEAR

@@ -51,7 +51,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.catalog.cache import (
@@ -225,7 +225,7 @@ def match_hipparcos_gaia(hipparcos: HipparcosStars, gaia: GaiaStars) -> tuple[In
     limit = MATCH_LIMIT_MAS * RAD_PER_MAS
     reach = np.minimum(radius + ORBIT_REACH_MAS * RAD_PER_MAS, limit)
     same_place = np.minimum(radius, SAME_PLACE_MAS * RAD_PER_MAS) + SAME_PLACE_MAS * RAD_PER_MAS
-    tree = cKDTree(unit_from_radec(gaia.ra_rad, gaia.dec_rad))
+    tree = scipy.spatial.cKDTree(unit_from_radec(gaia.ra_rad, gaia.dec_rad))
     apart, near = tree.query(moved, k=MATCH_NEIGHBORS, distance_upper_bound=limit)
     color = np.append(gaia.g_mag, np.nan)[near] - hipparcos.hp_mag[:, None]  # nan: no such neighbor
     colored = (color > G_MINUS_HP[0]) & (color < G_MINUS_HP[1])

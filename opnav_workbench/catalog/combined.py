@@ -23,7 +23,6 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.catalog.interface import Catalog, select
@@ -34,6 +33,7 @@ from opnav_workbench.catalog.region import Region
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.constants import RAD_PER_MAS
 from opnav_workbench.geometry import et_from_jyear, jyear_from_et, radec_from_unit
+from opnav_workbench.geometry.near_places import NearPlaces
 
 __all__ = ["CombinedCatalog", "combine_stars", "same_stars", "split_specs"]
 
@@ -80,10 +80,8 @@ def same_stars(first: StarTable, second: StarTable) -> tuple[IntArray, IntArray]
     et = float(et_from_jyear(np.mean(still.epoch_jyear)))
     places = [stars.directions(et) for stars in (first, second)]
     radii = [_spread_rad(stars, et) for stars in (first, second)]
-    tree = cKDTree(places[1])
     reach = MATCH_LIMIT_MAS * RAD_PER_MAS
-    apart, near = tree.query(places[0], k=MATCH_NEIGHBORS, distance_upper_bound=reach)
-    near = np.asarray(near, dtype=np.int64)
+    apart, near = NearPlaces(places[1]).nearest(places[0], MATCH_NEIGHBORS, reach)
     found = near < len(second)
     partner = np.where(found, near, 0)
     allowed = np.minimum(np.hypot(radii[0][:, None], radii[1][partner]), reach)

@@ -258,9 +258,7 @@ def _bundled_status() -> CatalogStatus:
 
 def _fetched_status() -> CatalogStatus:
     names = fetched_names()
-    more = [
-        f"opnav catalog fetch {name} gets {WHOLE_SKY[name].says}" for name in WHOLE_SKY if name not in names
-    ]
+    more = [f"opnav catalog fetch {name} gets {WHOLE_SKY[name]}" for name in WHOLE_SKY if name not in names]
     here = f"{', '.join(names)}: part of bundled" if names else "none yet"
     return CatalogStatus("fetched:NAME", available=True, detail="; ".join([here, *more]))
 

@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from astropy import units as u
 from numpy.typing import ArrayLike, NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
@@ -197,8 +196,10 @@ class StarTable:
 
     def to_qtable(self) -> "QTable":
         """Return the stars as an astropy QTable for people: degrees, mas, mas/yr, with descriptions."""
+        from astropy import units as u  # noqa: PLC0415
+        from astropy.table import QTable  # noqa: PLC0415 (a fifth of a short command; few need a table)
+
         mas, motion = u.mas, u.mas / u.yr
-        from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
 
         table = QTable(meta={"frame": "ICRS (J2000)"})
         table["id"] = np.array(self.id)

@@ -14,11 +14,9 @@ hip2        I/311/hip2       van Leeuwen (2007), A&A 474, 653
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from astropy import units as u
-from astropy.table import Table
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray
@@ -34,6 +32,9 @@ from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, astrome
 from opnav_workbench.catalog.quality import StarQuality
 from opnav_workbench.catalog.star_table import StarTable
 from opnav_workbench.errors import CatalogError
+
+if TYPE_CHECKING:
+    from astropy.table import Table
 
 __all__ = ["TABLES", "VizierTable", "stars_from_rows"]
 
@@ -182,7 +183,7 @@ TABLES: Mapping[str, VizierTable] = {
 }
 
 
-def plain_columns(rows: Table, layout: VizierTable) -> dict[str, NDArray[Any]]:
+def plain_columns(rows: "Table", layout: VizierTable) -> dict[str, NDArray[Any]]:
     """Return the answer's columns as arrays without masks: text as it is, numbers as float64 with nan, angles in rad.
 
     Raises
@@ -195,13 +196,15 @@ def plain_columns(rows: Table, layout: VizierTable) -> dict[str, NDArray[Any]]:
         raise CatalogError(
             f"VizieR's table {layout.table} came without {', '.join(missing)}; it may have changed: update opnav_workbench."
         )
+    from astropy import units as u  # noqa: PLC0415 (a tenth of a short command; few fetch stars)
+
     plain = {name: _plain(rows, name, exact=name == "Source") for name in layout.columns}
     for name in layout.position:
         plain[name] = plain[name] * (rows[name].unit or u.deg).to(u.rad)
     return plain
 
 
-def _plain(rows: Table, name: str, *, exact: bool) -> NDArray[Any]:
+def _plain(rows: "Table", name: str, *, exact: bool) -> NDArray[Any]:
     column = rows[name]
     if column.dtype.kind in "USO":
         return np.asarray(column.astype(str), dtype=np.str_)

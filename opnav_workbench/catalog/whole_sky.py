@@ -15,15 +15,22 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from opnav_workbench.catalog import gaia_archive, tycho2
 from opnav_workbench.catalog.cache import CachedStars, Progress, Records, cache_path, cached_stars
 from opnav_workbench.catalog.interface import Catalog
 from opnav_workbench.catalog.star_store import StoredCatalog
-from opnav_workbench.downloads import download
 from opnav_workbench.errors import CatalogError, DownloadError
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.resources import cache_root
+
+if TYPE_CHECKING:
+    from opnav_workbench import downloads
+    from opnav_workbench.catalog import gaia_archive, tycho2
+else:  # which catalogs were fetched is asked at each start
+    downloads = module_on_demand("opnav_workbench.downloads")
+    gaia_archive = module_on_demand("opnav_workbench.catalog.gaia_archive")
+    tycho2 = module_on_demand("opnav_workbench.catalog.tycho2")
 
 __all__ = ["WHOLE_SKY", "fetch_whole_sky", "fetched_names", "fetched_state", "open_fetched"]
 
@@ -43,7 +50,6 @@ class WholeSky:
     records: Callable[[Path, Progress | None], Records]  # of a folder with these files
     open: Callable[[str, Path, Mapping[str, object]], Catalog]
     rule: int
-    says: str
 
 
 Stored = Callable[[str, CachedStars, Mapping[str, Any]], StoredCatalog]
@@ -76,26 +82,33 @@ def _check_packed(path: Path) -> None:
         ) from error
 
 
-WHOLE_SKY: Mapping[str, WholeSky] = {
-    "tycho2": WholeSky(
-        url="https://cdsarc.cds.unistra.fr/ftp/I/259/",
-        files=_tycho2_files,
-        check=_check_packed,
-        records=tycho2.folder_records,
-        open=partial(_stored, tycho2.stored_tycho2),
-        rule=tycho2.RULE,
-        says="2.5 million stars to magnitude 12",
-    ),
-    "gaia": WholeSky(
+WHOLE_SKY: Mapping[str, str] = {
+    "tycho2": "2.5 million stars to magnitude 12",
+    "gaia": "Gaia DR3 to a magnitude (--mag-limit, at most 15)",
+}
+
+
+def _archive(name: str) -> WholeSky:
+    """Return one of `WHOLE_SKY`."""
+    if name == "tycho2":
+        return WholeSky(
+            url="https://cdsarc.cds.unistra.fr/ftp/I/259/",
+            files=_tycho2_files,
+            check=_check_packed,
+            records=tycho2.folder_records,
+            open=partial(_stored, tycho2.stored_tycho2),
+            rule=tycho2.RULE,
+        )
+    return WholeSky(
         url=gaia_archive.ARCHIVE,
         files=gaia_archive.archive_files,
         check=gaia_archive.check_piece,
         records=gaia_archive.piece_records,
         open=partial(_stored, gaia_archive.stored_gaia),
         rule=gaia_archive.RULE,
-        says="Gaia DR3 to a magnitude (--mag-limit, at most 15)",
-    ),
-}
+    )
+
+
 STEM = "fetched-{name}-mag{limit:.2f}"
 LIMIT = re.compile(r"-mag(\d+\.\d+)$")
 
@@ -126,18 +139,17 @@ def fetch_whole_sky(
     DownloadError
         A file cannot be had; those that were had are kept.
     """
-    source = WHOLE_SKY.get(name)
-    if source is None:
+    if name not in WHOLE_SKY:
         raise CatalogError(
             f"the whole sky of {name!r} cannot be fetched; fetch {', '.join(WHOLE_SKY)}, or a cone (--cone)."
         )
-    limit = NO_LIMIT if mag_limit is None else float(mag_limit)
+    source, limit = _archive(name), NO_LIMIT if mag_limit is None else float(mag_limit)
     files = source.files(mag_limit)
     folder = _fetching(name, files)
     for number, (file, address) in enumerate(files):
         tell(f"fetching {file}", number / len(files))
         if not (folder / file).is_file():
-            download((url or source.url).rstrip("/") + address, folder / file, check=source.check)
+            downloads.download((url or source.url).rstrip("/") + address, folder / file, check=source.check)
 
     def build() -> Records:
         records = source.records(folder, lambda done: tell(f"reading {name}", done))
@@ -169,12 +181,11 @@ def open_fetched(name: str) -> Catalog:
     CatalogError
         None was, or its file is damaged.
     """
-    source = WHOLE_SKY.get(name)
-    limits = _limits(name) if source is not None else []
-    if source is None or not limits:
+    limits = _limits(name) if name in WHOLE_SKY else []
+    if not limits:
         known = ", ".join(WHOLE_SKY)
         raise CatalogError(f"no catalog {name!r} was fetched; run: opnav catalog fetch {known}.")
-    limit = max(limits)
+    source, limit = _archive(name), max(limits)
     return source.open(name, _path(name, limit), _identity(name, source, limit))
 
 

@@ -10,12 +10,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Any
 
-import astropy.io.misc.yaml  # noqa: F401  (needed at the end; astropy looks through all that was loaded before it)
 import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
+import opnav_workbench.cli.quick_scipy  # noqa: F401  (before what navigates)
 from opnav_workbench.cli.processing_options import processing_of, processing_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, error_console, picture_progress, plain_table, shown
 from opnav_workbench.errors import plain_line
@@ -34,7 +34,7 @@ class Reporter:
     """Progress while pictures are processed, then their table."""
 
     def __init__(self, total: int) -> None:
-        self._out = Console(soft_wrap=False)
+        self._out = Console(soft_wrap=False, emoji=False)
         self._err = error_console()
         self._progress = picture_progress(self._err)
         self._task = self._progress.add_task("", total=total)

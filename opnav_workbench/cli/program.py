@@ -20,9 +20,9 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
 from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_STOPPED, error_console, shown
-from opnav_workbench.constants import ONE_THREAD
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.parts import missing_part
+from opnav_workbench.threads import begin_with_one
 from opnav_workbench.version import __version__
 
 __all__ = ["COMMANDS", "CommandEntry", "app", "main"]
@@ -204,7 +204,8 @@ def main() -> None:
     """Run the program; what was wrong is one line on standard error, and exit status 2."""
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     if sys.argv[1:2] != ["lab"]:  # whose kernels are the user's own
-        for variable, value in (ONE_THREAD | NO_PLUGINS | _packaged_spice()).items():
+        begin_with_one()
+        for variable, value in (NO_PLUGINS | _packaged_spice()).items():
             os.environ.setdefault(variable, value)
     if isinstance(sys.stdout, io.TextIOWrapper):  # a name that is no text must not end a run
         sys.stdout.reconfigure(errors="backslashreplace")

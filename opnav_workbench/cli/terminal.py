@@ -103,7 +103,7 @@ def shown(text: str) -> str:
 
 def error_console() -> Console:
     """Return a console on standard error, which breaks no line."""
-    return Console(stderr=True, soft_wrap=True)
+    return Console(stderr=True, soft_wrap=True, emoji=False)
 
 
 def picture_progress(console: Console | None = None) -> Progress:

@@ -552,7 +552,7 @@ ObservableEntry = create_model(
             SPECIAL.get(field.name, _type_of(field.shape, field.unit is None)),
             Field(
                 description=field.description
-                + ("" if field.unit is None else f"; {field.unit.to_string() or 'no unit'}.")
+                + ("" if field.unit is None else f"; {field.unit or 'no unit'}.")
             ),
         )
         for field in FIELDS

@@ -10,8 +10,12 @@ Come in by the functions that the package exports, such as `apparent_direction`,
     Limb and terminator of a triaxial ellipsoid, and the ellipse that a limb draws.
 ``differences``
     Derivatives by central differences that choose their own step.
+``few_rotations``
+    Single rotations between matrices, quaternions and rotation vectors, to the bit as SciPy's.
 ``light_time``
     Where a body was seen that is elsewhere by now, and the derivative of that.
+``near_places``
+    Which places are near which others, few or many.
 ``rotations``
     Directions, attitudes, RA/Dec/twist, quaternions, rotation vectors.
 ``spacemotion``

@@ -6,12 +6,19 @@ Focal axes  rows of ``focal_from_camera``: increasing pixel, increasing line, bo
 """
 
 import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.geometry import few_rotations
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    from scipy.spatial import transform
+else:  # for many rotations at once
+    transform = module_on_demand("scipy.spatial.transform")
 
 __all__ = [
     "angle_between",
@@ -36,6 +43,7 @@ __all__ = [
 # Largest |m m^T - 1|: lets matrices through that were printed with 7 digits, stops swapped or scaled axes.
 ORTHOGONALITY_TOLERANCE = 1e-6
 TWO_PI = 2.0 * np.pi
+FEW = 16  # rotations, in a tenth of a millisecond; SciPy's are loaded in 80
 
 
 def unit(vectors: ArrayLike) -> FloatArray:
@@ -253,7 +261,11 @@ def quaternion_from_matrix(m: ArrayLike) -> FloatArray:
     array([1., 0., 0., 0.])
     """
     matrices = checked_rotation(m)
-    xyzw = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat()
+    flat = matrices.reshape(-1, 3, 3)
+    if len(flat) <= FEW:
+        xyzw = np.array([few_rotations.quaternion_of_matrix(m) for m in flat]).reshape(-1, 4)
+    else:
+        xyzw = transform.Rotation.from_matrix(flat).as_quat()
     wxyz = np.roll(xyzw, 1, axis=-1).reshape(*matrices.shape[:-2], 4)
     return np.asarray(np.where(wxyz[..., :1] < 0.0, -wxyz, wxyz) + 0.0)  # + 0.0: no negative zeros
 
@@ -273,7 +285,10 @@ def matrix_from_quaternion(q: ArrayLike) -> FloatArray:
     if not np.all(np.isfinite(length) & (length > 0.0)):
         raise ValueError(f"quaternion {wxyz.tolist()} gives no rotation; it must be finite and not zero")
     xyzw = np.roll(wxyz, -1, axis=-1).reshape(-1, 4)
-    return np.asarray(Rotation.from_quat(xyzw).as_matrix().reshape(*wxyz.shape[:-1], 3, 3))
+    if len(xyzw) <= FEW:
+        made = [few_rotations.matrix_of_quaternion(few_rotations.unit_quaternion(q)) for q in xyzw.tolist()]
+        return np.array(made).reshape(*wxyz.shape[:-1], 3, 3)
+    return np.asarray(transform.Rotation.from_quat(xyzw).as_matrix().reshape(*wxyz.shape[:-1], 3, 3))
 
 
 def rotation_from_vector(rotvec_rad: ArrayLike) -> FloatArray:
@@ -287,7 +302,13 @@ def rotation_from_vector(rotvec_rad: ArrayLike) -> FloatArray:
     array([0., 1., 0.])
     """
     vectors = np.array(rotvec_rad, float)  # a copy: SciPy takes no read-only arrays
-    matrices = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
+    flat = vectors.reshape(-1, 3)
+    matrices: Any
+    if len(flat) <= FEW and np.isfinite(flat).all():
+        quaternions = map(few_rotations.quaternion_of_vector, flat)
+        matrices = np.array([few_rotations.matrix_of_quaternion(q) for q in quaternions])
+    else:
+        matrices = transform.Rotation.from_rotvec(flat).as_matrix()
     return np.asarray(matrices.reshape(*vectors.shape[:-1], 3, 3))
 
 
@@ -300,7 +321,13 @@ def vector_from_rotation(m: ArrayLike) -> FloatArray:
         A matrix is not a rotation.
     """
     matrices = checked_rotation(m)
-    vectors = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_rotvec()
+    flat = matrices.reshape(-1, 3, 3)
+    vectors: Any
+    if len(flat) <= FEW:
+        quaternions = map(few_rotations.quaternion_of_matrix, flat)
+        vectors = np.array([few_rotations.vector_of_quaternion(q) for q in quaternions])
+    else:
+        vectors = transform.Rotation.from_matrix(flat).as_rotvec()
     return np.asarray(vectors.reshape(matrices.shape[:-1]))
 
 

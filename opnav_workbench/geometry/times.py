@@ -42,7 +42,12 @@ def et_from_text(utc: str) -> float:
     if time is None:
         from astropy.time import Time  # noqa: PLC0415 (loads tables, a tenth of a short command)
 
-        found = Time(text, scale="utc").tdb
+        try:
+            found = Time(text, scale="utc").tdb
+        except ValueError:  # one line for each of the library's forms
+            raise ValueError(
+                "no such date, or not of the form 2015-07-01T12:00:00.000 or 2015-182T12:00:00"
+            ) from None
         time = found.jd1, found.jd2
     return float(((time[0] - J2000_JD) + time[1]) * DAY_S)
 

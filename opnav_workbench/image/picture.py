@@ -217,6 +217,10 @@ def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) ->
     known = et if et is not None else stated
     if known is None:
         return _StatedTime(None, None, (*impossible, _without_time(name, header, keywords)), None, impossible)
+    if not FIRST_PICTURE_ET < known < LAST_PICTURE_ET:
+        raise image_error(
+            name, f"{keywords.utc} = {text!r} is no date of a picture from space; correct the header."
+        )
     shift_s = _to_middle_s(name, header, keywords, exposure_s)
     off = 0.0 if stated is None else known - stated
     agree = abs(off) <= time_tolerance_s(text, keywords.value(header, "et"))

@@ -5,11 +5,17 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
-from opnav_workbench.image.formats.sidecar import find_sidecar
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import is_file, is_folder
+
+if TYPE_CHECKING:
+    from opnav_workbench.image.formats import sidecar
+else:  # for pictures without a header of their own
+    sidecar = module_on_demand("opnav_workbench.image.formats.sidecar")
 
 __all__ = ["FolderOwner", "NoPictures", "picture_files", "picture_names"]
 
@@ -58,7 +64,9 @@ def _expanded(image: str | Path) -> list[Path]:
 
 def _is_picture(path: Path) -> bool:
     name = path.name.lower()
-    return name.endswith(PICTURE_SUFFIXES) or (name.endswith(WITH_SIDECAR) and find_sidecar(path) is not None)
+    return name.endswith(PICTURE_SUFFIXES) or (
+        name.endswith(WITH_SIDECAR) and sidecar.find_sidecar(path) is not None
+    )
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:

@@ -14,14 +14,20 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
-import spiceypy
 
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
 from opnav_workbench.errors import KernelError, counted
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.coverage import Coverage, ck_structures, windows_of
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    import spiceypy
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
 
 __all__ = [
     "FAILURE_MESSAGES",
@@ -234,12 +240,12 @@ class SpiceRequest:
     frame: str | None = None
 
 
-def explanation(error: spiceypy.SpiceyError, request: SpiceRequest) -> str:
+def explanation(error: "spiceypy.SpiceyError", request: SpiceRequest) -> str:
     """Return one line on a failure, with the loaded kernels, lock held."""
     return f"{unlisted_explanation(error, request)}. {loaded_text()}"
 
 
-def unlisted_explanation(error: spiceypy.SpiceyError, request: SpiceRequest) -> str:
+def unlisted_explanation(error: "spiceypy.SpiceyError", request: SpiceRequest) -> str:
     """Return what failed, why and what helps, without the loaded kernels and the final stop; lock held."""
     short = (getattr(error, "short", "") or "").removeprefix("SPICE(").removesuffix(")")
     detail = _detail(error)
@@ -255,7 +261,7 @@ def unlisted_explanation(error: spiceypy.SpiceyError, request: SpiceRequest) -> 
     return f"{request.what}{when}: {cause}; {remedy}"
 
 
-def _detail(error: spiceypy.SpiceyError) -> str:
+def _detail(error: "spiceypy.SpiceyError") -> str:
     text = " ".join(
         (getattr(error, "long", "") or getattr(error, "message", "") or "no further word").split()
     )

@@ -7,15 +7,21 @@ components. Any other frame that the kernels define will do as well.
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
-import spiceypy
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, loaded_text, spice_call
 from opnav_workbench.kernels.coverage import CK_FRAME, ck_structures, frame_number, gaps_within, windows_of
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    import spiceypy
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
 
 __all__ = [
     "attitude_gaps",

@@ -8,15 +8,21 @@ of a time axis that is covered.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import spiceypy
-from spiceypy.utils import support_types
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.files import segments
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    import spiceypy
+    from spiceypy.utils import support_types
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
+    support_types = module_on_demand("spiceypy.utils.support_types")
 
 __all__ = [
     "Coverage",

@@ -9,9 +9,9 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import spiceypy
 
 from opnav_workbench.errors import KernelError
 from opnav_workbench.files import digest
@@ -19,6 +19,12 @@ from opnav_workbench.kernels import coverage, pool
 from opnav_workbench.kernels.calls import spice_call
 from opnav_workbench.kernels.files import DafSegment, KernelFile, segments
 from opnav_workbench.kernels.loading import META_VARIABLES, LoadedKernels
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    import spiceypy
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
 
 __all__ = ["KernelPart", "kernel_parts"]
 

@@ -18,19 +18,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, cast
 
-import spiceypy
-from astropy import units
-
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import coverage as cover
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call, time_text
 from opnav_workbench.kernels.coverage import Coverage
 from opnav_workbench.kernels.files import KINDS, KernelFile, kernel_file, looks_like_kernel
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import exists, is_file, is_folder
 
 if TYPE_CHECKING:
+    import spiceypy
     from astropy.table import QTable
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
 
 __all__ = [
     "KernelSource",
@@ -311,7 +312,8 @@ class LoadedKernels:
         rows = [(c, start, stop) for c in self.coverage() for start, stop in c.intervals_et.tolist()]
         with self._call(SpiceRequest("coverage")):
             utc = [[time_text(t).removesuffix(" UTC") for t in (start, stop)] for _, start, stop in rows]
-        from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+        from astropy import units  # noqa: PLC0415
+        from astropy.table import QTable  # noqa: PLC0415 (a fifth of a short command; few need a table)
 
         return QTable(
             {

@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from opnav_workbench.downloads import require_web_address
 from opnav_workbench.errors import DownloadError, KernelError, MissionError
 from opnav_workbench.paths import is_file
 from opnav_workbench.resources import cache_root, kernels_meta_dir
@@ -54,6 +53,8 @@ def _file_name(name: str) -> str:
 
 def _web_address(url: str) -> str:
     try:
+        from opnav_workbench.downloads import require_web_address  # noqa: PLC0415 (few read a manifest)
+
         require_web_address(url)
     except DownloadError as error:
         raise ValueError(str(error)) from error

@@ -7,14 +7,19 @@ longitude toward east and latitude.
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-import spiceypy
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, readonly
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call, unknown_body
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    import spiceypy
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
 
 __all__ = [
     "State",

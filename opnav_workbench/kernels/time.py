@@ -11,14 +11,20 @@ from datetime import UTC, datetime
 from decimal import Decimal
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import spiceypy
 
 from opnav_workbench.constants import DAY_S, J2000_JD
 from opnav_workbench.errors import KernelError
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import SpiceRequest, spice_call
+from opnav_workbench.lazy_names import module_on_demand
+
+if TYPE_CHECKING:
+    import spiceypy
+else:  # many star frames ask no kernel
+    spiceypy = module_on_demand("spiceypy")
 
 __all__ = [
     "clock_tolerance_s",

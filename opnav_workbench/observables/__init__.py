@@ -11,6 +11,8 @@ Enter by `observe`, which makes an `Observable` of a measured center; by `write_
     How the center moves when spacecraft, target or camera move: by differences and analytically.
 ``columns``
     Names, units and descriptions of an observable's values in files; an observable as a row, and back.
+``ecsv_writer``
+    A table of observables as ECSV text, as astropy writes it.
 ``explanation``
     What every file of observables says of itself: conventions, program, camera, kernels.
 ``files``

@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from astropy import units as u
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_value
@@ -32,8 +31,8 @@ class ExportColumn:
 
     Attributes
     ----------
-    unit : astropy unit or None
-        None for text.
+    unit
+        As astropy writes it ("pix s / km"), empty for a pure number; None for text.
     index
         Element of the field's array; empty for a number.
     sigma
@@ -41,7 +40,7 @@ class ExportColumn:
     """
 
     name: str
-    unit: Any
+    unit: str | None
     description: str
     index: tuple[int, ...] = ()
     sigma: bool = False
@@ -52,7 +51,7 @@ class ExportField:
     """A field of `Observable` and its columns."""
 
     name: str
-    unit: Any
+    unit: str | None
     description: str
     columns: tuple[ExportColumn, ...]
     shape: tuple[int, ...] = ()
@@ -62,41 +61,45 @@ def _text_field(name: str, description: str, column: str = "") -> ExportField:
     return ExportField(name, None, description, (ExportColumn(column or name, None, description),))
 
 
-def _number_field(name: str, unit: Any, description: str, column: str = "") -> ExportField:
+def _number_field(name: str, unit: str, description: str, column: str = "") -> ExportField:
     return ExportField(name, unit, description, (ExportColumn(column or name, unit, description),))
 
 
-def _vector_field(name: str, unit: Any, description: str, *columns: tuple[str, str]) -> ExportField:
+def _vector_field(name: str, unit: str, description: str, *columns: tuple[str, str]) -> ExportField:
     made = (ExportColumn(column, unit, words, (i,)) for i, (column, words) in enumerate(columns))
     return ExportField(name, unit, description, tuple(made), (len(columns),))
 
 
-def _xyz_field(name: str, unit: Any, description: str, pattern: str) -> ExportField:
+def _xyz_field(name: str, unit: str, description: str, pattern: str) -> ExportField:
     return _vector_field(
         name, unit, description, *((pattern.format(a), f"{description}: {a} component, J2000") for a in XYZ)
     )
 
 
-def _partials_field(name: str, by: Any, pattern: str, of: str) -> ExportField:
+def _partials_field(name: str, unit: str, pattern: str, of: str) -> ExportField:
     """d(pixel, line) by something with components x, y, z."""
     made = (
-        ExportColumn(f"d{axis}_d{pattern.format(a)}", u.pix / by, f"d({axis})/d({of.format(a)})", (row, i))
+        ExportColumn(f"d{axis}_d{pattern.format(a)}", unit, f"d({axis})/d({of.format(a)})", (row, i))
         for row, axis in enumerate(AXES)
         for i, a in enumerate(XYZ)
     )
     what = of.format("x, y, z")
-    return ExportField(name, u.pix / by, f"d(pixel, line)/d({what})", tuple(made), (2, 3))
+    return ExportField(name, unit, f"d(pixel, line)/d({what})", tuple(made), (2, 3))
 
 
-def _covariance_field(name: str, unit: Any, description: str, names: tuple[str, str, str]) -> ExportField:
+def _squared(unit: str) -> str:
+    return f"{unit}2"
+
+
+def _covariance_field(name: str, unit: str, description: str, names: tuple[str, str, str]) -> ExportField:
     """Return a (2, 2) covariance as two sigmas and the covariance."""
     first, second, mixed = names
     made = (
         ExportColumn(first, unit, f"1 sigma, {description}: first", (0, 0), sigma=True),
         ExportColumn(second, unit, f"1 sigma, {description}: second", (1, 1), sigma=True),
-        ExportColumn(mixed, unit**2, f"covariance, {description}", (0, 1)),
+        ExportColumn(mixed, _squared(unit), f"covariance, {description}", (0, 1)),
     )
-    return ExportField(name, unit**2, f"covariance, {description}", made, (2, 2))
+    return ExportField(name, _squared(unit), f"covariance, {description}", made, (2, 2))
 
 
 def _attitude_field() -> ExportField:
@@ -104,29 +107,27 @@ def _attitude_field() -> ExportField:
     words = "covariance of the solved attitude about the camera frame's axes"
     made = (
         ExportColumn(
-            f"attitude_covariance_{XYZ[i]}{XYZ[j]}", u.rad**2, f"{words} {XYZ[i]} and {XYZ[j]}", (i, j)
+            f"attitude_covariance_{XYZ[i]}{XYZ[j]}", _squared("rad"), f"{words} {XYZ[i]} and {XYZ[j]}", (i, j)
         )
         for i, j in pairs
     )
-    return ExportField("attitude_covariance_rad2", u.rad**2, words, tuple(made), (3, 3))
+    return ExportField("attitude_covariance_rad2", _squared("rad"), words, tuple(made), (3, 3))
 
 
 def _sky_field() -> ExportField:
     made = (
-        ExportColumn(
-            f"d{axis}_d{sky}", u.pix / u.rad, f"d({axis})/d({words}) at the observed place", (row, i)
-        )
+        ExportColumn(f"d{axis}_d{sky}", "pix / rad", f"d({axis})/d({words}) at the observed place", (row, i))
         for row, axis in enumerate(AXES)
         for i, (sky, words) in enumerate((("ra_cosdec", "RA cos(Dec)"), ("dec", "Dec")))
     )
     words = "d(pixel, line)/d(RA cos(Dec), Dec) at the observed place, aberration removed"
-    return ExportField("sky_partials_px_per_rad", u.pix / u.rad, words, tuple(made), (2, 2))
+    return ExportField("sky_partials_px_per_rad", "pix / rad", words, tuple(made), (2, 2))
 
 
 FIELDS: tuple[ExportField, ...] = (
     _text_field("image", "picture file"),
     _text_field("utc", "mid-exposure, UTC"),
-    _number_field("et", u.s, "mid-exposure, TDB seconds past J2000"),
+    _number_field("et", "s", "mid-exposure, TDB seconds past J2000"),
     _text_field("name", "target", "body"),
     _text_field("method", "centerfinder"),
     _text_field("status", "ok, uncertain, not_detected, off_detector, saturated or failed"),
@@ -134,115 +135,115 @@ FIELDS: tuple[ExportField, ...] = (
     _text_field("reference_body", "body that the spacecraft position refers to"),
     _vector_field(
         "observed_px",
-        u.pix,
+        "pix",
         "observed center of figure (pixel, line), 0-based, integer = pixel center",
         ("pixel_o", "observed pixel (0-based, integer = pixel center)"),
         ("line_o", "observed line"),
     ),
     _vector_field(
         "predicted_px",
-        u.pix,
+        "pix",
         "computed place, solved pointing",
         ("pixel_c", "computed pixel, solved pointing"),
         ("line_c", "computed line, solved pointing"),
     ),
     _vector_field(
         "a_priori_px",
-        u.pix,
+        "pix",
         "computed place, a priori pointing",
         ("pixel_a_priori", "computed pixel, a priori pointing"),
         ("line_a_priori", "computed line, a priori pointing"),
     ),
     _vector_field(
         "residual_px",
-        u.pix,
+        "pix",
         "observed minus computed place",
         ("pixel_oc", "observed minus computed pixel"),
         ("line_oc", "observed minus computed line"),
     ),
     _covariance_field(
         "covariance_px2",
-        u.pix,
+        "pix",
         "observed pixel and line",
         ("sigma_pixel", "sigma_line", "covariance_pixel_line"),
     ),
     _covariance_field(
         "total_covariance_px2",
-        u.pix,
+        "pix",
         "observed minus computed pixel and line, pointing included",
         ("sigma_pixel_oc", "sigma_line_oc", "covariance_oc"),
     ),
     _text_field("light_time", "fixed or solved: what the partials do with the light time"),
     _partials_field(
-        "partials_px_per_km", u.km, "{}", "{} of the spacecraft relative to the reference body, J2000"
+        "partials_px_per_km", "pix / km", "{}", "{} of the spacecraft relative to the reference body, J2000"
     ),
     _partials_field(
         "partials_px_per_rad",
-        u.rad,
+        "pix / rad",
         "rotation_{}",
         "small rotation of the attitude about the camera frame's {} axis",
     ),
     _partials_field(
-        "target_partials_px_per_km", u.km, "target_{}", "{} of the target at mid-exposure, J2000"
+        "target_partials_px_per_km", "pix / km", "target_{}", "{} of the target at mid-exposure, J2000"
     ),
     _partials_field(
         "target_partials_px_per_km_s",
-        u.km / u.s,
+        "pix s / km",
         "target_v{}",
         "velocity {} of the target at mid-exposure, J2000",
     ),
     _sky_field(),
     _attitude_field(),
-    _number_field("ra_deg", u.deg, f"observed right ascension, J2000, {ASTROMETRIC}", "ra"),
-    _number_field("dec_deg", u.deg, f"observed declination, J2000, {ASTROMETRIC}", "dec"),
+    _number_field("ra_deg", "deg", f"observed right ascension, J2000, {ASTROMETRIC}", "ra"),
+    _number_field("dec_deg", "deg", f"observed declination, J2000, {ASTROMETRIC}", "dec"),
     _number_field(
-        "apparent_ra_deg", u.deg, "observed right ascension, J2000, apparent: as seen", "apparent_ra"
+        "apparent_ra_deg", "deg", "observed right ascension, J2000, apparent: as seen", "apparent_ra"
     ),
     _number_field(
-        "apparent_dec_deg", u.deg, "observed declination, J2000, apparent: as seen", "apparent_dec"
+        "apparent_dec_deg", "deg", "observed declination, J2000, apparent: as seen", "apparent_dec"
     ),
     _vector_field(
         "residual_arcsec",
-        u.arcsec,
+        "arcsec",
         "observed minus computed (RA cos(Dec), Dec)",
         ("ra_cosdec_oc", "observed minus computed RA times cos(Dec)"),
         ("dec_oc", "observed minus computed declination"),
     ),
     _covariance_field(
         "residual_covariance_arcsec2",
-        u.arcsec,
+        "arcsec",
         "observed minus computed RA cos(Dec) and Dec, pointing included",
         ("sigma_ra_cosdec_oc", "sigma_dec_oc", "covariance_ra_cosdec_dec_oc"),
     ),
-    _number_field("diameter_px", u.pix, "predicted diameter", "diameter"),
-    _number_field("measured_diameter_px", u.pix, "measured diameter", "measured_diameter"),
-    _number_field("diameter_sigma_px", u.pix, "1 sigma of the measured diameter", "sigma_diameter"),
+    _number_field("diameter_px", "pix", "predicted diameter", "diameter"),
+    _number_field("measured_diameter_px", "pix", "measured diameter", "measured_diameter"),
+    _number_field("diameter_sigma_px", "pix", "1 sigma of the measured diameter", "sigma_diameter"),
     _xyz_field(
-        "diameter_partials_px_per_km", u.pix / u.km, "d(diameter)/d(spacecraft position)", "ddiameter_d{}"
+        "diameter_partials_px_per_km", "pix / km", "d(diameter)/d(spacecraft position)", "ddiameter_d{}"
     ),
-    _number_field("range_km", u.km, "predicted distance from spacecraft to body", "range"),
+    _number_field("range_km", "km", "predicted distance from spacecraft to body", "range"),
     _number_field(
         "measured_range_km",
-        u.km,
+        "km",
         "distance from the body's size, its radius taken as known",
         "measured_range",
     ),
-    _number_field("range_sigma_km", u.km, "1 sigma of the measured distance", "sigma_range"),
-    _xyz_field("range_partials", u.km / u.km, "d(range)/d(spacecraft position), km/km", "drange_d{}"),
-    _xyz_field("position_km", u.km, f"computed, spacecraft to body, {ASTROMETRIC}", "position_{}"),
+    _number_field("range_sigma_km", "km", "1 sigma of the measured distance", "sigma_range"),
+    _xyz_field("range_partials", "", "d(range)/d(spacecraft position), km/km", "drange_d{}"),
+    _xyz_field("position_km", "km", f"computed, spacecraft to body, {ASTROMETRIC}", "position_{}"),
     _xyz_field(
         "observer_velocity_km_s",
-        u.km / u.s,
+        "km / s",
         "spacecraft relative to the solar-system barycenter",
         "observer_v{}",
     ),
     _xyz_field(
         "target_velocity_km_s",
-        u.km / u.s,
+        "km / s",
         "body relative to the solar-system barycenter when the light left",
         "target_velocity_{}",
     ),
-    _number_field("snr", u.one, "flux over its sigma"),
+    _number_field("snr", "", "flux over its sigma"),
     _text_field(
         "center_cross_px2", "JSON: covariance (px^2) of this center with those of bodies found jointly"
     ),

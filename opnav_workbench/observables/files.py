@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
-from astropy import units as u
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
@@ -35,6 +34,7 @@ from opnav_workbench.observables.columns import (
     row_of,
     rows_to_observables,
 )
+from opnav_workbench.observables.ecsv_writer import ecsv_of
 from opnav_workbench.observables.explanation import Origin, explanation, explanation_lines, origins_of_table
 from opnav_workbench.observables.observable import Observable
 
@@ -75,7 +75,8 @@ def observables_table(observables: Sequence[Observable], origins: Sequence[Origi
     >>> observables_table([]).colnames[:4]
     ['image', 'utc', 'et', 'body']
     """
-    from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+    from astropy import units as u  # noqa: PLC0415 (with tables a fifth of a short command; few need one)
+    from astropy.table import QTable  # noqa: PLC0415
 
     rows, table = [row_of(o) for o in observables], QTable()
     for column in COLUMNS:
@@ -83,7 +84,7 @@ def observables_table(observables: Sequence[Observable], origins: Sequence[Origi
         if column.unit is None:
             table[column.name] = np.array([text or ECSV_NO_TEXT for text in values], dtype=str)
         else:
-            table[column.name] = u.Quantity(np.array(values, dtype=float), column.unit)
+            table[column.name] = u.Quantity(np.array(values, dtype=float), u.Unit(column.unit))
         table[column.name].info.description = column.description
     table.meta.update(_encodable(explanation(origins)))
     return table
@@ -117,16 +118,18 @@ def table_observables(table: "QTable", source: str = "table") -> tuple[Observabl
 
 
 def _ecsv_factor(table: "QTable", column: ExportColumn) -> float:
-    """Return what makes a column's numbers those of our unit; a quantity says it with every number."""
+    """Return what makes a column's numbers those of our unit."""
+    from astropy import units as u  # noqa: PLC0415 (as in `observables_table`)
+
     unit = getattr(table[column.name], "unit", None)
-    if column.unit is None or unit is None or isinstance(table[column.name], u.Quantity):
+    if column.unit is None or unit is None:
         return 1.0
-    return float(unit.to(column.unit))
+    return float(unit.to(u.Unit(column.unit)))
 
 
-def _ecsv_cell(value: Any, unit: Any, factor: float) -> Any:
+def _ecsv_cell(value: Any, unit: str | None, factor: float) -> Any:
     if unit is not None:
-        return float(value.to_value(unit)) if isinstance(value, u.Quantity) else float(value) * factor
+        return float(getattr(value, "value", value)) * factor  # of a quantity, or plain
     return "" if str(value) == ECSV_NO_TEXT else str(value)
 
 
@@ -143,12 +146,11 @@ def ecsv_text(observables: Sequence[Observable], origins: Sequence[Origin] = ())
     >>> ecsv_text([]).splitlines()[0]
     '# %ECSV 1.0'
     """
-    from astropy.table import Table  # noqa: PLC0415 (a tenth of a short command; few need a table)
-
-    stream = io.StringIO()
-    # Plain columns have units, too; quantities would say each a second time, in half of the text.
-    Table(observables_table(observables, origins), copy=False).write(stream, format="ascii.ecsv")
-    return stream.getvalue()
+    rows = (
+        {name: ECSV_NO_TEXT if value == "" else value for name, value in row_of(observable).items()}
+        for observable in observables
+    )
+    return ecsv_of(COLUMNS, rows, _encodable(explanation(origins)))
 
 
 def _encodable(value: Any) -> Any:
@@ -212,7 +214,7 @@ def csv_text(observables: Sequence[Observable], origins: Sequence[Origin] = ()) 
 
 
 def _column_comment(column: ExportColumn) -> str:
-    unit = "text" if column.unit is None else column.unit.to_string() or "1"
+    unit = "text" if column.unit is None else column.unit or "1"
     return f"{column.name} [{unit}] {column.description}"
 
 
@@ -273,7 +275,7 @@ def observables_dict(observables: Sequence[Observable], origins: Sequence[Origin
         **explanation(origins),
         "fields": {
             field.name: {
-                "unit": None if field.unit is None else field.unit.to_string(),
+                "unit": field.unit,
                 "shape": list(field.shape),
                 "description": field.description,
             }

@@ -172,15 +172,18 @@ class PsfCorrection:
         self, center: FloatArray, first: FloatArray, size: int
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return pixel shares (n, size, size) and their derivatives with the center along pixel and line, 1/px."""
-        value, d_pixel, d_line = np.zeros((3, len(center), size, size))
+        n = len(center)
+        value, d_pixel, d_line = np.zeros((3, n, size, size))
+        offset = (
+            first - center
+        ).T.ravel()  # both axes at once: what is around the numbers takes longer than they
         for layer, coefficients in zip(LAYERS, self._coefficients, strict=True):
-            (x, dx), (y, dy) = (
-                _axis(layer, self.sigma_px, first[:, axis] - center[:, axis], size) for axis in (0, 1)
-            )
-            lines, x, dx = y @ coefficients, np.swapaxes(x, 1, 2), np.swapaxes(dx, 1, 2)
+            light, change = _axis(layer, self.sigma_px, offset, size)
+            x, dx = np.swapaxes(light[:n], 1, 2), np.swapaxes(change[:n], 1, 2)
+            lines = light[n:] @ coefficients
             value += lines @ x
             d_pixel += lines @ dx
-            d_line += dy @ coefficients @ x
+            d_line += change[n:] @ coefficients @ x
         return value, d_pixel, d_line
 
     def errors(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray:
@@ -193,19 +196,35 @@ def _axis(layer: _Layer, sigma_px: float, offset: FloatArray, size: int) -> tupl
     nodes = np.arange(-layer.half_nodes, layer.half_nodes + 1)
     if not layer.integrated:
         width = float(np.hypot(sigma_px, np.sqrt(PIXEL_VARIANCE_PX2)))
-        at = (offset[:, None] + np.arange(size))[..., None] / (layer.spacing * width) - nodes
-        _, value, slope = _bspline(at)
-        return value / width, -slope / (layer.spacing * width**2)
+        spline = _Spline((offset[:, None] + np.arange(size))[..., None] / (layer.spacing * width) - nodes)
+        return spline.value() / width, -spline.slope() / (layer.spacing * width**2)
     edges = offset[:, None] - 0.5 + np.arange(size + 1)
-    cumulated, density, _ = _bspline(edges[..., None] / (layer.spacing * sigma_px) - nodes)
-    return layer.spacing * np.diff(cumulated, axis=1), -np.diff(density, axis=1) / sigma_px
+    spline = _Spline(edges[..., None] / (layer.spacing * sigma_px) - nodes)
+    cumulated, density = spline.cumulated(), spline.value()
+    return layer.spacing * (cumulated[:, 1:] - cumulated[:, :-1]), -(
+        density[:, 1:] - density[:, :-1]
+    ) / sigma_px
 
 
-def _bspline(at: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Integral from below, value and slope of the cubic B-spline of unit spacing."""
-    distance = np.abs(at)
-    inner, outer = np.maximum(1.0 - distance, 0.0), np.maximum(2.0 - distance, 0.0)
-    inner2, outer2 = inner * inner, outer * outer  # products: powers of arrays take ten times as long
-    beyond = (outer2 * outer2 - 4.0 * inner2 * inner2) / 24.0
-    slope = np.sign(at) * (2.0 * inner2 - 0.5 * outer2)
-    return np.where(at > 0.0, 1.0 - beyond, beyond), (outer2 * outer - 4.0 * inner2 * inner) / 6.0, slope
+class _Spline:
+    """The cubic B-spline of unit spacing at places."""
+
+    def __init__(self, at: FloatArray) -> None:
+        distance = np.abs(at)
+        self._at = at
+        self._inner, self._outer = np.maximum(1.0 - distance, 0.0), np.maximum(2.0 - distance, 0.0)
+        # Products: powers of arrays take ten times as long.
+        self._inner2, self._outer2 = self._inner * self._inner, self._outer * self._outer
+
+    def cumulated(self) -> FloatArray:
+        """Integral from below."""
+        beyond = (self._outer2 * self._outer2 - 4.0 * self._inner2 * self._inner2) / 24.0
+        return np.asarray(np.where(self._at > 0.0, 1.0 - beyond, beyond))
+
+    def value(self) -> FloatArray:
+        """The spline."""
+        return np.asarray((self._outer2 * self._outer - 4.0 * self._inner2 * self._inner) / 6.0)
+
+    def slope(self) -> FloatArray:
+        """Its derivative."""
+        return np.asarray(np.sign(self._at) * (2.0 * self._inner2 - 0.5 * self._outer2))

@@ -13,9 +13,8 @@ from os import PathLike
 from typing import Self
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import sparse
-from scipy.linalg import solveh_banded
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, readonly
 from opnav_workbench.constants import MAD_TO_SIGMA
@@ -92,7 +91,7 @@ def cells_from_stars(
     keep = np.ones(len(data), dtype=bool)
     for _ in range(PASSES):
         heavy = weight[star[keep]]
-        rows = sparse.csr_matrix(sparse.diags(heavy) @ design[keep])
+        rows = scipy.sparse.csr_matrix(scipy.sparse.diags(heavy) @ design[keep])
         coefficients = _solve_cells(rows, heavy * (data - known)[keep], n_cell, smoothness)
         model = known + design @ coefficients
         residual = np.abs(data - model)
@@ -138,7 +137,7 @@ def _cell_design(
     oversampling: int,
     half: int,
     base: Psf | None,
-) -> tuple[sparse.csr_matrix, FloatArray, FloatArray, IntArray]:
+) -> tuple["scipy.sparse.csr_matrix", FloatArray, FloatArray, IntArray]:
     """Rows: usable pixels near stars; columns: coefficients of the cells; data, the base's light, and whose pixel."""
     reach = int(np.floor(half / oversampling))
     step = np.arange(-reach, reach + 1)
@@ -152,7 +151,7 @@ def _cell_design(
     weight = weights[1][star, row, :, None] * weights[0][star, column, None, :] * flux[star, None, None]
     place = columns[1][star, row, :, None] * (2 * half + 1) + columns[0][star, column, None, :]
     starts = np.arange(len(star) + 1) * weight[0].size if len(star) else np.zeros(1, dtype=np.int64)
-    matrix = sparse.csr_matrix(
+    matrix = scipy.sparse.csr_matrix(
         (weight.ravel(), place.ravel(), starts), shape=(len(star), (2 * half + 1) ** 2)
     )
     light = np.zeros(len(star))
@@ -174,16 +173,18 @@ def _axis_weights(offset_px: FloatArray, oversampling: int, half: int) -> tuple[
     return np.clip(columns, 0, 2 * half), np.where(known, weights, 0.0)
 
 
-def _solve_cells(design: sparse.csr_matrix, data: FloatArray, n_cell: int, smoothness: float) -> FloatArray:
+def _solve_cells(
+    design: "scipy.sparse.csr_matrix", data: FloatArray, n_cell: int, smoothness: float
+) -> FloatArray:
     """Least squares with a weak demand for smoothness; the normal matrix is banded, as cells see near ones only."""
     normal = (design.T @ design).tocsc()
-    difference = sparse.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n_cell, n_cell))
-    rough = sparse.kronsum(difference, difference)
+    difference = scipy.sparse.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n_cell, n_cell))
+    rough = scipy.sparse.kronsum(difference, difference)
     strength = smoothness * float(normal.diagonal().mean())
-    lower = sparse.tril(normal + strength * (rough.T @ rough), format="coo")
+    lower = scipy.sparse.tril(normal + strength * (rough.T @ rough), format="coo")
     band = np.zeros((int((lower.row - lower.col).max()) + 1, n_cell**2))
     band[lower.row - lower.col, lower.col] = lower.data
-    return np.asarray(solveh_banded(band, design.T @ data, lower=True))
+    return np.asarray(scipy.linalg.solveh_banded(band, design.T @ data, lower=True))
 
 
 def _spline_values(coefficients: FloatArray) -> FloatArray:

@@ -27,6 +27,7 @@ from opnav_workbench.errors import CenterfindingError
 __all__ = [
     "PixelIntegrals",
     "box_integrals",
+    "box_parts",
     "box_values",
     "covariance_from_shape",
     "ellipse_from_shape",
@@ -64,9 +65,14 @@ def covariance_from_shape(log_scale: ArrayLike, e1: ArrayLike, e2: ArrayLike) ->
 
     Unlike axes and an angle these parameters have no singular point at a round PSF.
     """
-    scale, a, b = np.broadcast_arrays(*(np.asarray(x, float) for x in (log_scale, e1, e2)))
-    variance = np.exp(2.0 * scale)
-    return np.stack([variance * (1.0 + a), variance * b, variance * (1.0 - a)])
+    return np.stack(_covariance(*np.broadcast_arrays(*(np.asarray(x, float) for x in (log_scale, e1, e2)))))
+
+
+def _covariance(
+    log_scale: FloatArray, e1: FloatArray, e2: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    variance = np.exp(2.0 * log_scale)
+    return variance * (1.0 + e1), variance * e2, variance * (1.0 - e1)
 
 
 def ellipse_from_shape(log_scale: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> FloatArray:
@@ -146,25 +152,25 @@ def box_integrals(center: FloatArray, shape: FloatArray, first: FloatArray, size
     CenterfindingError
         A shape that is no ellipse (|e| >= 1) or not finite.
     """
+    return PixelIntegrals(*box_parts(center, shape, first, size))
+
+
+def box_parts(center: FloatArray, shape: FloatArray, first: FloatArray, size: int) -> tuple[FloatArray, ...]:
+    """Return the fields of `box_integrals` in their order, for fits that ask a thousand times."""
     u, v, uu, uv, vv, sigma_minor = _edges_and_covariance(center, shape, first, size)
     value = _values(u, v, uu, uv, vv, _node_count(sigma_minor))
 
     corner, along_v, along_u = _edge_integrals(u, v, uu, uv, vv)
     g_u = _diff_u(along_v)  # integral of dg/du over the pixel
     g_v = _diff_v(along_u)
-    g_uv = _diff_u(_diff_v(corner))
+    corner_v = _diff_v(corner)
+    g_uv = _diff_u(corner_v)
     uu, uv, vv = uu[:, None, None], uv[:, None, None], vv[:, None, None]
-    g_uu = -_diff_u(u[:, None, :] * along_v + uv * _diff_v(corner)) / uu
+    g_uu = -_diff_u(u[:, None, :] * along_v + uv * corner_v) / uu
     g_vv = -_diff_v(v[:, :, None] * along_u + uv * _diff_u(corner)) / vv
     variance = 0.5 * (uu + vv)
-    return PixelIntegrals(
-        value=value,
-        d_pixel=-g_u,
-        d_line=-g_v,
-        d_log_scale=uu * g_uu + 2.0 * uv * g_uv + vv * g_vv,
-        d_e1=0.5 * variance * (g_uu - g_vv),
-        d_e2=variance * g_uv,
-    )
+    d_log_scale = uu * g_uu + 2.0 * uv * g_uv + vv * g_vv
+    return value, -g_u, -g_v, d_log_scale, 0.5 * variance * (g_uu - g_vv), variance * g_uv
 
 
 def box_values(center: FloatArray, shape: FloatArray, first: FloatArray, size: int) -> FloatArray:
@@ -184,16 +190,17 @@ def _edges_and_covariance(
     center: FloatArray, shape: FloatArray, first: FloatArray, size: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Edges u, v (n, size + 1) of the pixels from the centers; S_uu, S_uv, S_vv and the smaller sigma (n,)."""
-    log_scale, e1, e2 = np.moveaxis(np.asarray(shape, float), -1, 0)
-    if not np.all(np.hypot(e1, e2) < 1.0) or not np.all(np.isfinite(log_scale)):
-        worst = float(np.max(np.hypot(e1, e2), initial=0.0))
+    log_scale, e1, e2 = np.asarray(shape, float).T
+    ellipticity = np.hypot(e1, e2)
+    if not (ellipticity < 1.0).all() or not np.isfinite(log_scale).all():
+        worst = float(np.max(ellipticity, initial=0.0))
         raise CenterfindingError(
             f"PSF ellipticity must stay below 1 and its scale finite; largest |e| is {worst:.3g}."
         )
     start = np.asarray(first, float) - 0.5 - np.asarray(center, float)
     edges = start[:, :, None] + np.arange(size + 1)
-    uu, uv, vv = covariance_from_shape(log_scale, e1, e2)
-    return edges[:, 0], edges[:, 1], uu, uv, vv, np.exp(log_scale) * np.sqrt(1.0 - np.hypot(e1, e2))
+    uu, uv, vv = _covariance(log_scale, e1, e2)
+    return edges[:, 0], edges[:, 1], uu, uv, vv, np.exp(log_scale) * np.sqrt(1.0 - ellipticity)
 
 
 def _node_count(sigma_minor: FloatArray) -> int:
@@ -214,7 +221,7 @@ def _values(
     )
     argument = (u / scale[:, 0])[:, None, None, :] - (slope * at / scale)[..., None]
     cumulative = np.matmul(density[:, :, None, :], erf(argument, out=argument))[:, :, 0, :]
-    return np.diff(cumulative, axis=-1)
+    return _diff_u(cumulative)
 
 
 def _edge_integrals(

@@ -7,14 +7,21 @@ attitude of the camera's frame is wrong by the turn.  That is a contradiction.  
 priori attitude was not, which is a message.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.session.contradictions import ATTITUDE_SIGMAS
-from opnav_workbench.stars.lost_in_space import right_handed_axes
 from opnav_workbench.stars.pointing import PointingSolution
+
+if TYPE_CHECKING:
+    from opnav_workbench.stars import lost_in_space
+else:  # for the few pictures that are not where they were expected
+    lost_in_space = module_on_demand("opnav_workbench.stars.lost_in_space")
 
 __all__ = ["CAMERA_FILE", "MIRRORS", "far_words", "mirrored_words", "nearest_quarter_deg", "turned_words"]
 
@@ -92,7 +99,7 @@ def far_words(camera: Camera, a_priori: FloatArray, solution: PointingSolution, 
 
 def mirrored_words(camera: Camera, a_priori: FloatArray, mirrored: FloatArray) -> str:
     """Return along what a picture is mirrored, by the attitude it should have (camera from J2000)."""
-    axes = right_handed_axes(camera)
+    axes = lost_in_space.right_handed_axes(camera)
     between = axes @ mirrored @ a_priori.T @ axes.T
     twist = float(np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1]))
     near = between[2, 2] > np.cos(max(10.0 * camera.half_diagonal_rad, np.radians(5.0)))

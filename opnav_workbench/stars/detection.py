@@ -13,11 +13,10 @@ References: Zackay & Ofek (2017), doi:10.3847/1538-4357/836/2/187; sharpness aft
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 from scipy.ndimage import correlate1d
-from scipy.spatial import cKDTree
 from scipy.special import erf
-from skimage.measure import label, regionprops
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
@@ -68,10 +67,12 @@ def replace_saturated(found: Detections, saturated: BoolArray, sigma_px: float) 
     """
     if not saturated.any():
         return found
+    from skimage.measure import label, regionprops  # noqa: PLC0415 (few pictures are saturated)
+
     cores = regionprops(label(saturated, connectivity=2))
     middle = np.array([core.centroid[::-1] for core in cores])
     radius = np.array([0.5 * core.equivalent_diameter_area for core in cores]) + WING_SIGMAS * sigma_px
-    near = cKDTree(found.pixel_line.reshape(-1, 2)).query_ball_point(middle, radius)
+    near = scipy.spatial.cKDTree(found.pixel_line.reshape(-1, 2)).query_ball_point(middle, radius)
     kept = np.setdiff1d(np.arange(len(found)), np.concatenate([*near, []]).astype(np.int64))
     brightest = float(np.max(found.flux_dn, initial=1.0))
     flux = np.array([float(found.flux_dn[n].max()) if n else brightest for n in near])

@@ -237,11 +237,22 @@ class FittedStars:
 
 
 def fit_groups(
-    pixels: Pixels, start: FloatArray, profile: StarProfile, settings: FitSettings, *, searched: bool = True
+    pixels: Pixels,
+    start: FloatArray,
+    profile: StarProfile,
+    settings: FitSettings,
+    *,
+    searched: bool = True,
+    darkest: float = -np.inf,
 ) -> tuple[FittedStars, IntArray]:
     """Fit groups of stars that start at (g, k, 2), each group with one background and one shape.
 
-    Without `searched` the fit begins right there, and not where stars are most significant around.
+    Parameters
+    ----------
+    searched
+        Begin where stars are most significant around, and not right there.
+    darkest
+        Part of a group's light below which none of its stars may come: its fit ends there, not converged.
 
     Returns
     -------
@@ -260,7 +271,14 @@ def fit_groups(
     mean, information = np.zeros_like(p0), np.zeros_like(p0)
     mean[:, model.shape_columns] = profile.mean
     information[:, model.shape_columns] = profile.information
-    solution = solve_batched(model, p0, lower, upper, mean, information)
+
+    def hopeless(p: FloatArray) -> BoolArray:
+        flux = p[:, model.flux_columns]
+        return np.asarray(flux.min(axis=1) < darkest * flux.sum(axis=1))
+
+    solution = solve_batched(
+        model, p0, lower, upper, mean, information, hopeless=hopeless if darkest > -np.inf else None
+    )
     freedom = _freedom(solution, model, information)
     # A group that is not determined has no covariance; zeros keep the algebra below finite.
     covariance = np.where((freedom > 0.0)[:, None, None], solution.covariance, 0.0)

@@ -11,10 +11,10 @@ Duda & Hart (1972), doi:10.1145/361237.361242.
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.geometry import rotation_from_vector
+from opnav_workbench.geometry.near_places import pairs_within
 from opnav_workbench.stars.star_field import RotationHypothesis, SearchLimits, StarField, shift_and_twist
 
 __all__ = [
@@ -121,9 +121,7 @@ def _pairs_of_pairs(
     seen = star_field.focal_px * star_field.detected[detections]
     first, second = np.triu_indices(len(seen), 1)
     apart = np.linalg.norm(seen[first] - seen[second], axis=1)
-    candidates = cKDTree(points).query_pairs(
-        float(apart.max(initial=0.0)) + PAIR_TOLERANCE_PX, output_type="ndarray"
-    )
+    candidates = pairs_within(points, float(apart.max(initial=0.0)) + PAIR_TOLERANCE_PX)
     separation = np.linalg.norm(points[candidates[:, 0]] - points[candidates[:, 1]], axis=1)
     order = np.argsort(separation)
     candidates, separation = candidates[order], separation[order]
@@ -211,7 +209,7 @@ def most_promising(
     on = star_field.inside(places)
     reach = FIRST_TOLERANCES * limits.tolerance_px
     distance = np.full(on.shape, np.inf)
-    found, index = star_field.tree.query(places[on], distance_upper_bound=reach)
+    found, index = star_field.near.nearest(places[on], within=reach)
     seen = np.isfinite(found)
     if not np.isnan(star_field.zero_point_mag):
         detection = np.where(seen, index, 0)
@@ -250,8 +248,7 @@ def _match_stars(
     """One-to-one pairs within the tolerances: each star's best detection, each detection's best star."""
     places = star_field.places(rotation)
     on = np.flatnonzero(star_field.inside(places))
-    nearest = star_field.tree.query(places[on], k=DETECTIONS_PER_STAR, distance_upper_bound=tolerance_px)
-    distance, index = np.asarray(nearest[0], float), np.asarray(nearest[1], np.int64)
+    distance, index = star_field.near.nearest(places[on], DETECTIONS_PER_STAR, tolerance_px)
     found = np.isfinite(distance)
     cost = np.where(found, (distance / tolerance_px) ** 2, np.inf)
     if not np.isnan(zero_point):

@@ -63,6 +63,7 @@ def solve_batched(
     prior_mean: FloatArray,
     prior_information: FloatArray,
     max_iterations: int = MAX_ITERATIONS,
+    hopeless: Callable[[FloatArray], BoolArray] | None = None,
 ) -> BatchSolution:
     """Minimize the cost of every problem.
 
@@ -76,6 +77,8 @@ def solve_batched(
         Center and inverse variance of the prior on each parameter; 0 for none.
     max_iterations
         Trial steps per problem.
+    hopeless : callable
+        Tells of parameters (k, q) that nobody will use what comes of them: such a problem ends, not converged.
     """
     n = len(start)
     p = np.clip(start, lower, upper)
@@ -109,6 +112,8 @@ def solve_batched(
         converged[i] = done
         iterations[i] += 1
         ended = done | stuck
+        if hopeless is not None:
+            ended |= hopeless(p[i])
         if ended.any():
             _store(final, i[ended], _take(state, ended))
             active, state = i[~ended], _take(state, ~ended)

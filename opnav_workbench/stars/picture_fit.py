@@ -12,10 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.spatial import cKDTree
+import scipy
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
+from opnav_workbench.geometry.near_places import NearPlaces, pairs_within
 from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.stars.boxes import Boxes, Pixels, cut_at, cut_boxes
 from opnav_workbench.stars.flags import StarFlag, combine_flags
@@ -37,12 +37,6 @@ MAX_GROUP_MEMBERS = 8  # of one group: larger chains are cut at their widest gap
 CUT_STEP = 0.97  # factor on the linking length of groups that are too large
 
 
-def pairs_within(places: FloatArray, radius_px: float, p: float = 2.0) -> IntArray:
-    """Return pairs (m, 2), i < j, of places (n, 2) nearer than `radius_px`; p = inf counts along each axis."""
-    tree = cKDTree(places)
-    return np.asarray(tree.query_pairs(radius_px, p=p, output_type="ndarray"), np.int64).reshape(-1, 2)
-
-
 def link_neighbors(
     places: FloatArray, joinable: BoolArray, radius_px: float, too_close_px: float
 ) -> IntArray:
@@ -61,7 +55,7 @@ def link_neighbors(
     joinable = joinable.copy()
     joinable[pairs_within(places, too_close_px)[:, 1]] = False
     labels = np.arange(len(places))
-    pairs = pairs_within(places, radius_px, p=np.inf)
+    pairs = pairs_within(places, radius_px, along_axes=True)
     pairs = pairs[joinable[pairs].all(axis=1)]
     distance = np.abs(np.diff(places[pairs], axis=1)[:, 0]).max(axis=1)
     while len(pairs):
@@ -85,7 +79,7 @@ def groups_of(labels: IntArray, chosen: BoolArray) -> list[IntArray]:
 
 
 def _connected_labels(n: int, pairs: IntArray) -> IntArray:
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    graph = scipy.sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     return np.asarray(csgraph.connected_components(graph, directed=False)[1], np.int64)
 
 
@@ -203,8 +197,8 @@ class _PictureFit:
 
     def _mask(self, hits: IntArray) -> BoolArray:
         """Take hits out of use, unless they are another listed star's; return the stars with one in their box."""
-        tree = cKDTree(self.rows.parameters[:, PIXEL : LINE + 1])
-        distance, nearest = (np.asarray(a) for a in tree.query(hits[:, :0:-1]))
+        places = NearPlaces(self.rows.parameters[:, PIXEL : LINE + 1])
+        distance, nearest = places.nearest(hits[:, :0:-1].astype(float))
         own = (self.labels[nearest] == hits[:, 0]) | (distance > _blend_radius(self.profile))
         hits, distance, nearest = hits[own], distance[own], nearest[own]
         self.core_hit[nearest[distance <= _core_radius(np.array(self.profile.core_px))]] = True

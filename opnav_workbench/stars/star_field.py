@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.camera import Camera
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import unit
+from opnav_workbench.geometry.near_places import NearPlaces
 from opnav_workbench.stars.boxes import check_points
 from opnav_workbench.stars.detection import Detections
 from opnav_workbench.stars.flags import StarFlag
@@ -53,11 +53,11 @@ class StarField:
     center_px: FloatArray  # (2,) of the boresight
     size_px: FloatArray  # (2,) of the detector
     detected_plane: FloatArray = field(init=False)  # (m, 2)
-    tree: cKDTree = field(init=False)  # of detected_plane
+    near: NearPlaces = field(init=False)  # of detected_plane
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "detected_plane", self.plane(self.detected))
-        object.__setattr__(self, "tree", cKDTree(self.detected_plane))
+        object.__setattr__(self, "near", NearPlaces(self.detected_plane))
         freeze_arrays(self)
 
     def plane(self, vectors: FloatArray) -> FloatArray:

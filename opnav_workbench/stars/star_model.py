@@ -15,7 +15,8 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
-from opnav_workbench.psf import Psf, TrailedPsf, box_integrals, box_values, covering_boxes, ellipse_from_shape
+from opnav_workbench.psf import Psf, TrailedPsf, box_values, covering_boxes, ellipse_from_shape
+from opnav_workbench.psf.integrals import box_parts
 from opnav_workbench.stars.boxes import Boxes
 from opnav_workbench.stars.levenberg_marquardt import ModelEvaluation
 from opnav_workbench.stars.results import NoiseModel, ShapePrior
@@ -132,12 +133,11 @@ class GaussianProfile:
         self, center: FloatArray, shape: FloatArray, first: FloatArray, size: int
     ) -> tuple[FloatArray, ...]:
         """Shares and derivatives."""
-        psf = box_integrals(center, shape, first, size)
-        parts = psf.value, psf.d_pixel, psf.d_line
+        parts = box_parts(center, shape, first, size)
         if self.prior.correction is not None:
             added = self.prior.correction.evaluate(center, first, size)
-            parts = parts[0] + added[0], parts[1] + added[1], parts[2] + added[2]
-        return *parts, psf.d_log_scale, psf.d_e1, psf.d_e2
+            parts = parts[0] + added[0], parts[1] + added[1], parts[2] + added[2], *parts[3:]
+        return parts
 
     def errors(self, center: FloatArray, first: FloatArray, size: int) -> FloatArray | None:
         """Errors of a correction that was learned."""
@@ -323,9 +323,9 @@ class StarModel:
         for column, derivative in zip((PIXEL, LINE), derivatives[:2], strict=True):
             np.multiply(flux, derivative, out=stars[:, :, column])
         for column, derivative in enumerate(derivatives[2:], PER_STAR * k):
-            jacobian[:, column] = np.sum(flux * derivative, axis=1)
+            jacobian[:, column] = _summed(flux * derivative)
         jacobian[:, self.background_columns] = self.basis
-        return np.sum(flux * value, axis=1), jacobian
+        return _summed(flux * value), jacobian
 
     def light(self, p: FloatArray, state: ModelEvaluation) -> FloatArray:
         """Return the light of the stars (g, m) at parameters `p`, of which `state` is the evaluation."""
@@ -366,6 +366,11 @@ class StarModel:
         offset = center - self.first[:, None] - (self.size - 1) / 2
         basis = np.concatenate([np.ones((*center.shape[:2], 1)), offset], axis=2)[:, :, : len(self.basis)]
         return np.asarray(np.sum(basis * p[:, None, self.background_columns], axis=2))
+
+
+def _summed(stars: FloatArray) -> FloatArray:
+    """Sum (g, k, m) over the stars of a group; most have one."""
+    return stars[:, 0] if stars.shape[1] == 1 else np.asarray(stars.sum(axis=1))
 
 
 def _solve_linear(normal: FloatArray, right: FloatArray, kept: BoolArray) -> FloatArray:

@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+import scipy
 import spiceypy
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from opnav_workbench import geometry as geo
+from opnav_workbench.geometry import rotations
 
 ROUNDING_RAD = 1e-14
 LORRI = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, -1]])  # boresight -Z: mirrored, determinant -1
@@ -233,3 +236,56 @@ def test_stacks_of_attitudes_are_those_of_single_ones():
         assert stack[i] == pytest.approx(geo.camera_from_j2000(ra[i], dec[i], twist[i], focal), abs=1e-15)
     assert geo.camera_from_j2000(0.1, dec, 0.3, focal).shape == (3, 3, 3)
     np.testing.assert_allclose(geo.pointing_angle_arrays(stack, focal), [ra, dec, twist], atol=1e-14)
+
+
+# ---- Few rotations are worked out one by one, many by SciPy: nobody shall see which.
+
+ULPS = 0 if scipy.__version__.startswith("1.17.") else 4  # as it rounds
+
+
+def vectors_of_every_length(n: int) -> np.ndarray:
+    rng = np.random.default_rng(n)
+    vectors = rng.normal(size=(n, 3))
+    vectors /= np.linalg.norm(vectors, axis=1)[:, None]
+    vectors *= 10.0 ** rng.uniform(-9.0, 0.0, (n, 1))
+    near_half_turns = slice(0, n, 3)
+    vectors[near_half_turns] *= (
+        np.pi * (1.0 - 10.0 ** rng.uniform(-17, -1, (len(vectors[near_half_turns]), 1)))
+    ) / np.linalg.norm(vectors[near_half_turns], axis=1)[:, None]
+    return vectors
+
+
+def test_few_rotations_round_as_many_do():
+    rng = np.random.default_rng(3)
+    for vector in vectors_of_every_length(300):
+        made = geo.rotation_from_vector(vector)
+        np.testing.assert_array_max_ulp(made, Rotation.from_rotvec(vector).as_matrix(), ULPS)
+        printed = made + rng.normal(0.0, 10.0 ** rng.uniform(-17.0, -7.5), (3, 3))  # not quite orthogonal
+        for matrix in (made, printed):
+            by_scipy = Rotation.from_matrix(matrix[None])
+            xyzw = np.roll(geo.quaternion_from_matrix(matrix), -1)
+            expected = by_scipy.as_quat()[0]
+            np.testing.assert_array_max_ulp(xyzw, np.copysign(1.0, expected[3]) * expected + 0.0, ULPS)
+            np.testing.assert_array_max_ulp(geo.vector_from_rotation(matrix), by_scipy.as_rotvec()[0], ULPS)
+        wxyz = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 3.0), 4)
+        expected = Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
+        np.testing.assert_array_max_ulp(geo.matrix_from_quaternion(wxyz), expected, ULPS)
+
+
+def test_a_half_turn_has_one_vector_however_many_are_asked():
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-0.6, 0.8, 0.0], [0.0, -0.6, 0.8]])
+    turns = 2.0 * axes[:, :, None] * axes[:, None] - np.eye(3)
+    one_by_one = np.array([geo.vector_from_rotation(turn) for turn in turns])
+    together = geo.vector_from_rotation(np.tile(turns, (rotations.FEW, 1, 1)))[: len(turns)]
+    np.testing.assert_array_equal(one_by_one, together)
+    np.testing.assert_allclose(np.abs(one_by_one), np.pi * np.abs(axes), rtol=0, atol=1e-14)
+
+
+def test_shapes_of_none_one_and_many():
+    for shape in ((), (0,), (3,), (rotations.FEW + 1,), (2, 3)):
+        vectors = np.full((*shape, 3), 0.1)
+        matrices = geo.rotation_from_vector(vectors)
+        assert matrices.shape == (*shape, 3, 3)
+        assert geo.quaternion_from_matrix(matrices).shape == (*shape, 4)
+        assert geo.matrix_from_quaternion(np.ones((*shape, 4))).shape == (*shape, 3, 3)
+        np.testing.assert_allclose(geo.vector_from_rotation(matrices), vectors, rtol=0, atol=1e-15)

@@ -9,7 +9,7 @@ from IPython.core.ultratb import FormattedTB
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.headless.faults import FAULTS, fault_of_report
-from opnav_workbench.image import KeywordMap, formats, read_image
+from opnav_workbench.image import KeywordMap, read_image
 
 
 def reported(raising):
@@ -48,7 +48,7 @@ def test_a_machine_without_memory_is_passing(tmp_path, monkeypatch):
 
     path = tmp_path / "a.fit"
     path.write_bytes(b"SIMPLE  =")
-    monkeypatch.setattr(formats.fits_picture.fits, "open", full)
+    monkeypatch.setattr("astropy.io.fits.open", full)
     assert (
         fault_of_report(reported(lambda: read_image(path, KeywordMap(exposure_s="EXPTIME"))), "n")[0]
         == "machine"

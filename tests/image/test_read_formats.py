@@ -3,6 +3,7 @@
 import json
 import struct
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,31 @@ class TestDisplayPictures:
     def test_wrong_sidecars(self, gray, words, said):
         gray.with_suffix(".json").write_text(json.dumps(words))
         assert said in error_of(gray)
+
+    @pytest.mark.parametrize(
+        ("words", "said"),
+        [
+            ({"exposure_s": 1.0}, "a.json: no utc; state it there (or START)"),
+            ({"utc": "2030-01-01T00:00:00"}, "a.json: no exposure_s; state it there (or EXP_MS)"),
+            ({"utc": "2030-01-01T00:00:00", "exposure_s": float("nan")}, "no exposure_s"),
+            ({"utc": "2999-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
+            ({"utc": "1907-01-01T00:00:00", "exposure_s": 1.0}, "no date of a picture from space"),
+            (
+                {"utc": "2030-02-30T00:00:00", "exposure_s": 1.0},
+                "is no UTC (no such date, or not of the form 2015",
+            ),
+        ],
+    )
+    def test_what_a_mission_asks_for_is_said_in_the_words_of_a_sidecar(self, gray, words, said):
+        gray.with_suffix(".json").write_text(json.dumps(words))
+        assert said in error_of(gray, MISSION)
+
+    @pytest.mark.parametrize("reference", ["start", "middle"])
+    def test_a_sidecars_time_that_is_none_is_a_fault_of_the_sidecar(self, gray, reference):
+        gray.with_suffix(".json").write_text('{"utc": "yesterday", "exposure_s": 1.0}')
+        said = error_of(gray, replace(MISSION, time_reference=reference))
+        assert "a.json: utc = 'yesterday' is no UTC" in said
+        assert said.endswith("correct the sidecar.")
 
     def test_what_would_be_changed_or_is_damaged(self, gray):
         whole = bytearray(gray.read_bytes())

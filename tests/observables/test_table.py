@@ -1,16 +1,20 @@
 """The table of observables and its ECSV file."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from astropy import units as u
-from astropy.table import QTable
+from astropy.table import QTable, Table
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import camera_from_j2000
 from opnav_workbench.observables import Origin, ecsv_text, observables_table, observe, write_ecsv
+from opnav_workbench.observables.columns import COLUMNS
 from opnav_workbench.targets import TargetState
 
 TEXT = {
@@ -153,3 +157,27 @@ def test_the_text_of_an_ecsv_holds_the_table_whatever_its_names(observables):
             ]
     assert dict(read.meta["conventions"]) == dict(made.meta["conventions"])
     assert len(read.meta["origins"][0]["kernels"]) == 2
+
+
+WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1, max_size=200)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(WORDS, WORDS, st.lists(st.floats(), min_size=4, max_size=4))
+@example("a b.fit", 'it\'s "far" off: #2, \u00e9 ' * 12, [0.1, 1e300, -0.0, np.nan])
+def test_an_ecsv_is_what_astropy_writes(observables, name, words, numbers):
+    """To the byte, whatever stands in it."""
+    first = replace(
+        observables[0], image=name, messages=(words,), et=numbers[0], snr=numbers[1],
+        observed_px=np.array(numbers[2:]),
+    )  # fmt: skip
+    origins = [Origin(name, words, "1.0", "bundled", ((words, "00"), (name, "01")))]
+    for rows in ((first, *observables[1:]), ()):
+        expected = io.StringIO()
+        Table(observables_table(rows, origins), copy=False).write(expected, format="ascii.ecsv")
+        assert ecsv_text(rows, origins) == expected.getvalue()
+
+
+def test_units_are_written_as_astropy_writes_them():
+    for column in COLUMNS:
+        assert column.unit is None or str(u.Unit(column.unit)) == column.unit, column.name

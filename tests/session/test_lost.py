@@ -251,6 +251,12 @@ def test_processing_waits_for_the_index_where_the_attitude_is_wrong(paint, sky, 
     assert outcome.result["pointing"]["n_stars"] >= 0.7 * n_stars
 
 
+class StandIn(SimpleNamespace):
+    """A context, of which each is its own."""
+
+    __hash__ = object.__hash__
+
+
 def test_hot_pixels_do_not_crowd_the_stars_out():
     rng = np.random.default_rng(3)
     sigma = CAMERA.psf.sigma_px
@@ -261,7 +267,7 @@ def test_hot_pixels_do_not_crowd_the_stars_out():
         image += 60.0 * np.exp(-0.5 * ((pixel - x) ** 2 + (line - y) ** 2) / (sigma**2 + 1.0 / 12.0))
     image[tuple(rng.integers(0, 512, (2, 600)))] += 2000.0
     none = np.zeros(image.shape, bool)
-    context = SimpleNamespace(
+    context = StandIn(
         camera=CAMERA, picture=SimpleNamespace(saturated=none), not_stars=none, signal_dn=image,
         noise_dn=np.full(image.shape, 1.2),
     )  # fmt: skip

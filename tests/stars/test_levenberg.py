@@ -82,3 +82,18 @@ def test_a_problem_without_data_is_undetermined_and_leaves_the_others_alone():
     assert solution.determined.tolist() == [False, True]
     assert np.isnan(solution.covariance[0]).all()
     np.testing.assert_allclose(solution.parameters[1], [3.0, 0.5], atol=1e-4)
+
+
+def test_what_is_hopeless_ends_where_it_is_and_leaves_the_others_as_they_are():
+    rng = np.random.default_rng(4)
+    data = np.array([decay(5.0, 1.0), decay(-5.0, 1.0), decay(7.0, 0.4)]) + rng.normal(0.0, 0.05, (3, 25))
+    start, none, wide = np.tile([4.0, 0.7], (3, 1)), np.zeros((3, 2)), np.full((3, 2), np.inf)
+    model = decay_model(data, np.full(data.shape, 400.0))
+    free = solve_batched(model, start, -wide, wide, none, none)
+    held = solve_batched(model, start, -wide, wide, none, none, hopeless=lambda p: p[:, 0] < 0.0)
+    assert free.converged.all()
+    assert held.converged.tolist() == [True, False, True]
+    assert held.iterations[1] < free.iterations[1]
+    assert held.parameters[1, 0] < 0.0
+    for name in ("parameters", "covariance", "chi2", "iterations"):
+        np.testing.assert_array_equal(getattr(held, name)[[0, 2]], getattr(free, name)[[0, 2]])

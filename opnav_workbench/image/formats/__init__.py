@@ -9,6 +9,8 @@ bytes can hold, and what compiled code must decompress is tried in a supervised 
     `StoredPicture`, and rasters of samples in bytes.
 ``fits_picture``
     FITS: image, error and quality planes.
+``plain_fits``
+    Plain FITS files without astropy.
 ``vicar``
     VICAR, with labels at begin and end.
 ``pds3``

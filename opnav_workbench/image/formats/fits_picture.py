@@ -6,16 +6,20 @@ Every plane is checked for its full length before it is read. Source: FITS Stand
 import io
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from astropy.io import fits
-from astropy.io.fits.card import Undefined
-
-from opnav_workbench.fits_layout import FITS_MALFORMED, FitsLayoutError, check_fits_layout
+from opnav_workbench.fits_layout import FitsLayoutError, check_fits_layout, fits_malformed
 from opnav_workbench.image.file_bytes import image_error, truncated_error
+from opnav_workbench.image.formats.plain_fits import PlainHdu, plain_hdus
 from opnav_workbench.image.formats.stored import StoredPicture, header_value
 from opnav_workbench.image.header import HeaderValue, KeywordMap
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.supervised import TrialError, tried
+
+if TYPE_CHECKING:
+    from astropy.io import fits
+else:  # plain files need none of it
+    fits = module_on_demand("astropy.io.fits")
 
 __all__ = ["is_fits", "read_fits"]
 
@@ -40,12 +44,14 @@ def read_fits(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture:
     name = file.name
     if has_compressed_images(name, data):
         _try_decompressing(file)
+    elif (plain := plain_hdus(data)) is not None:
+        return _fits_planes(name, plain, keywords)
     try:
         with fits.open(io.BytesIO(data), memmap=False, lazy_load_hdus=False) as hdus:
             for index, hdu in enumerate(hdus):
                 _check_fits_length(name, len(data), hdu, index)
             return _fits_planes(name, hdus, keywords)
-    except FITS_MALFORMED as error:
+    except fits_malformed() as error:
         raise image_error(
             name, f"damaged FITS file ({type(error).__name__}: {error}); copy or download it again."
         ) from error
@@ -92,9 +98,9 @@ def _fits_planes(name: str, hdus: Any, keywords: KeywordMap) -> StoredPicture:
     }
     picture = _picture_extension(name, hdus, keywords.image_extension, set(beside.values()))
     messages: list[str] = []
-    header = _fits_header(hdus[0].header, messages)
+    header = _header_of(hdus[0], messages)
     if picture:
-        header |= _fits_header(hdus[picture].header, messages)
+        header |= _header_of(hdus[picture], messages)
     planes: dict[str, Any] = {}
     for what, index in beside.items():
         wanted = getattr(keywords, f"{what}_extension")
@@ -137,14 +143,16 @@ def _extension_names(hdus: Any) -> str:
     return ", ".join(f"{index} {hdu.name!r}" for index, hdu in enumerate(hdus))
 
 
-def _fits_header(header: Any, messages: list[str]) -> dict[str, HeaderValue]:
+def _header_of(hdu: Any, messages: list[str]) -> dict[str, HeaderValue]:
     """Return a FITS header as plain values, without comments and undefined cards; of equals the first."""
+    if isinstance(hdu, PlainHdu):
+        return dict(hdu.header)
     values: dict[str, HeaderValue] = {}
-    for card in header.cards:
+    for card in hdu.header.cards:
         if card.keyword in FITS_COMMENTARY:
             continue
         try:
-            value = None if isinstance(card.value, Undefined) else header_value(card.value)
+            value = None if isinstance(card.value, fits.card.Undefined) else header_value(card.value)
         except fits.VerifyError:
             messages.append(f"header card {card.keyword} breaks the FITS standard and is left out")
             continue

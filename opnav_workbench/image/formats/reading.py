@@ -7,36 +7,24 @@ the label or sidecar of its name.
 import contextlib
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from opnav_workbench.image.file_bytes import GZIP_START, file_bytes, image_error, unpacked
-from opnav_workbench.image.formats.display_picture import display_format, read_display_picture
 from opnav_workbench.image.formats.fits_picture import is_fits, read_fits
-from opnav_workbench.image.formats.isis_cube import (
-    detached_core,
-    in_words_of,
-    is_isis_cube,
-    isis_label,
-    read_isis_cube,
-)
-from opnav_workbench.image.formats.pds3 import (
-    is_variable_length,
-    read_pds_raw,
-    read_variable_length,
-    variable_length_label,
-)
-from opnav_workbench.image.formats.pds4 import is_pds4, pds4_label, read_pds4
-from opnav_workbench.image.formats.sidecar import (
-    find_sidecar,
-    is_sidecar,
-    read_raw,
-    read_sidecar,
-    with_sidecar,
-)
 from opnav_workbench.image.formats.stored import StoredPicture
-from opnav_workbench.image.formats.vicar import is_vicar, read_vicar
 from opnav_workbench.image.header import KeywordMap
-from opnav_workbench.image.pds_label import image_pointer, is_pds3, parse_pds_label
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import is_file
+
+if TYPE_CHECKING:
+    from opnav_workbench.image import pds_label
+    from opnav_workbench.image.formats import display_picture, isis_cube, pds3, pds4, sidecar, vicar
+else:  # most pictures are FITS files
+    pds_label = module_on_demand("opnav_workbench.image.pds_label")
+    display_picture, isis_cube, pds3, pds4, sidecar, vicar = (
+        module_on_demand(f"opnav_workbench.image.formats.{name}")
+        for name in ("display_picture", "isis_cube", "pds3", "pds4", "sidecar", "vicar")
+    )
 
 __all__ = ["read_stored"]
 
@@ -60,15 +48,17 @@ def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, St
     ImageError
         One line: it is no picture, damaged, truncated, too large, or what it names is not there.
     """
-    if is_pds3(data):
+    if is_fits(data):
+        return file, read_fits(file, data, keywords)
+    if pds_label.is_pds3(data):
         return _read_pds3(file, data, keywords)
-    if is_isis_cube(data):
+    if isis_cube.is_isis_cube(data):
         return _read_isis(file, data, keywords)
-    if is_pds4(data):
-        label = pds4_label(file.name, data)
+    if pds4.is_pds4(data):
+        label = pds4.pds4_label(file.name, data)
         pixels = _file_beside(file, label.file)
-        return pixels, read_pds4(pixels.name, label, file_bytes(pixels))
-    if is_sidecar(file):
+        return pixels, pds4.read_pds4(pixels.name, label, file_bytes(pixels))
+    if sidecar.is_sidecar(file):
         return _read_named_by_sidecar(file, keywords)
     return file, _read_pixels(file, data, keywords)
 
@@ -98,30 +88,30 @@ def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture
     plain = _plain(file, data)
     if is_fits(plain):
         return read_fits(file, plain, keywords)
-    if is_vicar(plain):
-        return read_vicar(file.name, plain)
-    if is_variable_length(plain):
-        label = parse_pds_label(variable_length_label(plain))
-        return read_variable_length(file.name, plain, label)
-    return _read_with_sidecar(file, plain, keywords, find_sidecar(file))
+    if vicar.is_vicar(plain):
+        return vicar.read_vicar(file.name, plain)
+    if pds3.is_variable_length(plain):
+        label = pds_label.parse_pds_label(pds3.variable_length_label(plain))
+        return pds3.read_variable_length(file.name, plain, label)
+    return _read_with_sidecar(file, plain, keywords, sidecar.find_sidecar(file))
 
 
 def _read_with_sidecar(
     file: Path, data: bytes, keywords: KeywordMap, sidecar_file: Path | None
 ) -> StoredPicture:
-    is_display = display_format(data) is not None
+    is_display = display_picture.display_format(data) is not None
     if sidecar_file is None:
         if not is_display:
             raise _unknown(file, data)
-        source = read_display_picture(file, data)
+        source = display_picture.read_display_picture(file, data)
         _refuse_without_words(file, source, keywords)
         return source
-    sidecar = read_sidecar(sidecar_file, file.name)
+    told = sidecar.read_sidecar(sidecar_file, file.name)
     if is_display:
-        source = read_display_picture(file, data)
+        source = display_picture.read_display_picture(file, data)
     else:
-        source = read_raw(file.name, data, sidecar, sidecar_file.name)
-    return with_sidecar(source, sidecar, sidecar_file.name, keywords)
+        source = sidecar.read_raw(file.name, data, told, sidecar_file.name)
+    return sidecar.with_sidecar(source, told, sidecar_file.name, keywords)
 
 
 def _refuse_without_words(file: Path, source: StoredPicture, keywords: KeywordMap) -> None:
@@ -147,28 +137,28 @@ def _unknown(file: Path, data: bytes) -> Exception:
 
 
 def _read_pds3(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
-    label = parse_pds_label(data)
-    pointer = image_pointer(label_file.name, label)
+    label = pds_label.parse_pds_label(data)
+    pointer = pds_label.image_pointer(label_file.name, label)
     if pointer.file is None:
-        return label_file, read_pds_raw(label_file.name, data, pointer.offset_bytes, label, keywords)
+        return label_file, pds3.read_pds_raw(label_file.name, data, pointer.offset_bytes, label, keywords)
     pixels = _file_beside(label_file, pointer.file)
     content = file_bytes(pixels)
-    if is_fits(content) or is_vicar(content) or content.startswith(GZIP_START):
+    if is_fits(content) or vicar.is_vicar(content) or content.startswith(GZIP_START):
         source = _read_pixels(pixels, content, keywords)
         return pixels, replace(source, header=label.values | source.header)
-    return pixels, read_pds_raw(pixels.name, content, pointer.offset_bytes, label, keywords)
+    return pixels, pds3.read_pds_raw(pixels.name, content, pointer.offset_bytes, label, keywords)
 
 
 def _read_isis(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
-    label = isis_label(data)
-    core = detached_core(label)
+    label = isis_cube.isis_label(data)
+    core = isis_cube.detached_core(label)
     pixels = file if core is None else _file_beside(file, core)
-    source = read_isis_cube(pixels.name, label, data if core is None else file_bytes(pixels))
-    return pixels, replace(source, header=in_words_of(label, keywords))
+    source = isis_cube.read_isis_cube(pixels.name, label, data if core is None else file_bytes(pixels))
+    return pixels, replace(source, header=isis_cube.in_words_of(label, keywords))
 
 
 def _read_named_by_sidecar(file: Path, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
-    named = read_sidecar(file).file
+    named = sidecar.read_sidecar(file).file
     if named is None:
         raise image_error(
             file.name, "is a sidecar that names no picture; give the picture, or add file: NAME."
@@ -176,6 +166,6 @@ def _read_named_by_sidecar(file: Path, keywords: KeywordMap) -> tuple[Path, Stor
     pixels = _file_beside(file, named)
     data = file_bytes(pixels)
     plain = _plain(pixels, data)
-    if is_sidecar(pixels) or is_fits(plain) or is_vicar(plain):
+    if sidecar.is_sidecar(pixels) or is_fits(plain) or vicar.is_vicar(plain):
         raise image_error(file.name, f"names {pixels.name}, which needs no sidecar; give that file.")
     return pixels, _read_with_sidecar(pixels, plain, keywords, file)

@@ -37,7 +37,7 @@ from opnav_workbench.files import json_value
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, full_scale, read_raster
-from opnav_workbench.image.header import HeaderValue, KeywordMap
+from opnav_workbench.image.header import Header, HeaderValue, KeywordMap
 from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_nodes import LARGEST_BYTES, LONGEST_NUMBER, compose, plain_value
 
@@ -217,10 +217,16 @@ def with_sidecar(source: StoredPicture, sidecar: Sidecar, name: str, keywords: K
     Raises
     ------
     ImageError
-        A time of it is none.
+        A time of it is none, or time or exposure are missing where the mission asks for them.
     """
     header, completed = _header(sidecar, name, keywords)
-    return replace(source, header={**source.header, **header}, keywords=completed)
+    header = {**source.header, **header}
+    for word, fields in (("utc", ("utc", "et", "sclk")), ("exposure_s", ("exposure_s",))):
+        asked = [keyword for field in fields if (keyword := getattr(completed, field))]
+        if asked and all(completed.value(Header(header), field) is None for field in fields):
+            # In the sidecar's words: nobody has seen the mission's keywords.
+            raise image_error(name, f"no {word}; state it there (or {' or '.join(asked)}).")
+    return replace(source, header=header, keywords=completed)
 
 
 def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str, HeaderValue], KeywordMap]:
@@ -275,10 +281,9 @@ def _stated(sidecar: Sidecar, name: str, keywords: KeywordMap) -> dict[str, tupl
 
 
 def _earlier(name: str, utc: str, seconds: float) -> str:
-    if seconds == 0.0:
-        return utc
     try:
-        return text_from_et(et_from_text(utc) - seconds, DECIMALS)
+        et = et_from_text(utc)
+        return utc if seconds == 0.0 else text_from_et(et - seconds, DECIMALS)
     except ValueError as error:
         raise image_error(name, f"utc = {utc!r} is no UTC ({error}); correct the sidecar.") from error
 

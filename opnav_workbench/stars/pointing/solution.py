@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from astropy import units as u
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.camera import Camera
@@ -196,7 +195,8 @@ def iteration_table(solution: PointingSolution) -> "QTable":
     """
     total = PictureShift(solution.delta_pixel, solution.delta_line, solution.delta_twist_rad)
     steps = [*solution.iterations, total]
-    from astropy.table import QTable  # noqa: PLC0415 (a tenth of a short command; few need a table)
+    from astropy import units as u  # noqa: PLC0415
+    from astropy.table import QTable  # noqa: PLC0415 (a fifth of a short command; few need a table)
 
     table = QTable()
     table["iteration"] = [*(str(i + 1) for i in range(len(solution.iterations))), "Total"]
