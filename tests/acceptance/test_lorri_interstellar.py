@@ -26,6 +26,7 @@ from opnav_workbench.geometry import (
 )
 from opnav_workbench.mission import load_mission
 from opnav_workbench.session import ImageSession
+from opnav_workbench.stars import StarFlag
 
 pytestmark = pytest.mark.realdata
 
@@ -152,6 +153,31 @@ def test_header_attitude_was_far_off(plain, met):
     pointing = plain[met]["pointing"]
     assert np.hypot(pointing["delta_pixel"], pointing["delta_line"]) > 8.0
     assert abs(pointing["delta_twist_deg"]) > 0.1
+
+
+@pytest.mark.slow
+def test_a_frame_whose_stars_are_all_saturated_points_as_its_short_exposure(
+    plain, data_dir, catalog, tmp_path
+):
+    """Ten seconds in place of half a second: every star of Tycho-2 saturates, and flanks and wings tell where it is."""
+    met, longer = PROXIMA[2], 22.0
+    with fits.open(_path(data_dir, met)) as file:
+        sky = np.nanmedian(file[0].data)
+        file[0].data = np.minimum((file[0].data - sky) * longer + sky, 3600.0).astype(np.float32)
+        file[1].data = (file[1].data * longer).astype(np.float32)
+        file[0].header["EXPTIME"] *= longer
+        file.writeto(tmp_path / "long.fits")
+    session = ImageSession.open(tmp_path / "long.fits", "new_horizons", catalog=catalog)
+    session.predict()
+    session.find_stars()
+    session.repoint()
+    flags = session.state.centers.flags[session.state.mask("used")]
+    assert len(flags) >= 6
+    assert np.all(flags & int(StarFlag.SATURATED))
+    short = matrix_from_quaternion(np.array(plain[met]["pointing"]["quaternion_camera_from_j2000"]))
+    off = session.state.pointing.camera_from_j2000[2] - short[2]
+    sigma = np.sqrt(np.trace(session.state.pointing.covariance_rad2[:2, :2]))
+    assert np.linalg.norm(off) < min(1.0 * ARCSEC, 4.0 * sigma)
 
 
 @pytest.mark.parametrize("met", WOLF)

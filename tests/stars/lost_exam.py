@@ -149,13 +149,17 @@ def main(path, fields=200, dots=1000, seed=18):
         if outcome != "solved":
             held = f"{field.n_stars} stars, {known[field.stars].sum()} of them in the index"
             unsolved.append((number, outcome, f"{field.width_deg:.2f} deg, {held}:", answer.message))
-    say(
-        counts, f"median {np.median(times):.3f} s, 95 % {np.quantile(times, 0.95):.3f}, most {max(times):.3f}"
-    )
+    if fields:
+        say(
+            counts,
+            f"median {np.median(times):.3f} s, 95 % {np.quantile(times, 0.95):.3f}, most {max(times):.3f}",
+        )
     for row in unsolved:
         say("   ", *row)
     false, times = 0, []
-    for _ in range(dots):
+    for number in range(dots):
+        if number and number % 20 == 0:
+            say(f"{false} answers to {number} pictures of random dots; median {np.median(times):.3f} s")
         width = float(np.exp(rng.uniform(np.log(0.3), np.log(20.0))))
         began = time.process_time()
         answer = solve_lost(
