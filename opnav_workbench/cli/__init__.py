@@ -4,8 +4,6 @@ One module a command or group of commands; nothing else in the package imports t
 
 ``program``
     The table of commands, loaded when they are called, and how errors end the program.
-``quick_scipy``
-    SciPy's parts that every picture needs, loaded without what no command has a use for.
 ``terminal``
     Consoles, progress, tables and exit statuses that commands share.
 ``processing_options``

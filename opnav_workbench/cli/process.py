@@ -15,7 +15,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-import opnav_workbench.cli.quick_scipy  # noqa: F401  (before what navigates)
 from opnav_workbench.cli.processing_options import processing_of, processing_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, error_console, picture_progress, plain_table, shown
 from opnav_workbench.errors import plain_line
