@@ -46,4 +46,4 @@ def without_others(
     if picture.sunlight_e is None:  # without a calibration the others are as bright as anything here
         light = light * (float(np.nanmax(cutout.data_dn)) / max(float(light.max()), np.finfo(float).tiny))
     lit = binary_dilation(light > OTHERS_SHARE * cutout.noise_dn, iterations=OTHERS_ERROR_PX)
-    return replace(cutout, use=cutout.use & ~lit, saturated=cutout.saturated & ~lit)
+    return replace(cutout, use=cutout.use & ~lit)

@@ -22,7 +22,7 @@ def disk(body_stage):
 
 def pixels_of(data, use=None):
     use = np.ones(data.shape, dtype=bool) if use is None else use
-    return DiskPixels(data, np.full(data.shape, 2.0), use, 20.0, np.zeros_like(use))
+    return DiskPixels(data, np.full(data.shape, 2.0), use, 20.0)
 
 
 def test_every_usable_pixel_counts_once(disk):

@@ -43,16 +43,12 @@ class _Squares(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiskPixels:
-    """Planes (n_line, n_pixel) of the picture: data, noise without shot noise, which pixels count; and the gain.
-
-    Of pixels `at_least`, saturated ones, the data are what the light reaches at least.
-    """
+    """Planes (n_line, n_pixel) of the picture: data, noise without shot noise, which pixels count; and the gain."""
 
     data_dn: FloatArray
     noise_dn: FloatArray
     use: BoolArray
     gain_e_per_dn: float
-    at_least: BoolArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -386,7 +386,6 @@ class _DiskProblem:
         self.sharp_px = SHARP_SIGMAS * self.psf_px
         self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
         self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
-        self._used = pixels
         self._squares: PixelSquares | None = None
         self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
@@ -403,15 +402,11 @@ class _DiskProblem:
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
 
-    def count(self, also: BoolArray) -> None:
-        """Use other pixels (n_line, n_pixel) beside those of the picture that count."""
-        self._squares, self._used = None, replace(self.pixels, use=self.pixels.use | also)
-
     def samples(self, outline: Outline) -> LimbSamples:
         """Return the pixels about an outline, gathered in squares where its light is smooth."""
         outward = self.reach[1]
         if self._squares is None or not self._squares.hold(outline, outward):
-            self._squares = PixelSquares(self._used, outline, outward + ROOM_PX)
+            self._squares = PixelSquares(self.pixels, outline, outward + ROOM_PX)
         return limb_samples(self._squares, outline, *self.reach, self.sharp_px)
 
     def seen_limb(self, made: TabulatedDisk, system: LimbSystem) -> BoolArray:
@@ -558,13 +553,11 @@ class _Fitter:
     def run(self) -> DiskFit:
         self._solve()
         for turn, steps in enumerate(self.tuning):
-            self._count_saturated()
             self._tune(steps, other_light=turn == 0)
             self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
                 self._tabulate((1.0, 0.5, 0.0), fine=True)
-            self._count_saturated()
             self._tune(LAST_TUNING)
             self._iterate(MOST_TURNS)
             if not self._stale(LAST):
@@ -610,19 +603,6 @@ class _Fitter:
     def _solve_at(self, near: LimbSamples, columns: FloatArray) -> None:
         system = self._system(near, columns)
         self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
-
-    def _count_saturated(self) -> None:
-        """Let saturated pixels of the lit disk count where the model is fainter than they are: data that are a bound."""
-        pixels = self.problem.pixels
-        if not pixels.at_least.any():
-            return
-        fit = self._result()
-        here = fit.pixels.index
-        lit = (fit.pixels.depth_px < 0.0) & (fit.columns[Unknown.BRIGHTNESS] > LIT_LIMB)
-        fainter = np.zeros_like(pixels.use)
-        fainter[here] = lit & pixels.at_least[here] & (fit.model_dn() < pixels.data_dn[here])
-        self.problem.count(fainter)
-        self._solve()
 
     def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""

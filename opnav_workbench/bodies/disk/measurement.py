@@ -148,9 +148,7 @@ def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> DiskPixels:
     """Return the picture's planes, without pixels that are bad, saturated, or lit by other bodies."""
     whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
     cutout = without_others(picture, name, place.center_px, whole)
-    at_least = cutout.saturated & np.isfinite(picture.signal_dn)
-    data = np.where(at_least, picture.signal_dn, cutout.data_dn)
-    return DiskPixels(data, cutout.noise_dn, cutout.use, cutout.gain_e_per_dn, at_least)
+    return DiskPixels(cutout.data_dn, cutout.noise_dn, cutout.use, cutout.gain_e_per_dn)
 
 
 def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
