@@ -67,7 +67,7 @@ def test_scales_stand_for_what_nobody_stated():
     assert FigureUncertainty().axes_scales == pytest.approx((0.05, 0.01, 0.002, 0.0004))
     stated = FigureUncertainty(size_sigma=0.03)
     assert stated.size_scales == (0.03,)
-    assert len(stated.axes_scales) == 3
+    assert len(stated.axes_scales) == 4
     groups = scale_precisions(5, ([0], (1.0, 0.5)), ([1, 2], (1.0, 0.1)), ([3, 4], np.array([[1.0, 2.0]])))
     assert groups.shape == (4, 5)
     np.testing.assert_allclose(groups[-1], [4.0, 100.0, 100.0, 1.0, 0.25])
