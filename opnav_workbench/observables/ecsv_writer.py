@@ -6,9 +6,8 @@ of observables has is written here: texts and double precision numbers, each col
 Source: astropy APE 6 (doi:10.5281/zenodo.1047225); layout of the header and of the rows as of astropy 8.0.
 """
 
-import csv
-import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -19,6 +18,7 @@ from opnav_workbench.observables.columns import ExportColumn
 __all__ = ["ecsv_of"]
 
 HEADER_WIDTH = 130
+QUOTED = re.compile(r'[ "\r\n]|^$')  # a text that holds such, or nothing
 
 
 class _Ordered(dict[str, Any]):
@@ -86,12 +86,10 @@ def ecsv_of(
     }
     dumper = ASCII_DUMPER if json.dumps(header, ensure_ascii=False).isascii() else PLAIN_DUMPER
     lines = yaml.dump(header, Dumper=dumper, default_flow_style=None, width=HEADER_WIDTH).splitlines()
-    stream = io.StringIO()
-    stream.writelines(f"# {line}\n" for line in ("%ECSV 1.0", "---", *lines))
-    writer = csv.writer(stream, delimiter=" ", lineterminator="\n")
-    writer.writerow([column.name for column in columns])
-    writer.writerows([_cell(column, row[column.name]) for column in columns] for row in rows)
-    return stream.getvalue()
+    head = [f"# {line}" for line in ("%ECSV 1.0", "---", *lines)]
+    head.append(" ".join(column.name for column in columns))
+    body = (" ".join(_cell(column, row[column.name]) for column in columns) for row in rows)
+    return "\n".join([*head, *body, ""])
 
 
 def _attributes(column: ExportColumn) -> _Ordered:
@@ -100,4 +98,7 @@ def _attributes(column: ExportColumn) -> _Ordered:
 
 
 def _cell(column: ExportColumn, value: Any) -> str:
-    return str(value).strip(" \t") if column.unit is None else repr(float(value))
+    if column.unit is not None:
+        return repr(float(value))
+    text = str(value).strip(" \t")
+    return '"' + text.replace('"', '""') + '"' if QUOTED.search(text) else text

@@ -164,6 +164,7 @@ WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x0
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(WORDS, WORDS, st.lists(st.floats(), min_size=4, max_size=4))
+@example("\t", "a\rb", [0.0, 0.0, 0.0, 0.0])
 @example("a b.fit", 'it\'s "far" off: #2, \u00e9 ' * 12, [0.1, 1e300, -0.0, np.nan])
 def test_an_ecsv_is_what_astropy_writes(observables, name, words, numbers):
     """To the byte, whatever stands in it."""

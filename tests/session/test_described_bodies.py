@@ -144,7 +144,7 @@ def test_a_sun_beside_its_place_moves_a_center_no_farther_than_told(
     unknown.find_body("PLUTO", method=method)
     off = unknown.state.bodies[-1].pixel_line - truth.bodies["PLUTO"]
     assert off @ np.linalg.solve(unknown.state.bodies[-1].covariance_px2, off) < 9.0
-    assert np.hypot(*off) > 0.02  # what it does move
+    assert np.hypot(*off) > {"ellipse": 0.02, "disk": 0.005}[method]  # what it does move
 
 
 def test_a_file_of_decisions_is_all_that_a_night_needs(starless_truth, tmp_path):
