@@ -490,6 +490,7 @@ def test_what_the_night_left_is_opened_and_decided(spec, lab_queue, notebook, tm
     hand.press("1")
     hand.said("undecided")
     assert [why for _, why in hand.decisions().values()] == ["cosmic ray"]
+    hand.notebook.until("bench.session.journal[-1].step == 'repoint'")
 
     # The analyst's steps stand after the night's, in the folder of this picture alone.
     lines = {name: (out / name / "journal.jsonl").read_text().splitlines() for name in NAMES}
