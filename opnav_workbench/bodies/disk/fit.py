@@ -174,12 +174,16 @@ class DiskShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TabulatedDisk:
-    """Tables of light, the shape they were made with, and the silhouette of the body under its strain, `strain` (5,)."""
+    """Tables of light, the shape they were made with, and the silhouette of the body under its strain, `strain` (5,).
+
+    `lit` (j,) says which pieces of limb the light shows.
+    """
 
     shape: DiskShape
     strain: FloatArray
     silhouette: Silhouette
     light: LimbLight
+    lit: BoolArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -411,12 +415,16 @@ class _DiskProblem:
 
     def seen_limb(self, made: TabulatedDisk, system: LimbSystem) -> BoolArray:
         """Tell which pieces of limb (j,) are lit and show enough of the step from body to sky, be all else saturated."""
+        share = np.isfinite(system.variance[:, self.at_limb]).mean(axis=1)
+        return np.asarray(made.lit & (share > LEAST_STEP))
+
+    def _lit(self, light: LimbLight) -> BoolArray:
+        """Tell which pieces of limb (j,) light shows at any depth of the cells."""
         angle, depth = np.meshgrid(
             piece_angles(self.pieces), 0.5 * (self.edges[:-1] + self.edges[1:]), indexing="ij"
         )
-        light = made.light.at(angle.ravel(), depth.ravel(), 1)[0].reshape(angle.shape)
-        share = np.isfinite(system.variance[:, self.at_limb]).mean(axis=1)
-        return np.asarray((light.max(axis=1) > LIT_LIMB) & (share > LEAST_STEP))
+        brightest = light.at(angle.ravel(), depth.ravel(), 1)[0].reshape(angle.shape).max(axis=1)
+        return np.asarray(brightest > LIT_LIMB)
 
     def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
@@ -429,7 +437,7 @@ class _DiskProblem:
         light = limb_light(
             picture, self.name, outline, scale, reach, self.node_rad, shape.law, shape.blur_px2, fine=fine
         )
-        return TabulatedDisk(shape, strain, silhouette, light)
+        return TabulatedDisk(shape, strain, silhouette, light, self._lit(light))
 
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
@@ -690,10 +698,10 @@ class _Fitter:
         cells = np.count_nonzero(np.isfinite(self.linear.system.variance))
         return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
-    def _tabulate(self, shares: Sequence[float], *, fine: bool) -> None:
+    def _tabulate(self, shares: Sequence[float], *, fine: bool) -> bool:
         """Tabulate the light of the shape; where that explains the pixels worse, go a part of the way from the last tables.
 
-        What tables are extrapolated to may be no light of any body. Of no share that will do the best is taken.
+        What tables are extrapolated to may be no light of any body. Where no share will do, it tells so and takes the best.
         """
         then, now, chi2 = self.made.shape, self.shape, self.linear.solution.chi2
         found = []
@@ -707,15 +715,15 @@ class _Fitter:
             self.made = self.problem.tabulated(self.shape, fine=fine)
             self._solve()
             if self.linear.solution.chi2 < WORSE * chi2 + GROWTH:
-                return
+                return True
             found.append(self._state())
         self._return_to(min(found, key=lambda state: state.linear.solution.chi2))
+        return False
 
     def _tabulate_or_return(self) -> None:
         """Tabulate the light of the shape; where no part of the way explains the pixels, stay with the last tables."""
         kept = self._state()
-        self._tabulate((1.0, 0.5), fine=False)
-        if not self.linear.solution.chi2 < WORSE * kept.linear.solution.chi2 + GROWTH:
+        if not self._tabulate((1.0, 0.5), fine=False):
             self._return_to(kept)
 
     def _return_to(self, state: _FitState) -> None:
