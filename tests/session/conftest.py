@@ -1,5 +1,6 @@
 """A session taken the whole way, and sessions at their start."""
 
+import sys
 from collections.abc import Callable, Iterator
 from copy import copy
 from pathlib import Path
@@ -7,18 +8,12 @@ from pathlib import Path
 import pytest
 
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import DEMO_KERNELS, DEMO_TARGETS
 from opnav_workbench.session import ImageSession
-from opnav_workbench.simulation import (
-    OpenedScenario,
-    PictureScenario,
-    ScenarioPicture,
-    expose_picture,
-    truth_of,
-    write_picture,
-)
 from opnav_workbench.simulation.truth import Truth
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from exposed_pictures import APPROACH, exposed_pictures
 
 
 @pytest.fixture(scope="session")
@@ -72,10 +67,6 @@ def done(finished: ImageSession, kernels: None) -> ImageSession:
     return copied(finished)
 
 
-APPROACH = "new_horizons/pluto_approach"
-LAW = {"law": "lunar_lambert", "lunar_weight": 0.5}
-
-
 @pytest.fixture
 def approach() -> Iterator[None]:
     """Kernels of the last days before the encounter."""
@@ -102,30 +93,11 @@ TAKEN = {"near": "2015-07-12T08:46:57", "pair": "2015-07-09T04:29:00"}
 
 def exposed(folder: Path, *names: str, magnitude_limit: float = 13.0) -> list[Truth]:
     """Simulate pictures named in `TAKEN`."""
-    scenario = PictureScenario.model_validate(
-        {
-            "mission": "new_horizons",
-            "catalog": "bundled",
-            "magnitude_limit": magnitude_limit,
-            "seed": 5,
-            "bodies": [{"name": "PLUTO", "law": LAW}, {"name": "CHARON", "law": LAW}],
-            "attitude": {"actual": {"source": "error", "shift_px": [7.6, -3.1], "twist_deg": 0.1}},
-            "pictures": [
-                {"name": name, "utc": TAKEN[name], "camera": "lorri_4x4", "exposure_s": 0.02}
-                for name in names
-            ],
-        }
-    )
-    mission = load_mission("new_horizons")
-    truths = []
-    with KernelSet(APPROACH):
-        opened = OpenedScenario.open(scenario)
-        for index, picture in enumerate(scenario.pictures):
-            chosen = ScenarioPicture(index, picture)
-            shown = expose_picture(opened.inputs(chosen))
-            report = write_picture(shown, mission, folder, (), opened.truth_settings(chosen))
-            truths.append(truth_of(shown, mission, report.files[0]))
-    return truths
+    made = exposed_pictures(
+        folder, {name: (TAKEN[name], 0.02) for name in names}, bodies=["PLUTO", "CHARON"], seed=5,
+        shift_px=[7.6, -3.1], twist_deg=0.1, magnitude_limit=magnitude_limit,
+    )  # fmt: skip
+    return list(made.values())
 
 
 @pytest.fixture(scope="session")
