@@ -397,13 +397,10 @@ def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size,
     page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=str(not dark).lower())
     opened.press("PageDown", "PageDown")
     opened.said("broken.fit cannot be opened")
-    settled(page)
+    in_place_of_picture(page, "broken.fit cannot be opened")
     failed = page.evaluate(LIST_SEEN)
     opened.press("PageDown")
-    page.wait_for_function(
-        "() => document.querySelector('.ow-window .opnav-message')?.textContent === 'opening slow.fit'"
-    )
-    settled(page)
+    in_place_of_picture(page, "opening slow.fit")
     waiting = page.evaluate(LIST_SEEN)
     shot(page, f"slow_{name}")
     for seen, file in ((failed, "broken.fit"), (waiting, "slow.fit")):
@@ -429,6 +426,12 @@ def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size,
     opened.said("slow.fit: ")
     assert settled(page)["inside"]
     opened.check_errors()
+
+
+def in_place_of_picture(page, text):
+    """Wait until a text stands where the picture would be, and the page is at rest."""
+    page.wait_for_function("t => document.querySelector('.ow-window .opnav-message')?.textContent === t", arg=text)
+    settled(page)
 
 
 def shot(page, name):
