@@ -65,8 +65,8 @@ def test_what_would_fail_for_every_picture_is_refused_at_once(tmp_path):
 def test_signature_and_docstring_name_every_field():
     parameters = inspect.signature(opnav.process).parameters
     assert list(parameters) == ["images", *Processing.model_fields, "out", "say", "done", "figure"]
-    section = opnav.process.__doc__.split("Parameters\n")[1].split("Returns\n")[0]
-    documented = re.findall(r"^ {4}(\w+)(?: : .*)?\n {8}\S", section, re.MULTILINE)
+    section = inspect.getdoc(opnav.process).split("Parameters\n")[1].split("Returns\n")[0]
+    documented = re.findall(r"^(\w+)(?: : .*)?\n {4}\S", section, re.MULTILINE)
     assert set(documented) == set(parameters)
 
 
