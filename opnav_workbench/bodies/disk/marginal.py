@@ -11,13 +11,14 @@ random places. With R^T R = N^T D^-1 N, block by block, every quantity follows f
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo
-from opnav_workbench.bodies.scales import RIDGE, mixed_solution
+from opnav_workbench.bodies.scales import RIDGE, MixedSolution, mixed_solution
 
 __all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
 
@@ -94,6 +95,39 @@ class MarginalSolution:
         freeze_arrays(self)
 
 
+class WeighedCells(NamedTuple):
+    """Cells weighed by noise and `grain`: R (j, q, q) with R^T R = N^T W N, N^T W [X, y] and [X, y]^T W [X, y].
+
+    `log_weights` is the sum of the logarithms of the weights, `grain_width` that of how much the grain widens each cell.
+    """
+
+    grain: float
+    root: FloatArray
+    cross: FloatArray
+    plain: FloatArray
+    log_weights: float
+    grain_width: float
+
+
+class _MarginalEquations(NamedTuple):
+    """K, R K and the factor of 1 + R K R^T; normal equations with the prior; their solution over all scales."""
+
+    field: FloatArray
+    spread: FloatArray
+    factor: FloatArray
+    normal: FloatArray
+    right: FloatArray
+    whole: float
+    mixed: MixedSolution
+
+    @property
+    def field_width(self) -> float:
+        return 2.0 * float(np.log(np.diag(self.factor)).sum())
+
+    def log_likelihood(self, cells: WeighedCells) -> float:
+        return self.mixed.log_evidence - 0.5 * (self.whole + (self.field_width - cells.log_weights))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbSystem:
     """Cells with their model.
@@ -168,20 +202,24 @@ class LimbSystem:
         variance = solution.share @ (1.0 / (own + self.scales[:, unknowns]))
         return own * self.prior_mean[unknowns] * variance, 1.0 / variance
 
-    def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
-        """Solve for what all pieces share, marginal over the rest.
-
-        `held` are values of theta for which `MarginalSolution.held_chi2` is wanted, whatever the solution is.
-        """
+    def weighed(self, grain: float) -> WeighedCells:
+        """Return the products of the cells, weighed by their noise and grain: all that a prior needs of them."""
         j, q, p = self.data.shape[0], len(self.own), len(self.shared)
-        weight = 1.0 / (self.variance + (prior.grain * self.light) ** 2)
+        weight = 1.0 / (self.variance + (grain * self.light) ** 2)
         own = np.ascontiguousarray(self.own.transpose(1, 2, 0))
         columns = np.concatenate([self.shared, self.data[None]]).transpose(1, 2, 0)
         weighted = columns * weight[..., None]
         inner = np.matmul(np.swapaxes(own * weight[..., None], 1, 2), own)
         cross = np.matmul(np.swapaxes(own, 1, 2), weighted).reshape(j * q, p + 1)
         plain = weighted.reshape(-1, p + 1).T @ columns.reshape(-1, p + 1)
-        root = _roots(inner)
+        used = weight > 0.0
+        width = float(np.log1p((grain * self.light[used]) ** 2 / self.variance[used]).sum())
+        return WeighedCells(grain, _roots(inner), cross, plain, float(np.log(weight[used]).sum()), width)
+
+    def _marginal(self, prior: FieldPrior, cells: WeighedCells) -> _MarginalEquations:
+        """Return the normal equations of what is shared, marginal over the field."""
+        root, cross = cells.root, cells.cross
+        j, q, p = len(root), len(self.own), len(self.shared)
         field = self.prior_covariance(prior)
         spread = np.matmul(root, field.reshape(j, q, j * q)).reshape(j * q, j * q)
         both = np.matmul(spread.reshape(j * q, j, q).swapaxes(0, 1), np.swapaxes(root, 1, 2))
@@ -191,32 +229,43 @@ class LimbSystem:
         carried = field @ cross
         half = linalg.solve_triangular(factor, spread @ cross, lower=True, check_finite=False)
         # (K^-1 + Q)^-1 = K - K R^T (1 + R K R^T)^-1 R K
-        information = plain - cross.T @ carried + half.T @ half
+        information = cells.plain - cross.T @ carried + half.T @ half
         normal = information[:p, :p] + np.diag(self.prior_precision)
         right = information[:p, p] + self.prior_precision * self.prior_mean
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
-        least = np.maximum(self.prior_precision, RIDGE * np.diag(plain)[:p])
-        mixed = mixed_solution(normal, right, self.scales, least)
-        theta = mixed.theta
+        least = np.maximum(self.prior_precision, RIDGE * np.diag(cells.plain)[:p])
         whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
+        mixed = mixed_solution(normal, right, self.scales, least)
+        return _MarginalEquations(field, spread, factor, normal, right, whole, mixed)
+
+    def log_likelihood(self, prior: FieldPrior, cells: WeighedCells | None = None) -> float:
+        """Return that of a prior, marginal over everything; `cells` weighed by its grain save weighing them anew."""
+        cells = cells or self.weighed(prior.grain)
+        return self._marginal(prior, cells).log_likelihood(cells)
+
+    def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
+        """Solve for what all pieces share, marginal over the rest.
+
+        `held` are values of theta for which `MarginalSolution.held_chi2` is wanted, whatever the solution is.
+        """
+        cells = self.weighed(prior.grain)
+        equations = self._marginal(prior, cells)
+        field, spread, factor, normal, right, whole, mixed = equations
+        p, theta = len(self.shared), mixed.theta
         chi2 = whole - mixed.gained
         held_chi2, held_cost = (
             (chi2, chi2) if held is None else _held_cost(normal, right, whole, self.scales, held)
         )
-        used = weight > 0.0
-        field_width = 2.0 * float(np.log(np.diag(factor)).sum())
-        grain_width = float(np.log1p((prior.grain * self.light[used]) ** 2 / self.variance[used]).sum())
-        log_determinants = field_width - float(np.log(weight[used]).sum())
-        rest = cross[:, p] - cross[:, :p] @ theta
+        rest = cells.cross[:, p] - cells.cross[:, :p] @ theta
         nodes = field @ rest - spread.T @ linalg.cho_solve((factor, True), spread @ rest, check_finite=False)
         return MarginalSolution(
-            mixed.log_evidence - 0.5 * (whole + log_determinants),
+            equations.log_likelihood(cells),
             theta,
             mixed.covariance,
-            nodes.reshape(j, q),
+            nodes.reshape(len(cells.root), -1),
             chi2,
             held_chi2,
-            held_cost + field_width + grain_width,
+            held_cost + equations.field_width + cells.grain_width,
             mixed.share,
         )
 
