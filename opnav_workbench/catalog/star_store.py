@@ -190,6 +190,12 @@ class StarStore(Protocol):
         """Return at least ``n_stars``, ``brightest_mag`` and ``faintest_mag``."""
 
 
+def picked(values: FloatArray, rows: IntArray) -> Callable[[], FloatArray]:
+    """Return what gives some rows of a column."""
+    take: Callable[[IntArray], FloatArray] = values.take
+    return partial(take, rows)
+
+
 def by_magnitude(found: Candidates, mag: FloatArray) -> Candidates:
     """Return the candidates by magnitude; of equal ones, that of the lowest number first."""
     return found.take(np.lexsort((found.rows, mag)))
@@ -303,7 +309,7 @@ class ArrayStore:
     def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
         """Return what gives places and magnitudes."""
         columns = {"ra_rad": self._ra_rad, "dec_rad": self._dec_rad, "mag": self._mag}
-        return {name: partial(values.take, found.rows) for name, values in columns.items()}
+        return {name: picked(values, found.rows) for name, values in columns.items()}
 
     def summary(self) -> Mapping[str, Any]:
         """Return the number of stars and the limits of their magnitudes."""

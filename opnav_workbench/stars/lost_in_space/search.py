@@ -36,9 +36,10 @@ MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
 # Sigmas of a detection's center, px, for the reach of codes, and among how many detections patterns are looked for, one more
 # round each where no answer is sure. The second pass is for noisy pictures of few stars; where there are more than sixteen
 # detections, enough of their many triangles are as good as the first asks for.
-PASSES = ((0.15, (8, 12, 16, 20, 25, 30)), (0.45, (8, 12, 16)))
+Passes = tuple[tuple[float, tuple[int, ...]], ...]
+PASSES: Passes = ((0.15, (8, 12, 16, 20, 25, 30)), (0.45, (8, 12, 16)))
 # A camera file that mirrors pictures does so with all of them: it is seen in those whose patterns are found soon.
-MIRRORED_PASSES = ((0.15, (8, 12, 16)),)
+MIRRORED_PASSES: Passes = ((0.15, (8, 12, 16)),)
 REACH_SIGMAS = 3.0
 CODE_NOISE = 1.4  # of a code, in a center's sigmas over the length of AB
 SLACK = 0.02  # of the longest side, by which noise may change the order of two sides
@@ -173,9 +174,6 @@ def _flipped(plane: Plane) -> Plane:
 # ---- Looking up.
 
 
-Passes = tuple[tuple[float, tuple[int, ...]], ...]
-
-
 def _search(index: SkyIndex, plane: Plane, passes: Passes) -> Verdict | None:
     """Return the first sure verdict."""
     for bands in _bands(index, plane):
@@ -250,7 +248,7 @@ def _proposals(
         good = np.flatnonzero((np.abs(found - codes[row]) < reach[row, None]).all(axis=1))
         row, stars, members = row[good], stars.take(good, axis=0), members.take(good, axis=0)
         rotation, scale = _attitudes(plane, sets[row], stars)
-        around = band.around.take(number[good], axis=0)
+        around = band.around.take(number[good], axis=0).astype(np.int64)
         proven, brought = _with_fourth(index, plane, rotation, scale, sets[row], members, around)
         rotations.append(rotation[proven])
         scales.append(scale[proven])

@@ -105,8 +105,8 @@ class Plane:
     corners: FloatArray  # (4, 2) of the detector, in order around it
     focal_error: float
     tree: cKDTree = field(init=False)
-    fourths: "DetectionMap" = field(init=False)
-    map: "DetectionMap" = field(init=False)
+    fourths: "DetectionMap" = field(init=False)  # as far as a fourth star may be off
+    map: "DetectionMap" = field(init=False)  # as far as any star may, with a proposal from four
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tree", cKDTree(self.places))
@@ -267,8 +267,9 @@ def _weighed(
     index: SkyIndex, plane: Plane, proposal: Proposal, matches: Matches, rows: IntArray, scatter_px: float
 ) -> Verdict:
     """Weigh a refined proposal by its matches with the stars on the detector, rows (n,) of the index, brightest first."""
-    near = matches[2] < MATCH_SIGMAS * scatter_px
-    star, detection, apart = (column[near] for column in matches)
+    star, detection, apart = matches
+    near = apart < MATCH_SIGMAS * scatter_px
+    star, detection, apart = star[near], detection[near], apart[near]
     nothing = Verdict(proposal, rows[:0], rows[:0], scatter_px, np.nan, -np.inf)
     if len(star) < MIN_STARS or abs(proposal.scale - 1.0) > 1.1 * plane.focal_error:
         return nothing
