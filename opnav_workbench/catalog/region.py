@@ -58,7 +58,10 @@ class Cone:
         if self.radius_rad > WIDE_RAD:
             above = directions @ self.center
             above -= math.cos(self.radius_rad)
-            return self._exact_at(np.abs(above) <= COSINE_ROUNDING, above > 0.0, directions)
+            inside, perhaps = above > COSINE_ROUNDING, above >= -COSINE_ROUNDING
+            if np.count_nonzero(inside) == np.count_nonzero(perhaps):  # as nearly always, and told soon
+                return inside
+            return self._exact_at(perhaps & ~inside, inside, directions)
         offset = directions - self.center
         chord2 = np.einsum("ij,ij->i", offset, offset)
         limit2 = 4.0 * np.sin(0.5 * self.radius_rad) ** 2

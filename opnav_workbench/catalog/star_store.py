@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,12 +96,8 @@ class SkyIndex:
 
     def _between(self, edges: list[float]) -> IntArray:
         """Places of the keys in half-open ranges: their edges one after the other, in ascending order."""
-        stars = self._keys.searchsorted(edges).tolist()
-        parts = [
-            np.arange(start, stop)
-            for start, stop in zip(stars[::2], stars[1::2], strict=True)
-            if stop > start
-        ]
+        found = iter(self._keys.searchsorted(edges).tolist())
+        parts = [np.arange(start, stop) for start, stop in zip(found, found, strict=True) if stop > start]
         return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, np.int64)
 
 
@@ -153,8 +149,7 @@ def _declination_band(dec_rad: FloatArray) -> FloatArray:
 NO_DIRECTIONS = np.empty((0, 3))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
+class Candidates(NamedTuple):  # made in half the time of a frozen dataclass, three times for each cone
     """Stars that a search looks at before any row of a table is built; columns (k,)."""
 
     rows: IntArray  # the store's own numbers of the stars
@@ -193,6 +188,12 @@ class StarStore(Protocol):
 
     def summary(self) -> Mapping[str, Any]:
         """Return at least ``n_stars``, ``brightest_mag`` and ``faintest_mag``."""
+
+
+def picked(values: FloatArray, rows: IntArray) -> Callable[[], FloatArray]:
+    """Return what gives some rows of a column."""
+    take: Callable[[IntArray], FloatArray] = values.take
+    return partial(take, rows)
 
 
 def by_magnitude(found: Candidates, mag: FloatArray) -> Candidates:
@@ -256,10 +257,6 @@ class SkyOfMany:
         return Candidates(rows, NO_DIRECTIONS)
 
 
-def _picked(values: FloatArray, rows: IntArray) -> FloatArray:
-    return values.take(rows)
-
-
 class ArrayStore:
     """Stars in memory: positions and magnitudes of all, their rows built only when asked for.
 
@@ -312,7 +309,7 @@ class ArrayStore:
     def columns(self, found: Candidates) -> Mapping[str, Callable[[], FloatArray]]:
         """Return what gives places and magnitudes."""
         columns = {"ra_rad": self._ra_rad, "dec_rad": self._dec_rad, "mag": self._mag}
-        return {name: partial(_picked, values, found.rows) for name, values in columns.items()}
+        return {name: picked(values, found.rows) for name, values in columns.items()}
 
     def summary(self) -> Mapping[str, Any]:
         """Return the number of stars and the limits of their magnitudes."""

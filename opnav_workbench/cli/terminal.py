@@ -4,9 +4,11 @@ Results go to standard output, progress and complaints to standard error; a bar 
 """
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Timer
 from types import FrameType
 
 from rich.console import Console
@@ -64,9 +66,21 @@ class Terminated(KeyboardInterrupt):
         self.status = 128 + number
 
 
+AGAIN_S = 0.05  # until whatever swallowed a signal's exception is done
+
+
+def _tell_main_thread(number: int) -> None:
+    if hasattr(signal, "pthread_kill"):  # so that it does not go on waiting
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+    else:
+        signal.raise_signal(number)
+
+
 @contextmanager
 def ended_by_signals() -> Iterator[Callable[[], None]]:
     """Raise `Terminated` in the block when the process is told to end (SIGTERM, SIGHUP), once.
+
+    Where Python swallows it, as in what runs while garbage is collected, it is raised again a moment later.
 
     Yields
     ------
@@ -85,10 +99,22 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
         pass_over()
         raise Terminated(number)
 
+    tell = sys.unraisablehook
+
+    def swallowed(what: "sys.UnraisableHookArgs") -> None:
+        if isinstance(what.exc_value, Terminated):
+            number = what.exc_value.status - 128
+            signal.signal(number, end)
+            Timer(AGAIN_S, _tell_main_thread, (number,)).start()
+        else:
+            tell(what)
+
     before = {number: signal.signal(number, end) for number in numbers}
+    sys.unraisablehook = swallowed
     try:
         yield pass_over
     finally:
+        sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler)
 

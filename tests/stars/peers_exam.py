@@ -4,14 +4,16 @@
 
 STARS.npz is a list of stars of the whole sky (arrays ra_deg, dec_deg, mag), such as Tycho-2. Parts are ``lost``, ``dots``,
 ``pointing``, ``identification``, ``fit``, ``detection``, ``cones`` and ``undersampled``; without, all. Peers: solve-field of
-astrometry.net with its Tycho-2 indexes (Debian's packages astrometry.net, astrometry-data-tycho2), cedar-solve, photutils,
-scipy. Whoever is not installed is left out, with the reason. Times are of the processor, in seconds; of solve-field that of
-its own process and children.
+astrometry.net with its Tycho-2 indexes (Debian's packages astrometry.net, astrometry-data-tycho2; where the indexes stand
+elsewhere, SOLVE_FIELD_CONFIG names the configuration that adds their folder), cedar-solve, photutils, scipy. Whoever is not
+installed is left out, with the reason. Times are of the processor, in seconds; of solve-field that of its own process and
+children.
 """
 
 import importlib
 import logging
 import math
+import os
 import resource
 import shutil
 import subprocess
@@ -162,13 +164,13 @@ def solve_field(fields):
 def _solve_field(program, field, folder):
     places = Table({"X": field.places_px[:, 0] + 1.0, "Y": field.places_px[:, 1] + 1.0, "FLUX": field.flux})
     places.write(folder / "stars.xyls", format="fits")
-    size = str(lost_exam.SIZE_PX)
+    size, config = str(lost_exam.SIZE_PX), os.environ.get("SOLVE_FIELD_CONFIG")
     subprocess.run(
         [
             program, "stars.xyls", "--width", size, "--height", size, "--x-column", "X", "--y-column", "Y",
             "--sort-column", "FLUX", "--scale-units", "degwidth", "--scale-low", str(0.9 * field.width_deg),
             "--scale-high", str(1.1 * field.width_deg), "--no-plots", "--cpulimit", str(SOLVE_FIELD_LIMIT_S), "--no-verify",
-            "--wcs", "found.wcs", "--crpix-center",
+            "--wcs", "found.wcs", "--crpix-center", *(("--config", config) if config else ()),
         ],
         cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False,
     )  # fmt: skip

@@ -6,6 +6,7 @@ from lost_exam import camera, detections, draw_field, error_px, random_attitude,
 
 from opnav_workbench.stars.lost_in_space import index_of_stars, solve_lost
 from opnav_workbench.stars.lost_in_space.patterns import ORDERS, code_of, named_orders
+from opnav_workbench.stars.lost_in_space.verification import DetectionMap
 
 STARS, MISSING = 4000, 0.2  # one in ten square degrees: fields from 13 deg on
 WIDTHS_DEG = (13.0, 16.0, 20.0)
@@ -78,6 +79,24 @@ def test_mirrored_pictures_are_told_and_not_solved(sky, index):
     assert answer.camera_from_j2000 is None
     # The camera's line axis the other way round, in a frame of the other hand: what it solved is the true attitude.
     np.testing.assert_allclose(answer.mirrored, field.camera_from_j2000, atol=1e-3)
+
+
+def test_the_map_of_detections_tells_the_nearest_and_nothing_far_off():
+    seen = np.array([[0.0, 0.0], [0.006, 0.0], [0.2, -0.1]])  # the first two nearer than the reach of either
+    drawn = DetectionMap.drawn(seen, 0.01)
+    asked = np.array([[0.001, 0.0], [0.005, 0.001], [0.2, -0.095], [0.1, 0.1], [-0.02, 0.0]])
+    rotations = np.stack([np.eye(3), random_attitude(np.random.default_rng(6))])
+    stars = (
+        np.column_stack([asked, np.ones(5)]) @ rotations
+    )  # that stand there by these attitudes, at scale 1
+    axes = drawn.axes(rotations, np.ones(2))
+    found = drawn.near(stars.astype(np.float32), axes)
+    np.testing.assert_array_equal(found, [[0, 1, 2, -1, -1]] * 2)
+    half = drawn.axes(rotations, np.full(2, 2.0))  # a place counts half as far
+    np.testing.assert_array_equal(
+        drawn.near((np.column_stack([2.0 * asked, np.ones(5)]) @ rotations).astype(np.float32), half), found
+    )
+    np.testing.assert_array_equal(drawn.near(-stars.astype(np.float32), axes), np.full((2, 5), -1))  # behind
 
 
 def test_dots_get_no_answer(index, sample):

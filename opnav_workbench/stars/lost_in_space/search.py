@@ -36,7 +36,10 @@ MAX_DETECTIONS = 100  # that a proposal is compared with, brightest
 # Sigmas of a detection's center, px, for the reach of codes, and among how many detections patterns are looked for, one more
 # round each where no answer is sure. The second pass is for noisy pictures of few stars; where there are more than sixteen
 # detections, enough of their many triangles are as good as the first asks for.
-PASSES = ((0.15, (8, 12, 16, 20, 25, 30)), (0.45, (8, 12, 16)))
+Passes = tuple[tuple[float, tuple[int, ...]], ...]
+PASSES: Passes = ((0.15, (8, 12, 16, 20, 25, 30)), (0.45, (8, 12, 16)))
+# A camera file that mirrors pictures does so with all of them: it is seen in those whose patterns are found soon.
+MIRRORED_PASSES: Passes = ((0.15, (8, 12, 16)),)
 REACH_SIGMAS = 3.0
 CODE_NOISE = 1.4  # of a code, in a center's sigmas over the length of AB
 SLACK = 0.02  # of the longest side, by which noise may change the order of two sides
@@ -44,6 +47,10 @@ MIN_ANGLE_PX = 100.0  # of a triangle: noise leaves too little of smaller ones
 PATTERN_REACH = 4.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
 MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
 WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
+# Proposals of a round that are compared with all of the picture: those that bring most of the stars around to detections.
+# Chance brings one; there are more such proposals only where there are many detections, and with many stars among these
+# the true one brings several.
+MOST_COMPARED = 250
 MOST_JUDGED = (
     6  # proposals weighed in a round: the true one is among the first three where four stars or more fit
 )
@@ -118,10 +125,10 @@ def solve_lost(
     plane = _plane(detections, camera, focal_error)
     if len(plane.places) < MIN_STARS:
         return _no_answer(f"{len(plane.places)} detections are too few; {MIN_STARS} are the least.")
-    verdict = _search(index, plane)
+    verdict = _search(index, plane, PASSES)
     if verdict is not None:
         return _answer(camera, verdict)
-    verdict = _search(index, _flipped(plane)) if try_mirrored else None
+    verdict = _search(index, _flipped(plane), MIRRORED_PASSES) if try_mirrored else None
     if verdict is not None:
         return _mirrored_answer(camera, verdict)
     return _no_answer(
@@ -167,10 +174,10 @@ def _flipped(plane: Plane) -> Plane:
 # ---- Looking up.
 
 
-def _search(index: SkyIndex, plane: Plane) -> Verdict | None:
+def _search(index: SkyIndex, plane: Plane, passes: Passes) -> Verdict | None:
     """Return the first sure verdict."""
     for bands in _bands(index, plane):
-        for sigma_px, rounds in PASSES:
+        for sigma_px, rounds in passes:
             for sets in _rounds(plane, rounds):
                 rotations, scales = _proposals(index, plane, bands, sets, sigma_px)
                 if len(scales) == 0:
@@ -233,18 +240,21 @@ def _proposals(
     codes, angle = code_of(rays[sets])
     wide = WIDE_FIELD * np.tan(plane.reach_rad) ** 2 * plane.focal_error
     reach = REACH_SIGMAS * CODE_NOISE * sigma_px * plane.scale_rad / angle + wide
-    rotations, scales = [np.empty((0, 3, 3))], [np.empty(0)]
+    rotations, scales, hits = [np.empty((0, 3, 3))], [np.empty(0)], [np.empty(0, np.int64)]
     for band in bands:
         row, members, number = band.patterns_near(codes, angle, reach, 1.2 * plane.focal_error)
-        stars = index.vectors[members].astype(np.float64)
+        stars = index.vectors.take(members, axis=0).astype(np.float64)
         found, _ = code_of(stars)
-        good = (np.abs(found - codes[row]) < reach[row, None]).all(axis=1)
-        row, stars, number = row[good], stars[good], number[good]
+        good = np.flatnonzero((np.abs(found - codes[row]) < reach[row, None]).all(axis=1))
+        row, stars, members = row[good], stars.take(good, axis=0), members.take(good, axis=0)
         rotation, scale = _attitudes(plane, sets[row], stars)
-        proven = _with_fourth(index, plane, rotation, scale, sets[row], members[good], band.around[number])
+        around = band.around.take(number[good], axis=0).astype(np.int64)
+        proven, brought = _with_fourth(index, plane, rotation, scale, sets[row], members, around)
         rotations.append(rotation[proven])
         scales.append(scale[proven])
-    return np.concatenate(rotations), np.concatenate(scales)
+        hits.append(brought)
+    best = np.argsort(-np.concatenate(hits), kind="stable")[:MOST_COMPARED]
+    return np.concatenate(rotations)[best], np.concatenate(scales)[best]
 
 
 def _attitudes(plane: Plane, seen: IntArray, stars: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -280,17 +290,15 @@ def _with_fourth(
     seen: IntArray,
     members: IntArray,
     near: IntArray,
-) -> IntArray:
-    """Return which proposals, from detections and stars (c, 3), bring another of the stars `near` (c, k) to another one."""
-    axes = np.swapaxes(rotations.astype(np.float32), 1, 2)
-    axes[:, :, 2] *= scales.astype(np.float32)[:, None]
-    turned = np.matmul(index.vectors[near], axes)
-    found = plane.map.near(turned[..., :2] / turned[..., 2:])
-    hit = (found >= 0) & (found[:, :, None] != seen[:, None]).all(axis=2)
-    rows = np.flatnonzero(hit.any(axis=1))
+) -> tuple[IntArray, IntArray]:
+    """Return which proposals, from detections and stars (c, 3), bring other stars `near` (c, k) to others, and how many."""
+    found = plane.fourths.near(index.vectors.take(near, axis=0), plane.fourths.axes(rotations, scales))
+    rows, ones = np.nonzero(found >= 0)
+    hit, star = found[rows, ones], near[rows, ones]
     # Where two detections stand side by side, a star of the triangle may be at the other.
-    other = (near[rows][:, :, None] != members[rows][:, None]).all(axis=2)
-    return np.asarray(rows[(hit[rows] & other).any(axis=1)], np.int64)
+    good = (hit[:, None] != seen.take(rows, axis=0)).all(axis=1)
+    good &= (star[:, None] != members.take(rows, axis=0)).all(axis=1)
+    return np.unique(rows[good], return_counts=True)
 
 
 # ---- What is told.

@@ -93,8 +93,9 @@ class Band:
         count = np.searchsorted(self.keys, high, side="right") - begin
         rows = np.repeat(rows, count)
         place = np.arange(len(rows)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(begin, count)
-        number, which, order = _unpacked(self.patterns[place])
-        return rows, np.take_along_axis(self._members(number, which), ORDERS[order], axis=1), number
+        number, which, order = _unpacked(self.patterns.take(place))
+        members = self._members(number, which)
+        return rows, np.take_along_axis(members, ORDERS.take(order, axis=0), axis=1), number
 
     def _members(self, number: IntArray, which: IntArray) -> IntArray:
         return _members(self.brighter, self.first, number, which)
@@ -102,7 +103,8 @@ class Band:
 
 def _members(brighter: NDArray[np.uint32], first: int, number: IntArray, which: IntArray) -> IntArray:
     """Return the stars (c, 3) of triangles: those of these numbers in their band, and two brighter ones near each."""
-    near = brighter[number[:, None], pairs(brighter.shape[1])[which]]
+    width = brighter.shape[1]
+    near = brighter.ravel().take(number[:, None] * width + pairs(width).take(which, axis=0))
     return np.column_stack([number + first, near]).astype(np.int64)
 
 

@@ -11,6 +11,7 @@ scatter, chance pairs by all that stars and detections differ among themselves. 
 """
 
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ FIRST_REACH_PX, FIRST_REACH_SHARE = (
     0.006,
 )  # of matches with a proposal from four stars; share of the picture
 FOURTH_REACH_PX = 4.5  # of a fourth star from where three put it, 1.9 px off each, half their width outside
+MIN_DEPTH = np.float32(0.05)  # of a star along the boresight: beyond 87 deg nothing is in a picture
 CELLS_OF_REACH, MAX_CELLS = 3.0, 1000  # of the map of detections
 MIN_STARS = 4  # four fitted numbers and as many to prove them by; whether it is enough, the odds say
 REFINEMENTS = 4
@@ -52,18 +54,19 @@ ZERO_POINT_REACH = (
 MIN_MAG_SPREAD = 0.1  # detections that all have one brightness tell nothing
 TURN_RAD = 2.0 * np.pi
 
+Matches = tuple[IntArray, IntArray, FloatArray]  # stars, their detections, distances in px
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionMap:
-    """Which detection is about so near a place, told by a look at a table: millions of places are asked for."""
+    """Which detection is next to a place, told by a look at a table: millions of places are asked for."""
 
-    table: NDArray[np.int16]  # (n, n), -1 where none is near
-    corner: FloatArray  # (2,)
-    cell: float
+    table: NDArray[np.int16]  # (n, n), -1 where none is within reach
+    from_plane: FloatArray  # (3, 3), to homogeneous rows and columns of the table
 
     @classmethod
     def drawn(cls, places: FloatArray, reach: float) -> "DetectionMap":
-        """Return the map of the detections at `places` (m, 2), brighter ones before fainter."""
+        """Return the map of the detections at `places` (m, 2), as far as `reach` about them."""
         corner = places.min(axis=0) - 3.0 * reach  # so that nothing stands on the table's rim
         width = float((places.max(axis=0) + 3.0 * reach - corner).max())
         cell = max(reach / CELLS_OF_REACH, width / MAX_CELLS)
@@ -72,20 +75,24 @@ class DetectionMap:
         step = np.arange(-half, half + 1)
         disk = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
         disk = disk[np.hypot(*disk.T) * cell <= reach]
-        cells = np.floor((places - corner) / cell).astype(np.int64)[::-1, None] + disk
-        table[cells[..., 0].ravel(), cells[..., 1].ravel()] = np.repeat(
-            np.arange(len(places))[::-1], len(disk)
-        )
-        return cls(table, corner, cell)
+        cells = np.floor((places - corner) / cell).astype(np.int64)[:, None] + disk
+        apart = np.linalg.norm((cells + 0.5) * cell + corner - places[:, None], axis=2).ravel()
+        x, y = cells.reshape(-1, 2)[order := np.argsort(-apart, kind="stable")].T
+        table[x, y] = order // len(disk)  # the nearest is written last
+        return cls(table, np.array([[1.0, 0.0, -corner[0]], [0.0, 1.0, -corner[1]], [0.0, 0.0, cell]]) / cell)
 
-    def near(self, places: NDArray[np.floating]) -> NDArray[np.int16]:
-        """Return the detections (...) near places (..., 2), -1 where none is."""
+    def axes(self, rotations: FloatArray, scales: FloatArray) -> NDArray[np.float32]:
+        """Return matrices (c, 3, 3) that take stars, in rows, to homogeneous places in the table."""
+        to_plane = rotations * np.stack([np.ones_like(scales)] * 2 + [scales], axis=1)[:, :, None]
+        return np.asarray(np.swapaxes(self.from_plane @ to_plane, 1, 2), np.float32)
+
+    def near(self, stars: NDArray[np.float32], axes: NDArray[np.float32]) -> NDArray[np.int16]:
+        """Return the detections (c, k) next to where `axes` (c, 3, 3) put stars (c, k, 3), -1 where none is."""
+        seen = np.matmul(stars, axes)
         last = len(self.table) - 1  # the table's rim is empty
-        x, y = np.moveaxis(np.nan_to_num((places - self.corner) / self.cell, nan=-1.0), -1, 0)
-        found = self.table.ravel()[
-            np.clip(x, 0, last).astype(np.int32) * (last + 1) + np.clip(y, 0, last).astype(np.int32)
-        ]
-        return np.asarray(found)
+        in_front = np.maximum(seen[..., 2], MIN_DEPTH)
+        x, y = (np.clip(seen[..., i] / in_front, 0, last).astype(np.int32) for i in (0, 1))
+        return np.asarray(self.table.ravel().take(x * (last + 1) + y))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,11 +105,14 @@ class Plane:
     corners: FloatArray  # (4, 2) of the detector, in order around it
     focal_error: float
     tree: cKDTree = field(init=False)
-    map: "DetectionMap" = field(init=False)
+    fourths: "DetectionMap" = field(init=False)  # as far as a fourth star may be off
+    map: "DetectionMap" = field(init=False)  # as far as any star may, with a proposal from four
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tree", cKDTree(self.places))
-        object.__setattr__(self, "map", DetectionMap.drawn(self.places, FOURTH_REACH_PX * self.scale_rad))
+        reaches = {"fourths": FOURTH_REACH_PX, "map": self.first_reach_px}
+        for name, reach_px in reaches.items():
+            object.__setattr__(self, name, DetectionMap.drawn(self.places, reach_px * self.scale_rad))
 
     @property
     def reach_rad(self) -> float:
@@ -164,20 +174,24 @@ def promising(
 ) -> IntArray:
     """Return the proposals (rotations (c, 3, 3), scales (c,)) that bring most stars nearest to detections, best first."""
     tree = index.brightest_tree(enough_stars(index, plane))
-    near = tree.query_ball_point(rotations[:, 2], 2.0 * np.sin(0.5 * plane.reach_rad))
-    count = np.array([len(rows) for rows in near], np.int64)
+    chord = 2.0 * np.sin(0.5 * plane.reach_rad)
+    near = tree.query_ball_point(rotations[:, 2], chord)
+    count = [len(rows) for rows in near]
     which = np.repeat(np.arange(len(near)), count)
-    stars = index.vectors[np.concatenate([*near, []]).astype(np.int64)].astype(np.float64)
-    turned = np.einsum("cij,cj->ci", rotations[which], stars)
-    places = turned[:, :2] / turned[:, 2:] / scales[which, None]
+    row = np.fromiter(chain.from_iterable(near), np.int64, len(which))
+    axes = plane.map.axes(rotations, scales).take(which, axis=0)
+    found = plane.map.near(index.vectors.take(row, axis=0)[:, None], axes)[:, 0]
+    hit = np.flatnonzero(found >= 0)
+    which, row, found = which[hit], row[hit], found[hit]
+    turned = np.einsum("cij,cj->ci", rotations.take(which, axis=0), index.vectors.take(row, axis=0))
+    places = turned[:, :2] / (turned[:, 2] * scales.take(which))[:, None]
+    apart = np.hypot(*(places - plane.places.take(found, axis=0)).T) / plane.scale_rad
     reach = plane.first_reach_px
-    apart, found = _nearest(plane, places, reach * plane.scale_rad)
-    hit = np.isfinite(apart)
     sigma = reach / REACH_SIGMAS  # of places by an attitude from three stars
     gain = np.log1p(plane.area_px2 / (TURN_RAD * sigma**2 * len(plane.places)))
-    gain = np.maximum(gain - 0.5 * (apart[hit] / plane.scale_rad / sigma) ** 2, 0.0)
-    best = np.zeros((len(near), len(plane.places)))  # a detection counts once
-    np.maximum.at(best, (which[hit], found[hit]), gain)
+    gain = np.where(apart <= reach, np.maximum(gain - 0.5 * (apart / sigma) ** 2, 0.0), 0.0)
+    best = np.zeros((len(rotations), len(plane.places)))  # a detection counts once
+    np.maximum.at(best, (which, found), gain)
     enough = np.flatnonzero((best > 0.0).sum(axis=1) >= MIN_STARS)
     order = np.argsort(-best.sum(axis=1)[enough], kind="stable")
     return np.asarray(enough[order][:most])
@@ -203,21 +217,20 @@ def judge(index: SkyIndex, plane: Plane, proposal: Proposal) -> Verdict | None:
         apart = _residuals_px(plane, proposal, stars[star], plane.places[detection])
         reach_px = min(max(MATCH_SIGMAS * 1.05 * float(np.median(apart)), 1.5), reach_px)
     on = plane.inside(_places(proposal, stars))
+    matches = _matches(plane, proposal, stars[on], MATCH_SIGMAS * max(SCATTERS_PX))
     return max(
-        (_weighed(index, plane, proposal, stars[on], rows[on], scatter) for scatter in SCATTERS_PX),
+        (_weighed(index, plane, proposal, matches, rows[on], scatter) for scatter in SCATTERS_PX),
         key=lambda v: v.log_odds,
     )
 
 
 def _places(proposal: Proposal, stars: FloatArray) -> FloatArray:
     turned = stars @ proposal.rotation.T
-    depth = np.where(turned[:, 2:] > 0.05, turned[:, 2:], np.nan)
+    depth = np.where(turned[:, 2:] > MIN_DEPTH, turned[:, 2:], np.nan)
     return np.asarray(np.nan_to_num(turned[:, :2] / depth / proposal.scale, nan=1e6))
 
 
-def _matches(
-    plane: Plane, proposal: Proposal, stars: FloatArray, reach_px: float
-) -> tuple[IntArray, IntArray, FloatArray]:
+def _matches(plane: Plane, proposal: Proposal, stars: FloatArray, reach_px: float) -> Matches:
     """One-to-one matches: star, detection, distance in px."""
     apart, found = _nearest(plane, _places(proposal, stars), reach_px * plane.scale_rad)
     star = np.flatnonzero(np.isfinite(apart))
@@ -251,22 +264,24 @@ def _fitted(plane: Plane, proposal: Proposal, stars: FloatArray, seen: FloatArra
 
 
 def _weighed(
-    index: SkyIndex, plane: Plane, proposal: Proposal, stars: FloatArray, rows: IntArray, scatter_px: float
+    index: SkyIndex, plane: Plane, proposal: Proposal, matches: Matches, rows: IntArray, scatter_px: float
 ) -> Verdict:
-    """Weigh a refined proposal by the stars on the detector: directions (n, 3) and rows of the index, brightest first."""
-    star, detection, apart = _matches(plane, proposal, stars, MATCH_SIGMAS * scatter_px)
+    """Weigh a refined proposal by its matches with the stars on the detector, rows (n,) of the index, brightest first."""
+    star, detection, apart = matches
+    near = apart < MATCH_SIGMAS * scatter_px
+    star, detection, apart = star[near], detection[near], apart[near]
     nothing = Verdict(proposal, rows[:0], rows[:0], scatter_px, np.nan, -np.inf)
     if len(star) < MIN_STARS or abs(proposal.scale - 1.0) > 1.1 * plane.focal_error:
         return nothing
-    near = np.exp(-0.5 * (apart / scatter_px) ** 2)  # and so much likelier than chance is each match
-    near *= plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
+    likely = np.exp(-0.5 * (apart / scatter_px) ** 2)  # than chance, each match
+    likely *= plane.area_px2 / (TURN_RAD * scatter_px**2 * len(plane.places))
     freedom = _cost_of_freedom(plane, len(star), _spread_px(plane, plane.places[detection]), scatter_px)
-    most = np.maximum(np.log1p(SEEN * (near - 1.0)), 0.0) + MOST_OF_BRIGHTNESS
+    most = np.maximum(np.log1p(SEEN * (likely - 1.0)), 0.0) + MOST_OF_BRIGHTNESS
     if most.sum() - freedom < SURE_LOG_ODDS:  # whatever else is true of it
         return nothing
     mag = index.mag[rows].astype(np.float64)
-    ratio = np.zeros(len(stars))
-    ratio[star] = near
+    ratio = np.zeros(len(rows))
+    ratio[star] = likely
     depth = _depths(mag)[:, None]
     seen = SEEN * ndtr((depth - mag) / MAG_SCATTER)  # (depths, stars)
     believed = pdtr(
