@@ -7,9 +7,9 @@ The law is the one of the mission, or a mixture of Lambert's and Lommel-Seeliger
 other angles agree best on it: what a wrong law makes of limb and terminator would stand in the map.
 
 Drawing through the PSF and giving back what is left undoes the blur as far as the noise allows (simultaneous iterative
-reconstruction). Every picture has a gain of its own, so that exposure times and phase functions need not be true: places that
-two pictures show tell the ratio of their gains, all at once, and how well is in the sigmas; the map is relative to the body's
-mean where the camera's response is not known. What no picture shows has the mean, and a sigma that says so.
+reconstruction). Every picture has a gain of its own, so that exposure times and phase functions need not be true: places
+that two pictures show tell the ratio of their gains, all at once, and how well is in the sigmas; the map is relative to the
+body's mean where the camera's response is not known. What no picture shows has the mean, and a sigma that says so.
 
 Frame   body-fixed, planetocentric; rows from north to south, columns eastward from longitude 0
 Units   albedo as `opnav_workbench.render.AlbedoMap` has it; relative to its mean without a calibrated camera
@@ -159,9 +159,7 @@ def albedo_from_pictures(
     counts = np.sum([feed.seen(rows) for feed in fed], axis=0)
     scale = float(np.median(gains)) if absolute else 1.0
     images = tuple(view.image for view in views)
-    return SurfaceMap(
-        AlbedoMap(values * scale), sigma, counts, images, gains / scale, absolute, agreed.law
-    )
+    return SurfaceMap(AlbedoMap(values * scale), sigma, counts, images, gains / scale, absolute, agreed.law)
 
 
 def _mapped(
