@@ -136,8 +136,10 @@ def test_maplets_take_the_albedo_of_a_map():
 @pytest.mark.slow
 @pytest.mark.parametrize(("wave_m", "left_m"), [(24.0, 0.012), (12.0, 0.02)])
 def test_samples_hold_what_they_can_tell_of_finer_terrain_and_little_else(wave_m, left_m):
-    """Waves of 0.1 m on a plateau, 8 m between samples: three tell one of 24 m, of which means of samples would lack 0.017 m;
-    none tell one of 12 m, of which means would leave 0.04 m."""
+    """Waves of 0.1 m on a plateau, 8 m between samples: three tell one of 24 m, none one of 12 m.
+
+    Means of samples would lack 0.017 m of the first, and leave 0.04 m of the second.
+    """
     step_km, scale_km, half_km = 0.002, 0.008, 0.08
     x, y = np.meshgrid(*[np.arange(-half_km, half_km + step_km, step_km)] * 2)
     height = 1e-4 * np.cos(2e3 * np.pi / wave_m * x)
