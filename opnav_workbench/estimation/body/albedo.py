@@ -273,13 +273,13 @@ def _agreement(views: Sequence["_View"], cells: Sequence[IntArray], law: Scatter
     Where none is seen twice, what is known is that the mean albedos of views are alike within `VIEW_SIGMA`.
     """
     seen = [_cell_light(view, cell, law) for view, cell in zip(views, cells, strict=True)]
-    light, weight = (np.array(part) for part in zip(*seen, strict=True))
+    light, weight = (np.array([one[k] for one in seen]) for k in range(2))
     whole = weight.sum(axis=0)
     share = weight / np.maximum(whole, np.finfo(float).tiny)
     own = (weight * light).sum(axis=1) / weight.sum(axis=1)
     normal = np.diag(weight.sum(axis=1)) - share @ weight.T
     side = (weight * (light - (share * light).sum(axis=0))).sum(axis=1)
-    freedom = np.count_nonzero(weight) - np.count_nonzero(whole) - (len(views) - 1)
+    freedom = int(np.count_nonzero(weight)) - int(np.count_nonzero(whole)) - (len(views) - 1)
     disagreement = 1.0
     for _ in range(2):  # the second time with the size of errors that the first has found
         covariance = np.linalg.inv(normal / disagreement + np.eye(len(views)) / VIEW_SIGMA**2)
