@@ -8,8 +8,11 @@ Units  km
 """
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
+from scipy import ndimage
+from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from opnav_workbench.arrays import FloatArray, IntArray
@@ -190,17 +193,42 @@ def _patch(
     used, back = np.unique(ground.shape.plates[near[same_side]], return_inverse=True)
     corners = ground.shape.vertices_km[used] - place
     view = parallel_view(corners, back.reshape(-1, 3), axes.T)
-    # Terrain that is finer than a sample is averaged: a grid that met it by chance would show relief that is not there.
     fine = _odd(scale / ground.side)
     at = (np.arange(fine * samples) - 0.5 * (fine * samples - 1)) * scale / fine
     x, y = (grid.ravel() for grid in np.meshgrid(at, at))
     plate, height = view.first_met(np.stack([x, y]) * MIRROR)
     height = np.where(plate == NO_PLATE, np.nan, height)
-    heights = height.reshape(samples, fine, samples, fine).mean(axis=(1, 3))
+    heights = _sampled(height.reshape(fine * samples, fine * samples), fine)
     middle = heights[samples // 2, samples // 2]
     if not np.isfinite(middle) or np.isfinite(heights).mean() < LEAST_KNOWN:
         return None
     return place + middle * up, axes, heights - middle
+
+
+def _sampled(height: FloatArray, fine: int) -> FloatArray:
+    """Return the heights (m, m) of samples, of a grid `fine` times as fine; nan where part of a sample is not known.
+
+    Between samples a maplet is read by cubic splines: these are the ones that lie nearest to the terrain. Heights met by
+    chance would show relief that is not there; means over samples would flatten what two or three samples can tell.
+    """
+    if fine == 1:
+        return height
+    m = len(height) // fine
+    known = np.isfinite(height)
+    if not known.any():
+        return np.full((m, m), np.nan)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    rows = _nearest_spline(m, fine)
+    heights = rows @ height[tuple(nearest)] @ rows.T
+    whole = known.reshape(m, fine, m, fine).all(axis=(1, 3))
+    return np.where(whole, heights, np.nan)
+
+
+@lru_cache(maxsize=8)
+def _nearest_spline(m: int, fine: int) -> FloatArray:
+    """Return what turns values on a grid `fine` times as fine into samples of the nearest spline (m, fine m)."""
+    at = (np.arange(fine * m) - 0.5 * (fine - 1)) / fine
+    return np.asarray(np.linalg.pinv(CubicSpline(np.arange(m), np.eye(m))(at)))
 
 
 def _odd(ratio: float) -> int:

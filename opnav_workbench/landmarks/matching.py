@@ -65,7 +65,7 @@ def correlate(planes: PicturePlanes, templates: Templates, row: int, radius: int
     """
     wide = templates.size + 2 * radius
     data, _, good = planes.window(templates.first[row] - radius, wide)
-    template, _, _ = templates.at(row, np.zeros(2))
+    template = templates.drawn(row, np.zeros(2))
     mask = templates.covered[row].astype(np.float64)
     level = float(data[good].mean()) if good.any() else 0.0
     weight = good.astype(np.float64)

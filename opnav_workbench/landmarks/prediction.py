@@ -34,8 +34,10 @@ __all__ = [
     "predict_landmarks",
 ]
 
-# Beyond these a patch is foreshortened to a third, or lies in shadows that its heights do not tell.
-MOST_EMISSION_DEG, MOST_INCIDENCE_DEG = 72.0, 80.0
+# Beyond the first a patch is foreshortened to a third. Beyond the second terrain that is finer than a maplet's lengthens all
+# shadows, so that landmarks stand away from the Sun by more than their sigmas: 0.04 px at 68 deg, 0.1 px at 76 deg, and a
+# tenth of that with the true heights (tests/landmarks/landmark_exam.py).
+MOST_EMISSION_DEG, MOST_INCIDENCE_DEG = 72.0, 70.0
 # Of a body's mean radius: how far the terrain of a maplet may stand over or under the shape that hides and shades it.
 CLEARANCE = 0.004
 LEAST_PIXELS = 8.0  # width of a maplet in the picture

@@ -206,26 +206,24 @@ class _Patch:
 
     def light(self, shift: FloatArray) -> FloatArray:
         """Return what gain, bias and slope do (4, size, size)."""
-        template = self.templates.at(self.row, shift)[0] / self.sigma
+        template = self.templates.drawn(self.row, shift) / self.sigma
         return np.concatenate([template[None], self.slow])
 
     def design(self) -> FloatArray:
         """Return what shift, light and a wider PSF do (7, size, size), where the fit is."""
         template, by_pixel, by_line = self.templates.at(self.row, self.shift)
-        around = sum(self.templates.at(self.row, self.shift + step)[0] for step in AROUND)
+        around = sum(self.templates.drawn(self.row, self.shift + step) for step in AROUND)
         moved = np.stack([self.gain * by_pixel, self.gain * by_line]) / self.sigma
-        wider = (around - len(AROUND) * template) / self.sigma
-        return np.where(self.used, np.concatenate([moved, self.light(self.shift), wider[None]]), 0.0)
+        light, wider = template / self.sigma, (around - len(AROUND) * template) / self.sigma
+        return np.where(self.used, np.concatenate([moved, light[None], self.slow, wider[None]]), 0.0)
 
     def fitted(self, design: FloatArray, by_weight: FloatArray) -> PatchFit | None:
         """Return the fit with the operator of one design; where it ends the next begins."""
         flat, weights = design.reshape(len(design), -1), by_weight.reshape(len(design), -1)
         normal = weights @ flat.T
         try:
-            operator = np.asarray(np.linalg.solve(normal[:-1, :-1], weights[:-1]), dtype=np.float64)
-            width = np.asarray(np.linalg.solve(normal, weights)[-1], dtype=np.float64).reshape(
-                design.shape[1:]
-            )
+            operator = np.linalg.inv(normal[:-1, :-1]) @ weights[:-1]
+            width = (np.linalg.inv(normal)[-1] @ weights).reshape(design.shape[1:])
         except np.linalg.LinAlgError:
             return None
         shift, light = self.shift.copy(), np.zeros(len(self.slow) + 1)
@@ -247,7 +245,7 @@ class _Patch:
         for inside in _halved(self.used):
             parts = [_operator(design[:-1], by_weight[:-1] * half) for half in (inside, self.used & ~inside)]
             if parts[0] is not None and parts[1] is not None:
-                out.append((parts[0] - parts[1])[:2])
+                out.append(parts[0] - parts[1])
         return np.array(out).reshape(-1, 2, *self.used.shape)
 
     def _result(
@@ -271,11 +269,11 @@ class _Patch:
 
 
 def _operator(design: FloatArray, by_weight: FloatArray) -> FloatArray | None:
-    """Return the planes (k, size, size) that read unknowns off residuals; None where the pixels do not tell them."""
+    """Return the planes (2, size, size) that read a shift off residuals; None where the pixels do not tell it."""
     weights = by_weight.reshape(len(by_weight), -1)
     normal = weights @ design.reshape(len(design), -1).T
     try:
-        return np.asarray(np.linalg.solve(normal, weights)).reshape(design.shape)
+        return np.asarray(np.linalg.inv(normal)[:2] @ weights).reshape(2, *design.shape[1:])
     except np.linalg.LinAlgError:
         return None
 

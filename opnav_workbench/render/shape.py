@@ -153,8 +153,10 @@ def _mesh(corner: FloatArray) -> tuple[FloatArray, float, tuple[int, int], IntAr
     """Return low corner, cell size, cells along u and v, and the list of plates of every cell."""
     if len(corner) == 0:
         return np.zeros(2), 1.0, (0, 0), np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int64)
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    origin, extent = low.min(axis=0), np.ptp(np.concatenate([low, high]), axis=0)
+    a, b, c = np.moveaxis(corner, 1, 0)
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    origin = low.min(axis=0)
+    extent = high.max(axis=0) - origin
     side = float(np.sqrt(extent.prod() * PLATES_PER_CELL / len(corner)))
     side = max(side, float(extent.max()) / MOST_CELLS, np.finfo(float).tiny)
     cells = (int(extent[0] / side) + 1, int(extent[1] / side) + 1)
@@ -163,14 +165,15 @@ def _mesh(corner: FloatArray) -> tuple[FloatArray, float, tuple[int, int], IntAr
         np.floor((high - origin) / side).astype(np.int64),
     )
     spans = end - begin + 1
-    counts = spans.prod(axis=1)
+    counts = spans[:, 0] * spans[:, 1]
     plate = np.repeat(np.arange(len(corner)), counts)
     within = np.arange(len(plate)) - np.repeat(np.cumsum(counts) - counts, counts)
     width = spans[plate, 0]
     cell = (begin[plate, 1] + within // width) * cells[0] + begin[plate, 0] + within % width
-    order = np.argsort(cell, kind="stable")
-    start = np.searchsorted(cell[order], np.arange(cells[0] * cells[1] + 1))
-    return origin, side, cells, start.astype(np.int64), plate[order]
+    start = np.cumsum(np.bincount(cell, minlength=cells[0] * cells[1]))
+    # Numbers that hold cell and plate are sorted in a fraction of the time that a stable order of cells takes.
+    listed = np.sort(cell * len(corner) + plate) % len(corner)
+    return origin, side, cells, np.concatenate([[0], start]), listed
 
 
 # ---- A body made of triangular plates.

@@ -384,11 +384,12 @@ def test_pictures_tell_albedo_and_law_of_the_body_that_they_told(tmp_path):
     )
     told = map_scores(sequence, surface)
     assert told["seen"] > 0.5
-    assert told["correlation"] > 0.85
-    assert told["rms"] < 0.55 * told["contrast"]
-    assert 0.5 < told["sigmas"] < 3.0
+    # With gains that every picture tells of itself alone these were 0.88, 0.48 and 2.4.
+    assert told["correlation"] > 0.97
+    assert told["rms"] < 0.22 * told["contrast"]
+    assert 0.7 < told["sigmas"] < 1.4
     hidden = surface.pictures == 0
-    assert np.median(surface.sigma[hidden]) > 2.0 * np.median(surface.sigma[~hidden])
+    assert np.median(surface.sigma[hidden]) > 4.0 * np.median(surface.sigma[~hidden])
     again = AlbedoMap.from_file(surface.write(tmp_path / "map.fits"))
     np.testing.assert_allclose(again.values, surface.albedo.values, rtol=1e-6)
     unseen = [replace(one, image="another") for one in sequence.pictures]

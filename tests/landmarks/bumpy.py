@@ -146,7 +146,8 @@ class Bumpy:
         phase = np.arccos(np.clip(-(sun[:, None] * rays[:, seen]).sum(0), -1, 1))
         light = law.reflectance(cos_i, cos_e, phase) * self._sampled(self.albedo, points)
         lit = np.flatnonzero(light > 0.0)
-        start = points[:, lit] + 3.0 * step * normal[:, lit]
+        # Bisection found the places to 1e-4 of a step: lifted any higher, shadows would end too near to what throws them.
+        start = points[:, lit] + 0.02 * step * normal[:, lit]
         dark = np.isfinite(self.hits(start, np.broadcast_to(sun[:, None], start.shape), step))
         light[lit[dark]] = 0.0
         picture = np.zeros(x.size)

@@ -134,9 +134,10 @@ def main():
     parser.add_argument("--cache", default=None)
     parser.add_argument("--law", default="mcewen")
     parser.add_argument("--poses", type=int, default=0, help="camera positions at 5 km instead of centers")
+    parser.add_argument("--first", type=int, default=0, help="number of the first camera position")
     arguments = parser.parse_args()
     if arguments.poses:
-        poses(arguments.poses)
+        poses(arguments.first, arguments.poses)
         return
     camera, body = exam_camera(), truth_body()
     shape = body.shape(480, smooth=1.0)
@@ -204,7 +205,7 @@ def near_camera():
     )
 
 
-def poses(count):
+def poses(first, count):
     """Camera positions from one picture each, 5 km from the center, landmarks alone."""
     camera, body = near_camera(), truth_body()
     shape = body.shape(480, smooth=1.0)
@@ -214,7 +215,7 @@ def poses(count):
     )
     law = Hapke(w=0.3, b0=0.6, h=0.05, asymmetry=-0.3, roughness_deg=18.0)
     within = solved = 0
-    for number in range(count):
+    for number in range(first, first + count):
         place, sun, turn = geometry(1000 + number, camera)
         place *= 5.0 / np.linalg.norm(place)
         light = body.draw(camera, turn, place, sun, law, cells=2, psf_sigma=PSF_PX * PSF_ERROR)

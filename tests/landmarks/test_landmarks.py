@@ -19,6 +19,7 @@ from opnav_workbench.landmarks import (
     ellipsoid_shape,
     find_landmarks,
     find_lost_landmarks,
+    finder,
     judge_landmarks,
     landmark_partials,
     make_maplets,
@@ -130,6 +131,36 @@ def test_maplets_take_the_albedo_of_a_map():
     x, y, _ = np.moveaxis(maplets.points_km(), -1, 0)
     away = np.hypot(x, y) > 0.05
     assert np.abs(maplets.albedo - (1.0 + 0.5 * np.sin(np.arctan2(y, x))))[away].max() < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("wave_m", "left_m"), [(24.0, 0.012), (12.0, 0.02)])
+def test_samples_hold_what_they_can_tell_of_finer_terrain_and_little_else(wave_m, left_m):
+    """Waves of 0.1 m on a plateau, 8 m between samples: three tell one of 24 m, none one of 12 m.
+
+    Means of samples would lack 0.017 m of the first, and leave 0.04 m of the second.
+    """
+    step_km, scale_km, half_km = 0.002, 0.008, 0.08
+    x, y = np.meshgrid(*[np.arange(-half_km, half_km + step_km, step_km)] * 2)
+    height = 1e-4 * np.cos(2e3 * np.pi / wave_m * x)
+    top = np.stack([x, y, height], axis=-1).reshape(-1, 3)
+    n = len(x)
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(n - 1), np.arange(n - 1), indexing="ij"))
+    a, b, c, d = i * n + j, i * n + j + 1, (i + 1) * n + j + 1, (i + 1) * n + j
+    plates = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    # A pyramid below closes the plateau.
+    edge = np.concatenate([np.arange(n), np.arange(1, n) * n + n - 1, (n - 1) * n + np.arange(n - 2, -1, -1),
+                           np.arange(n - 2, 0, -1) * n])  # fmt: skip
+    sides = np.stack([np.roll(edge, -1), edge, np.full(len(edge), n * n)], 1)
+    shape = ShapeModel(np.concatenate([top, [[0.0, 0.0, -1.0]]]), np.concatenate([plates, sides]))
+    maplets = make_maplets("BENNU", shape, 0.03, scale_km=scale_km, samples=9)
+    flat = np.flatnonzero(
+        (maplets.axes[:, 2, 2] > 0.999) & (np.abs(maplets.place_km[:, :2]).max(axis=1) < 0.03)
+    )
+    east, _, up = maplets.points_km()[flat[0]].reshape(-1, 3).T
+    true = 1e-4 * np.cos(2e3 * np.pi / wave_m * east) if wave_m > 2e3 * scale_km else np.zeros_like(up)
+    left = (up - up.mean() - true + true.mean()).reshape(9, 9)
+    assert np.abs(left[1:-1, 1:-1]).max() < 1e-3 * left_m, "beside the edges"
 
 
 def test_file_gives_back_what_was_written(tmp_path):
@@ -308,6 +339,23 @@ def test_analyst_outranks_the_consensus(scene, found):
     row = found.centers.id.tolist().index(name)
     assert (judged.status[row], judged.reason[row]) == ("rejected", "by the analyst: a shadow")
     assert judged.pose.n_landmarks == found.pose.n_landmarks - 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "agree"), [(24, True), (3, False)])
+def test_a_first_pass_takes_some_and_all_where_these_do_not_agree(scene, found, monkeypatch, first, agree):
+    searched = []
+    monkeypatch.setattr(finder, "FIRST_LANDMARKS", first)
+    templates = finder._templates
+    monkeypatch.setattr(finder, "_templates", lambda *a: searched.append(len(a[1])) or templates(*a))
+    turned = np.array([2.0, -1.5, 0.0]) * scene.camera.pixel_scale_rad
+    again = find_landmarks(scene.picture(turned=tuple(turned)), scene.maplets)
+    everyone = len(again.accepted)
+    assert searched == ([first, everyone] if agree else [first, everyone, everyone])
+    both = again.accepted & found.accepted
+    assert both.mean() > 0.8
+    moved = again.centers.observed_px[both] - found.centers.observed_px[both]
+    assert np.sqrt(np.mean(moved**2)) < 0.02, "the second pass begins elsewhere and ends there"
 
 
 @pytest.mark.slow

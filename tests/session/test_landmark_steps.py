@@ -11,12 +11,14 @@ import pytest
 import yaml
 from astropy.io import fits
 
+from opnav_workbench.cli.process import Reporter
 from opnav_workbench.contracts import check_file
 from opnav_workbench.errors import SessionError
 from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.landmarks import make_maplets
 from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import read_ecsv
+from opnav_workbench.processing import Outcome
 from opnav_workbench.render import Lambert
 from opnav_workbench.scene import Observer
 from opnav_workbench.session import ImageSession, load_decisions
@@ -108,6 +110,36 @@ def test_landmarks_tell_where_the_camera_was(stage, found):
     scale = np.sqrt(np.diag(pose.covariance))
     assert off / scale @ np.linalg.solve(pose.covariance / np.outer(scale, scale), off / scale) < 25.0
     assert "landmarks accepted; rms" in found.journal[-1].outcome
+
+
+@pytest.mark.slow
+def test_process_prints_how_many_landmarks_were_found_and_where_they_put_the_camera(
+    stage, found, capsys, monkeypatch
+):
+    monkeypatch.setenv("COLUMNS", "120")
+    result = json.loads(found.to_json())
+    Reporter(1).table([Outcome(stage.picture, stage.picture.parent, result)], stage.picture.parent)
+    lines = capsys.readouterr().out.splitlines()
+    rows = lines[lines.index(next(line for line in lines if line.strip().startswith("Landmarks"))) :]
+    picture, body, accepted, of, rms, moved, sigma = next(line for line in rows if BODY in line).split()
+    solution = found.state.landmarks[0]
+    assert (picture, body) == ("body", BODY)
+    assert (int(accepted), int(of)) == (solution.accepted.sum(), len(solution.accepted))
+    assert float(rms) == pytest.approx(result["landmarks"][0]["pose"]["rms_px"], abs=6e-4)
+    true_km = np.linalg.norm(stage.place + stage.target.position_km)
+    assert float(moved) == pytest.approx(true_km, abs=4.0 * float(sigma))
+    largest = np.sqrt(np.linalg.eigvalsh(solution.pose.position_covariance_km2)[-1])
+    assert float(sigma) == pytest.approx(largest, rel=0.06), "two digits are printed"
+
+
+@pytest.mark.slow
+def test_a_body_without_a_pose_has_its_counts_and_dashes(stage, found, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    result = json.loads(found.to_json())
+    result["landmarks"][0]["pose"] = None
+    Reporter(1).table([Outcome(stage.picture, stage.picture.parent, result)], stage.picture.parent)
+    row = next(line.split() for line in capsys.readouterr().out.splitlines() if BODY in line)
+    assert row[3:] == [str(len(found.state.landmarks[0].accepted)), "–", "–", "–"]
 
 
 @pytest.mark.slow

@@ -7,9 +7,9 @@ The law is the one of the mission, or a mixture of Lambert's and Lommel-Seeliger
 other angles agree best on it: what a wrong law makes of limb and terminator would stand in the map.
 
 Drawing through the PSF and giving back what is left undoes the blur as far as the noise allows (simultaneous iterative
-reconstruction). Every picture has a gain of its own, so that exposure times and phase functions need not be true: the map is
-relative to the body's mean where the camera's response is not known. What no picture shows has the mean, and a sigma that
-says so.
+reconstruction). Every picture has a gain of its own, so that exposure times and phase functions need not be true: places
+that two pictures show tell the ratio of their gains, all at once, and how well is in the sigmas; the map is relative to the
+body's mean where the camera's response is not known. What no picture shows has the mean, and a sigma that says so.
 
 Frame   body-fixed, planetocentric; rows from north to south, columns eastward from longitude 0
 Units   albedo as `opnav_workbench.render.AlbedoMap` has it; relative to its mean without a calibrated camera
@@ -19,6 +19,7 @@ Reference: Gilbert (1972), Journal of Theoretical Biology 36, 105, doi:10.1016/0
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +45,12 @@ LEAST_COS_EMISSION, LEAST_COS_INCIDENCE = 0.3, 0.2  # beyond, figure and law tel
 MODEL_SHARE = 0.03  # of the light: what law, relief and figure are off by, in every pixel for itself
 PASSES = 2  # of giving back what is left; more sharpen the noise
 SHARES = np.linspace(0.0, 1.0, 11)  # of Lommel-Seeliger's law
-LAW_ROWS, LAW_ROUNDS = 36, 4  # cells in which pictures are compared; rounds of means and gains
+LAW_ROWS = 36  # cells in which pictures are compared
 SMOOTH_CELLS = 0.7  # a sample is as wide as its pixel
+SEEN_CELLS = 0.85  # what a PSF of 0.8 px with its pixel is as wide as
 CONTRAST = 0.3  # relative, of albedo beforehand: what is not seen is known so well
+VIEW_SIGMA = 0.15  # relative, of the mean albedo of what a picture shows, beforehand: half of the contrast
+BELIEVED_CELLS = 10.0  # seen twice, that `MODEL_SHARE` is worth where pictures tell otherwise
 ROWS = (8, 720)
 LEAST_SAMPLES = 30
 
@@ -140,27 +144,61 @@ def albedo_from_pictures(
         raise EstimationError(
             f"no picture shows enough of {name} for a map: it has to be {LEAST_DIAMETER_PX:g} px wide or more."
         )
-    law = _agreed_law(views)
-    views = [view.with_law(law) for view in views]
+    views, agreed = _agreed(views)
     finest = min(view.pixel_rad for view in views)
     rows = int(np.clip(2 * round(0.5 * np.pi / finest), *ROWS))
-    values = np.ones((rows, 2 * rows))
     fed = [_Feed.of(view, rows) for view in views]
-    for _ in range(max(passes, 1)):
-        total, weight = np.zeros_like(values), np.zeros_like(values)
-        for feed in fed:
-            feed.give(values, total, weight)
-        smooth = [_smoothed(plane) for plane in (total, weight)]
-        values = np.maximum(values + smooth[0] / (smooth[1] + CONTRAST**-2), 0.0)
-        values /= _mean(values, weight > 0.0)
-    known = 1.0 / (smooth[1] + CONTRAST**-2)
-    sigma = np.sqrt(known + (_place_sigma_rad(solution) * _slope(values)) ** 2)
-    gains = np.array([feed.gain(values) for feed in fed])
+    shown = [view.data_dn for view in views]
+    values, gains, weight = _mapped(fed, shown, agreed.gains, rows, passes)
+    sigma = _sigma(values, weight, agreed, _place_sigma_rad(solution), passes)
+    # What the same passes lose of the map itself, they lost of the surface before.
+    drawn = [gain * feed.view.drawn_dn(AlbedoMap(values)) for feed, gain in zip(fed, gains, strict=True)]
+    lost = _mapped(fed, drawn, gains, rows, passes)[0] - values
+    sigma = np.sqrt(sigma**2 + np.maximum(_smoothed(lost**2), 0.0))
     absolute = all(view.picture.sunlight_e is not None for view in views)
     counts = np.sum([feed.seen(rows) for feed in fed], axis=0)
     scale = float(np.median(gains)) if absolute else 1.0
     images = tuple(view.image for view in views)
-    return SurfaceMap(AlbedoMap(values * scale), sigma, counts, images, gains / scale, absolute, law)
+    return SurfaceMap(AlbedoMap(values * scale), sigma, counts, images, gains / scale, absolute, agreed.law)
+
+
+def _mapped(
+    fed: Sequence["_Feed"], shown: Sequence[FloatArray], gains: FloatArray, rows: int, passes: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the map (n, 2 n) of mean 1 that views with these gains show, gains for it, and its smoothed weights."""
+    values = np.ones((rows, 2 * rows))
+    for _ in range(max(passes, 1)):
+        total, weight = np.zeros_like(values), np.zeros_like(values)
+        for feed, data, gain in zip(fed, shown, gains, strict=True):
+            feed.give(values, data, float(gain), total, weight)
+        smooth = [_smoothed(plane) for plane in (total, weight)]
+        values = np.maximum(values + smooth[0] / (smooth[1] + CONTRAST**-2), 0.0)
+        mean = _mean(values, weight > 0.0)
+        values, gains = values / mean, gains * mean
+    return values, gains, smooth[1]
+
+
+def _sigma(
+    values: FloatArray, weight: FloatArray, agreed: "_Agreement", place_sigma_rad: float, passes: int
+) -> FloatArray:
+    """Return sigmas (n, 2 n): pixels' errors, the gains', and what the body's rotation moves."""
+    pixels = 1.0 / (weight / (_noise_share(passes) * agreed.disagreement) + CONTRAST**-2)
+    at = np.arange(len(values)) * LAW_ROWS // len(values)
+    along = np.arange(values.shape[1]) * LAW_ROWS // len(values)
+    gains = agreed.cell_variance().reshape(LAW_ROWS, 2 * LAW_ROWS)[at[:, None], along]
+    return np.asarray(np.sqrt(pixels + gains + (place_sigma_rad * _slope(values)) ** 2))
+
+
+def _noise_share(passes: int) -> float:
+    """Return the variance of a cell's value over that of its own pixels' mean.
+
+    Smoothing takes its neighbors in; every further pass sharpens what is left. k and h are what smoothing and the picture's
+    PSF with its pixel keep of a wave.
+    """
+    wave = np.linspace(0.0, np.pi, 200)
+    k, h = (np.exp(-0.5 * (wide * wave) ** 2) for wide in (SMOOTH_CELLS, SEEN_CELLS))
+    kept = sum(k * (1.0 - k * h) ** done for done in range(max(passes, 1)))
+    return float(np.trapezoid(kept**2 * wave, wave) / (2.0 * np.pi))
 
 
 def _place_sigma_rad(solution: BodySolution) -> float:
@@ -177,33 +215,95 @@ def _slope(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def _agreed_law(views: Sequence["_View"]) -> ScatteringLaw:
-    """Return the law under which pictures agree best on what they both see: their own, or a mixture."""
+# ---- What pictures that overlap say of their gains, and of the law.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Agreement:
+    """Logarithms of light of k views in coarse cells, and the gains under which they agree best.
+
+    Attributes
+    ----------
+    covariance : (k, k) array
+        Of the gains' logarithms.
+    share : (k, cells) array
+        Of each view in what is known of a cell.
+    lost
+        Squares of what is left, over what law, relief and figure are held to be off by, and of how far the views' means are
+        apart.
+    disagreement
+        Of what is left, the mean of those squares: 1 as expected.
+    """
+
+    law: ScatteringLaw
+    gains: FloatArray
+    covariance: FloatArray
+    share: FloatArray
+    lost: float
+    disagreement: float
+
+    def cell_variance(self) -> FloatArray:
+        """Return what gains make of cells (cells,), relative to the mean of all that are seen."""
+        seen = self.share.sum(axis=0) > 0.0
+        area = np.repeat(_row_areas(LAW_ROWS), 2 * LAW_ROWS) * seen
+        moved = self.share - (self.share @ area / area.sum())[:, None]
+        variance = np.einsum("kc,kl,lc->c", moved, self.covariance, moved)
+        return np.where(seen, np.maximum(variance, 0.0), 0.0)
+
+
+def _agreed(views: Sequence["_View"]) -> tuple[list["_View"], _Agreement]:
+    """Return views under the law with which they agree best, their own or a mixture, and their gains."""
     own = views[0].picture.model(views[0].name).law
+    cells = [_coarse_cells(view) for view in views]
     laws = [own, *(LunarLambert(float(share)) for share in SHARES)]
-    return laws[int(np.argmin([_disagreement(views, law) for law in laws]))]
+    best = min((_agreement(views, cells, law) for law in laws), key=lambda one: one.lost)
+    return [view.with_law(best.law) for view in views], best
 
 
-def _disagreement(views: Sequence["_View"], law: ScatteringLaw) -> float:
-    """Return by how much pictures differ about the mean of all, every one with its gain, weighted and squared."""
+def _coarse_cells(view: "_View") -> IntArray:
+    """Return the cell (n,) of `LAW_ROWS` that each pixel looks at."""
+    even = AlbedoMap(np.ones((LAW_ROWS, 2 * LAW_ROWS)))
+    cells, share = even.corners(view.longitude_rad, view.latitude_rad)
+    return np.asarray(np.take_along_axis(cells, share.argmax(axis=0)[None], axis=0)[0])
+
+
+def _agreement(views: Sequence["_View"], cells: Sequence[IntArray], law: ScatteringLaw) -> _Agreement:
+    """Return the most probable gains of all views at once: cells that two of them see tell their ratio.
+
+    Where none is seen twice, what is known is that the mean albedos of views are alike within `VIEW_SIGMA`.
+    """
+    seen = [_cell_light(view, cell, law) for view, cell in zip(views, cells, strict=True)]
+    light, weight = (np.array([one[k] for one in seen]) for k in range(2))
+    whole = weight.sum(axis=0)
+    share = weight / np.maximum(whole, np.finfo(float).tiny)
+    own = (weight * light).sum(axis=1) / weight.sum(axis=1)
+    normal = np.diag(weight.sum(axis=1)) - share @ weight.T
+    side = (weight * (light - (share * light).sum(axis=0))).sum(axis=1)
+    freedom = int(np.count_nonzero(weight)) - int(np.count_nonzero(whole)) - (len(views) - 1)
+    disagreement = 1.0
+    for _ in range(2):  # the second time with the size of errors that the first has found
+        covariance = np.linalg.inv(normal / disagreement + np.eye(len(views)) / VIEW_SIGMA**2)
+        gains = covariance @ (side / disagreement + own / VIEW_SIGMA**2)
+        left = light - gains[:, None]
+        left = left - (share * left).sum(axis=0)
+        square = float(np.sum(weight * left**2))
+        disagreement = (square + BELIEVED_CELLS) / (max(freedom, 0) + BELIEVED_CELLS)
+    lost = square + float(np.sum((gains - own) ** 2)) / VIEW_SIGMA**2
+    return _Agreement(law, np.exp(gains), covariance, share, lost, disagreement)
+
+
+def _cell_light(view: "_View", cell: IntArray, law: ScatteringLaw) -> tuple[FloatArray, FloatArray]:
+    """Return the mean logarithm of a view's light over that of an even body, by cell, and its weight; 0: not seen."""
     size = 2 * LAW_ROWS**2
-    cells = [
-        AlbedoMap(np.ones((LAW_ROWS, 2 * LAW_ROWS))).corners(v.longitude_rad, v.latitude_rad) for v in views
-    ]
-    nearest = [np.take_along_axis(c, share.argmax(axis=0)[None], axis=0)[0] for c, share in cells]
-    shown = [v.data_dn / (v.even_dn * v.law_factor(law)) for v in views]
-    weight = [1.0 / (v.variance_dn2 / v.data_dn**2 + MODEL_SHARE**2) for v in views]  # of logarithms
-    shown = [np.log(np.maximum(one, np.finfo(float).tiny)) for one in shown]
-    gains = [float(np.average(one, weights=w)) for one, w in zip(shown, weight, strict=True)]
-    for _ in range(LAW_ROUNDS):
-        total, whole = np.zeros(size), np.zeros(size)
-        for cell, one, w, gain in zip(nearest, shown, weight, gains, strict=True):
-            total += np.bincount(cell, w * (one - gain), size)
-            whole += np.bincount(cell, w, size)
-        mean = total / np.maximum(whole, np.finfo(float).tiny)
-        left = [one - mean[cell] for cell, one in zip(nearest, shown, strict=True)]
-        gains = [float(np.average(one, weights=w)) for one, w in zip(left, weight, strict=True)]
-    return sum(float(np.sum(w * (one - g) ** 2)) for one, w, g in zip(left, weight, gains, strict=True))
+    tiny = np.finfo(float).tiny
+    one = np.log(np.maximum(view.data_dn / (view.even_dn * view.law_factor(law)), tiny))
+    noise = view.variance_dn2 / view.data_dn**2
+    pixel = 1.0 / (noise + MODEL_SHARE**2)
+    total = np.bincount(cell, pixel, size)
+    light = np.bincount(cell, pixel * one, size) / np.maximum(total, tiny)
+    # What a cell's law, relief and figure are off by is alike in its pixels; their noise is not.
+    noise = 1.0 / np.maximum(np.bincount(cell, 1.0 / noise, size), tiny)
+    return light, np.where(total > 0.0, 1.0 / (MODEL_SHARE**2 + noise), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,21 +415,13 @@ class _Feed:
         corners = AlbedoMap(np.ones((rows, 2 * rows))).corners(view.longitude_rad, view.latitude_rad)
         return cls(view, *corners)
 
-    def gain(self, values: FloatArray) -> float:
-        """Return the data's light over that of a map."""
-        return self._gain(self.view.drawn_dn(AlbedoMap(values)))
-
-    def _gain(self, drawn: FloatArray) -> float:
-        weight = 1.0 / (self.view.variance_dn2 + (MODEL_SHARE * self.view.data_dn) ** 2)
-        return float(np.sum(weight * drawn * self.view.data_dn) / np.sum(weight * drawn**2))
-
-    def give(self, values: FloatArray, total: FloatArray, weight: FloatArray) -> None:
+    def give(
+        self, values: FloatArray, data_dn: FloatArray, gain: float, total: FloatArray, weight: FloatArray
+    ) -> None:
         """Add what a map leaves of the data, weighted, and the weights (n, 2 n)."""
-        view = self.view
-        drawn = view.drawn_dn(AlbedoMap(values))
-        even = self._gain(drawn) * view.even_dn
-        left = (view.data_dn - self._gain(drawn) * drawn) / even
-        known = 1.0 / (view.variance_dn2 / even**2 + MODEL_SHARE**2)
+        even = gain * self.view.even_dn
+        left = (data_dn - gain * self.view.drawn_dn(AlbedoMap(values))) / even
+        known = 1.0 / (self.view.variance_dn2 / even**2 + MODEL_SHARE**2)
         for cells, share in zip(self.cells, self.shares, strict=True):
             total += np.bincount(cells, share * known * left, total.size).reshape(total.shape)
             weight += np.bincount(cells, share * known, weight.size).reshape(weight.shape)
@@ -353,8 +445,16 @@ def _mean(values: FloatArray, seen: BoolArray) -> float:
 def _smoothed(plane: FloatArray) -> FloatArray:
     """Return a plane (n, 2 n) smoothed over the same length on the body everywhere: wider in longitude near the poles."""
     down = ndimage.gaussian_filter1d(plane, SMOOTH_CELLS, axis=0, mode="nearest")
-    wide = SMOOTH_CELLS / _row_areas(len(plane))[:, None]
-    wave = 2.0 * np.pi * fft.rfftfreq(plane.shape[1])
-    return np.asarray(
-        fft.irfft(fft.rfft(down, axis=1) * np.exp(-0.5 * (wide * wave) ** 2), plane.shape[1], axis=1)
-    )
+    return np.asarray(fft.irfft(fft.rfft(down, axis=1) * _along_rows(len(plane)), plane.shape[1], axis=1))
+
+
+@lru_cache(maxsize=2)
+def _along_rows(rows: int) -> FloatArray:
+    """Return what smoothing along each row does to its waves (n, n + 1): of samples of a Gaussian, none below zero.
+
+    The Gaussian's own spectrum would be cut off at the finest wave, and weights ring below zero beside what is seen.
+    """
+    column = np.arange(2 * rows)
+    away = np.minimum(column, 2 * rows - column) * _row_areas(rows)[:, None] / SMOOTH_CELLS
+    kernel = np.exp(-0.5 * away**2)
+    return np.asarray(fft.rfft(kernel / kernel.sum(axis=1, keepdims=True), axis=1).real)
