@@ -35,6 +35,7 @@ from opnav_workbench.image.header import (
     header_geometry,
     header_matches,
     header_number,
+    stated_unit_s,
     unread_words,
 )
 from opnav_workbench.image.planes import make_planes
@@ -196,7 +197,8 @@ def _exposure(name: str, header: Header, keywords: KeywordMap) -> float:
             name,
             f"exposure time {keywords.exposure_s} = {value!r} is not positive; leave this picture out.",
         )
-    return seconds * keywords.exposure_scale
+    unit_s = stated_unit_s(header, keywords.exposure_s)
+    return seconds * (keywords.exposure_scale if unit_s is None else unit_s)
 
 
 @dataclass(frozen=True, slots=True)

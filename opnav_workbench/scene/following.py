@@ -246,7 +246,7 @@ def seen_at_its_lines(
 def turned_meanwhile(
     camera: Camera, target: TargetState, observer_velocity_km_s: ArrayLike, camera_from_j2000: ArrayLike
 ) -> tuple[float, float]:
-    """Return how far the middle of a body's surface moves against its limb while its lines are exposed, and that time.
+    """Return how far a body's surface moves against its limb while its lines are exposed, and that time.
 
     Px at most, and s, both from the line of its center to its first or last; by its spin and by the way flown around it. 0
     where none is known.
@@ -262,7 +262,8 @@ def turned_meanwhile(
         return 0.0, 0.0
     half_s = float(np.abs((lines - sweep.middle_line) * sweep.line_time_s - body.epoch_s).max())
     places, turned = body.along_course(body.epoch_s + half_s * np.array([-1.0, 1.0]))
-    ways = rotation_from_vector(turned) @ body.direction - unit(places)
+    carried = rotation_from_vector(least_turn(body.direction, unit(places)))
+    ways = vector_from_rotation(np.swapaxes(carried, -1, -2) @ rotation_from_vector(turned))
     radius_px = float(np.max(target.radii_km)) / body.range_km / camera.pixel_scale_rad
     return float(radius_px * np.linalg.norm(ways, axis=1).max()), half_s
 

@@ -5,6 +5,7 @@ Labels have no document type, and no entities of their own: one that has is refu
 Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element_Array, Special_Constants.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,12 +15,14 @@ import numpy as np
 
 from opnav_workbench.image.file_bytes import image_error
 from opnav_workbench.image.formats.stored import Raster, StoredPicture, holds_constants, linear, read_raster
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.header import OF_UNIT, HeaderValue
 from opnav_workbench.image.pds_label import label_integer, label_value
 
 __all__ = ["Pds4Label", "is_pds4", "pds4_label", "read_pds4"]
 
 LARGEST_LABEL_BYTES = 1 << 22
+LONGEST_PREAMBLE_BYTES = 1 << 16  # before the root element: declarations, schemas, comments
+ROOT = re.compile(rb"<(?:[\w.-]+:)?Product_")
 DEEPEST = 40  # elements within elements; labels have twelve
 MOST_ELEMENTS = 100_000
 ARRAYS = ("ARRAY_2D_IMAGE", "ARRAY_3D_IMAGE", "ARRAY_2D", "ARRAY_3D")
@@ -27,6 +30,7 @@ DATA_TYPES = {
     "UnsignedByte": "u1", "SignedByte": "i1",
     "UnsignedMSB2": ">u2", "UnsignedMSB4": ">u4", "SignedMSB2": ">i2", "SignedMSB4": ">i4",
     "UnsignedLSB2": "<u2", "UnsignedLSB4": "<u4", "SignedLSB2": "<i2", "SignedLSB4": "<i4",
+    "UnsignedMSB8": ">u8", "SignedMSB8": ">i8", "UnsignedLSB8": "<u8", "SignedLSB8": "<i8",
     "IEEE754MSBSingle": ">f4", "IEEE754MSBDouble": ">f8", "IEEE754LSBSingle": "<f4", "IEEE754LSBDouble": "<f8",
 }  # fmt: skip
 MISSING = (
@@ -72,8 +76,8 @@ class Pds4Label:
 
 def is_pds4(data: bytes) -> bool:
     """Tell from the first bytes whether this is a PDS4 label."""
-    start = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
-    return start.startswith(b"<") and b"<Product_" in start
+    start = data[:LONGEST_PREAMBLE_BYTES].lstrip(b"\xef\xbb\xbf \t\r\n")
+    return start.startswith(b"<") and ROOT.search(start) is not None
 
 
 def pds4_label(name: str, data: bytes) -> Pds4Label:
@@ -134,15 +138,20 @@ def _parsed(name: str, data: bytes) -> _Element:
 
 
 def _values(root: _Element) -> dict[str, HeaderValue]:
-    """Return the values of a label: by name, and by ``AREA.NAME`` with the element they stand in; the first of equals."""
+    """Return the values of a label: by name, and by ``AREA.NAME`` with the element they stand in; the first of equals.
+
+    A unit stands under the name and `OF_UNIT`.
+    """
     values: dict[str, HeaderValue] = {}
 
     def add(element: _Element) -> None:
         for inner in element.inside:
             if not inner.inside and inner.text:
                 value = label_value(inner.text)
-                values.setdefault(inner.name, value)
-                values.setdefault(f"{element.name}.{inner.name}", value)
+                for name in (inner.name, f"{element.name}.{inner.name}"):
+                    if name not in values:
+                        values[name] = value
+                        values.update({name + OF_UNIT: inner.unit} if inner.unit else {})
             add(inner)
 
     add(root)

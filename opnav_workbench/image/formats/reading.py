@@ -129,6 +129,12 @@ def _unknown(file: Path, data: bytes) -> Exception:
     label = next((file.with_suffix(s) for s in LABELS if is_file(file.with_suffix(s))), None)
     if label is not None:
         return image_error(file.name, f"has no header of its own; give its label {label.name}.")
+    if vicar.lacks_label_size(data):
+        return image_error(
+            file.name,
+            "has words of a VICAR label, but does not begin with LBLSIZE=..., the label's size; give the original, or put a "
+            f"sidecar {file.stem}.json beside it (lines, samples, sample_type, offset_bytes, utc, exposure_s).",
+        )
     return image_error(
         file.name,
         f"is not a {FORMATS} file: it begins with {data[:SHOWN_BYTES]!r}; give an image file, or put a sidecar "
