@@ -1,9 +1,12 @@
 """Labels as other software and other hands write them: the same picture, or one line that says what to do."""
 
+import json
 import re
 
 import numpy as np
 import pytest
+from picture_bytes import pds4_label
+from PIL import Image
 
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import KeywordMap, read_image
@@ -139,3 +142,127 @@ def test_vicar_labels_that_lack_what_nothing_else_says(tmp_path, label, first, s
     with pytest.raises(ImageError, match=r"^a\.vic: [^\n]*$") as caught:
         read_image(vicar(tmp_path / "a.vic", label, first=first), KEYWORDS)
     assert said in str(caught.value)
+
+
+# ---- PDS4.
+
+
+def pds4(tmp_path, axes, stored, *, start="", prefix=""):
+    """A label whose axes are named, slowest first."""
+    text = pds4_label("a.dat", tuple(size for _, size in axes), "UnsignedMSB2").decode()
+    text = text.replace("<scaling_factor>0.5</scaling_factor><value_offset>10</value_offset>", "")
+    for name, _ in axes:
+        text = re.sub(
+            r"<axis_name>[A-Z]\w*</axis_name>", f"<axis_name>{name.lower()}</axis_name>", text, count=1
+        )
+    assert text.count("<axis_name>") == len(axes)
+    declaration, _, body = text.partition("?>")
+    if prefix:
+        body = re.sub(r"<(/?)(\w+)(?=[\s>])", rf"<\1{prefix}\2", body).replace(
+            "xmlns=", f"xmlns:{prefix[:-1]}="
+        )
+    (tmp_path / "a.dat").write_bytes(stored.astype(">u2").tobytes())
+    (tmp_path / "a.xml").write_text(f"{declaration}?>{start}{body}")
+    return tmp_path / "a.xml"
+
+
+BANDS = np.stack([PIXELS, PIXELS + 1, PIXELS + 2])
+ORDERS = {
+    "band, line, sample": ([("Band", 3), ("Line", 12), ("Sample", 20)], BANDS),
+    "line, band, sample": ([("Line", 12), ("Band", 3), ("Sample", 20)], np.moveaxis(BANDS, 0, 1)),
+    "line, sample, band": ([("Line", 12), ("Sample", 20), ("Band", 3)], np.moveaxis(BANDS, 0, 2)),
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_axes_of_pds4_are_what_their_names_say(tmp_path, order):
+    axes, stored = ORDERS[order]
+    picture = read_image(pds4(tmp_path, axes, stored), KeywordMap(channel=2))
+    np.testing.assert_array_equal(picture.image_dn, PIXELS + 1)
+
+
+def test_a_pds4_picture_stored_by_columns_and_of_one_band(tmp_path):
+    np.testing.assert_array_equal(
+        read_image(pds4(tmp_path, [("Sample", 20), ("Line", 12)], PIXELS.T), KeywordMap()).image_dn, PIXELS
+    )
+    one = pds4(tmp_path, [("Line", 12), ("Sample", 20), ("Band", 1)], PIXELS)
+    np.testing.assert_array_equal(read_image(one, KeywordMap()).image_dn, PIXELS)
+
+
+def test_pds4_labels_with_name_spaces_and_long_comments(tmp_path):
+    axes = [("Line", 12), ("Sample", 20)]
+    for more in ({"prefix": "pds:"}, {"start": f"<!-- {'x' * 9000} -->"}):
+        np.testing.assert_array_equal(
+            read_image(pds4(tmp_path, axes, PIXELS, **more), KeywordMap()).image_dn, PIXELS
+        )
+
+
+# ---- Sidecars.
+
+SIDECAR = {"utc": "2010-01-01T00:00:00", "exposure_s": 0.5}
+
+
+def gray(tmp_path, text, suffix="json"):
+    Image.fromarray(PIXELS.astype(np.uint16)).save(tmp_path / "a.png")
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return tmp_path / "a.png"
+
+
+@pytest.mark.parametrize(
+    ("text", "suffix"),
+    [
+        (json.dumps(SIDECAR).encode("utf-16"), "json"),
+        ("file;utc;exposure_s\na.png;2010-01-01T00:00:00;0,5\n", "csv"),
+        ("utc, exposure_s\n2010-01-01T00:00:00, 0.5\n", "csv"),
+        ("file\tutc\texposure_s\na.png\t2010-01-01T00:00:00\t0.5\n", "csv"),
+        ("UTC: 2010-01-01 00:00:00\nExposure_S: 0.5\n", "yaml"),
+    ],
+)
+def test_sidecars_as_other_programs_write_them(tmp_path, text, suffix):
+    picture = read_image(gray(tmp_path, text, suffix), KEYWORDS)
+    assert (picture.utc[:19], picture.exposure_s) == ("2010-01-01T00:00:00", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"utc": "2010-01-01T00:00:00", "exposure": 500}, "as exposure_s (seconds) instead of exposure"),
+        (
+            {"start_time": "2010-01-01T00:00:00", "exposure_s": 0.5},
+            "as utc (the middle of the exposure) instead of start_time",
+        ),
+    ],
+)
+def test_words_that_look_like_those_of_a_sidecar_are_named(tmp_path, words, said):
+    with pytest.raises(ImageError, match=re.escape(said)):
+        read_image(gray(tmp_path, json.dumps(words)), KEYWORDS)
+
+
+def test_an_attitude_under_another_word_is_not_passed_over_in_silence(tmp_path):
+    path = gray(tmp_path, json.dumps({**SIDECAR, "quaternion": [1, 0, 0, 0]}))
+    assert "its word quaternion is not read: attitude is the word" in str(read_image(path, KEYWORDS).messages)
+    asked = KeywordMap(utc="IMAGE_TIME", exposure_s="EXPOSURE_DURATION", instrument="quaternion")
+    assert "quaternion" not in str(read_image(path, asked).messages)
+
+
+@pytest.mark.parametrize(
+    ("layout", "dtype"),
+    [
+        ({"height": 12, "width": 20, "dtype": "uint16"}, "<u2"),
+        ({"rows": 12, "columns": 20, "sample_type": ">u2"}, ">u2"),
+        ({"lines": 12, "samples": 20, "sample_type": "UINT16", "byte_order": "MSB"}, ">u2"),
+    ],
+)
+def test_layouts_in_other_words(tmp_path, layout, dtype):
+    (tmp_path / "a.raw").write_bytes(PIXELS.astype(dtype).tobytes() + b"end")
+    (tmp_path / "a.json").write_text(json.dumps(SIDECAR | layout))
+    picture = read_image(tmp_path / "a.raw", KEYWORDS)
+    np.testing.assert_array_equal(picture.image_dn, PIXELS)
+    assert "3 bytes behind the samples" in str(picture.messages)
+
+
+def test_packed_files_are_named(tmp_path):
+    (tmp_path / "a.zip").write_bytes(b"PK\x03\x04" + bytes(100))
+    with pytest.raises(ImageError, match=r"is packed \(ZIP\); unpack it"):
+        read_image(tmp_path / "a.zip", KEYWORDS)

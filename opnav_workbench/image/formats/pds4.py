@@ -25,7 +25,7 @@ LONGEST_PREAMBLE_BYTES = 1 << 16  # before the root element: declarations, schem
 ROOT = re.compile(rb"<(?:[\w.-]+:)?Product_")
 DEEPEST = 40  # elements within elements; labels have twelve
 MOST_ELEMENTS = 100_000
-ARRAYS = ("ARRAY_2D_IMAGE", "ARRAY_3D_IMAGE", "ARRAY_2D", "ARRAY_3D")
+ARRAYS = ("ARRAY_2D_IMAGE", "ARRAY_3D_IMAGE", "ARRAY_2D", "ARRAY_3D", "ARRAY_3D_SPECTRUM")
 DATA_TYPES = {
     "UnsignedByte": "u1", "SignedByte": "i1",
     "UnsignedMSB2": ">u2", "UnsignedMSB4": ">u4", "SignedMSB2": ">i2", "SignedMSB4": ">i4",
@@ -176,12 +176,15 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
     if kind not in DATA_TYPES:
         known = ", ".join(DATA_TYPES)
         raise image_error(name, f"PDS4 array of data_type {kind!r} is not read; of types there are {known}.")
-    sizes = _axes(name, array)
+    sizes, order = _axes(name, array)
     offset = _whole(name, array, "OFFSET", 0)
     raster = Raster(
         sizes[-2], sizes[-1], np.dtype(DATA_TYPES[kind]), sizes[0] if len(sizes) == 3 else 1, offset=offset
     )
     stored = read_raster(name, data, raster)
+    if order is not None:  # of one band, the raster has two axes left
+        stored = np.ascontiguousarray(stored.reshape(sizes).transpose(order))
+        stored = stored[0] if stored.ndim == 3 and len(stored) == 1 else stored
     scale, zero = array.value("SCALING_FACTOR"), array.value("VALUE_OFFSET")
     image = linear(name, stored, scale, zero, "PDS4 label whose scaling_factor or value_offset")
     image[holds_constants(stored, map(array.value, MISSING))] = np.nan
@@ -189,19 +192,34 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
     return StoredPicture(image, label.values, saturated=saturated)
 
 
-def _axes(name: str, array: _Element) -> list[int]:
-    """Return the sizes of an array's axes, slowest first."""
+LINE, SAMPLE = "line", "sample"
+
+
+def _axes(name: str, array: _Element) -> tuple[list[int], list[int] | None]:
+    """Return the sizes of an array's axes, slowest first, and how to bring them into the order band, line, sample.
+
+    The second is None where they are so, or where their names do not tell.
+    """
     axes = {
-        _whole(name, axis, "SEQUENCE_NUMBER", 1): _whole(name, axis, "ELEMENTS", 1)
+        _whole(name, axis, "SEQUENCE_NUMBER", 1): (
+            _whole(name, axis, "ELEMENTS", 1),
+            str(axis.value("AXIS_NAME") or "").strip().lower(),
+        )
         for axis in array.all("AXIS_ARRAY")
     }
-    sizes = [axes[number] for number in sorted(axes)]
+    found = [axes[number] for number in sorted(axes)]
     fastest = str(array.value("AXIS_INDEX_ORDER") or "Last Index Fastest")
-    if len(sizes) not in (2, 3) or fastest.split(maxsplit=1)[0].lower() not in ("last", "first"):
+    if len(found) not in (2, 3) or fastest.split(maxsplit=1)[0].lower() not in ("last", "first"):
         raise image_error(
-            name, f"PDS4 array of {len(sizes)} axes, {fastest!r}, is no picture; check the label."
+            name, f"PDS4 array of {len(found)} axes, {fastest!r}, is no picture; check the label."
         )
-    return sizes if fastest.lower().startswith("last") else sizes[::-1]
+    found = found if fastest.lower().startswith("last") else found[::-1]
+    sizes, names = [size for size, _ in found], [axis for _, axis in found]
+    if LINE not in names or SAMPLE not in names:
+        return sizes, None
+    bands = [i for i, axis in enumerate(names) if axis not in (LINE, SAMPLE)]
+    order = [*bands, names.index(LINE), names.index(SAMPLE)]
+    return sizes, None if order == sorted(order) or len(order) != len(sizes) else order
 
 
 def _whole(name: str, element: _Element, key: str, least: int) -> int:
