@@ -62,6 +62,10 @@ UNIT_TOLERANCE = 3.0  # a field of view tells meters from millimeters, whatever 
 NOMINAL_FOCAL_MM = 100.0  # where only angles are known, any focal length does: pixels per mm follow from it
 PARALLEL = 0.7  # |cosine| that tells along from across
 WIDEST_RAD = 87.0 * RAD_PER_DEG  # from the boresight: what lies farther has no gnomonic coordinates
+DETECTOR_TOLERANCE, ALIKE_RAD = (
+    0.05,
+    1e-3,
+)  # of the angle to the axis, and at least; HRSC's lines agree to 0.01
 ALONG_Z = 1e-6  # sine of the angle from Z up to which a boresight lies along it
 PITCH_MM = (1e-3, 0.2)  # of a detector's pixel, the largest range; units of length lie 1000 apart
 SIZE_UNITS = (("mm", 1.0), ("um", 1e-3), ("m", 1e3))
@@ -236,22 +240,23 @@ def _orientation(
         or pixel_direction is not None
         or any(key in pool for key in ("SPOC_FITS_NAXIS1", "OOC_KMAT"))
     )
-    if isis is None or told:
+    found = None if isis is None or told else _isis_frame(kernel, isis[0])
+    if isis is None or found is None:
         frame = _frame(kernel)
-        found = (
+        focal = (
             _axes(kernel, size, pixel_direction, line_direction)
             if axes is None
             else np.asarray(axes, dtype=np.float64)
         )
-        return frame, found, None, np.zeros(2)
-    return _isis_orientation(kernel, *isis)
+        return frame, focal, None, np.zeros(2)
+    return _isis_orientation(kernel, found, *isis)
 
 
 def _isis_orientation(
-    kernel: _Kernel, shift_mm: FloatArray, mm_from_pixel: FloatArray
+    kernel: _Kernel, found: tuple[str, FloatArray], shift_mm: FloatArray, mm_from_pixel: FloatArray
 ) -> tuple[str, FloatArray, FloatArray, FloatArray]:
     """As `_orientation`: focal axes along X and Y of the frame, with the signs that make the scale positive."""
-    frame, boresight = _isis_frame(kernel)
+    frame, boresight = found
     turn = np.zeros((2, 3))
     turn[:, :2] = nearest_axes(mm_from_pixel.T)
     pixel_from_mm: FloatArray = np.asarray(np.linalg.inv(turn[:, :2] @ mm_from_pixel), dtype=np.float64)
@@ -297,8 +302,8 @@ def _isis_mm_from_pixel(pool: Values) -> tuple[FloatArray, FloatArray] | None:
     return shift, matrix
 
 
-def _isis_frame(kernel: _Kernel) -> tuple[str, FloatArray]:
-    """The frame whose X and Y are ISIS' focal plane, and the boresight in it, +Z or -Z."""
+def _isis_frame(kernel: _Kernel, shift_mm: FloatArray) -> tuple[str, FloatArray] | None:
+    """The frame whose X and Y are ISIS' focal plane, and the boresight in it, +Z or -Z; None where none suits."""
     own = _frame(kernel)
     if "BORESIGHT" not in kernel.pool or _looks_along_z(kernel):
         kernel.note("derived", "boresight", "+Z of the frame, as ISIS' cameras look along theirs")
@@ -314,10 +319,29 @@ def _isis_frame(kernel: _Kernel) -> tuple[str, FloatArray]:
                     "derived", "frame", f"{name}, which the addendum defines and whose Z is the boresight"
                 )
             return name, np.array([0.0, 0.0, np.sign(turned[2])])
-    raise CameraError(
-        f"TRANSX and TRANSY suit a camera that looks along Z, but BORESIGHT is {boresight.tolist()} in {own}; "
-        "give frame and focal_from_camera (rows: pixel, line, boresight) as arguments."
+    if _puts_detector_there(kernel, shift_mm, boresight):
+        kernel.note(
+            "derived",
+            "boresight",
+            "+Z of the frame: TRANSX and TRANSY put the detector where BORESIGHT looks",
+        )
+        return own, np.array([0.0, 0.0, 1.0])
+    kernel.note(
+        "guessed",
+        "focal_from_camera",
+        f"TRANSX and TRANSY suit a camera that looks along Z, and BORESIGHT is {_short(boresight)} in {own}: left aside",
     )
+    return None
+
+
+def _puts_detector_there(kernel: _Kernel, shift_mm: FloatArray, boresight: FloatArray) -> bool:
+    """Whether a detector beside the axis is what BORESIGHT looks along: HRSC's lines, each in the frame of the head."""
+    key = next((key for key in ("FOCAL_LENGTH", "DEFAULT_FOCAL_LENGTH") if key in kernel.pool), None)
+    if key is None:
+        return False
+    detector = _unit(np.append(shift_mm, _numbers(kernel.pool, key, 1)), "TRANSX")
+    off_axis = float(np.hypot(*boresight[:2]))
+    return bool(np.linalg.norm(detector - boresight) < max(DETECTOR_TOLERANCE * off_axis, ALIKE_RAD))
 
 
 def _looks_along_z(kernel: _Kernel) -> bool:
@@ -434,6 +458,8 @@ def _guessed_pixel(pool: Values, boresight: FloatArray, size: tuple[int, int]) -
     try:
         tangents = _tangents(pool, sides)
     except CameraError:  # of which the scale does not come
+        return first
+    if not (tangents > 0.0).all():
         return first
     wide, long = float(np.log(tangents[0] / tangents[1])), float(np.log(size[0] / size[1]))
     crossed = abs(wide + long) < abs(wide - long) and min(abs(wide), abs(long)) > SQUARE
@@ -749,15 +775,25 @@ def _check_field(kernel: _Kernel, axes: FloatArray, size: tuple[int, int], field
         told = _tangents(kernel.pool, axes)
     except CameraError:
         return
+    if not (told > 0.0).all():
+        return
     pitch_mm = np.linalg.norm(np.linalg.inv(fields["pixel_from_mm"]), axis=0)
     made = 0.5 * np.array(size) * pitch_mm / fields["focal_length_mm"]
     ratio = made / told
-    if (ratio > UNIT_TOLERANCE).all() or (ratio < 1.0 / UNIT_TOLERANCE).all():
+    narrower = bool((ratio < 1.0 / UNIT_TOLERANCE).all())
+    if narrower and "n_pixel" in kernel.overrides:
+        kernel.note(
+            "guessed",
+            "pixel_from_mm",
+            f"that of the whole detector, though {size[0]} pixels see {ratio[0]:.2g} of the field of view: a window? "
+            "If they are binned, multiply the size of a pixel",
+        )
+    elif narrower or (ratio > UNIT_TOLERANCE).all():
         wide, narrow = (2.0 * np.degrees(np.arctan(tangents)) for tangents in (made, told))
         raise CameraError(
             f"{size[0]} x {size[1]} pixels of {pitch_mm[0] * 1e3:.4g} um behind {fields['focal_length_mm']:.4g} mm see "
             f"{wide[0]:.4g} x {wide[1]:.4g} deg, but the kernel's field of view is {narrow[0]:.4g} x {narrow[1]:.4g} deg; "
-            "check the units, or give focal_length_mm and pixel_from_mm."
+            "check the units and the number of pixels, or give focal_length_mm and pixel_from_mm."
         )
 
 

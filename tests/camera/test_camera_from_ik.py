@@ -275,7 +275,6 @@ def test_overrides_replace_what_the_kernel_gives():
         ),
         (ADDENDUM | {"INS-999100_FOCAL_LENGTH": None}, "no FOCAL_LENGTH; give focal_length_mm"),
         (ADDENDUM | {"INS-999100_OD_K": (1e-5,)}, "OD_K .* 1 values, 3 make"),
-        (ADDENDUM | {"INS-999100_BORESIGHT": (1.0, 0.0, 0.0)}, "TRANSX and TRANSY suit .* looks along Z"),
         (with_changes(FOCAL_LENGTH=(1.0,), FOCAL_LENGTH_UNITS=("feet",)), "FOCAL_LENGTH_UNITS 'feet'"),
     ],
 )
@@ -371,7 +370,8 @@ def test_an_ifov_in_the_unit_that_makes_the_field_of_view(ifov):
 )
 def test_units_that_make_another_field_of_view_are_refused(changes):
     with pytest.raises(
-        CameraError, match=r"deg, but the kernel's field of view is .* deg; check the units, or give"
+        CameraError,
+        match=r"deg, but the kernel's field of view is .* deg; check the units and the number of pixels, or give",
     ):
         by_hand(**changes)
 
@@ -428,3 +428,36 @@ def test_numbers_that_cannot_be(changes, said):
         return
     with pytest.raises(CameraError, match=said):
         by_hand(**changes)
+
+
+def test_matrices_of_isis_for_another_boresight_are_left_aside_aloud():
+    """NEAR's camera looks along X in its kernel, and its addendum has matrices for one that looks along Z."""
+    camera = by_hand(
+        *ANGULAR, TRANSX=(0.0, 0.01, 0.0), TRANSY=(0.0, 0.0, -0.01), BORESIGHT=(1.0, 0.0, 0.0),
+        FOV_BOUNDARY_CORNERS=[1.0, 0.05, 0.04, 1.0, -0.05, 0.04, 1.0, -0.05, -0.04, 1.0, 0.05, -0.04],
+    )  # fmt: skip
+    np.testing.assert_allclose(camera.focal_from_camera, [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-12)
+    told = [o.text for o in camera.origins if (o.field, o.how) == ("focal_from_camera", "guessed")]
+    assert any("suit a camera that looks along Z" in text for text in told)
+
+
+def test_a_detector_beside_the_axis():
+    """HRSC: each line has its own BORESIGHT in the frame of the head, and matrices that put it there."""
+    camera = by_hand(
+        *ANGULAR, TRANSX=(0.0, 0.01, 0.0), TRANSY=(-30.0, 0.0, 0.01), BORESIGHT=(0.0, -30.0, 100.0), PIXEL_LINES=1,
+        BORESIGHT_SAMPLE=500.5, BORESIGHT_LINE=1.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(camera.focal_from_camera, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(camera.center_pixel_line, [499.5, 3000.0])
+    seen = camera.unproject([499.5, 0.0])
+    np.testing.assert_allclose(seen, np.array([0.0, -30.0, 100.0]) / np.hypot(30.0, 100.0), atol=1e-9)
+
+
+def test_pixels_of_a_picture_that_see_a_part_of_the_field():
+    """A window of the picture's size; more than the field of view they cannot see."""
+    values = {f"INS-999100_{key}": value for key, value in BY_HAND.items() if not key.startswith("PIXEL_S")}
+    values["INS-999100_PIXEL_PITCH"] = 0.01
+    camera = Camera.from_ik(values, -999100, n_pixel=200, n_line=160)
+    assert any("a window? If they are binned" in o.text for o in camera.origins)
+    with pytest.raises(CameraError, match="check the units and the number of pixels"):
+        Camera.from_ik(values, -999100, n_pixel=5000, n_line=4000)
