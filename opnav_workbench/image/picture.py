@@ -155,7 +155,7 @@ def picture_from_stored(
         error_dn=planes.error_dn,
         bad=planes.bad,
         saturated=planes.saturated,
-        header=header,
+        header=Header(source.header | _size_words(planes.image_dn.shape)),
         exposure_s=exposure_s,
         et=time.et,
         utc=time.utc,
@@ -166,6 +166,11 @@ def picture_from_stored(
         rival_et=time.rival_et,
         keywords=keywords,
     )
+
+
+def _size_words(shape: tuple[int, ...]) -> dict[str, HeaderValue]:
+    """Return words by which a mission tells cameras whose pictures differ in their size: what was read, not what is said."""
+    return {"PICTURE.LINES": shape[0], "PICTURE.SAMPLES": shape[1]}
 
 
 def _check_mission(name: str, header: Header, keywords: KeywordMap) -> None:
