@@ -25,6 +25,7 @@ __all__ = ["ReseauFit", "fit_reseau"]
 DEGREE = 5  # of the polynomials: the third leaves twice as much of nominal places as the fifth, which leaves their digits
 CHANGE_DEGREE = 3  # of what a frame's marks differ from the nominal places
 MARK_SIGMA_PX = 1.0  # of a mark's shape, three pixels wide
+WIDER_PX = 9  # than a smoothed mark: what is darker than all that is as wide about it
 REACH_PX, NEAR_PX = 9, 3  # in which a mark is sought at first, and about its place when most are known
 MARGIN_PX = 2
 SEEN_SIGMAS = 5.0  # a minimum of 49 places that deep is noise once in 70,000 marks
@@ -119,9 +120,10 @@ def _off(camera: Camera, places: FloatArray) -> FloatArray:
 
 def _contrast(image: FloatArray) -> tuple[FloatArray, float]:
     """Return how dark each place is against its surroundings, in the shape of a mark, and the scatter of that."""
-    around = scipy.ndimage.median_filter(np.nan_to_num(image), size=15, mode="nearest")
-    dark = scipy.ndimage.gaussian_filter(around - np.nan_to_num(image), MARK_SIGMA_PX, mode="nearest")
-    return dark, float(1.4826 * np.median(np.abs(dark - np.median(dark)))) or 1e-6
+    smooth = scipy.ndimage.gaussian_filter(np.nan_to_num(image), MARK_SIGMA_PX, mode="nearest")
+    dark = scipy.ndimage.grey_closing(smooth, size=(WIDER_PX, WIDER_PX), mode="nearest") - smooth
+    dark -= np.median(dark)
+    return dark, float(1.4826 * np.median(np.abs(dark))) or 1e-6
 
 
 def _sought(contrast: FloatArray, places: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:

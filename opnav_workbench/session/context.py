@@ -184,8 +184,8 @@ def _by_its_marks(picture: Picture, camera: Camera) -> tuple[Picture, Camera]:
         told = replace(picture, bad=picture.bad | fit.hidden, messages=(*picture.messages, said))
         return told, fit.camera
     doubt = (
-        f"raw picture whose {count} reseau marks are not seen (a sky cut off at zero?): its nominal distortion may be off by "
-        f"{NOMINAL_PX} px; give the picture that is corrected by them"
+        f"raw picture whose {count} reseau marks are not seen (a sky cut off at zero?): its nominal distortion may be "
+        f"off by {NOMINAL_PX} px; give the picture that is corrected by them"
     )
     return replace(
         picture, messages=(*picture.messages, doubt), contradictions=(*picture.contradictions, doubt)

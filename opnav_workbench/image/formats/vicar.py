@@ -11,7 +11,7 @@ import numpy as np
 
 from opnav_workbench.image.file_bytes import check_size, image_error, truncated_error
 from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, from_vax, read_raster
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.header import OF_UNIT, HeaderValue
 
 __all__ = ["is_vicar", "lacks_label_size", "read_vicar"]
 
@@ -72,6 +72,7 @@ def read_vicar(name: str, data: bytes) -> StoredPicture:
         raise truncated_error(name, "the VICAR data section", max(len(data) - size, 0), end - size)
     if items.get("EOL") == 1:
         _add(items, _label_at(name, data, end)[1])
+    items = _voyager_words(items) | items
     samples = read_raster(name, data, raster)
     real = _word(items, "FORMAT", "") == "REAL" and _word(items, "REALFMT", REAL_DEFAULT) == "VAX"
     return StoredPicture(
@@ -122,6 +123,29 @@ def _value(text: str) -> HeaderValue:
     if WHOLE_NUMBER.fullmatch(text):
         return int(text) if len(text) <= MOST_DIGITS else text
     return float(text.upper().replace("D", "E")) if NUMBER.fullmatch(text) else text
+
+
+# Raw pictures of Voyager have lines of text for a label: what they say, in the words of the archives' labels.
+VOYAGER = re.compile(
+    r"VGR-(?P<craft>[12]) .*?SCET (?P<year>\d\d)\.(?P<day>\d{3}) (?P<time>\d\d:\d\d:\d\d)"
+    r".*?(?P<camera>[NW])A CAMERA +EXP +(?P<ms>[\d.]+) MSEC",
+    re.DOTALL,
+)
+
+
+def _voyager_words(items: dict[str, HeaderValue]) -> dict[str, HeaderValue]:
+    """Return spacecraft, camera, time and exposure of a label of Voyager's ground system; nothing of other labels."""
+    said = VOYAGER.search("\n".join(str(items.get(f"LAB{number:02d}", "")) for number in range(1, 8)))
+    if said is None:
+        return {}
+    camera = "NARROW" if said["camera"] == "N" else "WIDE"
+    return {
+        "SPACECRAFT_NAME": f"VOYAGER_{said['craft']}",
+        "INSTRUMENT_NAME": f"{camera}_ANGLE_CAMERA",
+        "IMAGE_TIME": f"19{said['year']}-{said['day']}T{said['time']}",
+        "EXPOSURE_DURATION": float(said["ms"]),
+        "EXPOSURE_DURATION" + OF_UNIT: "MSEC",
+    }
 
 
 # ---- The raster that a label describes.
