@@ -130,7 +130,7 @@ def test_a_raw_picture_of_voyager(data_dir):
 
 
 def test_a_raw_picture_without_marks_is_doubted(tmp_path):
-    image = np.zeros((800, 800), np.uint8)
+    image = RNG.integers(0, 2, (800, 800)).astype(np.uint8)
     image[300:500, 300:500] = RNG.integers(100, 140, (200, 200))
     label = (
         "PDS_VERSION_ID = PDS3\nRECORD_BYTES = 800\n^IMAGE = 2\nSPACECRAFT_NAME = VOYAGER_2\n"
