@@ -465,7 +465,7 @@ def _guessed_pixel(pool: Values, boresight: FloatArray, size: tuple[int, int]) -
     crossed = abs(wide + long) < abs(wide - long) and min(abs(wide), abs(long)) > SQUARE
     if not crossed:
         return first
-    return sides[1] if sides[1][np.abs(sides[1]).argmax()] > 0.0 else -sides[1]
+    return np.asarray(sides[1] if sides[1][np.abs(sides[1]).argmax()] > 0.0 else -sides[1])
 
 
 def _reference(pool: Values, boresight: FloatArray) -> FloatArray:

@@ -89,7 +89,7 @@ class TargetState:
     epoch_s: float = 0.0
 
     def __post_init__(self) -> None:
-        count = np.size(self.course_s)
+        count = 0 if self.course_s is None else len(self.course_s)
         shapes: dict[str, tuple[int, ...]] = {
             "position_km": (3,),
             "radii_km": (3,),
