@@ -163,3 +163,11 @@ def test_a_header_may_tell_the_lines_of_a_scan_alone():
         assert (camera.name, camera.n_pixel, camera.n_line) == ("MVIC NIR", 5024, lines)
         assert camera.rows == RowTiming(0.02, 15.5, 32)
         assert mission.camera_as_read("mvic_nir", mission.readout_told(words | more)).n_line == lines
+
+
+def test_leisa_sees_red_stars_brighter_than_their_v():
+    camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/leisa.yaml")
+    camera.require_photometry()
+    blue, red = (float(camera.electrons(8.0 + camera.color.offset(b_v), 0.856)) for b_v in (0.0, 1.5))
+    assert red / blue == pytest.approx(10.0 ** (0.4 * 2.3 * 1.5), rel=1e-6)
+    assert 10.0 < blue < 1000.0  # V = 8 is near what it sees at all
