@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from opnav_workbench.camera.origins import Origin
     from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
     from opnav_workbench.camera.readout import read_out
+    from opnav_workbench.camera.reseau import Reseau
+    from opnav_workbench.camera.reseau_fit import ReseauFit, fit_reseau
     from opnav_workbench.camera.response import UNKNOWN_COLOR, CameraResponse
     from opnav_workbench.camera.rows import RowSweep, RowTiming, row_sweep
 else:  # loaded on first use: most calls need a few of these
@@ -83,6 +85,9 @@ else:  # loaded on first use: most calls need a few of these
             "CameraResponse": "response",
             "RowSweep": "rows",
             "RowTiming": "rows",
+            "Reseau": "reseau",
+            "ReseauFit": "reseau_fit",
+            "fit_reseau": "reseau_fit",
             "row_sweep": "rows",
         },
     )
@@ -105,10 +110,13 @@ __all__ = [
     "PsfPrior",
     "RadialDistortion",
     "RationalDistortion",
+    "Reseau",
+    "ReseauFit",
     "RowSweep",
     "RowTiming",
     "SipDistortion",
     "TaylorDistortion",
+    "fit_reseau",
     "read_out",
     "row_sweep",
 ]

@@ -30,6 +30,7 @@ from opnav_workbench.camera.lens_models import (
 )
 from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma, ExposureLimits, PsfPrior
+from opnav_workbench.camera.reseau import Reseau
 from opnav_workbench.camera.rows import RowTiming
 from opnav_workbench.errors import CameraError
 from opnav_workbench.photometry import Bandpass, ColorResponse
@@ -248,6 +249,19 @@ class _Rows(StrictModel):
         return RowTiming(self.line_time_s, self.detector_line, self.tdi_lines)
 
 
+class _Reseau(StrictModel):
+    """Marks on the faceplate of a vidicon, of a camera whose pictures are raw: each picture's distortion is fitted to them.
+
+    `marks_px`: about where they stand in a picture, pixel and line; `ideal_mm`: where they stand on the focal plane.
+    """
+
+    marks_px: tuple[Pair, ...]
+    ideal_mm: tuple[Pair, ...]
+
+    def build(self) -> Reseau:
+        return Reseau(np.array(self.marks_px), np.array(self.ideal_mm))
+
+
 class _Detector(StrictModel):
     n_pixel: Annotated[int, Field(ge=1, le=MOST_LINES)]
     n_line: Annotated[int, Field(ge=1, le=MOST_LINES)]
@@ -266,6 +280,7 @@ class _Detector(StrictModel):
     exposure_min_s: NotNegative | None = None
     exposure_max_s: PositiveFloat | None = None
     rows: _Rows | None = None
+    reseau: _Reseau | None = None
 
     def exposure_limits(self) -> ExposureLimits | None:
         if self.exposure_min_s is None or self.exposure_max_s is None:
@@ -375,6 +390,7 @@ class CameraFile(StrictModel):
             "attitude_sigma": AttitudeSigma(self.attitude_sigma.cross_px, self.attitude_sigma.twist_deg),
             "exposure_limits": detector.exposure_limits(),
             "rows": None if detector.rows is None else detector.rows.build(),
+            "reseau": None if detector.reseau is None else detector.reseau.build(),
             "origins": tuple(Origin(o.field, o.how, o.text) for o in self.origins),
         }
 

@@ -9,9 +9,11 @@ center      ``OOC_CCD_CENTER``, ``OPENCV_OD_C``, ``DISTORTION_X/Y``, ``BORESIGHT
             ``CCD_CENTER``, ``CENTER``
 distortion  those of the optics, ``OD_T_X/Y``, ``OD_A1..3_CORR``, ``DISTORTION_K1/K2``, ``RAD_DIST_COEFF``, ``OD_K``, ``K1``
 
-Nothing is guessed silently: every field has an `Origin`. Where no kernel says how the detector lies, pixel is guessed
-along ``FOV_REF_VECTOR`` and line along boresight x pixel: a picture with its first line on top, as archives show most, is
-then not mirrored. Photometry, PSF and attitude errors are not in kernels: give them as overrides.
+Nothing is guessed silently: every field has an `Origin`. Where no kernel says how the detector lies, pixel is guessed along
+that side of the field of view that is as long as the detector has pixels (of alike ones along ``FOV_REF_VECTOR``, or the
+frame's first axis), and line along boresight x pixel: a picture with its first line on top, as archives show most, is then
+not mirrored. Units are told by each other: a field of view that is several times too wide or too narrow both ways is
+refused. Photometry, PSF and attitude errors are not in kernels: give them as overrides.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,12 +40,20 @@ __all__ = ["SHORTEST_FOCAL_MM", "camera_fields_from_ik", "nearest_axes"]
 Values = Mapping[str, tuple[Any, ...]]
 
 PER_MICRO = 1e6
-LENGTH_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "millimeters": 1.0, "meters": 1000.0}
+LENGTH_IN_MM = {
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetres"), 1.0),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetres"), 10.0),
+    **dict.fromkeys(("m", "meter", "meters", "metres"), 1e3),
+    **dict.fromkeys(("um", "micron", "microns", "micrometer", "micrometers"), 1e-3),
+    **dict.fromkeys(("km", "kilometer", "kilometers"), 1e6),
+}
 ANGLE_IN_RAD = {
-    "DEGREES": RAD_PER_DEG,
-    "RADIANS": 1.0,
-    "ARCMINUTES": 60.0 / ARCSEC_PER_RAD,
-    "ARCSECONDS": 1.0 / ARCSEC_PER_RAD,
+    **dict.fromkeys(("DEGREES", "DEGREE", "DEG"), RAD_PER_DEG),
+    **dict.fromkeys(("RADIANS", "RADIAN", "RAD"), 1.0),
+    **dict.fromkeys(("MILLIRADIANS", "MRAD"), 1e-3),
+    **dict.fromkeys(("MICRORADIANS", "URAD"), 1e-6),
+    **dict.fromkeys(("ARCMINUTES", "ARCMIN"), 60.0 / ARCSEC_PER_RAD),
+    **dict.fromkeys(("ARCSECONDS", "ARCSEC"), 1.0 / ARCSEC_PER_RAD),
 }
 IFOV_TOLERANCE = (
     0.03  # pitch over focal length and IFOV differ by up to 0.3 % in flight kernels; a wrong unit by 10x
@@ -52,6 +62,10 @@ UNIT_TOLERANCE = 3.0  # a field of view tells meters from millimeters, whatever 
 NOMINAL_FOCAL_MM = 100.0  # where only angles are known, any focal length does: pixels per mm follow from it
 PARALLEL = 0.7  # |cosine| that tells along from across
 WIDEST_RAD = 87.0 * RAD_PER_DEG  # from the boresight: what lies farther has no gnomonic coordinates
+DETECTOR_TOLERANCE, ALIKE_RAD = (
+    0.05,
+    1e-3,
+)  # of the angle to the axis, and at least; HRSC's lines agree to 0.01
 ALONG_Z = 1e-6  # sine of the angle from Z up to which a boresight lies along it
 PITCH_MM = (1e-3, 0.2)  # of a detector's pixel, the largest range; units of length lie 1000 apart
 SIZE_UNITS = (("mm", 1.0), ("um", 1e-3), ("m", 1e3))
@@ -61,9 +75,23 @@ XY_CODE = (
     "DISTORTION_X",
 )  # of kernels whose comments project X and Y of the frame onto pixel and line
 COUNTS = {
-    "n_pixel": ("PIXEL_SAMPLES", "FRAME_SAMPLES", "FILTER_SAMPLES", "S_MAX"),
-    "n_line": ("PIXEL_LINES", "FRAME_LINES", "FILTER_LINES", "L_MAX"),
+    "n_pixel": ("PIXEL_SAMPLES", "FRAME_SAMPLES", "FILTER_SAMPLES", "S_MAX", "PIXEL_COLUMNS"),
+    "n_line": ("PIXEL_LINES", "FRAME_LINES", "FILTER_LINES", "L_MAX", "PIXEL_ROWS"),
 }
+MOST_PIXELS = 1 << 20  # along an axis: no detector or scan has a million
+IFOV_UNITS = (
+    ("microrad", 1e-6),
+    ("rad", 1.0),
+    ("mrad", 1e-3),
+    ("deg", RAD_PER_DEG),
+)  # the first that fits the field of view
+LONGEST_IFOV_RAD = (
+    0.01  # in radians where the kernel tells no field of view: a smaller number of microradians is no pixel
+)
+SQUARE = (
+    0.02  # a field of view and a detector whose sides differ by less than that tell nothing of how they lie
+)
+BOUNDARIES = ("FOV_BOUNDARY_CORNERS", "FOV_BOUNDARY")
 
 
 @dataclass(slots=True)
@@ -93,7 +121,7 @@ def camera_fields_from_ik(
     pool, frames = _without_prefix(values, instrument_id)
     kernel = _Kernel(pool, frames, instrument_id, overrides)
     size = (_count(kernel, "n_pixel"), _count(kernel, "n_line"))
-    frame, axes, matrix, offset_px = _orientation(kernel, pixel_direction, line_direction)
+    frame, axes, matrix, offset_px = _orientation(kernel, size, pixel_direction, line_direction)
     fields: dict[str, Any] = {
         "name": _name(kernel, frame),
         "frame": frame,
@@ -104,6 +132,7 @@ def camera_fields_from_ik(
         "source": f"instrument kernel, INS{instrument_id}",
     }
     fields |= _optics(kernel, axes, size, matrix)
+    _check_field(kernel, axes, size, fields)
     if "center_pixel_line" not in fields:
         lens, moved_mm = centered(fields.get("distortion", NoDistortion()))
         moved_px = np.asarray(overrides.get("pixel_from_mm", fields["pixel_from_mm"])) @ moved_mm
@@ -176,9 +205,13 @@ def _count(kernel: _Kernel, name: str) -> int:
         return int(given)
     for key in COUNTS[name]:
         if key in kernel.pool:
-            count = round(float(_numbers(kernel.pool, key, 1)[0]))
-            kernel.note("known", name, f"{count}, {key}")
-            return count
+            stated = float(_numbers(kernel.pool, key, 1)[0])
+            if not (0 < stated <= MOST_PIXELS and stated == round(stated)):
+                raise CameraError(
+                    f"{key} of the instrument kernel is {stated:g}, no number of pixels; give {name} as an argument."
+                )
+            kernel.note("known", name, f"{stated:g}, {key}")
+            return round(stated)
     raise CameraError(f"the instrument kernel gives no {COUNTS[name][0]}; give {name} as an argument.")
 
 
@@ -193,7 +226,10 @@ def _name(kernel: _Kernel, frame: str) -> str:
 
 
 def _orientation(
-    kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: ArrayLike | None
+    kernel: _Kernel,
+    size: tuple[int, int],
+    pixel_direction: ArrayLike | None,
+    line_direction: ArrayLike | None,
 ) -> tuple[str, FloatArray, FloatArray | None, FloatArray]:
     """Frame, focal axes, px/mm where ISIS' matrices give it, and how far the boresight lies from ISIS' origin, px."""
     pool = kernel.pool
@@ -204,22 +240,23 @@ def _orientation(
         or pixel_direction is not None
         or any(key in pool for key in ("SPOC_FITS_NAXIS1", "OOC_KMAT"))
     )
-    if isis is None or told:
+    found = None if isis is None or told else _isis_frame(kernel, isis[0])
+    if isis is None or found is None:
         frame = _frame(kernel)
-        found = (
-            _axes(kernel, pixel_direction, line_direction)
+        focal = (
+            _axes(kernel, size, pixel_direction, line_direction)
             if axes is None
             else np.asarray(axes, dtype=np.float64)
         )
-        return frame, found, None, np.zeros(2)
-    return _isis_orientation(kernel, *isis)
+        return frame, focal, None, np.zeros(2)
+    return _isis_orientation(kernel, found, *isis)
 
 
 def _isis_orientation(
-    kernel: _Kernel, shift_mm: FloatArray, mm_from_pixel: FloatArray
+    kernel: _Kernel, found: tuple[str, FloatArray], shift_mm: FloatArray, mm_from_pixel: FloatArray
 ) -> tuple[str, FloatArray, FloatArray, FloatArray]:
     """As `_orientation`: focal axes along X and Y of the frame, with the signs that make the scale positive."""
-    frame, boresight = _isis_frame(kernel)
+    frame, boresight = found
     turn = np.zeros((2, 3))
     turn[:, :2] = nearest_axes(mm_from_pixel.T)
     pixel_from_mm: FloatArray = np.asarray(np.linalg.inv(turn[:, :2] @ mm_from_pixel), dtype=np.float64)
@@ -265,8 +302,8 @@ def _isis_mm_from_pixel(pool: Values) -> tuple[FloatArray, FloatArray] | None:
     return shift, matrix
 
 
-def _isis_frame(kernel: _Kernel) -> tuple[str, FloatArray]:
-    """The frame whose X and Y are ISIS' focal plane, and the boresight in it, +Z or -Z."""
+def _isis_frame(kernel: _Kernel, shift_mm: FloatArray) -> tuple[str, FloatArray] | None:
+    """The frame whose X and Y are ISIS' focal plane, and the boresight in it, +Z or -Z; None where none suits."""
     own = _frame(kernel)
     if "BORESIGHT" not in kernel.pool or _looks_along_z(kernel):
         kernel.note("derived", "boresight", "+Z of the frame, as ISIS' cameras look along theirs")
@@ -282,10 +319,29 @@ def _isis_frame(kernel: _Kernel) -> tuple[str, FloatArray]:
                     "derived", "frame", f"{name}, which the addendum defines and whose Z is the boresight"
                 )
             return name, np.array([0.0, 0.0, np.sign(turned[2])])
-    raise CameraError(
-        f"TRANSX and TRANSY suit a camera that looks along Z, but BORESIGHT is {boresight.tolist()} in {own}; "
-        "give frame and focal_from_camera (rows: pixel, line, boresight) as arguments."
+    if _puts_detector_there(kernel, shift_mm, boresight):
+        kernel.note(
+            "derived",
+            "boresight",
+            "+Z of the frame: TRANSX and TRANSY put the detector where BORESIGHT looks",
+        )
+        return own, np.array([0.0, 0.0, 1.0])
+    kernel.note(
+        "guessed",
+        "focal_from_camera",
+        f"TRANSX and TRANSY suit a camera that looks along Z, and BORESIGHT is {_short(boresight)} in {own}: left aside",
     )
+    return None
+
+
+def _puts_detector_there(kernel: _Kernel, shift_mm: FloatArray, boresight: FloatArray) -> bool:
+    """Whether a detector beside the axis is what BORESIGHT looks along: HRSC's lines, each in the frame of the head."""
+    key = next((key for key in ("FOCAL_LENGTH", "DEFAULT_FOCAL_LENGTH") if key in kernel.pool), None)
+    if key is None:
+        return False
+    detector = _unit(np.append(shift_mm, _numbers(kernel.pool, key, 1)), "TRANSX")
+    off_axis = float(np.hypot(*boresight[:2]))
+    return bool(np.linalg.norm(detector - boresight) < max(DETECTOR_TOLERANCE * off_axis, ALIKE_RAD))
 
 
 def _looks_along_z(kernel: _Kernel) -> bool:
@@ -346,12 +402,17 @@ def _relative_from_frame(frames: Values, number: str) -> FloatArray | None:
     return result
 
 
-def _axes(kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: ArrayLike | None) -> FloatArray:
+def _axes(
+    kernel: _Kernel,
+    size: tuple[int, int],
+    pixel_direction: ArrayLike | None,
+    line_direction: ArrayLike | None,
+) -> FloatArray:
     pool = kernel.pool
     own_code = next((key for key in XY_CODE if key in pool), "")
     boresight = np.array([0.0, 0.0, 1.0])
     if not _looks_along_z(kernel):
-        boresight = _unit(_numbers(pool, "BORESIGHT", 3), "BORESIGHT")
+        boresight = _boresight(kernel)
     if pixel_direction is not None:
         pixel, how = np.asarray(pixel_direction, dtype=np.float64), "given by the caller"
     elif "SPOC_FITS_NAXIS1" in pool:
@@ -360,7 +421,7 @@ def _axes(kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: Ar
         pixel, how = np.array([1.0, 0.0, 0.0]), f"{own_code}, whose code takes X and Y of the frame"
         line_direction = [0.0, 1.0, 0.0] if line_direction is None else line_direction
     else:
-        pixel, how = _numbers(pool, "FOV_REF_VECTOR", 3), ""
+        pixel, how = _guessed_pixel(pool, boresight, size), ""
     pixel = _unit(pixel - (pixel @ boresight) * boresight, "the pixel direction")
     if line_direction is None and pixel_direction is None and "SPOC_FITS_NAXIS2" in pool:
         line_direction = _numbers(pool, "SPOC_FITS_NAXIS2", 3)
@@ -369,9 +430,60 @@ def _axes(kernel: _Kernel, pixel_direction: ArrayLike | None, line_direction: Ar
         line = line * _sense(line_direction, line, pixel)
         kernel.note("known", "focal_from_camera", f"pixel and line: {how or 'given by the caller'}")
     else:
-        guess = f"pixel {_short(pixel)} ({how or 'FOV_REF_VECTOR'}), line {_short(line)} (boresight x pixel)"
+        guess = (
+            f"pixel {_short(pixel)} ({how or 'the field of view'}), line {_short(line)} (boresight x pixel)"
+        )
         kernel.note("guessed", "focal_from_camera", f"{guess}; no keyword says how the detector lies")
     return np.stack([pixel, line, boresight])
+
+
+def _boresight(kernel: _Kernel) -> FloatArray:
+    """Return the boresight; of kernels without one, the middle of the field of view's corners."""
+    pool = kernel.pool
+    if "BORESIGHT" in pool or not any(key in pool for key in BOUNDARIES):
+        return _unit(_numbers(pool, "BORESIGHT", 3), "BORESIGHT")
+    corners = _corners(pool)
+    middle = _unit((corners / np.linalg.norm(corners, axis=1)[:, None]).sum(axis=0), "FOV_BOUNDARY_CORNERS")
+    kernel.note("derived", "boresight", f"{_short(middle)}: the middle of the field of view's corners")
+    return middle
+
+
+def _guessed_pixel(pool: Values, boresight: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Return a direction (3,) along which pixels may run: the side of the field of view that suits their number.
+
+    Of a square field or detector it is the reference direction.
+    """
+    first = _reference(pool, boresight)
+    sides = np.stack([first, np.cross(boresight, first), boresight])
+    try:
+        tangents = _tangents(pool, sides)
+    except CameraError:  # of which the scale does not come
+        return first
+    if not (tangents > 0.0).all():
+        return first
+    wide, long = float(np.log(tangents[0] / tangents[1])), float(np.log(size[0] / size[1]))
+    crossed = abs(wide + long) < abs(wide - long) and min(abs(wide), abs(long)) > SQUARE
+    if not crossed:
+        return first
+    return np.asarray(sides[1] if sides[1][np.abs(sides[1]).argmax()] > 0.0 else -sides[1])
+
+
+def _reference(pool: Values, boresight: FloatArray) -> FloatArray:
+    """Return a unit vector across the boresight along a side of the field of view."""
+    if "FOV_REF_VECTOR" in pool or not any(key in pool for key in BOUNDARIES):
+        reference = _numbers(pool, "FOV_REF_VECTOR", 3)
+        return _unit(reference - (reference @ boresight) * boresight, "FOV_REF_VECTOR")
+    corners = _corners(pool)
+    if len(corners) < 3:
+        raise CameraError(
+            "FOV_BOUNDARY_CORNERS of the instrument kernel are no corners; give pixel_direction."
+        )
+    plane = corners / (corners @ boresight)[:, None]
+    edges = np.roll(plane, -1, axis=0) - plane
+    # along the edge that runs most along the first of the frame's axes that lies across the boresight
+    axis = np.eye(3)[int(np.flatnonzero(np.abs(boresight) < PARALLEL)[0])]
+    along = _unit(edges[int(np.abs([_unit(e, "an edge") @ axis for e in edges]).argmax())], "an edge")
+    return along if along @ axis > 0.0 else -along
 
 
 def _sense(line_direction: ArrayLike, line: FloatArray, pixel: FloatArray) -> float:
@@ -465,7 +577,7 @@ def _optics(
     if matrix is not None:
         raise CameraError("the instrument kernel gives no FOCAL_LENGTH; give focal_length_mm as an argument.")
     if "IFOV" in pool:
-        return _angular(kernel)
+        return _angular(kernel, axes, size)
     return _field_of_view(kernel, axes, size)
 
 
@@ -562,6 +674,10 @@ def _focal_mm(
         kernel.note("known", "focal_length_mm", f"{focal_mm:g}, {key}")
         return focal_mm
     stated = float(_numbers(pool, key, 1)[0])
+    if not stated > 0.0:
+        raise CameraError(
+            f"{key} of the instrument kernel is {stated:g}; give focal_length_mm as an argument."
+        )
     expected = None if pitch_mm is None else _focal_of_field(kernel, axes, size, pitch_mm)
     in_meters = stated < SHORTEST_FOCAL_MM and (
         expected is None or max(stated * 1e3 / expected, expected / (stated * 1e3)) < UNIT_TOLERANCE
@@ -607,10 +723,78 @@ def _check_ifov(pool: Values, focal_mm: float, pitch_mm: float) -> None:
         )
 
 
-def _angular(kernel: _Kernel) -> dict[str, Any]:
-    pixels_per_mm = PER_MICRO / float(_numbers(kernel.pool, "IFOV", 1)[0]) / NOMINAL_FOCAL_MM
-    kernel.note("derived", "pixel_from_mm", f"IFOV, with a nominal focal length of {NOMINAL_FOCAL_MM:g} mm")
-    return {"focal_length_mm": NOMINAL_FOCAL_MM, "pixel_from_mm": pixels_per_mm * np.eye(2)}
+def _angular(kernel: _Kernel, axes: FloatArray, size: tuple[int, int]) -> dict[str, Any]:
+    stated = _positive_pair(kernel.pool, "IFOV")
+    unit, unit_rad = _ifov_unit(kernel.pool, axes, size, float(stated[0]))
+    kernel.note(
+        "derived",
+        "pixel_from_mm",
+        f"IFOV {_short(stated)} in {unit}, with a nominal focal length of {NOMINAL_FOCAL_MM:g} mm",
+    )
+    return {
+        "focal_length_mm": NOMINAL_FOCAL_MM,
+        "pixel_from_mm": np.diag(1.0 / (stated * unit_rad * NOMINAL_FOCAL_MM)),
+    }
+
+
+def _positive_pair(pool: Values, key: str) -> FloatArray:
+    """Return one number for both axes, or one for each."""
+    try:
+        stated = np.array(np.broadcast_to(np.array(pool[key], dtype=np.float64), (2,)))
+    except ValueError as error:
+        raise CameraError(
+            f"{key} of the instrument kernel is not one or two numbers: {pool[key]!r}."
+        ) from error
+    if not (stated > 0.0).all():
+        raise CameraError(
+            f"{key} of the instrument kernel is {stated.tolist()}; give pixel_from_mm as an argument."
+        )
+    return stated
+
+
+def _ifov_unit(pool: Values, axes: FloatArray, size: tuple[int, int], ifov: float) -> tuple[str, float]:
+    """Return the unit of an IFOV that makes the field of view; of kernels without one, microradians or radians."""
+    try:
+        expected = float(np.max(_tangents(pool, axes) / (0.5 * np.array(size))))
+    except CameraError:
+        return IFOV_UNITS[1] if ifov < LONGEST_IFOV_RAD else IFOV_UNITS[0]
+    for unit, unit_rad in IFOV_UNITS:
+        if 1.0 / UNIT_TOLERANCE < ifov * unit_rad / expected < UNIT_TOLERANCE:
+            return unit, unit_rad
+    return IFOV_UNITS[0]
+
+
+def _check_field(kernel: _Kernel, axes: FloatArray, size: tuple[int, int], fields: Mapping[str, Any]) -> None:
+    """Refuse a scale that makes the kernel's field of view several times too wide or too narrow both ways: a wrong unit.
+
+    One way alone it may be, as of a strip of the detector.
+    """
+    if {"focal_length_mm", "pixel_from_mm", "focal_from_camera"} & set(kernel.overrides):
+        return
+    try:
+        told = _tangents(kernel.pool, axes)
+    except CameraError:
+        return
+    if not (told > 0.0).all():
+        return
+    pitch_mm = np.linalg.norm(np.linalg.inv(fields["pixel_from_mm"]), axis=0)
+    made = 0.5 * np.array(size) * pitch_mm / fields["focal_length_mm"]
+    ratio = made / told
+    narrower = bool((ratio < 1.0 / UNIT_TOLERANCE).all())
+    if narrower and "n_pixel" in kernel.overrides:
+        kernel.note(
+            "guessed",
+            "pixel_from_mm",
+            f"that of the whole detector, though {size[0]} pixels see {ratio[0]:.2g} of the field of view: a window? "
+            "If they are binned, multiply the size of a pixel",
+        )
+    elif narrower or (ratio > UNIT_TOLERANCE).all():
+        wide, narrow = (2.0 * np.degrees(np.arctan(tangents)) for tangents in (made, told))
+        raise CameraError(
+            f"{size[0]} x {size[1]} pixels of {pitch_mm[0] * 1e3:.4g} um behind {fields['focal_length_mm']:.4g} mm see "
+            f"{wide[0]:.4g} x {wide[1]:.4g} deg, but the kernel's field of view is {narrow[0]:.4g} x {narrow[1]:.4g} deg; "
+            "check the units and the number of pixels, or give focal_length_mm and pixel_from_mm."
+        )
 
 
 def _field_of_view(kernel: _Kernel, axes: FloatArray, size: tuple[int, int]) -> dict[str, Any]:
@@ -626,7 +810,20 @@ def _field_of_view(kernel: _Kernel, axes: FloatArray, size: tuple[int, int]) -> 
 
 def _tangents(pool: Values, axes: FloatArray) -> FloatArray:
     """Tangents of half the field of view along pixel and line."""
-    return _corner_tangents(pool, axes) if "FOV_BOUNDARY_CORNERS" in pool else _angle_tangents(pool, axes)
+    return (
+        _corner_tangents(pool, axes)
+        if any(key in pool for key in BOUNDARIES)
+        else _angle_tangents(pool, axes)
+    )
+
+
+def _corners(pool: Values) -> FloatArray:
+    """Return the vectors (n, 3) to the field of view's corners; of a circle, one."""
+    key = next(key for key in BOUNDARIES if key in pool)
+    try:
+        return np.array(pool[key], dtype=np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise CameraError(f"{key} of the instrument kernel holds no vectors of three numbers.") from error
 
 
 def _angle_tangents(pool: Values, axes: FloatArray) -> FloatArray:
@@ -646,7 +843,7 @@ def _angle_tangents(pool: Values, axes: FloatArray) -> FloatArray:
 
 
 def _corner_tangents(pool: Values, axes: FloatArray) -> FloatArray:
-    corners = np.array(pool["FOV_BOUNDARY_CORNERS"], dtype=np.float64).reshape(-1, 3) @ axes.T
+    corners = _corners(pool) @ axes.T
     if not (corners[:, 2] > 0.0).all():
         raise CameraError(
             "FOV_BOUNDARY_CORNERS of the instrument kernel reach 90 deg from the boresight: no camera's."

@@ -26,6 +26,7 @@ from opnav_workbench.camera.camera_file import camera_fields
 from opnav_workbench.camera.distortion import Distortion, NoDistortion, inverse_2x2, reach_mm
 from opnav_workbench.camera.origins import Origin
 from opnav_workbench.camera.priors import AttitudeSigma
+from opnav_workbench.camera.reseau import Reseau
 from opnav_workbench.camera.response import CameraResponse
 from opnav_workbench.camera.rows import RowSweep, RowTiming
 from opnav_workbench.camera.saving import write_camera_yaml
@@ -72,6 +73,8 @@ class Camera(CameraResponse):
         One-sigma errors of the a priori attitude.
     rows
         When its lines are exposed, of a rolling shutter or a line scanner; None: all together.
+    reseau
+        Marks on a vidicon's faceplate, of a camera whose raw pictures tell their own distortion (`fit_reseau`).
     sweep
         How it turns meanwhile, in one picture: directions are then in its frame at mid-picture. None: it rests, as in a
         camera file.
@@ -111,6 +114,7 @@ class Camera(CameraResponse):
     attitude_sigma: AttitudeSigma = field(default_factory=AttitudeSigma)
     rows: RowTiming | None = None
     sweep: RowSweep | None = None
+    reseau: Reseau | None = None
     source: str = ""
     confirmed_by: str = ""
     origins: tuple[Origin, ...] = ()

@@ -82,6 +82,7 @@ def read_out(
     return replace(
         camera,
         rows=rows,
+        reseau=None,  # whose marks are told for whole pictures
         n_pixel=int(count[0]),
         n_line=int(count[1]),
         center_pixel_line=(camera.center_pixel_line - start + 0.5) / step - 0.5,

@@ -97,11 +97,9 @@ class RowSweep:
         Attitude at mid-picture for which they are.
     follows
         The body whose motion is in the turn besides the camera's (`opnav_workbench.scene.following`); empty: none's.
-    toward : (3,) array or None
-        Direction of that body's center at mid-picture, camera frame, where it comes nearer or goes: about it directions
-        spread as `spread` says.
-    spread : (k,) array or None
-        Tangent of a direction's angle from `toward` at `time_s`, over that at mid-picture.
+    spread : (k, 3, 3) array or None
+        At `time_s`, how that body's limb lies about its center otherwise than at mid-picture: it takes directions of
+        mid-picture, camera frame, to others, before the turn.
     """
 
     line_time_s: float
@@ -111,12 +109,13 @@ class RowSweep:
     turn_rad: FloatArray
     camera_from_j2000: FloatArray
     follows: str = ""
-    toward: FloatArray | None = None
     spread: FloatArray | None = None
     _spline: "scipy.interpolate.CubicSpline" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        known = self.turn_rad if self.spread is None else np.column_stack([self.turn_rad, self.spread])
+        known = self.turn_rad
+        if self.spread is not None:
+            known = np.column_stack([known, self.spread.reshape(len(known), -1)])
         object.__setattr__(self, "_spline", scipy.interpolate.CubicSpline(self.time_s, known))
         freeze_arrays(self)
 
@@ -129,7 +128,7 @@ class RowSweep:
             self,
             turn_rad=self.turn_rad @ turned.T,
             camera_from_j2000=np.array(camera_from_j2000),
-            toward=None if self.toward is None else turned @ self.toward,
+            spread=None if self.spread is None else turned @ self.spread @ turned.T,
         )
 
     def turns(self, line: FloatArray) -> FloatArray:
@@ -141,16 +140,15 @@ class RowSweep:
         turns = rotation_from_vector(np.nan_to_num(vector[..., :3]).reshape(-1, 3)).reshape(
             *np.shape(time), 3, 3
         )
-        if self.toward is None:
+        if self.spread is None:
             return turns
-        spread, along = vector[..., 3, None, None], np.outer(self.toward, self.toward)
-        return np.asarray(turns @ (spread * np.eye(3) + (1.0 - spread) * along))
+        return np.asarray(turns @ vector[..., 3:].reshape(*np.shape(time), 3, 3))
 
     def _back(self, line: FloatArray) -> FloatArray:
         """Return ``camera(0) from camera(line's time)``."""
         turns = self.turns(line)
         return np.asarray(
-            np.swapaxes(turns, -1, -2) if self.toward is None else np.linalg.inv(turns), np.float64
+            np.swapaxes(turns, -1, -2) if self.spread is None else np.linalg.inv(turns), np.float64
         )
 
     def _rates(self, line: FloatArray) -> FloatArray:
@@ -223,20 +221,20 @@ class RowSweep:
     def unproject(self, points: FloatArray, unproject: Mapping) -> FloatArray:
         """Return directions (..., 3) at mid-picture of points (..., 2)."""
         seen = np.einsum("...ij,...j->...i", self._back(points[..., 1]), unproject(self.on_detector(points)))
-        return np.asarray(seen if self.toward is None else unit(seen))
+        return np.asarray(seen if self.spread is None else unit(seen))
 
     def unproject_jacobian(self, points: FloatArray, unproject: Mapping, jacobian: Mapping) -> FloatArray:
         """Return d(direction at mid-picture)/d(pixel, line) (..., 3, 2)."""
         line, there = points[..., 1], self.on_detector(points)
         back, seen = self._back(line), unproject(there)
         slope = back @ jacobian(there)
-        if self.toward is None:
+        if self.spread is None:
             turning = np.einsum("...ji,...j->...i", self._rates(line), seen)
         else:
             turning = -np.einsum("...ij,...jk,...kl,...l->...i", back, self._rates(line), back, seen)
         at_rest = slope[..., 1] if self.detector_line is None else 0.0
         along = np.stack([slope[..., 0], at_rest + turning], axis=-1)
-        if self.toward is None:
+        if self.spread is None:
             return along
         ray = np.einsum("...ij,...j->...i", back, seen)
         length = np.linalg.norm(ray, axis=-1)[..., None, None]

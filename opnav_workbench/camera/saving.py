@@ -105,7 +105,9 @@ def _detector(camera: Mapping[str, Any]) -> Any:
     limits = camera["exposure_limits"]
     exposures = {} if limits is None else {"exposure_min_s": limits.min_s, "exposure_max_s": limits.max_s}
     rows = {} if camera["rows"] is None else {"rows": asdict(camera["rows"])}
-    return plain_values({name: camera[name] for name in DETECTOR} | exposures | rows)
+    marks = camera["reseau"]
+    reseau = {} if marks is None else {"reseau": {"marks_px": marks.marks_px, "ideal_mm": marks.ideal_mm}}
+    return plain_values({name: camera[name] for name in DETECTOR} | exposures | rows | reseau)
 
 
 def _psf(camera: Mapping[str, Any]) -> dict[str, Any]:

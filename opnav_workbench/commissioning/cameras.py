@@ -1,6 +1,7 @@
 """The camera that took a picture, from instrument kernels, image support data or a few numbers."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,9 @@ def camera_of_kernels(
                 except OpNavError as why:
                     refused.append(f"{number}: {why}")
     if shape is not None and wanted is None:
-        found = [camera for camera in found if (camera.n_line, camera.n_pixel) == shape]
+        found = _of_size(found, shape, or_refuse=not fitted)
+    if len(found) == 1 and shape is not None and not numbers.scans:
+        _check_size(found[0], shape, kernels)
     found = found or fitted  # one that states its size comes before one that takes the picture's
     if len(found) == 1:
         return _with_pointing(found[0])
@@ -87,6 +90,41 @@ def camera_of_kernels(
     raise CameraError(
         f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
         f" --instrument {found[0].instrument_id} (filters and modes of a camera have numbers of their own)."
+    )
+
+
+def _of_size(every: Sequence[Camera], shape: tuple[int, int], *, or_refuse: bool) -> list[Camera]:
+    """Return the cameras that make pictures of a size; where there are some, and none does, refuse them."""
+    found = [camera for camera in every if (camera.n_line, camera.n_pixel) == shape]
+    if found or not every or not or_refuse:
+        return found
+    sizes = sorted({(camera.n_pixel, camera.n_line) for camera in every})
+    raise CameraError(
+        f"no camera in these kernels makes {shape[1]} x {shape[0]} pixels: {_named(every)} make "
+        f"{', '.join(f'{across} x {down}' for across, down in sizes[:SHOWN])}; give the kernel of this picture's "
+        "camera (--ik)."
+    )
+
+
+def _check_size(camera: Camera, shape: tuple[int, int], kernels: Sequence[str | Path]) -> None:
+    """Refuse a camera that makes pictures of another size, and name those that make this one's."""
+    if (camera.n_line, camera.n_pixel) == shape:
+        return
+    others: list[Camera] = []
+    with KernelSet(kernels):
+        for number in instrument_ids():
+            with suppress(OpNavError):
+                others.append(Camera.from_ik(instrument_values(number), number))
+    fitting = [other for other in others if (other.n_line, other.n_pixel) == shape]
+    remedy = (
+        f"of that size are {_named(fitting)}: --instrument {fitting[0].instrument_id}"
+        if fitting
+        else "none of these kernels makes that size: give a whole picture of this camera, or its numbers (--focal-mm, "
+        "--pixel-um) instead of the kernel"
+    )
+    raise CameraError(
+        f"{camera.name} ({camera.instrument_id}) makes {camera.n_pixel} x {camera.n_line} pixels, and the picture has "
+        f"{shape[1]} x {shape[0]}; {remedy}."
     )
 
 

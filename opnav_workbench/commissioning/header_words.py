@@ -11,6 +11,7 @@ from typing import Any
 from opnav_workbench.camera import Origin
 from opnav_workbench.camera.origins import How
 from opnav_workbench.image import Header
+from opnav_workbench.image.header import OF_UNIT, stated_unit_s
 
 __all__ = ["HeaderWords", "header_words"]
 
@@ -134,16 +135,16 @@ def _exposure(header: Header, keywords: dict[str, Any], origins: list[Origin]) -
 
 def _scale(header: Header, name: str, value: float, told: float | None) -> tuple[float, How, str]:
     """What an exposure is to be multiplied by for seconds, and how that is known."""
+    unit_s = stated_unit_s(header, name)
+    if unit_s is not None:
+        return unit_s, "known", f"in {header[name + OF_UNIT]}"
     if told is not None:
         return told, "known", "in s"
     spanned = _spanned_s(header)
     for scale in SCALES:
         if spanned and abs(value * scale - spanned) < ALIKE * spanned:
             return scale, "derived", f"times {scale:g} s as from start to stop"
-    of_pds = name in (
-        "EXPOSURE_DURATION",
-        "EXPOSUREDURATION",
-    )  # ms, unless its unit, which is not at hand, says seconds
+    of_pds = name in ("EXPOSURE_DURATION", "EXPOSUREDURATION")  # ms, where no unit says otherwise
     usual = 1e-3 if of_pds and value >= SHORTEST_MS else 1.0
     return usual, "guessed", f"taken as {'ms' if usual < 1.0 else 's'}"
 

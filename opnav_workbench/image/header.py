@@ -279,6 +279,26 @@ class KeywordMap:
         return None if absent else value
 
 
+OF_UNIT = " <UNIT>"  # after a keyword: what its value is counted in, where the label says it
+SECONDS_OF_UNIT = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "usec", "microsecond", "microseconds", "microsec", "microsecs"), 1e-6),
+    **dict.fromkeys(("min", "minute", "minutes"), 60.0),
+}
+
+
+def stated_unit_s(header: Mapping[str, HeaderValue], keyword: str) -> float | None:
+    """Return the seconds of the unit that a label gives a value, None where it gives none, or none of time.
+
+    Examples
+    --------
+    >>> stated_unit_s({"EXPOSURE": 20, "EXPOSURE <UNIT>": "MSEC"}, "EXPOSURE")
+    0.001
+    """
+    return SECONDS_OF_UNIT.get(str(header.get(keyword + OF_UNIT, "")).strip().lower())
+
+
 def header_number(value: HeaderValue | None) -> float | None:
     """Return a header value as a float, None where it is absent or no number ("8.87E-5 " is one)."""
     try:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from opnav_workbench.image.file_bytes import image_error
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.header import OF_UNIT, HeaderValue, header_number
 
 __all__ = [
     "LabelItem",
@@ -27,22 +27,31 @@ __all__ = [
 
 # A label may begin with a wrapper of CCSDS, and older ones have nothing else that tells them.
 LABEL_START = re.compile(
-    rb"\s*(CCSD[0-9A-Z]{8,}\s*=\s*SFDU_LABEL|(CCSD\w+\s[^\n]*\n\s*)?(PDS|ODL)_VERSION_ID\s*=)"
+    rb"(?:\s|/\*[^*]*\*/|\xef\xbb\xbf)*"
+    rb"((CCSD|NJPL)[0-9A-Z]{8,}\s*=\s*SFDU_LABEL|(CCSD\w+\s[^\n]*\n\s*)?(PDS|ODL)_VERSION_ID\s*=)",
+    re.IGNORECASE,
 )
 LABEL_LIMIT_BYTES = 1 << 20  # the longest labels in the archives have some 100 kB
-LABEL_END = re.compile(r"^[ \t]*END[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
-# What closes an object or group may stand without a value.
-ASSIGNMENT = re.compile(
-    r"^[ \t]*(?:(?P<close>END_(?:OBJECT|GROUP))[ \t\r]*$|(?P<name>\^?[A-Za-z][\w:]*)[ \t]*=\s*)",
+# What comes next in a label: a comment, its end, what closes an object or group (which may have no value), or a name.
+NEXT = re.compile(
+    r"(?P<comment>/\*)|^[ \t]*(?:(?P<end>END)[ \t]*;?[ \t]*(?:$|/\*)|(?P<close>END_(?:OBJECT|GROUP))[ \t]*;?[ \t]*$"
+    r"|(?P<name>\^?[A-Za-z][\w:]*)[ \t]*=[ \t]*)",
     re.MULTILINE | re.IGNORECASE,
 )
-LINE_END = re.compile(r"[\r\n]|\Z")
-CLOSERS = {'"': '"', "(": ")", "{": "}"}
+EMPTY_LINE = re.compile(r"[ \t]*\n\s*")
+VALUE_END = re.compile(r"\n|/\*|\Z")
+LISTS = {"(": ")", "{": "}"}
+LIST_SIGN = re.compile(r"""\"[^"]*\"|'[^'\n]*'|[(){}]""")
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+UNIT = re.compile(r"[ \t]*<[^<>\n]*>")
 QUOTED_SYMBOL = re.compile(r"'[^'\r\n]*'")  # which a line's end does not interrupt
 POINTER = re.compile(
     r"""(?:(?P<quote>["'])(?P<quoted>[^"']+)(?P=quote)|(?P<bare>[A-Za-z_][\w.-]*))?[\s,]*(?P<at>\d+)?\s*(?P<bytes><BYTES>)?""",
     re.IGNORECASE,
 )
+BASED = re.compile(
+    r"(?P<base>\d{1,2})#(?P<digits>[+-]?[0-9A-Za-z]{1,16})#"
+)  # a whole number of ODL in another base
 MOST_DIGITS = 18  # of a whole number: eight bytes hold it
 DEEPEST = 20  # objects within objects; labels have three
 
@@ -70,7 +79,10 @@ def is_pds3(data: bytes) -> bool:
 
 
 def parse_pds_label(data: bytes) -> PdsLabel:
-    """Return the values of a PDS3 label; units are dropped, lists become text, the first of equals counts."""
+    """Return the values of a PDS3 label; lists become text, the first of equals counts.
+
+    A unit stands under the value's name and `OF_UNIT`.
+    """
     values: dict[str, HeaderValue] = {}
     image: dict[str, HeaderValue] = {}
     pointers: dict[str, str] = {}
@@ -79,7 +91,10 @@ def parse_pds_label(data: bytes) -> PdsLabel:
             pointers.setdefault(item.name[1:], item.text)
         else:
             inside = image if item.inside[-1:] == ("IMAGE",) else values
-            inside.setdefault(item.name, label_value(item.text))
+            if item.name not in inside:
+                inside[item.name] = label_value(item.text)
+                unit = _unit_at_end(item.text)
+                inside |= {item.name + OF_UNIT: unit} if unit else {}
     return PdsLabel(values, image, pointers)
 
 
@@ -94,50 +109,86 @@ class LabelItem:
 
 def label_items(data: bytes) -> Iterator[LabelItem]:
     """Yield the assignments of a label up to its END, without those that open and close objects and groups."""
-    text = data[:LABEL_LIMIT_BYTES].decode("latin-1")
-    end = LABEL_END.search(text)
+    text = data[:LABEL_LIMIT_BYTES].decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
     inside: tuple[str, ...] = ()
-    for name, value in _assignments(_without_comments(text[: end.start()] if end else text)):
+    for name, value in _assignments(text):
         if name in ("OBJECT", "GROUP", "BEGIN_OBJECT", "BEGIN_GROUP"):
-            inside = (*inside, value.upper())[:DEEPEST]
+            inside = (*inside, value.strip("\"'").upper())[:DEEPEST]
         elif name in ("END_OBJECT", "END_GROUP"):
             inside = inside[:-1]
         else:
             yield LabelItem(inside, name, value)
 
 
-def _without_comments(text: str) -> str:
-    kept, position = [], 0
-    while (start := text.find("/*", position)) >= 0 and (end := text.find("*/", start + 2)) >= 0:
-        kept.append(text[position:start])
-        position = end + 2
-    return "".join([*kept, text[position:]])
-
-
 def _assignments(text: str) -> Iterator[tuple[str, str]]:
     """Yield names, in capitals, and the texts of their values: to the closing sign, or else to the line's end."""
     position = 0
-    last = {sign: text.rfind(sign) for sign in CLOSERS.values()}
-    while head := ASSIGNMENT.search(text, position):
-        begin = head.end()
-        if head["close"]:
+    values = _Values(text)
+    while head := NEXT.search(text, position):
+        if head["end"]:
+            return
+        if head["comment"]:
+            position = values.after_comment(head.start())
+        elif head["close"]:
             yield head["close"].upper(), ""
-            position = begin
-            continue
-        closer = CLOSERS.get(text[begin : begin + 1])
-        symbol = QUOTED_SYMBOL.match(text, begin)
-        if symbol is not None:
-            position = symbol.end()
-        elif closer is not None and begin < last[closer]:
-            position = text.index(closer, begin + 1) + 1
+            position = head.end()
         else:
-            position = LINE_END.search(text, begin).start()  # type: ignore[union-attr]  # \Z is always found
-        yield head["name"].upper(), text[begin:position].strip()
+            begin, position = values.extent(head.end())
+            yield head["name"].upper(), values.between(begin, position)
+
+
+class _Values:
+    """Where values and comments of a label end; what is never closed is looked for once."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.last = {sign: text.rfind(sign) for sign in ("*/", '"', ")", "}")}
+        self.lists_close = True
+
+    def after_comment(self, start: int) -> int:
+        return self.text.index("*/", start + 2) + 2 if start + 2 <= self.last["*/"] else start + 2
+
+    def extent(self, begin: int) -> tuple[int, int]:
+        """Return where the value after an equals sign begins and ends."""
+        blank = EMPTY_LINE.match(self.text, begin)
+        if blank is not None:  # it stands in a line of its own, or is missing
+            if NEXT.match(self.text, blank.end()) or blank.end() == len(self.text):
+                return begin, begin
+            begin = blank.end()
+        sign = self.text[begin : begin + 1]
+        end = begin
+        if (symbol := QUOTED_SYMBOL.match(self.text, begin)) is not None:
+            end = symbol.end()
+        elif sign == '"' and begin < self.last['"']:
+            end = self.text.index('"', begin + 1) + 1
+        elif sign in LISTS and begin < self.last[LISTS[sign]]:
+            end = self._list_end(begin, LISTS[sign])
+        if end == begin:
+            return begin, VALUE_END.search(self.text, begin).start()  # type: ignore[union-attr]  # \Z is always found
+        unit = UNIT.match(self.text, end)
+        return begin, end if unit is None else unit.end()
+
+    def _list_end(self, begin: int, closer: str) -> int:
+        """Return where a list of lists and quoted texts ends; where brackets do not match, at the first that closes."""
+        depth = 0
+        for sign in LIST_SIGN.finditer(self.text, begin) if self.lists_close else ():
+            depth += 1 if sign[0] in LISTS else -1 if sign[0] in LISTS.values() else 0
+            if depth == 0:
+                return sign.end()
+        self.lists_close = False
+        return self.text.index(closer, begin + 1) + 1
+
+    def between(self, begin: int, end: int) -> str:
+        value = self.text[begin:end].strip()
+        return COMMENT.sub("", value) if value[:1] in LISTS and "/*" in value else value
 
 
 def label_value(text: str) -> HeaderValue:
     """Return what the text of a value stands for: a number, or text without quotes, units and line ends."""
     bare = _without_unit(text)
+    based = BASED.fullmatch(bare)
+    if based is not None and bare.startswith("10#"):  # others are bits of samples, and stay text
+        bare = based["digits"]
     if len(bare.strip("+-")) <= MOST_DIGITS:
         try:
             return int(bare)
@@ -160,6 +211,11 @@ def _without_unit(text: str) -> str:
     return text if start < 0 else text[:start].rstrip()
 
 
+def _unit_at_end(text: str) -> str:
+    """Return the unit of a value, empty where it has none."""
+    return text[text.rfind("<") + 1 : -1].strip() if _without_unit(text) != text else ""
+
+
 def image_pointer(name: str, label: PdsLabel) -> PdsPointer:
     """Return where ``^IMAGE`` points to.
 
@@ -168,7 +224,7 @@ def image_pointer(name: str, label: PdsLabel) -> PdsPointer:
     ImageError
         The label points to no image.
     """
-    found = POINTER.match(label.pointers.get("IMAGE", "").strip(" ()\t"))
+    found = POINTER.match(label.pointers.get("IMAGE", "").strip(" ()\t\n"))
     file = None if found is None else found["quoted"] or found["bare"]
     if found is None or not (file or found["at"]) or len(found["at"] or "") > MOST_DIGITS:
         raise image_error(
@@ -191,8 +247,10 @@ def label_integer(
         It is absent without a default, no whole number, or below `least`.
     """
     value = values.get(key, default)
-    if not isinstance(value, int) or value < least:
+    number = header_number(value) if isinstance(value, str | float) and not isinstance(value, bool) else value
+    whole = int(number) if isinstance(number, float) and number.is_integer() else number  # as 20.0, or "20"
+    if isinstance(whole, bool) or not isinstance(whole, int) or whole < least:
         raise image_error(
             name, f"label with {key} = {value!r}, expected a whole number from {least}; check the label."
         )
-    return value
+    return whole

@@ -35,6 +35,7 @@ from opnav_workbench.image.header import (
     header_geometry,
     header_matches,
     header_number,
+    stated_unit_s,
     unread_words,
 )
 from opnav_workbench.image.planes import make_planes
@@ -154,7 +155,7 @@ def picture_from_stored(
         error_dn=planes.error_dn,
         bad=planes.bad,
         saturated=planes.saturated,
-        header=header,
+        header=Header(source.header | _size_words(planes.image_dn.shape)),
         exposure_s=exposure_s,
         et=time.et,
         utc=time.utc,
@@ -165,6 +166,11 @@ def picture_from_stored(
         rival_et=time.rival_et,
         keywords=keywords,
     )
+
+
+def _size_words(shape: tuple[int, ...]) -> dict[str, HeaderValue]:
+    """Return words by which a mission tells cameras whose pictures differ in their size: what was read, not what is said."""
+    return {"PICTURE.LINES": shape[0], "PICTURE.SAMPLES": shape[1]}
 
 
 def _check_mission(name: str, header: Header, keywords: KeywordMap) -> None:
@@ -196,7 +202,8 @@ def _exposure(name: str, header: Header, keywords: KeywordMap) -> float:
             name,
             f"exposure time {keywords.exposure_s} = {value!r} is not positive; leave this picture out.",
         )
-    return seconds * keywords.exposure_scale
+    unit_s = stated_unit_s(header, keywords.exposure_s)
+    return seconds * (keywords.exposure_scale if unit_s is None else unit_s)
 
 
 @dataclass(frozen=True, slots=True)

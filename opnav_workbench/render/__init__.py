@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Rendering,
         render_bodies,
         render_moving,
+        render_one,
         render_touched,
     )
     from opnav_workbench.render.maps import AlbedoMap
@@ -59,6 +60,7 @@ else:  # loaded on first use: most calls need a few of these
             "Rendering": "focal_plane",
             "render_bodies": "focal_plane",
             "render_moving": "focal_plane",
+            "render_one": "focal_plane",
             "render_touched": "focal_plane",
             "AlbedoMap": "maps",
             "Hapke": "scattering",
@@ -89,5 +91,6 @@ __all__ = [
     "law_from_mapping",
     "render_bodies",
     "render_moving",
+    "render_one",
     "render_touched",
 ]

@@ -319,6 +319,27 @@ def render_bodies(
     return Rendering(picture, stage.view.window, bodies, stage.view)
 
 
+def render_one(
+    models: Sequence[BodyModel],
+    index: int,
+    camera: Camera,
+    camera_from_j2000: ArrayLike,
+    observer_velocity_km_s: ArrayLike,
+    *,
+    psf: Psf | Sequence[Psf],
+    sunlight_e: float,
+) -> Rendering:
+    """Render the light of one body alone, hidden and shaded by the others; its `occults` tells what this body hides.
+
+    Parameters are those of `render_bodies`, with the body's index among the models.
+    """
+    stage = place_scene(models, camera, camera_from_j2000, observer_velocity_km_s, psf, None)
+    picture = np.zeros((stage.view.window[3], stage.view.window[2]))
+    body = draw_body_light(stage, index, picture[None], sunlight_e)
+    own = (stage.placed[index],) if index in stage.placed else ()
+    return Rendering(np.maximum(picture, 0.0), stage.view.window, (body,), replace(stage.view, placed=own))
+
+
 def render_moving(
     models: Sequence[BodyModel],
     camera: Camera,

@@ -20,7 +20,13 @@ Enter by `observer_from_kernels` (or `observer_from_header`), `body_target`, `pr
 from typing import TYPE_CHECKING
 
 from opnav_workbench.lazy_names import names_on_demand
-from opnav_workbench.scene.following import following
+from opnav_workbench.scene.following import (
+    following,
+    seen_at_its_lines,
+    turned_meanwhile,
+    with_aberration,
+    with_course,
+)
 
 if TYPE_CHECKING:
     from opnav_workbench.scene.assisted import AssistedBody, assisted_target, picture_axes
@@ -87,6 +93,10 @@ __all__ = [
     "picture_axes",
     "predict_body",
     "predict_stars",
+    "seen_at_its_lines",
     "star_target_at",
+    "turned_meanwhile",
     "unknown_observer",
+    "with_aberration",
+    "with_course",
 ]

@@ -33,7 +33,7 @@ from opnav_workbench.render import (
     ShapeModel,
     law_from_mapping,
 )
-from opnav_workbench.scene import following
+from opnav_workbench.scene import following, seen_at_its_lines
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
@@ -238,15 +238,17 @@ def _picture(
     looked_for: TargetState,
 ) -> BodyPicture:
     signal, noise = above_sky(context)
-    attitude = best_attitude(inputs, state)
+    attitude, velocity = best_attitude(inputs, state), inputs.observer.velocity_km_s
+    looked_for = seen_at_its_lines(context.camera, looked_for, velocity, attitude)
+    models = tuple(replace(m, target=m.target.at_time(looked_for.epoch_s)) for m in models)
     return BodyPicture(
         signal_dn=signal,
         noise_dn=noise,
         bad=context.bad,
         saturated=context.picture.saturated,
-        camera=following(context.camera, looked_for, inputs.observer.velocity_km_s, attitude),
+        camera=following(context.camera, looked_for, velocity, attitude),
         camera_from_j2000=attitude,
-        observer_velocity_km_s=inputs.observer.velocity_km_s,
+        observer_velocity_km_s=velocity,
         models=models,
         psf=picture_psf(context, state),
         psf_width_sigma=_psf_width_sigma(context, state),

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.camera import Camera
+from opnav_workbench.camera import Camera, fit_reseau
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import ImageError
 from opnav_workbench.image import (
@@ -143,6 +143,8 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     picture = read_image(path, KeywordMap(**mission.keywords))
     camera = with_focal_scale(mission.camera_for(picture.header), settings.focal_scale)
     _check_size(picture, camera)
+    if camera.reseau is not None:
+        picture, camera = _by_its_marks(picture, camera)
     told: ToldBeside | None = None
     if find_sidecar(picture.path) is not None:
         picture, told = beside.told_beside(picture, camera)
@@ -168,6 +170,29 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
 def with_focal_scale(camera: Camera, scale: float) -> Camera:
     """Return a camera with its focal length multiplied; the camera itself for 1."""
     return camera if scale == 1.0 else replace(camera, focal_length_mm=camera.focal_length_mm * scale)
+
+
+def _by_its_marks(picture: Picture, camera: Camera) -> tuple[Picture, Camera]:
+    """Return a raw vidicon picture without what its reseau marks hide, and the camera with the distortion that they tell."""
+    fit = fit_reseau(camera, picture.image_dn)
+    count = len(fit.seen)
+    if fit.is_solved:
+        used = np.count_nonzero(fit.seen)
+        said = (
+            f"raw picture: its distortion is fitted to {used} of {count} reseau marks, to {fit.rms_px:.2f} px"
+        )
+        told = replace(picture, bad=picture.bad | fit.hidden, messages=(*picture.messages, said))
+        return told, fit.camera
+    doubt = (
+        f"raw picture whose {count} reseau marks are not seen (a sky cut off at zero?): its nominal distortion may be "
+        f"off by {NOMINAL_PX} px; give the picture that is corrected by them"
+    )
+    return replace(
+        picture, messages=(*picture.messages, doubt), contradictions=(*picture.contradictions, doubt)
+    ), camera
+
+
+NOMINAL_PX = 3  # c4400436's marks stand 1 to 3 px from their nominal places, 9 in a corner
 
 
 def _check_size(picture: Picture, camera: Camera) -> None:

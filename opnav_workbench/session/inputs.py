@@ -38,6 +38,8 @@ from opnav_workbench.scene import (
     observer_from_kernels,
     star_target_at,
     unknown_observer,
+    with_aberration,
+    with_course,
 )
 from opnav_workbench.session.context import Context, faintest_magnitude
 from opnav_workbench.session.contradictions import attitude_contradiction, settled_time
@@ -237,11 +239,12 @@ def collect_inputs(
         attitude, origin = _attitude(context, source.attitude, et)
     else:
         attitude, origin = lost.camera_from_j2000, "none"
-    sweep, unswept = _sweep(context, et)
+    observer = _observer(context, et, needless=source.by_hand or source.attitude == "unknown")
+    sweep, unswept = _sweep(context, et, observer)
     inputs = Inputs(
         et=et,
         utc=text_from_et(et) if _to_middle_line_s(context) else time.utc,
-        observer=_observer(context, et, needless=source.by_hand or source.attitude == "unknown"),
+        observer=observer,
         a_priori_camera_from_j2000=attitude,
         attitude_source=origin,
         stars=StarTable.empty(),
@@ -414,7 +417,7 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
     return np.asarray(geometry.camera_from_j2000), "header"
 
 
-def _sweep(context: Context, et: float) -> tuple[RowSweep | None, tuple[str, ...]]:
+def _sweep(context: Context, et: float, observer: Observer) -> tuple[RowSweep | None, tuple[str, ...]]:
     """Return how the camera turns while its lines are exposed, by the kernels, and what is wrong with a picture without."""
     camera = context.camera
     if camera.rows is None:
@@ -424,8 +427,15 @@ def _sweep(context: Context, et: float) -> tuple[RowSweep | None, tuple[str, ...
     def attitude(time_s: float) -> FloatArray:
         return camera_attitude(camera.frame, et + time_s)
 
+    def velocity(time_s: float) -> FloatArray:
+        if observer.source != "kernels":
+            return observer.velocity_km_s
+        return observer_from_kernels(context.mission.spacecraft_id, et + time_s).velocity_km_s
+
     try:
-        sweep = row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude)
+        half_s = 0.5 * camera.rows.span_s(camera.n_line)
+        attitude_at = with_aberration(camera, half_s, attitude, velocity)
+        sweep = row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude_at)
         return sweep, _bridged(camera, et)
     except KernelError as error:
         if camera.rows.scans:
@@ -521,7 +531,12 @@ def _spice_target(context: Context, inputs: Inputs, name: str) -> TargetState:
         )
     if name != name.strip().upper():  # SPICE would take it, and the picture have one body under two names
         raise KernelError(f"target {name!r}: write the body's name in capitals, {name.strip().upper()}.")
-    return context.mission.with_magnitude(body_target(name, context.mission.spacecraft_id, inputs.et))
+    craft, et = context.mission.spacecraft_id, inputs.et
+    target = body_target(name, craft, et)
+    if inputs.sweep is not None:
+        half_s = 0.5 * float(np.ptp(inputs.sweep.time_s))
+        target = with_course(target, half_s, lambda time_s: body_target(name, craft, et + time_s))
+    return context.mission.with_magnitude(target)
 
 
 # ---- As plain values, and back: whole, and what a step added to them.
@@ -573,9 +588,8 @@ def inputs_from(data: Mapping[str, Any]) -> Inputs:
 
 def _stored_sweep(data: Mapping[str, Any]) -> RowSweep:
     """Return how the camera turns; files of older versions leave the attitude to the a priori one."""
-    sweep: RowSweep = _rebuild(
-        RowSweep, {"camera_from_j2000": data["a_priori_camera_from_j2000"]} | dict(data["sweep"])
-    )
+    stored = {name: value for name, value in data["sweep"].items() if name in RowSweep.__slots__}
+    sweep: RowSweep = _rebuild(RowSweep, {"camera_from_j2000": data["a_priori_camera_from_j2000"]} | stored)
     return sweep
 
 

@@ -20,7 +20,7 @@ from opnav_workbench.kernels import body_id, camera_attitude, et_from_utc
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.render import BodyModel
-from opnav_workbench.scene import Observer
+from opnav_workbench.scene import Observer, with_aberration, with_course
 from opnav_workbench.simulation.attitude_path import (
     STEP_PX,
     STILL_PX,
@@ -41,6 +41,7 @@ from opnav_workbench.simulation.true_state import (
     true_observer,
     true_target,
 )
+from opnav_workbench.targets import TargetState
 from opnav_workbench.yaml_file import Location
 
 __all__ = ["OpenedScenario", "ScenarioPicture", "picture_seed"]
@@ -237,7 +238,14 @@ class OpenedScenario:
                 there = turned @ camera_attitude(camera.frame, et + time_s) if by_kernels else true
                 return np.asarray(sky_turn(camera, motion.offsets(time_s, seed)) @ there)
 
-            return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude)
+            def velocity(time_s: float) -> FloatArray:
+                return true_observer(
+                    self.mission.spacecraft_id, et + time_s, self.scenario.perturbations
+                ).velocity_km_s
+
+            half_s = 0.5 * camera.rows.span_s(camera.n_line)
+            attitude_at = with_aberration(camera, half_s, attitude, velocity)
+            return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude_at)
 
     def _stars(self, camera: Camera, attitude: FloatArray, et: float) -> StarTable:
         ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))
@@ -263,9 +271,18 @@ class OpenedScenario:
             surface = self.surfaces.get(name.upper())
             with self.scenario.naming(place):
                 surface = surface or surface_of(options, self.scenario, place)
-                target = true_target(name, self.mission.spacecraft_id, et, self.scenario.perturbations)
+                target = self._target(name, camera, et)
                 models.append(surface.model(target, self.mission, camera, picture.entry.exposure_s))
         return tuple(models)
+
+    def _target(self, name: str, camera: Camera, et: float) -> TargetState:
+        """Return a body as it truly is, with its course where the camera's lines are exposed one after the other."""
+        craft, truth = self.mission.spacecraft_id, self.scenario.perturbations
+        target = true_target(name, craft, et, truth)
+        if camera.rows is None:
+            return target
+        half_s = 0.5 * camera.rows.span_s(camera.n_line)
+        return with_course(target, half_s, lambda time_s: true_target(name, craft, et + time_s, truth))
 
     def _without_law(self, picture: ScenarioPicture) -> tuple[str, ...]:
         """Return the bodies of a picture that are drawn by a law that nobody gave."""

@@ -23,13 +23,21 @@ from opnav_workbench.catalog import StarTable
 from opnav_workbench.errors import CameraError
 from opnav_workbench.psf.protocol import Psf, add_sources
 from opnav_workbench.psf.trailed import TrailedPsf
-from opnav_workbench.render import BodyModel, Rendering, render_bodies
-from opnav_workbench.scene import Observer, StarPrediction, following, predict_stars
+from opnav_workbench.render import BodyModel, Rendering, render_bodies, render_one
+from opnav_workbench.scene import (
+    Observer,
+    StarPrediction,
+    following,
+    predict_stars,
+    seen_at_its_lines,
+    turned_meanwhile,
+)
 from opnav_workbench.simulation.attitude_path import AttitudePath
 from opnav_workbench.simulation.detector import Exposure, expose
 from opnav_workbench.simulation.detector_properties import Level
 from opnav_workbench.simulation.effects import DetectorEffects
 from opnav_workbench.simulation.scenario import ApparentPlaceEffects
+from opnav_workbench.targets import TargetState
 
 __all__ = ["PictureInputs", "SimulatedPicture", "Trails", "add_stars", "expose_picture", "trails"]
 
@@ -281,10 +289,13 @@ def expose_picture(inputs: PictureInputs) -> SimulatedPicture:
         _optics(inputs.camera, inputs.place_effects),
         _observer(inputs.observer, inputs.place_effects),
     )
-    rendering = _bodies(inputs, optics, observer)
     stars = _stars(inputs, optics, observer)
+    if optics.sweep is None or not inputs.bodies:
+        rendering = _bodies(inputs, optics, observer)
+        hidden = rendering.occults(stars.directions)
+    else:
+        rendering, hidden = _swept_bodies(inputs, optics, observer, stars.directions)
     places = inputs.path.places(optics, stars.directions)
-    hidden = rendering.occults(stars.directions)
     flux = np.nan_to_num(inputs.camera.electrons(stars.mag, inputs.exposure_s))
     electrons = np.array(rendering.electrons)
     seen = ~hidden
@@ -330,10 +341,6 @@ def _switched(stars: StarTable, effects: ApparentPlaceEffects) -> StarTable:
 
 
 def _bodies(inputs: PictureInputs, optics: Camera, observer: Observer) -> Rendering:
-    """Draw the bodies; where lines have times of their own, as the camera sees the nearest one move."""
-    if inputs.bodies:
-        nearest = min((model.target for model in inputs.bodies), key=lambda target: target.range_km)
-        optics = following(optics, nearest, observer.velocity_km_s, inputs.path.middle)
     return render_bodies(
         inputs.bodies,
         optics,
@@ -342,6 +349,77 @@ def _bodies(inputs: PictureInputs, optics: Camera, observer: Observer) -> Render
         psf=[_smeared(inputs.psf, track) for track in _body_tracks(inputs)],
         sunlight_e=inputs.camera.sunlight_e(inputs.exposure_s),
     )
+
+
+# ---- Bodies while lines are exposed one after the other: each as it stands at several times, mixed line by line.
+
+TURN_STEP_PX = (
+    0.5  # of a surface from drawing to drawing: mixed, its light is off by a thirtieth of a pixel's curvature
+)
+STILL_TURN_PX = 0.05
+MOST_DRAWINGS = 65
+
+
+def _swept_bodies(
+    inputs: PictureInputs, optics: Camera, observer: Observer, directions: FloatArray
+) -> tuple[Rendering, BoolArray]:
+    """Draw the bodies, each as the camera sees it move, turn and show another side; and tell which stars (n,) they hide."""
+    attitude = inputs.path.middle
+    places = optics.standing(attitude).project(directions @ attitude.T)
+    drawn, hidden = [], np.zeros(len(directions), dtype=bool)
+    for index, model in enumerate(inputs.bodies):
+        at = _drawing_times_s(optics, model.target, observer, attitude)
+        drawn.append(_over_its_lines(inputs, optics, observer, index, at))
+        middle = model.target.at_time(float(np.median(at)))
+        seen = following(optics, middle, observer.velocity_km_s, attitude).unproject(places)
+        known = np.isfinite(seen[:, 0])
+        hidden[known] |= drawn[-1].occults(seen[known] @ attitude)
+    electrons = np.sum([one.electrons for one in drawn], axis=0)
+    return replace(drawn[0], electrons=electrons, bodies=tuple(one.bodies[0] for one in drawn)), hidden
+
+
+def _drawing_times_s(
+    optics: Camera, target: TargetState, observer: Observer, attitude: FloatArray
+) -> FloatArray:
+    """Return at which times (k,) of the picture a body is drawn, an odd number: the middle one is of its center's line."""
+    velocity = observer.velocity_km_s
+    middle_s = seen_at_its_lines(optics, target, velocity, attitude).epoch_s
+    turned_px, half_s = turned_meanwhile(optics, target, velocity, attitude)
+    steps = (
+        min(int(np.ceil(turned_px / TURN_STEP_PX)), MOST_DRAWINGS // 2) if turned_px > STILL_TURN_PX else 0
+    )
+    return (
+        np.asarray(middle_s + half_s * np.linspace(-1.0, 1.0, 2 * steps + 1))
+        if steps
+        else np.array([middle_s])
+    )
+
+
+def _over_its_lines(
+    inputs: PictureInputs, optics: Camera, observer: Observer, index: int, times_s: FloatArray
+) -> Rendering:
+    """Draw one body at some times, mixed by the times of the lines; what is told of it is of the middle drawing."""
+    assert optics.sweep is not None
+    psfs = [_smeared(inputs.psf, track) for track in _body_tracks(inputs)]
+    line_s = (np.arange(optics.n_line) - optics.sweep.middle_line) * optics.sweep.line_time_s
+    electrons, drawings = np.zeros((optics.n_line, optics.n_pixel)), []
+    for number, time_s in enumerate(times_s):
+        models = [replace(model, target=model.target.at_time(float(time_s))) for model in inputs.bodies]
+        followed = models[index].target
+        drawing = render_one(
+            models,
+            index,
+            following(optics, followed, observer.velocity_km_s, inputs.path.middle),
+            inputs.path.middle,
+            observer.velocity_km_s,
+            psf=psfs,
+            sunlight_e=inputs.camera.sunlight_e(inputs.exposure_s),
+        )
+        electrons += (
+            np.interp(line_s, times_s, np.arange(len(times_s)) == number)[:, None] * drawing.electrons
+        )
+        drawings.append(drawing)
+    return replace(drawings[len(drawings) // 2], electrons=electrons)
 
 
 def _smeared(psf: Psf, track_px: FloatArray) -> Psf:

@@ -7,12 +7,18 @@ Units  km, km/s, km^2, rad, mag
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.constants import ARCSEC_PER_RAD, AU_KM
 from opnav_workbench.errors import CatalogError, KernelError
-from opnav_workbench.geometry import radec_from_unit, tangent_basis
+from opnav_workbench.geometry import (
+    radec_from_unit,
+    rotation_from_vector,
+    tangent_basis,
+    vector_from_rotation,
+)
 
 __all__ = ["MIN_PARALLAX_RAD", "TargetState", "star_target"]
 
@@ -46,6 +52,15 @@ class TargetState:
     velocity_km_s : (3,) array or None
         With respect to the solar-system barycenter when the light left, J2000; what partials with solved light time
         need.
+    course_s : (k,) array or None
+        Times, s from mid-exposure, at which it is told how the body moves and turns while lines are exposed one after the
+        other; ascending, four at least.
+    course_km : (k, 3) array or None
+        Where it is seen from the spacecraft of each of those times, light time applied, J2000, from `position_km`.
+    course_turn_rad : (k, 3) array or None
+        Rotation vectors, J2000, of how it has turned since `epoch_s`; None: as far as is known it does not turn.
+    epoch_s
+        Time, s from mid-exposure, for which place and orientation are given.
 
     Raises
     ------
@@ -68,15 +83,23 @@ class TargetState:
     magnitude: float | None = None
     is_star: bool = False
     velocity_km_s: FloatArray | None = None
+    course_s: FloatArray | None = None
+    course_km: FloatArray | None = None
+    course_turn_rad: FloatArray | None = None
+    epoch_s: float = 0.0
 
     def __post_init__(self) -> None:
-        shapes = {
+        count = 0 if self.course_s is None else len(self.course_s)
+        shapes: dict[str, tuple[int, ...]] = {
             "position_km": (3,),
             "radii_km": (3,),
             "body_from_j2000": (3, 3),
             "sun_position_km": (3,),
             "covariance_km2": (3, 3),
             "velocity_km_s": (3,),
+            "course_s": (count,),
+            "course_km": (count, 3),
+            "course_turn_rad": (count, 3),
         }
         for field, shape in shapes.items():
             value = getattr(self, field)
@@ -116,6 +139,37 @@ class TargetState:
         sun = self.sun_position_km
         moved = None if sun is None else sun + self.position_km - position_km
         return replace(self, position_km=position_km, sun_position_km=moved)
+
+    def along_course(self, time_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return place (n, 3), km, and turn since `epoch_s` (n, 3), rotation vectors in J2000, at times (n,) of the picture.
+
+        Before and after the times of `course_s` it stays as it is at the first and the last of them.
+        """
+        if self.course_s is None or self.course_km is None:
+            raise KernelError(
+                f"{self.name}: nothing is known of its course; give kernels that cover the picture"
+            )
+        time = np.clip(np.asarray(time_s, dtype=np.float64), self.course_s[0], self.course_s[-1])
+        places = self.position_km + scipy.interpolate.CubicSpline(self.course_s, self.course_km)(time)
+        if self.course_turn_rad is None:
+            return places, np.zeros_like(places)
+        return places, scipy.interpolate.CubicSpline(self.course_s, self.course_turn_rad)(time)
+
+    def at_time(self, time_s: float) -> "TargetState":
+        """Return the target as it stands at a time, s from mid-exposure, by its course; itself where it has none."""
+        if self.course_s is None or self.course_km is None or time_s == self.epoch_s:
+            return self
+        place, turned = (value[0] for value in self.along_course([time_s]))
+        turn, attitude, turns = rotation_from_vector(turned), self.body_from_j2000, self.course_turn_rad
+        if turns is not None:
+            turns = vector_from_rotation(rotation_from_vector(turns) @ turn.T)
+        return replace(
+            self.standing_at(place),
+            body_from_j2000=None if attitude is None else attitude @ turn.T,
+            course_km=self.course_km - (place - self.position_km),
+            course_turn_rad=turns,
+            epoch_s=time_s,
+        )
 
 
 def star_target(

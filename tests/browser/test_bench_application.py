@@ -430,7 +430,9 @@ def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size,
 
 def in_place_of_picture(page, text):
     """Wait until a text stands where the picture would be, and the page is at rest."""
-    page.wait_for_function("t => document.querySelector('.ow-window .opnav-message')?.textContent === t", arg=text)
+    page.wait_for_function(
+        "t => document.querySelector('.ow-window .opnav-message')?.textContent === t", arg=text
+    )
     settled(page)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from opnav_workbench.camera import Camera, NoDistortion, PsfPrior, SipDistortion
 from opnav_workbench.errors import CameraError
@@ -274,7 +275,6 @@ def test_overrides_replace_what_the_kernel_gives():
         ),
         (ADDENDUM | {"INS-999100_FOCAL_LENGTH": None}, "no FOCAL_LENGTH; give focal_length_mm"),
         (ADDENDUM | {"INS-999100_OD_K": (1e-5,)}, "OD_K .* 1 values, 3 make"),
-        (ADDENDUM | {"INS-999100_BORESIGHT": (1.0, 0.0, 0.0)}, "TRANSX and TRANSY suit .* looks along Z"),
         (with_changes(FOCAL_LENGTH=(1.0,), FOCAL_LENGTH_UNITS=("feet",)), "FOCAL_LENGTH_UNITS 'feet'"),
     ],
 )
@@ -296,3 +296,168 @@ def test_field_of_a_pixel_in_radians_along_both_axes():
     assert np.diag(camera.pixel_from_mm) == pytest.approx([1.0 / 0.014004, 1.0 / 0.013995])
     with pytest.raises(CameraError, match=r"IFOV 0.093 microrad"):
         Camera.from_ik(with_changes(**optics | {"IFOV": (0.093, 0.093)}), -999100)
+
+
+# ---- Kernels made by hand: other units, other ways to tell the field of view, detectors that lie otherwise.
+
+HALF_RAD = (np.arctan(0.05), np.arctan(0.04))
+BY_HAND = {
+    "FOV_FRAME": "PROBE_CAM",
+    "BORESIGHT": (0.0, 0.0, 1.0),
+    "PIXEL_SAMPLES": 1000,
+    "PIXEL_LINES": 800,
+    "FOCAL_LENGTH": 100.0,
+    "PIXEL_SIZE": 10.0,
+    "FOV_REF_VECTOR": (1.0, 0.0, 0.0),
+    "FOV_REF_ANGLE": HALF_RAD[0],
+    "FOV_CROSS_ANGLE": HALF_RAD[1],
+    "FOV_ANGLE_UNITS": "RADIANS",
+}
+ANGULAR = tuple(key for key in BY_HAND if key.startswith("FOV_") and key != "FOV_FRAME")
+
+
+def by_hand(*left_out: str, **changes) -> Camera:
+    values = {key: value for key, value in (BY_HAND | changes).items() if key not in left_out}
+    return Camera.from_ik({f"INS-999100_{key}": value for key, value in values.items()}, -999100)
+
+
+def corners(x: float, y: float, turn=None) -> list[float]:
+    """A field of view by its corners, tangents, in a frame that is turned."""
+    vectors = np.array([[x, y, 1.0], [-x, y, 1.0], [-x, -y, 1.0], [x, -y, 1.0]])
+    return (vectors if turn is None else vectors @ np.asarray(turn).T).ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"PIXEL_SIZE": 0.01},
+        {"PIXEL_SIZE": 1e-5},
+        {"FOCAL_LENGTH": 0.1, "FOCAL_LENGTH_UNITS": "Meter"},
+        {"FOCAL_LENGTH": 10.0, "FOCAL_LENGTH_UNITS": "CM"},
+        *(
+            {
+                "FOV_ANGLE_UNITS": unit,
+                "FOV_REF_ANGLE": HALF_RAD[0] / rad,
+                "FOV_CROSS_ANGLE": HALF_RAD[1] / rad,
+            }
+            for unit, rad in (("deg", np.pi / 180.0), ("ARCMINUTES", np.pi / 10800.0), ("milliradians", 1e-3))
+        ),
+    ],
+)
+def test_units_of_kernels(changes):
+    for left_out in ((), () if "FOV_ANGLE_UNITS" not in changes else ("FOCAL_LENGTH", "PIXEL_SIZE")):
+        assert by_hand(*left_out, **changes).pixel_scale_rad == pytest.approx(1e-4, rel=1e-6)
+
+
+@pytest.mark.parametrize("ifov", [100.0, 1e-4, 0.1, (100.0, 100.0)])
+def test_an_ifov_in_the_unit_that_makes_the_field_of_view(ifov):
+    camera = by_hand("FOCAL_LENGTH", "PIXEL_SIZE", IFOV=ifov)
+    assert camera.pixel_scale_rad == pytest.approx(1e-4)
+    if ifov != 0.1:  # without a field of view, microradians or radians
+        bare = by_hand("FOCAL_LENGTH", "PIXEL_SIZE", "FOV_REF_ANGLE", IFOV=ifov)
+        assert bare.pixel_scale_rad == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"FOCAL_LENGTH": 10.0},
+        {"PIXEL_SIZE": 1e-3},
+        {"FOV_ANGLE_UNITS": "DEGREES"},
+        {"TRANSX": (0.0, 10.0, 0.0), "TRANSY": (0.0, 0.0, 10.0)},
+        {"TRANSX": (0.0, 1e-5, 0.0), "TRANSY": (0.0, 0.0, 1e-5)},
+    ],
+)
+def test_units_that_make_another_field_of_view_are_refused(changes):
+    with pytest.raises(
+        CameraError,
+        match=r"deg, but the kernel's field of view is .* deg; check the units and the number of pixels, or give",
+    ):
+        by_hand(**changes)
+
+
+def test_a_field_of_view_of_a_strip_is_none_of_another_unit():
+    assert by_hand(FOV_CROSS_ANGLE=HALF_RAD[1] / 50.0).pixel_scale_rad == pytest.approx(1e-4)
+
+
+@pytest.mark.parametrize("key", ["FOV_BOUNDARY_CORNERS", "FOV_BOUNDARY"])
+def test_a_field_of_view_by_its_corners_alone(key):
+    camera = by_hand(*ANGULAR, "BORESIGHT", **{key: corners(0.05, 0.04)})
+    np.testing.assert_allclose(camera.focal_from_camera, np.eye(3), atol=1e-12)
+    assert by_hand(
+        *ANGULAR, "FOCAL_LENGTH", "PIXEL_SIZE", **{key: corners(0.05, 0.04)}
+    ).pixel_scale_rad == pytest.approx(1e-4)
+
+
+def test_a_detector_that_lies_across():
+    """Its longer side runs along Y: so do its pixels, however the kernel tells the field of view."""
+    by_angles = by_hand(FOV_REF_ANGLE=HALF_RAD[1], FOV_CROSS_ANGLE=HALF_RAD[0])
+    by_corners = by_hand(*ANGULAR, FOV_BOUNDARY_CORNERS=corners(0.04, 0.05))
+    for camera in (by_angles, by_corners):
+        np.testing.assert_allclose(camera.focal_from_camera, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-12)
+        (how,) = [o.how for o in camera.origins if o.field == "focal_from_camera"]
+        assert how == "guessed"
+
+
+def test_boresights_along_other_axes():
+    along_x = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # columns: pixel, line, boresight
+    camera = by_hand(*ANGULAR, BORESIGHT=(1.0, 0.0, 0.0), FOV_BOUNDARY_CORNERS=corners(0.05, 0.04, along_x))
+    np.testing.assert_allclose(camera.focal_from_camera, along_x.T, atol=1e-12)
+    turned = Rotation.from_euler("y", 40, degrees=True).as_matrix()
+    oblique = by_hand(
+        *ANGULAR, BORESIGHT=tuple(turned[:, 2]), FOV_BOUNDARY_CORNERS=corners(0.05, 0.04, turned)
+    )
+    np.testing.assert_allclose(oblique.focal_from_camera, turned.T, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"FOCAL_LENGTH": 0.0}, "FOCAL_LENGTH of the instrument kernel is 0"),
+        ({"PIXEL_SAMPLES": 1000.5}, "1000.5, no number of pixels; give n_pixel"),
+        ({"PIXEL_LINES": -3}, "-3, no number of pixels; give n_line"),
+        ({"PIXEL_SAMPLES": 1e12}, "1e\\+12, no number of pixels"),
+        ({"FOV_ANGLE_UNITS": "FURLONGS"}, None),
+    ],
+)
+def test_numbers_that_cannot_be(changes, said):
+    if said is None:  # other numbers of the kernel do without it
+        assert by_hand(**changes).pixel_scale_rad == pytest.approx(1e-4)
+        with pytest.raises(CameraError, match="FOV_ANGLE_UNITS 'FURLONGS'"):
+            by_hand("FOCAL_LENGTH", "PIXEL_SIZE", **changes)
+        return
+    with pytest.raises(CameraError, match=said):
+        by_hand(**changes)
+
+
+def test_matrices_of_isis_for_another_boresight_are_left_aside_aloud():
+    """NEAR's camera looks along X in its kernel, and its addendum has matrices for one that looks along Z."""
+    camera = by_hand(
+        *ANGULAR, TRANSX=(0.0, 0.01, 0.0), TRANSY=(0.0, 0.0, -0.01), BORESIGHT=(1.0, 0.0, 0.0),
+        FOV_BOUNDARY_CORNERS=[1.0, 0.05, 0.04, 1.0, -0.05, 0.04, 1.0, -0.05, -0.04, 1.0, 0.05, -0.04],
+    )  # fmt: skip
+    np.testing.assert_allclose(camera.focal_from_camera, [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-12)
+    told = [o.text for o in camera.origins if (o.field, o.how) == ("focal_from_camera", "guessed")]
+    assert any("suit a camera that looks along Z" in text for text in told)
+
+
+def test_a_detector_beside_the_axis():
+    """HRSC: each line has its own BORESIGHT in the frame of the head, and matrices that put it there."""
+    camera = by_hand(
+        *ANGULAR, TRANSX=(0.0, 0.01, 0.0), TRANSY=(-30.0, 0.0, 0.01), BORESIGHT=(0.0, -30.0, 100.0), PIXEL_LINES=1,
+        BORESIGHT_SAMPLE=500.5, BORESIGHT_LINE=1.0,
+    )  # fmt: skip
+    np.testing.assert_allclose(camera.focal_from_camera, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(camera.center_pixel_line, [499.5, 3000.0])
+    seen = camera.unproject([499.5, 0.0])
+    np.testing.assert_allclose(seen, np.array([0.0, -30.0, 100.0]) / np.hypot(30.0, 100.0), atol=1e-9)
+
+
+def test_pixels_of_a_picture_that_see_a_part_of_the_field():
+    """A window of the picture's size; more than the field of view they cannot see."""
+    values = {f"INS-999100_{key}": value for key, value in BY_HAND.items() if not key.startswith("PIXEL_S")}
+    values["INS-999100_PIXEL_PITCH"] = 0.01
+    camera = Camera.from_ik(values, -999100, n_pixel=200, n_line=160)
+    assert any("a window? If they are binned" in o.text for o in camera.origins)
+    with pytest.raises(CameraError, match="check the units and the number of pixels"):
+        Camera.from_ik(values, -999100, n_pixel=5000, n_line=4000)

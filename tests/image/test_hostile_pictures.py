@@ -93,7 +93,20 @@ def test_one_line_at_once(tmp_path, case):
 
 
 @pytest.mark.parametrize(
-    "line", ["A=(\n", 'A="\n', "A={\n", "/* \n", "A=<<<<\n", "A= \n", "A" * 50 + "\n", "A=1 <\n"]
+    "line",
+    [
+        "A=(\n",
+        'A="\n',
+        "A={\n",
+        "A=((\n",
+        "A=('\n",
+        "A=\n",
+        "/* \n",
+        "A=<<<<\n",
+        "A= \n",
+        "A" * 50 + "\n",
+        "A=1 <\n",
+    ],
 )
 def test_labels_are_read_in_one_pass(line):
     """Brackets that never close; with a search to the label's end for each line it took minutes."""
@@ -121,6 +134,8 @@ def test_labels_close_where_they_closed():
         "D": 4,
         "E": "open",
         "F": 7,
+        "B <UNIT>": "KM",
+        "F <UNIT>": "s",
     }
 
 

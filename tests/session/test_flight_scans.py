@@ -1,5 +1,6 @@
 """MVIC's and LEISA's scans by the attitude that the spacecraft flew: kernels of real pictures, words of their headers."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import yaml
 from astropy.io import fits
 from scipy.spatial.transform import Rotation
+from scipy.special import eval_legendre
 
 from opnav_workbench.camera import Camera, RowTiming, row_sweep
 from opnav_workbench.camera.readout import read_out
@@ -63,6 +65,39 @@ def test_a_flight_scan_moves_a_line_in_the_line_time_that_its_header_tells(data_
     assert (
         np.median(moved[:, 0]) < 0.1 if name == "mvic" else np.median(moved[:, 0]) < 0.35
     )  # LEISA's drifts across
+
+
+ARRAYS = {"pan2": 4, "pan1": 5, "red": 6, "blue": 7, "nir": 8, "ch4": 9}
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("array", ARRAYS)
+def test_an_array_bends_as_its_addendum_says(data_dir, array):
+    """By the formulas of ISIS' camera: series along the line, residual polynomials of sample, without their constants."""
+    text = (data_dir / "spice/generic/mvicAddendum004.ti").read_text()
+
+    def numbers(key):
+        return np.array(
+            re.search(rf"{re.escape(key)}\s*=\s*\(([^)]*)\)", text)[1].replace(",", " ").split(), float
+        )
+
+    pixel = np.linspace(12.0, 5011.0, 60)
+    sample = pixel - 12.0 + 1.0
+    x_mm, half = 0.013 * (sample - 2500.5), 32.5
+    terms = [(i, d - i) for d in range(1, 6) for i in range(d + 1)]
+    series = numbers("INS-98900_DISTORTION_COEF_X")
+    bent = sum(
+        c * eval_legendre(i, x_mm / half) * eval_legendre(j, 0.0)
+        for c, (i, j) in zip(series, terms, strict=True)
+    )
+    column, row = (numbers(f"INS-9890{ARRAYS[array]}_RESIDUAL_{axis}_DIST_COEF") for axis in ("COL", "ROW"))
+    moved = [sum(c[k] * sample**k for k in range(1, 6)) * 0.013 for c in (column, row)]
+    ideal = np.column_stack([x_mm + half * bent + moved[0], moved[1], np.full(len(pixel), 657.5)])
+    camera = Camera.from_yaml(kernels_meta_dir() / f"new_horizons/cameras/mvic_{array}.yaml")
+    seen = camera.unproject(np.column_stack([pixel, np.full(len(pixel), 15.5)])) @ camera.focal_from_camera.T
+    off_px = (seen[:, :2] / seen[:, 2:] - ideal[:, :2] / ideal[:, 2:]) / camera.pixel_scale_rad
+    assert np.abs(off_px).max() < 1e-3
+    assert np.ptp(moved[1]) / 0.013 > 0.5  # the residual is not nothing
 
 
 @pytest.mark.slow
@@ -128,3 +163,11 @@ def test_a_header_may_tell_the_lines_of_a_scan_alone():
         assert (camera.name, camera.n_pixel, camera.n_line) == ("MVIC NIR", 5024, lines)
         assert camera.rows == RowTiming(0.02, 15.5, 32)
         assert mission.camera_as_read("mvic_nir", mission.readout_told(words | more)).n_line == lines
+
+
+def test_leisa_sees_red_stars_brighter_than_their_v():
+    camera = Camera.from_yaml(kernels_meta_dir() / "new_horizons/cameras/leisa.yaml")
+    camera.require_photometry()
+    blue, red = (float(camera.electrons(8.0 + camera.color.offset(b_v), 0.856)) for b_v in (0.0, 1.5))
+    assert red / blue == pytest.approx(10.0 ** (0.4 * 2.3 * 1.5), rel=1e-6)
+    assert 10.0 < blue < 1000.0  # V = 8 is near what it sees at all

@@ -288,6 +288,7 @@ def test_a_body_is_found_where_it_was_at_its_lines_time(name, tmp_path):
         session.find_body("ROCK")
         session.observables()
         (body,) = json.loads(session.to_json())["bodies"]
+        session.save(tmp_path / "kept")
         at_middle = session.context.camera.project(
             session.camera_from_j2000 @ session.predict_body("ROCK").direction
         )
@@ -297,3 +298,7 @@ def test_a_body_is_found_where_it_was_at_its_lines_time(name, tmp_path):
     assert np.sqrt(error @ np.linalg.solve(body["covariance_px2"], error)) < 4.0
     assert np.hypot(*error) < 0.3
     assert np.hypot(*np.subtract(body["predicted"], by_spice)) < 0.3
+    # how it moved and turned meanwhile is kept: a session resumes without kernels
+    kept = ImageSession.resume(tmp_path / "kept").inputs.targets["ROCK"]
+    np.testing.assert_array_equal(kept.course_km, session.inputs.targets["ROCK"].course_km)
+    assert np.ptp(kept.course_km, axis=0).max() > 1.0

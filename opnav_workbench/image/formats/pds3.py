@@ -15,6 +15,7 @@ from opnav_workbench.image.formats.stored import (
     BandOrder,
     Raster,
     StoredPicture,
+    from_vax,
     full_scale,
     holds_constants,
     linear,
@@ -79,6 +80,8 @@ def read_pds_raw(name: str, data: bytes, offset: int, label: PdsLabel, keywords:
     order = _storage(name, image)
     raster = Raster(lines, line_samples, _sample_type(name, image), bands, order, offset, prefix, suffix)
     samples = read_raster(name, data, raster)
+    if _is_vax_real(image):
+        samples = from_vax(samples)
     scale, zero = image.get("SCALING_FACTOR"), image.get("OFFSET")
     values = linear(name, samples, scale, zero, "PDS3 label whose SCALING_FACTOR or OFFSET")
     values[holds_constants(samples, map(image.get, MISSING))] = np.nan
@@ -92,12 +95,19 @@ def _storage(name: str, image: dict[str, HeaderValue]) -> BandOrder:
     return STORAGE[text]
 
 
+def _is_vax_real(image: dict[str, HeaderValue]) -> bool:
+    return str(image.get("SAMPLE_TYPE", "")).upper().replace(" ", "_") in ("VAX_REAL", "VAX_FLOAT")
+
+
 def _sample_type(name: str, image: dict[str, HeaderValue]) -> np.dtype[Any]:
-    text, bits = str(image.get("SAMPLE_TYPE", "")).upper(), label_integer(name, image, "SAMPLE_BITS")
+    text, bits = (
+        str(image.get("SAMPLE_TYPE", "")).upper().replace(" ", "_"),
+        label_integer(name, image, "SAMPLE_BITS"),
+    )
     match = SAMPLE_TYPE.fullmatch(text)
     real = match is not None and match["kind"] != "INTEGER"
-    readable = bits in ((32, 64) if real else (8, 16, 32))
-    if match is None or not readable or (real and match["maker"] == "VAX"):
+    readable = bits in (((32,) if match["maker"] == "VAX" else (32, 64)) if match and real else (8, 16, 32))
+    if match is None or not readable:
         raise image_error(
             name, f"PDS3 image of SAMPLE_TYPE {text!r} with {bits} bits is not read; convert it to FITS."
         )

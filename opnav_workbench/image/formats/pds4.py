@@ -5,6 +5,7 @@ Labels have no document type, and no entities of their own: one that has is refu
 Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element_Array, Special_Constants.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,19 +15,22 @@ import numpy as np
 
 from opnav_workbench.image.file_bytes import image_error
 from opnav_workbench.image.formats.stored import Raster, StoredPicture, holds_constants, linear, read_raster
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.header import OF_UNIT, HeaderValue
 from opnav_workbench.image.pds_label import label_integer, label_value
 
 __all__ = ["Pds4Label", "is_pds4", "pds4_label", "read_pds4"]
 
 LARGEST_LABEL_BYTES = 1 << 22
+LONGEST_PREAMBLE_BYTES = 1 << 16  # before the root element: declarations, schemas, comments
+ROOT = re.compile(rb"<(?:[\w.-]+:)?Product_")
 DEEPEST = 40  # elements within elements; labels have twelve
 MOST_ELEMENTS = 100_000
-ARRAYS = ("ARRAY_2D_IMAGE", "ARRAY_3D_IMAGE", "ARRAY_2D", "ARRAY_3D")
+ARRAYS = ("ARRAY_2D_IMAGE", "ARRAY_3D_IMAGE", "ARRAY_2D", "ARRAY_3D", "ARRAY_3D_SPECTRUM")
 DATA_TYPES = {
     "UnsignedByte": "u1", "SignedByte": "i1",
     "UnsignedMSB2": ">u2", "UnsignedMSB4": ">u4", "SignedMSB2": ">i2", "SignedMSB4": ">i4",
     "UnsignedLSB2": "<u2", "UnsignedLSB4": "<u4", "SignedLSB2": "<i2", "SignedLSB4": "<i4",
+    "UnsignedMSB8": ">u8", "SignedMSB8": ">i8", "UnsignedLSB8": "<u8", "SignedLSB8": "<i8",
     "IEEE754MSBSingle": ">f4", "IEEE754MSBDouble": ">f8", "IEEE754LSBSingle": "<f4", "IEEE754LSBDouble": "<f8",
 }  # fmt: skip
 MISSING = (
@@ -72,8 +76,8 @@ class Pds4Label:
 
 def is_pds4(data: bytes) -> bool:
     """Tell from the first bytes whether this is a PDS4 label."""
-    start = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
-    return start.startswith(b"<") and b"<Product_" in start
+    start = data[:LONGEST_PREAMBLE_BYTES].lstrip(b"\xef\xbb\xbf \t\r\n")
+    return start.startswith(b"<") and ROOT.search(start) is not None
 
 
 def pds4_label(name: str, data: bytes) -> Pds4Label:
@@ -134,15 +138,20 @@ def _parsed(name: str, data: bytes) -> _Element:
 
 
 def _values(root: _Element) -> dict[str, HeaderValue]:
-    """Return the values of a label: by name, and by ``AREA.NAME`` with the element they stand in; the first of equals."""
+    """Return the values of a label: by name, and by ``AREA.NAME`` with the element they stand in; the first of equals.
+
+    A unit stands under the name and `OF_UNIT`.
+    """
     values: dict[str, HeaderValue] = {}
 
     def add(element: _Element) -> None:
         for inner in element.inside:
             if not inner.inside and inner.text:
                 value = label_value(inner.text)
-                values.setdefault(inner.name, value)
-                values.setdefault(f"{element.name}.{inner.name}", value)
+                for name in (inner.name, f"{element.name}.{inner.name}"):
+                    if name not in values:
+                        values[name] = value
+                        values.update({name + OF_UNIT: inner.unit} if inner.unit else {})
             add(inner)
 
     add(root)
@@ -167,12 +176,15 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
     if kind not in DATA_TYPES:
         known = ", ".join(DATA_TYPES)
         raise image_error(name, f"PDS4 array of data_type {kind!r} is not read; of types there are {known}.")
-    sizes = _axes(name, array)
+    sizes, order = _axes(name, array)
     offset = _whole(name, array, "OFFSET", 0)
     raster = Raster(
         sizes[-2], sizes[-1], np.dtype(DATA_TYPES[kind]), sizes[0] if len(sizes) == 3 else 1, offset=offset
     )
     stored = read_raster(name, data, raster)
+    if order is not None:  # of one band, the raster has two axes left
+        stored = np.ascontiguousarray(stored.reshape(sizes).transpose(order))
+        stored = stored[0] if stored.ndim == 3 and len(stored) == 1 else stored
     scale, zero = array.value("SCALING_FACTOR"), array.value("VALUE_OFFSET")
     image = linear(name, stored, scale, zero, "PDS4 label whose scaling_factor or value_offset")
     image[holds_constants(stored, map(array.value, MISSING))] = np.nan
@@ -180,19 +192,34 @@ def read_pds4(name: str, label: Pds4Label, data: bytes) -> StoredPicture:
     return StoredPicture(image, label.values, saturated=saturated)
 
 
-def _axes(name: str, array: _Element) -> list[int]:
-    """Return the sizes of an array's axes, slowest first."""
+LINE, SAMPLE = "line", "sample"
+
+
+def _axes(name: str, array: _Element) -> tuple[list[int], list[int] | None]:
+    """Return the sizes of an array's axes, slowest first, and how to bring them into the order band, line, sample.
+
+    The second is None where they are so, or where their names do not tell.
+    """
     axes = {
-        _whole(name, axis, "SEQUENCE_NUMBER", 1): _whole(name, axis, "ELEMENTS", 1)
+        _whole(name, axis, "SEQUENCE_NUMBER", 1): (
+            _whole(name, axis, "ELEMENTS", 1),
+            str(axis.value("AXIS_NAME") or "").strip().lower(),
+        )
         for axis in array.all("AXIS_ARRAY")
     }
-    sizes = [axes[number] for number in sorted(axes)]
+    found = [axes[number] for number in sorted(axes)]
     fastest = str(array.value("AXIS_INDEX_ORDER") or "Last Index Fastest")
-    if len(sizes) not in (2, 3) or fastest.split(maxsplit=1)[0].lower() not in ("last", "first"):
+    if len(found) not in (2, 3) or fastest.split(maxsplit=1)[0].lower() not in ("last", "first"):
         raise image_error(
-            name, f"PDS4 array of {len(sizes)} axes, {fastest!r}, is no picture; check the label."
+            name, f"PDS4 array of {len(found)} axes, {fastest!r}, is no picture; check the label."
         )
-    return sizes if fastest.lower().startswith("last") else sizes[::-1]
+    found = found if fastest.lower().startswith("last") else found[::-1]
+    sizes, names = [size for size, _ in found], [axis for _, axis in found]
+    if LINE not in names or SAMPLE not in names:
+        return sizes, None
+    bands = [i for i, axis in enumerate(names) if axis not in (LINE, SAMPLE)]
+    order = [*bands, names.index(LINE), names.index(SAMPLE)]
+    return sizes, None if order == sorted(order) or len(order) != len(sizes) else order
 
 
 def _whole(name: str, element: _Element, key: str, least: int) -> int:

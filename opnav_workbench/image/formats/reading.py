@@ -30,6 +30,14 @@ __all__ = ["read_stored"]
 
 SHOWN_BYTES = 24
 FORMATS = "FITS, VICAR, PDS3, PDS4, ISIS cube, PNG, TIFF or JPEG"
+PACKED = {
+    b"PK\x03\x04": "ZIP",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\0": "xz",
+    b"7z\xbc\xaf": "7-Zip",
+    b"\x1f\x9d": "compress",
+    b"Rar!": "RAR",
+}
 LABELS = (".lbl", ".LBL", ".xml", ".XML")
 
 
@@ -129,6 +137,15 @@ def _unknown(file: Path, data: bytes) -> Exception:
     label = next((file.with_suffix(s) for s in LABELS if is_file(file.with_suffix(s))), None)
     if label is not None:
         return image_error(file.name, f"has no header of its own; give its label {label.name}.")
+    packed = next((kind for start, kind in PACKED.items() if data.startswith(start)), None)
+    if packed is not None:
+        return image_error(file.name, f"is packed ({packed}); unpack it, and give the picture.")
+    if vicar.lacks_label_size(data):
+        return image_error(
+            file.name,
+            "has words of a VICAR label, but does not begin with LBLSIZE=..., the label's size; give the original, or put a "
+            f"sidecar {file.stem}.json beside it (lines, samples, sample_type, offset_bytes, utc, exposure_s).",
+        )
     return image_error(
         file.name,
         f"is not a {FORMATS} file: it begins with {data[:SHOWN_BYTES]!r}; give an image file, or put a sidecar "

@@ -25,6 +25,7 @@ attitude, states and body the session takes from them (`opnav_workbench.session.
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -53,11 +54,40 @@ __all__ = [
 
 SUFFIXES = (".json", ".yaml", ".yml", ".csv")
 MOST_WORDS = 10_000
+DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+")
 SAMPLE_TYPES = {
     "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
 DECIMALS = 6  # of a second, of times that are shifted
+# Other names of the layout's words; they can mean nothing else.
+LAYOUT_WORDS = {
+    **dict.fromkeys(("rows", "height", "nl", "n_line", "n_lines"), "lines"),
+    **dict.fromkeys(("columns", "cols", "width", "ns", "n_pixel", "n_samples"), "samples"),
+    **dict.fromkeys(("dtype", "data_type"), "sample_type"),
+    **dict.fromkeys(("byteorder", "endian", "endianness"), "byte_order"),
+}
+# What others call the words above. Their unit, order or sense may be another: they are not taken, but named.
+LIKELY_WORDS = {
+    **dict.fromkeys(("time", "date", "datetime", "timestamp", "date_obs", "date-obs", "epoch", "utc_time"), "utc"),
+    **dict.fromkeys(("start_time", "mid_time"), "utc"),
+    **dict.fromkeys(("exposure", "exptime", "exp_time", "exposure_time", "exposure_ms"), "exposure_s"),
+    **dict.fromkeys(("exposure_duration", "integration_time"), "exposure_s"),
+    **dict.fromkeys(("quaternion", "quat", "q", "camera_from_j2000", "orientation", "pointing"), "attitude"),
+    **dict.fromkeys(("position", "spacecraft_position", "position_m", "pos_km"), "position_km"),
+    **dict.fromkeys(("velocity", "spacecraft_velocity", "velocity_m_s", "vel_km_s"), "velocity_km_s"),
+}  # fmt: skip
+MEANINGS = {
+    "utc": "the middle of the exposure",
+    "exposure_s": "seconds",
+    "attitude": "a quaternion of camera_from_j2000, scalar first",
+    "position_km": "of the spacecraft from the Sun, J2000",
+    "velocity_km_s": "of the spacecraft with respect to the Sun, J2000",
+}
+BYTE_ORDERS = {
+    **dict.fromkeys(("<", "lsb", "le", "little-endian", "little_endian", "intel", "pc"), "little"),
+    **dict.fromkeys((">", "msb", "be", "big-endian", "big_endian", "motorola", "network"), "big"),
+}
 
 
 def _numbers(value: Any) -> Any:
@@ -65,6 +95,18 @@ def _numbers(value: Any) -> Any:
     return (
         value.replace(",", " ").replace(";", " ").strip("[]() ").split() if isinstance(value, str) else value
     )
+
+
+def _sample_type(value: Any) -> Any:
+    """Return a sample type by its name here, as NumPy writes it (``<u2``), or in capitals."""
+    name = str(value).strip().lower().lstrip("<>=|")
+    name = "uint8" if name == "byte" else name
+    return next((known for known, code in SAMPLE_TYPES.items() if name in (known, code)), value)
+
+
+def _byte_order(value: Any) -> Any:
+    name = str(value).strip().lower()
+    return BYTE_ORDERS.get(name, name)
 
 
 Vector = Annotated[tuple[float, float, float], BeforeValidator(_numbers)]
@@ -90,10 +132,11 @@ class Sidecar(BaseModel):
     instrument: str | None = None
     lines: Positive | None = None
     samples: Positive | None = None
-    sample_type: Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"] = (
-        "uint16"
-    )
-    byte_order: Literal["little", "big"] = "little"
+    sample_type: Annotated[
+        Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"],
+        BeforeValidator(_sample_type),
+    ] = "uint16"
+    byte_order: Annotated[Literal["little", "big"], BeforeValidator(_byte_order)] = "little"
     offset_bytes: Bytes = 0
     line_prefix_bytes: Bytes = 0
     line_suffix_bytes: Bytes = 0
@@ -151,7 +194,7 @@ def read_sidecar(sidecar: Path, picture: str | None = None) -> Sidecar:
     if holds_support_data(words):
         words = {"et": words.get("center_ephemeris_time")}
     try:
-        return Sidecar.model_validate({_own_name(word): value for word, value in words.items()})
+        return Sidecar.model_validate(_own_words(words))
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -163,19 +206,44 @@ def holds_support_data(words: Any) -> bool:
     return isinstance(words, Mapping) and str(words.get("name_model", "")).startswith("USGS_ASTRO_")
 
 
-def _own_name(word: str) -> str:
-    """Return a word in the case that the list has it in; others as they stand."""
-    return word.lower() if word.lower() in Sidecar.model_fields else word
+def _own_words(words: Mapping[str, Any]) -> dict[str, Any]:
+    """Return words by the names that the list has, in its case; others as they stand."""
+    own: dict[str, Any] = {}
+    for word, value in words.items():
+        name = word.strip().lower()
+        name = LAYOUT_WORDS.get(name, name)
+        own[name if name in Sidecar.model_fields else word] = value
+    code = str(own.get("sample_type", ""))[:1]
+    if code in BYTE_ORDERS and "byte_order" not in own:  # "<u2" tells both
+        own["byte_order"] = code
+    return own
 
 
 def _words(sidecar: Path, data: bytes, picture: str | None) -> Any:
     suffix = sidecar.suffix.lower()
     if suffix == ".json":
-        return json_value(data.decode("utf-8-sig"))
+        return json_value(_text(data))
     if suffix == ".csv":
-        return _table_words(list(csv.reader(io.StringIO(data.decode("utf-8-sig")))), picture)
-    node = compose(data.decode())
+        return _table_words(_rows(_text(data)), picture)
+    node = compose(_text(data))
     return {} if node is None else plain_value(node)
+
+
+def _text(data: bytes) -> str:
+    return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+
+
+def _rows(text: str) -> list[list[str]]:
+    """Return the rows of a table, whatever parts its cells; with semicolons a number may have a comma."""
+    first = text.partition("\n")[0]
+    parted = max(",;\t", key=first.count)
+    rows = list(csv.reader(io.StringIO(text), delimiter=parted))
+    if parted != ";":
+        return rows
+    return [
+        [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in row]
+        for row in rows
+    ]
 
 
 def _table_words(rows: Sequence[Sequence[str]], picture: str | None) -> dict[str, Any]:
@@ -183,7 +251,8 @@ def _table_words(rows: Sequence[Sequence[str]], picture: str | None) -> dict[str
     rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
     if not rows:
         raise ValueError("a table without rows")
-    if all(len(row) == 2 for row in rows) and [cell.lower() for cell in rows[0]] != ["file", "utc"]:
+    are_words = all(cell.lower() in Sidecar.model_fields for cell in rows[0])
+    if all(len(row) == 2 for row in rows) and not are_words:
         return {word: _cell(value) for word, value in rows if value}
     head, *body = rows
     words = [word.lower() for word in head]
@@ -225,8 +294,26 @@ def with_sidecar(source: StoredPicture, sidecar: Sidecar, name: str, keywords: K
         asked = [keyword for field in fields if (keyword := getattr(completed, field))]
         if asked and all(completed.value(Header(header), field) is None for field in fields):
             # In the sidecar's words: nobody has seen the mission's keywords.
-            raise image_error(name, f"no {word}; state it there (or {' or '.join(asked)}).")
-    return replace(source, header=header, keywords=completed)
+            likely = [other for other in sidecar.model_extra or {} if _likely(other) == word]
+            instead = f" as {word} ({MEANINGS[word]}) instead of {', '.join(likely)}" if likely else ""
+            raise image_error(name, f"no {word}; state it there{instead} (or {' or '.join(asked)}).")
+    remarks = _left_aside(sidecar, completed)
+    return replace(source, header=header, keywords=completed, messages=(*source.messages, *remarks))
+
+
+def _likely(word: str) -> str:
+    """Return the word of the list that another one may stand for, empty where none."""
+    return LIKELY_WORDS.get(word.strip().lower(), "")
+
+
+def _left_aside(sidecar: Sidecar, keywords: KeywordMap) -> tuple[str, ...]:
+    """Return remarks on words that look like those of the list, and that neither it nor the mission's keywords have."""
+    asked = str(keywords)
+    return tuple(
+        f"its word {word} is not read: {_likely(word)} is the word ({MEANINGS[_likely(word)]})"
+        for word in sidecar.model_extra or {}
+        if _likely(word) and repr(word) not in asked and getattr(sidecar, _likely(word)) is None
+    )
 
 
 def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str, HeaderValue], KeywordMap]:
@@ -314,9 +401,13 @@ def read_raw(name: str, data: bytes, sidecar: Sidecar, sidecar_name: str) -> Sto
             "samples, sample_type and byte_order there.",
         )
     image = read_raster(name, data, layout)
+    behind = len(data) - layout.offset - layout.records * (layout.prefix + layout.line_bytes + layout.suffix)
+    remarks = (
+        (f"{behind} bytes behind the samples that {sidecar_name} tells are left aside",) if behind else ()
+    )
     names = ("red", "green", "blue") if layout.bands == 3 else ()
     saturated = full_scale(image) if image.ndim == 2 else None
-    return StoredPicture(image, {}, saturated=saturated, channels=names)
+    return StoredPicture(image, {}, saturated=saturated, channels=names, messages=remarks)
 
 
 def _layout(sidecar: Sidecar) -> Raster | None:

@@ -20,6 +20,7 @@ __all__ = [
     "BandOrder",
     "Raster",
     "StoredPicture",
+    "from_vax",
     "full_scale",
     "header_value",
     "holds_constants",
@@ -188,3 +189,15 @@ def _banded(samples: NDArray[Any], raster: Raster) -> NDArray[Any]:
     if raster.order == "BIL":
         return samples.reshape(raster.lines, raster.bands, raster.samples).swapaxes(0, 1)
     return np.moveaxis(samples.reshape(raster.lines, raster.samples, raster.bands), 2, 0)
+
+
+def from_vax(samples: NDArray[Any]) -> NDArray[np.float32]:
+    """Return VAX F_floating numbers, read as little-endian words of 32 bits, as floats; its unused patterns are 0 or nan."""
+    words = np.ascontiguousarray(samples).view("<u4")
+    bits = (words << np.uint32(16)) | (words >> np.uint32(16))
+    exponent = ((bits >> np.uint32(23)) & np.uint32(0xFF)).astype(np.int32)
+    fraction = 1.0 + (bits & np.uint32(0x7FFFFF)).astype(np.float64) / 2.0**23
+    sign = np.where(bits >> np.uint32(31), -1.0, 1.0)
+    values = np.ldexp(sign * fraction, exponent - 129)
+    reserved = np.where(bits >> np.uint32(31), np.nan, 0.0)
+    return np.where(exponent == 0, reserved, values).astype(np.float32)

@@ -8,15 +8,19 @@ from collections.abc import Iterator
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from opnav_workbench.image.file_bytes import check_size, image_error, truncated_error
-from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, read_raster
-from opnav_workbench.image.header import HeaderValue
+from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, from_vax, read_raster
+from opnav_workbench.image.header import OF_UNIT, HeaderValue
 
-__all__ = ["is_vicar", "read_vicar"]
+__all__ = ["is_vicar", "lacks_label_size", "read_vicar"]
 
-LABEL_SIZE = re.compile(rb"LBLSIZE *= *(\d+)")
+LABEL_SIZE = re.compile(rb"LBLSIZE *= *(\d+)", re.IGNORECASE)
+# Words of the system label, of which a file without LBLSIZE at its begin has some all the same.
+SYSTEM_WORD = re.compile(
+    rb"\b(FORMAT|TYPE|BUFSIZ|RECSIZE|ORG|NL|NS|NB|N1|N2|INTFMT|REALFMT|HOST) *= *['\d]", re.IGNORECASE
+)
+FEWEST_WORDS = 4
 LABEL_LIMIT_BYTES = 1 << 17  # labels with their history have some 10 kB
 ITEM = re.compile(
     r"(?P<name>\w+) *= *(?P<value>'(?:[^']|'')*'|\((?:'(?:[^']|'')*'|[^')])*\)|[^\s'(]+)", re.ASCII
@@ -27,12 +31,27 @@ WHOLE_NUMBER = re.compile(r"[+-]?\d+")
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d{1,3})?")
 INTEGERS = {"BYTE": "u1", "HALF": "i2", "WORD": "i2", "FULL": "i4", "LONG": "i4"}
 REALS = {"REAL": "f4", "DOUB": "f8"}
+INTEGER_DEFAULT, REAL_DEFAULT = (
+    "LOW",
+    "VAX",
+)  # of labels from before there were other machines; the specification's
+DIMENSIONS = {
+    "BSQ": ("N1", "N2", "N3"),
+    "BIL": ("N1", "N3", "N2"),
+    "BIP": ("N2", "N3", "N1"),
+}  # of sample, line, band
 INTEGER_ORDERS, REAL_ORDERS = {"HIGH": ">", "LOW": "<"}, {"IEEE": ">", "RIEEE": "<"}
 
 
 def is_vicar(data: bytes) -> bool:
     """Tell from the first bytes whether this is a VICAR file."""
     return LABEL_SIZE.match(data) is not None
+
+
+def lacks_label_size(data: bytes) -> bool:
+    """Tell whether a file has words of a VICAR label, but not LBLSIZE at its begin."""
+    words = {word.upper() for word in SYSTEM_WORD.findall(data[:1024])}
+    return LABEL_SIZE.match(data) is None and len(words) >= FEWEST_WORDS
 
 
 def read_vicar(name: str, data: bytes) -> StoredPicture:
@@ -53,9 +72,12 @@ def read_vicar(name: str, data: bytes) -> StoredPicture:
         raise truncated_error(name, "the VICAR data section", max(len(data) - size, 0), end - size)
     if items.get("EOL") == 1:
         _add(items, _label_at(name, data, end)[1])
+    items = _voyager_words(items) | items
     samples = read_raster(name, data, raster)
-    real = items.get("FORMAT") == "REAL" and items.get("REALFMT") == "VAX"
-    return StoredPicture(_from_vax(samples) if real else samples, items)
+    real = _word(items, "FORMAT", "") == "REAL" and _word(items, "REALFMT", REAL_DEFAULT) == "VAX"
+    return StoredPicture(
+        from_vax(samples) if real else samples, items, messages=_taken_formats(items, raster)
+    )
 
 
 # ---- Labels.
@@ -88,10 +110,11 @@ def _add(items: dict[str, HeaderValue], label: str) -> None:
 def _items(label: str) -> Iterator[tuple[str, HeaderValue]]:
     for item in ITEM.finditer(label):
         text = item["value"]
+        name = item["name"].upper()
         if text.startswith("("):
-            yield item["name"], ", ".join(str(_value(e[0])) for e in ELEMENT.finditer(text))
+            yield name, ", ".join(str(_value(e[0])) for e in ELEMENT.finditer(text))
         else:
-            yield item["name"], _value(text)
+            yield name, _value(text)
 
 
 def _value(text: str) -> HeaderValue:
@@ -102,18 +125,50 @@ def _value(text: str) -> HeaderValue:
     return float(text.upper().replace("D", "E")) if NUMBER.fullmatch(text) else text
 
 
+# Raw pictures of Voyager have lines of text for a label: what they say, in the words of the archives' labels.
+VOYAGER = re.compile(
+    r"VGR-(?P<craft>[12]) .*?SCET (?P<year>\d\d)\.(?P<day>\d{3}) (?P<time>\d\d:\d\d:\d\d)"
+    r".*?(?P<camera>[NW])A CAMERA +EXP +(?P<ms>[\d.]+) MSEC",
+    re.DOTALL,
+)
+
+
+def _voyager_words(items: dict[str, HeaderValue]) -> dict[str, HeaderValue]:
+    """Return spacecraft, camera, time and exposure of a label of Voyager's ground system; nothing of other labels."""
+    said = VOYAGER.search("\n".join(str(items.get(f"LAB{number:02d}", "")) for number in range(1, 8)))
+    if said is None:
+        return {}
+    camera = "NARROW" if said["camera"] == "N" else "WIDE"
+    return {
+        "SPACECRAFT_NAME": f"VOYAGER_{said['craft']}",
+        "INSTRUMENT_NAME": f"{camera}_ANGLE_CAMERA",
+        "IMAGE_TIME": f"19{said['year']}-{said['day']}T{said['time']}",
+        "EXPOSURE_DURATION": float(said["ms"]),
+        "EXPOSURE_DURATION" + OF_UNIT: "MSEC",
+    }
+
+
 # ---- The raster that a label describes.
 
 
 def _raster(name: str, items: dict[str, HeaderValue], label_size: int) -> Raster:
-    lines, samples = (_whole(name, items, key, 1) for key in ("NL", "NS"))
-    bands = max(_whole(name, items, "NB", 0, 1), 1)
-    record, prefix, before = (_whole(name, items, key, 0, 0) for key in ("RECSIZE", "NBB", "NLB"))
-    order: Any = items.get("ORG", "BSQ")
+    order: Any = _word(items, "ORG", "BSQ")
     if order not in get_args(BandOrder):
         raise _damaged(name, f"ORG is {order!r}, expected {', '.join(get_args(BandOrder))}")
+    # Those that are not named are the dimensions, the fastest first.
+    samples_of, lines_of, bands_of = DIMENSIONS[order]
+    lines, samples = (
+        _whole(name, items, key if key in items else other, 1)
+        for key, other in (("NL", lines_of), ("NS", samples_of))
+    )
+    bands = max(_whole(name, items, "NB" if "NB" in items else bands_of, 0, 1), 1)
+    prefix, before = (_whole(name, items, key, 0, 0) for key in ("NBB", "NLB"))
+    kind = _sample_type(name, items)
+    record = _whole(
+        name, items, "RECSIZE", 0, prefix + kind.itemsize * (bands if order == "BIP" else samples)
+    )
     offset = label_size + before * record
-    raster = Raster(lines, samples, _sample_type(name, items), bands, order, offset, prefix)
+    raster = Raster(lines, samples, kind, bands, order, offset, prefix)
     if order == "BIP":  # whose records are the bands of a sample
         if prefix or record != bands * raster.dtype.itemsize:
             raise _damaged(name, f"RECSIZE = {record} and NBB = {prefix} do not fit ORG = BIP")
@@ -132,27 +187,36 @@ def _whole(name: str, items: dict[str, HeaderValue], key: str, least: int, defau
 
 
 def _sample_type(name: str, items: dict[str, HeaderValue]) -> np.dtype[Any]:
-    kind = str(items.get("FORMAT", ""))
-    if kind in INTEGERS and (order := INTEGER_ORDERS.get(str(items.get("INTFMT", "HIGH")))):
+    kind = _word(items, "FORMAT", "")
+    integers, reals = _word(items, "INTFMT", INTEGER_DEFAULT), _word(items, "REALFMT", REAL_DEFAULT)
+    if kind in INTEGERS and (order := INTEGER_ORDERS.get(integers)):
         return np.dtype(order + INTEGERS[kind])
-    order = "<" if kind == "REAL" and items.get("REALFMT") == "VAX" else None
-    if kind in REALS and (order := order or REAL_ORDERS.get(str(items.get("REALFMT", "IEEE")))):
+    order = "<" if kind == "REAL" and reals == "VAX" else None
+    if kind in REALS and (order := order or REAL_ORDERS.get(reals)):
         return np.dtype(order + REALS[kind])
-    kinds = ", ".join([*INTEGERS, *REALS])
-    stated = f"FORMAT {kind!r}, INTFMT {items.get('INTFMT')!r}, REALFMT {items.get('REALFMT')!r}"
-    raise _damaged(name, f"{stated} is not read; of formats there are {kinds}")
+    known = ", ".join([*INTEGERS, *REALS])
+    if not kind:
+        raise image_error(
+            name, f"its VICAR label lacks FORMAT ({known}); write it there, or give the original."
+        )
+    raise image_error(
+        name,
+        f"its VICAR label says FORMAT {kind!r}, INTFMT {integers!r}, REALFMT {reals!r}, which is not read (of formats there "
+        f"are {known}, of VAX reals no doubles); convert it to FITS.",
+    )
 
 
-def _from_vax(samples: NDArray[Any]) -> NDArray[np.float32]:
-    """Return VAX F_floating numbers, read as little-endian words of 32 bits, as floats; its unused patterns are 0 or nan."""
-    words = np.ascontiguousarray(samples).view("<u4")
-    bits = (words << np.uint32(16)) | (words >> np.uint32(16))
-    exponent = ((bits >> np.uint32(23)) & np.uint32(0xFF)).astype(np.int32)
-    fraction = 1.0 + (bits & np.uint32(0x7FFFFF)).astype(np.float64) / 2.0**23
-    sign = np.where(bits >> np.uint32(31), -1.0, 1.0)
-    values = np.ldexp(sign * fraction, exponent - 129)
-    reserved = np.where(bits >> np.uint32(31), np.nan, 0.0)
-    return np.where(exponent == 0, reserved, values).astype(np.float32)
+def _taken_formats(items: dict[str, HeaderValue], raster: Raster) -> tuple[str, ...]:
+    """Return the remark that the label does not say how its numbers of several bytes lie, where it does not."""
+    kind = _word(items, "FORMAT", "")
+    key, default = ("REALFMT", REAL_DEFAULT) if kind in REALS else ("INTFMT", INTEGER_DEFAULT)
+    if key in items or raster.dtype.itemsize == 1:
+        return ()
+    return (f"its VICAR label has no {key}: taken as {default}, as the format says",)
+
+
+def _word(items: dict[str, HeaderValue], key: str, default: str) -> str:
+    return str(items.get(key, default)).strip().upper()
 
 
 def _damaged(name: str, why: str) -> Exception:
