@@ -52,7 +52,7 @@ REGIONS = ("header", "queue", "panel", "status")
 
 # A thread that works gives way to the others so often; Python's own 5 ms add up to a tenth of a second for a key, which
 # waits for its turn at each message, lock and file.
-GIVE_WAY_S = 0.00005
+GIVE_WAY_S = 0.0005
 
 
 @contextmanager
