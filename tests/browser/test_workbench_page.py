@@ -291,6 +291,8 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
     # kill -9 at the moment when a decision is shown: it is on disk.
     nb.expected += ["WebSocket", "Failed to load resource", "kernel", "Kernel"]
     process = nb.python("__import__('os').getpid()")
+    hand.press("u")  # the star that was done again is the one at hand
+    hand.page.locator(".ow-panel .focus.open").wait_for()
     hand.press("a")
     hand.said("6 undecided")
     os.kill(process, signal.SIGKILL)
